@@ -1,4 +1,6 @@
-"""References: the records that triangle-scanning builders move, 8 floats per triangle, (low, id, -high, 0).
+"""References: the records that triangle-scanning builders move, 8 floats per triangle, (low, id, -high, size).
+
+The size is 0 unless a builder asks for it (`write_sizes`).
 
 Two references fit a cache line. A reference is moved as a whole, so every range is read sequentially. Storing -high turns the
 union of boxes into one minimum over 8 lanes.
@@ -33,6 +35,22 @@ lanes."""
 )
 def write_references(boxes: Boxes, begin: int, end: int, references: wp.array(dtype=float)):
     """Writes the references of triangles begin .. end - 1."""
+    ...
+
+
+@wp.func_native("""
+    for (size_t i = begin; i < (size_t)end; ++i) {
+        float* to = references.data + i * 8;
+        const float x = -(to[0] + to[4]), y = -(to[1] + to[5]), z = -(to[2] + to[6]);
+        const float area = x * y + y * z + z * x;
+        int bits;
+        memcpy(&bits, &area, 4);
+        to[7] = area > 0.0f ? (float)bits * 0x1p-23f : 0.0f;
+    }
+""")
+def write_sizes(references: wp.array(dtype=float), begin: int, end: int):
+    """Writes the sizes of references begin .. end - 1: 127 plus the binary logarithm of half the surface area of a triangle's
+    box, linear between powers of two, as the bits of a float give it; 0 to 255."""
     ...
 
 

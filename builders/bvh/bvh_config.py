@@ -13,6 +13,9 @@ exact_module(__name__)
 MAX_BINS = 40
 """Most bins along an axis, as many as Falcone (2024) has; sizes the scratch memory."""
 
+MAX_WIDTH = 16
+"""Most children of a wide node."""
+
 MIN_GRAIN = 4
 """Least capacity, in triangles, of a leaf of the binary tree; applies where blocks are narrower."""
 
@@ -21,6 +24,9 @@ LEAF_BLOCKS = 3
 
 MAX_ROUNDS = 1000
 """Largest number of reinsertion rounds that can be requested. Reinsertion converges in a few dozen rounds."""
+
+LARGE = 1.0 / 32.0
+"""Default of `BvhConfig.large` (notebooks/records/2026-11-24-large-triangles.md)."""
 
 MIN_LEAF_LIMIT = 8
 """Least default for the triangles of a leaf; applies where LEAF_BLOCKS blocks hold fewer."""
@@ -33,9 +39,11 @@ class BuildRules:
     cost: SplitCost
     bins: int
     grain: int
-    """A node of the binary tree with at most this many triangles is a leaf; the collapse merges leaves."""
+    """A node of the binary tree with at most this many triangles is a leaf unless its box is large."""
     max_leaf: int
     """Most triangles in a leaf of the finished tree."""
+    large: float
+    """See `BvhConfig`."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +59,8 @@ class BvhConfig:
             tree hold half a block.
         subset: share of the triangles, above 0 and at most 1, that decides the upper levels of a builder that bins
             (`wrt.builders.bvh.subset_levels`).
+        large: share of the root's surface area above which a box is large (`wrt.builders.bvh.phases.large_boxes`), at least 0;
+            infinity if none is.
 
     Raises:
         ValueError: a value is out of range.
@@ -61,6 +71,7 @@ class BvhConfig:
     max_leaf_triangles: int | None = None
     reinsertion: int = 0
     subset: float = 1.0
+    large: float = LARGE
 
     def __post_init__(self) -> None:
         if self.cost.width < 2:
@@ -75,6 +86,8 @@ class BvhConfig:
             raise ValueError(f"reinsertion is {self.reinsertion!r}; it must be a whole number of rounds from 0 to {MAX_ROUNDS}")
         if not 0.0 < self.subset <= 1.0:
             raise ValueError(f"subset is {self.subset}; it must be above 0 and at most 1, a share of the triangles")
+        if not self.large >= 0.0:
+            raise ValueError(f"large is {self.large}; it must be at least 0, a share of the root's surface area")
         if self.max_leaf_triangles is not None and not 1 <= self.max_leaf_triangles <= MAX_LEAF_TRIANGLES:
             raise ValueError(f"max_leaf_triangles is {self.max_leaf_triangles}; it must be from 1 to {MAX_LEAF_TRIANGLES}")
 
@@ -89,6 +102,7 @@ class BvhConfig:
         rules.cost = self.cost.struct()
         rules.bins = self.bins
         rules.max_leaf = self.leaf_limit
+        rules.large = self.large
         block = self.cost.width // 2 if self.reinsertion else self.cost.width
         rules.grain = min(self.leaf_limit, max(MIN_GRAIN, block))
         return rules

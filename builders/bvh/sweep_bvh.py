@@ -40,6 +40,7 @@ from wrt.builders.bvh.phases.binary_tree import (
     split_cost,
 )
 from wrt.builders.bvh.phases.collapse import collapse, collapse_kernels
+from wrt.builders.bvh.phases.large_boxes import is_small
 from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
 from wrt.builders.bvh.phases.sweep_levels import bound_chunks, split_top
 from wrt.builders.bvh.phases.sweep_lists import (
@@ -70,12 +71,6 @@ TASKS_PER_THREAD = 2
 
 MIN_LARGE = 4096
 """Triangles below which a node is not worth more than one thread."""
-
-
-@wp.func
-def stop(rules: BuildRules, frame: Frame):
-    """Whether a node becomes a leaf; the collapse may merge leaves."""
-    return frame.count <= rules.grain
 
 
 @wp.func
@@ -175,7 +170,7 @@ def build_by_sweep(
     while building:
         write_box(lists, frame, tree)
         tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
-        if stop(rules, frame):
+        if is_small(rules, tree, frame.node, frame.count):
             emit_leaf(lists, frame, tree)
             waiting -= 1
             building = waiting >= 0

@@ -18,7 +18,7 @@ from wrt.builders.bvh.phases.bvh_bins import (
 )
 from wrt.builders.cost import SplitCost, SurfaceAreaCost
 from wrt.builders.triangle_boxes import Boxes, boxes_of
-from wrt.builders.triangle_references import write_references
+from wrt.builders.triangle_references import write_references, write_sizes
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 
@@ -40,10 +40,11 @@ def find_plane(
     planes: wp.array(dtype=Plane),
 ):
     write_references(boxes, 0, count, references)
+    write_sizes(references, 0, count)
     centroid_domain(references, 0, count, domain, 0)
     binning = make_binning(domain, 0, bins)
     bin_range(references, 0, count, binning, scratch, 0)
-    planes[0] = best_plane(cost, scratch, 0, bins, count)
+    planes[0] = best_plane(cost, scratch, 0, bins, binning.axes, count)
 
 
 def plane_of(low: np.ndarray, high: np.ndarray, bins: int, config: BvhConfig) -> tuple[float, int, int, int]:
@@ -61,17 +62,26 @@ def area(low: np.ndarray, high: np.ndarray) -> np.float32:
     return x * y + y * z + z * x
 
 
+def sizes_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """127 plus the binary logarithm of the areas, linear between powers of two; 0 for none."""
+    areas = area(low.T, high.T)
+    mantissa, exponent = np.frexp(areas)
+    return np.where(areas > 0, exponent + 126 + (2 * mantissa - 1), 0).astype(np.float32)
+
+
 def plane_by_numpy(low: np.ndarray, high: np.ndarray, bins: int, config: BvhConfig) -> tuple[float, int, int, int]:
     """The same, plane by plane: the first of the least cost."""
     one, width = np.float32(1.0), config.cost.width
     block = np.float32(config.cost.block)
-    doubled = low + high
+    sizes = sizes_of(low, high)
+    doubled = np.concatenate([low + high, -sizes[:, None]], axis=1)
+    axes = 4 if np.ptp(sizes) > 8 else 3
     first, extent = doubled.min(axis=0), doubled.max(axis=0) - doubled.min(axis=0)
     with np.errstate(all="ignore"):
         scale = np.where(extent > 0, np.float32(bins) / extent, np.float32(0)).astype(np.float32)
     found = np.clip((doubled - first) * scale, 0, bins - one).astype(int)
     best = (np.float32(np.inf), 0, 0, 0)
-    for axis in range(3):
+    for axis in range(axes):
         for b in range(1, bins):
             left = found[:, axis] < b
             if left.any() and not left.all():
@@ -93,6 +103,31 @@ def test_the_plane_is_the_first_of_the_least_cost(bins):
         half = rng.uniform(0, 0.1, (count, 3)).astype(np.float32)
         low, high = center - half, center + half
         assert plane_of(low, high, bins, config) == plane_by_numpy(low, high, bins, config), count
+
+
+@pytest.mark.parametrize("bins", [7, 16, MAX_BINS])
+def test_size_is_an_axis_where_it_varies(bins):
+    """Boxes of very different sizes: planes as NumPy finds them, and some of them by size."""
+    rng = np.random.default_rng(bins)
+    config = BvhConfig(SurfaceAreaCost(width=8))
+    axes = set()
+    for count in (17, 64, 128, 301):
+        center = rng.uniform(-1, 1, (count, 3)).astype(np.float32)
+        half = (rng.uniform(0, 1, (count, 3)) * 10.0 ** rng.uniform(-4, 0, (count, 1))).astype(np.float32)
+        low, high = center - half, center + half
+        found = plane_of(low, high, bins, config)
+        assert found == plane_by_numpy(low, high, bins, config), count
+        axes.add(found[1])
+    assert 3 in axes
+
+
+def test_a_floor_is_separated_from_what_stands_on_it():
+    """No plane in space has a floor's two triangles on one side and the pebbles on the other; their sizes do."""
+    rng = np.random.default_rng(0)
+    center = rng.uniform([-1, -1, 0], [1, 1, 0.01], (100, 3)).astype(np.float32)
+    low, high = center - np.float32(0.001), center + np.float32(0.001)
+    low[[10, 60]], high[[10, 60]] = (-20, -20, 0), (20, 20, 0)
+    assert plane_of(low, high, 16, BvhConfig(SurfaceAreaCost(width=8)))[1:] == (3, 1, 2)
 
 
 def test_ties_go_to_the_smaller_axis_and_bin():

@@ -25,7 +25,7 @@ def test_expected_cost_is_what_is_counted(name, width, kind):
     """Rays of the area, followed through all they meet, cost what projected areas say, on a tree built for them or not."""
     mesh = SCENES[name]()
     area = area_of(mesh, kind)
-    rays = wrt.Rays(*rays_of(area, 20_000))
+    rays = wrt.Rays(*rays_of(area, 60_000))
     for tree in (wrt.Bvh(width=width), wrt.ProjectedBvh(areas=area, width=width)):
         found = wrt.analyse(wrt.Scene(mesh, tree), area, rays)
         assert found.passing.rays > 1000

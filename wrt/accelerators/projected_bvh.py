@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from wrt.tables import lookup
@@ -115,7 +116,7 @@ class ProjectedBvh:
             block, unit = self.triangle_cost, 1
         costs = SurfaceAreaCost(traversal=self.traversal_cost, block=block, width=width, unit=unit)
         return ProjectedConfig(
-            bvh=BvhConfig(costs, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles, subset=self.subset),
+            bvh=BvhConfig(costs, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles, subset=self.subset, large=inf),
             rays=RayDistribution(self.areas, self.shares, self.others if self.cost == "pah" else 1.0),
             axes=lookup(AXIS_CHOICES, self.axes, "axes") if isinstance(self.axes, str) else self.axes,
             nodes=NodeRules(

@@ -27,8 +27,8 @@ class Heuristic:
     Attributes:
         rays: a Warp struct with the heuristic's knowledge of the rays.
         search: (rules, rays, binning, scratch, slot, tree, frame) -> Plane, the best one of a node whose bins are filled.
-        is_leaf: (rules, rays, tree, frame) -> bool, whether a node of more than `BuildRules.grain` triangles is a leaf. It must
-            fit into a leaf of the wide tree.
+        is_leaf: (rules, rays, tree, frame) -> bool, whether a node that `is_small` would divide is a leaf. It must fit into a
+            leaf of the wide tree.
         weigh: (rays, tree, node) -> float, a node's weight, proportional to the number of rays that meet it.
         weigh_parent: (rays, tree, pair) -> float, the weight of the box around a pair, with the same bits as its parent's.
     """
@@ -49,8 +49,8 @@ class AllDirections:
 def cheapest_by_surface(
     rules: BuildRules, rays: AllDirections, binning: Binning, scratch: Scratch, slot: int, tree: BinaryTree, frame: Frame
 ):
-    """The plane of least cost over all three axes."""
-    return best_plane(rules.cost, scratch, slot, binning.bins, frame.count)
+    """The plane of least cost over all axes."""
+    return best_plane(rules.cost, scratch, slot, binning.bins, binning.axes, frame.count)
 
 
 @wp.func

@@ -3,6 +3,10 @@
 **Data.** A triangle is a reference of 8 floats (`wrt.builders.triangle_references`). Its doubled centroid is low + high. A bin
 is 8 floats too: adding a box to it is one minimum over 8 lanes (Wald 2007, section 3).
 
+**Size as an axis.** Where the triangles of a node differ much in size, their size is a fourth axis: a split by size separates a
+floor from what stands on it, which no plane in space does. Vinkler et al. (2017) sort by size for the same reason. The fourth
+component of a doubled centroid is id - size, with an id that is too small a number to change it. So all axes are treated alike.
+
 **Determinism.** `Binning` maps a centroid to a bin. Binning and partition evaluate the same expression, so the triangles
 counted on the left of a plane are those moved to the left. Minima and counts do not depend on the order, so a range binned in
 chunks gives the same result as in one pass.
@@ -11,6 +15,8 @@ Every function works on the scratch memory of one slot, which belongs to a subtr
 
 References:
     I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
+    M. Vinkler, J. Bittner, V. Havran: Extended Morton codes for high performance bounding volume hierarchy construction.
+        High Performance Graphics 2017.
 """
 
 import warp as wp
@@ -24,8 +30,12 @@ from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
-SLOT_BINS = 3 * MAX_BINS
+SLOT_BINS = 4 * MAX_BINS
 """Bins of a slot, at axis * bins + bin; packed densely if fewer bins are in use."""
+
+SIZE_RANGE = wp.constant(8.0)
+"""Least binary logarithm of the ratio of the largest and the smallest box's area for size to be an axis. The parts of scanned
+meshes differ less, and are spared the bins (notebooks/records/2026-11-24-large-triangles.md)."""
 
 FEW = wp.constant(64)
 FEW_BINS = wp.constant(8)
@@ -65,9 +75,11 @@ def make_scratch(slots: int, device: wp.Device) -> Scratch:
 class Binning:
     """The bin of a doubled centroid c: (c - low) * scale, clamped to [0, bins - 1]."""
 
-    low: wp.vec3
-    scale: wp.vec3
+    low: wp.vec4
+    scale: wp.vec4
     bins: int
+    axes: int
+    """3, or 4 if size is an axis."""
 
 
 @wp.struct
@@ -102,11 +114,13 @@ def make_binning(domain: wp.array(dtype=float), at: int, bins: int):
     """The bins of a node. domain: 8 floats per node, (low, -high) of the doubled centroids."""
     binning = Binning()
     binning.bins = bins
-    for axis in range(3):
+    for axis in range(4):
         low = load_float(domain, at * 8 + axis)
         extent = -load_float(domain, at * 8 + 4 + axis) - low
         binning.low[axis] = low
         binning.scale[axis] = wp.where(extent > 0.0, float(bins) / extent, 0.0)
+    sizes = -load_float(domain, at * 8 + 7) - load_float(domain, at * 8 + 3)
+    binning.axes = wp.where(sizes > SIZE_RANGE, 4, 3)
     return binning
 
 
@@ -152,18 +166,17 @@ def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: 
     const int bins = binning.bins;
     float* __restrict__ grid = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
     int* __restrict__ counts = scratch.count.data + (size_t)slot * SLOT_BINS;
-    const int all = 3 * bins;
+    const int all = binning.axes * bins;
     const float empty[W] = {INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, 0.0f};
     for (int i = 0; i < all; ++i) memcpy(grid + i * 8, empty, sizeof(empty));
     for (int i = 0; i < all; ++i) counts[i] = 0;
     float low[4], scale[4];
-    for (int j = 0; j < 3; ++j) { low[j] = binning.low.c[j]; scale[j] = binning.scale.c[j]; }
-    low[3] = 0.0f; scale[3] = 0.0f;
+    for (int j = 0; j < 4; ++j) { low[j] = binning.low.c[j]; scale[j] = binning.scale.c[j]; }
     const float last = (float)(bins - 1);
     float one_more[W];
     WRT_FOR_LANES(j) one_more[j] = -0.0f;
     one_more[7] = -1.0f;
-    const auto add = [&](float* into, const float* from) {
+    const auto add = [&](auto axes, float* into, const float* from) {
         float reference[W];
         memcpy(reference, from, sizeof(reference));
         int bin[4];
@@ -173,7 +186,7 @@ def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: 
             t = t < last ? t : last;
             bin[j] = (int)t;
         }
-        for (int axis = 0; axis < 3; ++axis) {
+        for (int axis = 0; axis < axes.count; ++axis) {
             float* box = into + (axis * bins + bin[axis]) * 8;
             float grown[W];
             memcpy(grown, box, sizeof(grown));
@@ -181,30 +194,36 @@ def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: 
             memcpy(box, grown, sizeof(grown));
         }
     };
-    const float* __restrict__ from = references.data + (size_t)begin * 8;
-    if (count <= ONE_GRID) {
-        for (int i = 0; i < count; ++i, from += 8) add(grid, from);
-        WRT_SCALAR
-        for (int i = 0; i < all; ++i) counts[i] -= (int)grid[i * 8 + 7];
-        return;
-    }
-    float other[SLOT_BINS * 8];
-    for (int done = 0; done < count; done += PIECE) {
-        const int piece = count - done < PIECE ? count - done : PIECE;
-        for (int i = 0; i < all; ++i) { memcpy(other + i * 8, empty, sizeof(empty)); grid[i * 8 + 7] = 0.0f; }
-        for (int i = 0; i < piece - 1; i += 2, from += 16) { add(grid, from); add(other, from + 8); }
-        if (piece & 1) { add(grid, from); from += 8; }
-        for (int i = 0; i < all; ++i) {
-            float* box = grid + i * 8;
-            const float* more = other + i * 8;
-            counts[i] -= (int)box[7] + (int)more[7];
-            WRT_FOR_LANES(j) box[j] = more[j] < box[j] ? more[j] : box[j];
+    const auto add_all = [&](auto axes) {
+        const float* __restrict__ from = references.data + (size_t)begin * 8;
+        if (count <= ONE_GRID) {
+            for (int i = 0; i < count; ++i, from += 8) add(axes, grid, from);
+            WRT_SCALAR
+            for (int i = 0; i < all; ++i) counts[i] -= (int)grid[i * 8 + 7];
+            return;
         }
-    }
+        float other[SLOT_BINS * 8];
+        for (int done = 0; done < count; done += PIECE) {
+            const int piece = count - done < PIECE ? count - done : PIECE;
+            for (int i = 0; i < all; ++i) { memcpy(other + i * 8, empty, sizeof(empty)); grid[i * 8 + 7] = 0.0f; }
+            for (int i = 0; i < piece - 1; i += 2, from += 16) { add(axes, grid, from); add(axes, other, from + 8); }
+            if (piece & 1) { add(axes, grid, from); from += 8; }
+            for (int i = 0; i < all; ++i) {
+                float* box = grid + i * 8;
+                const float* more = other + i * 8;
+                counts[i] -= (int)box[7] + (int)more[7];
+                WRT_FOR_LANES(j) box[j] = more[j] < box[j] ? more[j] : box[j];
+            }
+        }
+    };
+    struct Three { enum { count = 3 }; };  // known to the compiler, which unrolls the loop over axes
+    struct Four { enum { count = 4 }; };
+    if (binning.axes == 4) add_all(Four{});
+    else add_all(Three{});
 """
 )
 def bin_range(references: wp.array(dtype=float), begin: int, count: int, binning: Binning, scratch: Scratch, slot: int):
-    """Bins a range of triangles along the three axes.
+    """Bins a range of triangles along all axes.
 
     The last lane of a bin counts down by one per triangle, in the same instruction that adds -0 to the other lanes; a separate
     counter would need another load and store. The lane is moved to `count` before float32 can no longer represent it
@@ -218,16 +237,16 @@ def bin_range(references: wp.array(dtype=float), begin: int, count: int, binning
     + """
     float* to = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
     int* count = scratch.count.data + (size_t)slot * SLOT_BINS;
-    for (int i = 0; i < 3 * bins * 8; ++i) to[i] = INFINITY;
-    for (int i = 0; i < 3 * bins; ++i) count[i] = 0;
+    for (int i = 0; i < axes * bins * 8; ++i) to[i] = INFINITY;
+    for (int i = 0; i < axes * bins; ++i) count[i] = 0;
     for (int other = first; other < end; ++other) {
         const float* from = scratch.box.data + (size_t)other * (SLOT_BINS * 8);
-        for (int i = 0; i < 3 * bins * 8; ++i) to[i] = from[i] < to[i] ? from[i] : to[i];
-        for (int i = 0; i < 3 * bins; ++i) count[i] += scratch.count.data[(size_t)other * SLOT_BINS + i];
+        for (int i = 0; i < axes * bins * 8; ++i) to[i] = from[i] < to[i] ? from[i] : to[i];
+        for (int i = 0; i < axes * bins; ++i) count[i] += scratch.count.data[(size_t)other * SLOT_BINS + i];
     }
 """
 )
-def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int):
+def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int, axes: int):
     """Replaces the bins of a slot by the union of those of the slots first .. end - 1."""
     ...
 
@@ -244,7 +263,7 @@ def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int):
     float least[W];
     int where[W];
     WRT_FOR_LANES(j) {{ least[j] = INFINITY; where[j] = 0; }}
-    for (int axis = 0; axis < 3; ++axis, grid += bins * 8, counts += bins) {{
+    for (int axis = 0; axis < axes; ++axis, grid += bins * 8, counts += bins) {{
         float left_area[MOST], right_area[MOST], low_side[W], high_side[W];
         int left[MOST];
         WRT_FOR_LANES(j) {{ low_side[j] = INFINITY; high_side[j] = INFINITY; }}
@@ -277,10 +296,10 @@ def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int):
     plane.axis = where[lane] / MOST;
     plane.bin = where[lane] % MOST;
     plane.left = 0;
-    for (int b = 0; b < plane.bin; ++b) plane.left += (counts - 3 * bins)[plane.axis * bins + b];
+    for (int b = 0; b < plane.bin; ++b) plane.left += (counts - axes * bins)[plane.axis * bins + b];
 """
 )
-def find_best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, count: int, plane: wp.ref[Plane]):
+def find_best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, axes: int, count: int, plane: wp.ref[Plane]):
     """Sweeps the bins of a slot from both ends, and finds the plane of least cost.
 
     Lane j keeps the best of the bins j, j + 8, ... of all axes. So the costs of eight planes are computed at once."""
@@ -288,10 +307,10 @@ def find_best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, cou
 
 
 @wp.func
-def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, count: int):
+def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, axes: int, count: int):
     """The plane of least cost; ties go to the smaller axis, then to the smaller bin."""
     plane = no_plane()
-    find_best_plane(cost, scratch, slot, bins, count, plane)
+    find_best_plane(cost, scratch, slot, bins, axes, count, plane)
     return plane
 
 

@@ -35,7 +35,7 @@ from wrt.builders.bvh.phases.bvh_bins import (
     write_child_boxes,
 )
 from wrt.builders.triangle_boxes import Boxes
-from wrt.builders.triangle_references import write_references
+from wrt.builders.triangle_references import write_references, write_sizes
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_float, store_float
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
@@ -84,6 +84,7 @@ def make_references(
     begin = chunk * size
     end = wp.min(triangles, begin + size)
     write_references(boxes, begin, end, references)
+    write_sizes(references, begin, end)
     centroid_domain(references, begin, end - begin, parts, 2 * chunk)
 
 
@@ -144,7 +145,7 @@ def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
         slot = merged_first + index
         node.plane = no_plane()
         if half_area(tree.box, frame.node) > 0.0 and not must_split_at_median(frame.depth, frame.count):
-            merge_bins(scratch, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
+            merge_bins(scratch, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins, node.binning.axes)
             node.plane = search(rules, rays, node.binning, scratch, slot, tree, frame)
         if node.plane.cost < INFINITY:
             pair = frame.first + node.plane.left

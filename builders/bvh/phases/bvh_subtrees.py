@@ -24,6 +24,7 @@ from wrt.builders.bvh.phases.bvh_bins import (
     range_box,
     write_child_boxes,
 )
+from wrt.builders.bvh.phases.large_boxes import is_small
 from wrt.builders.triangle_references import write_order
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
@@ -110,7 +111,7 @@ def make_build_subtree(heuristic: Heuristic) -> wp.Function:
         building = bool(True)
         while building:
             tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
-            if frame.count <= rules.grain or is_leaf(rules, rays, tree, frame):
+            if is_small(rules, tree, frame.node, frame.count) or is_leaf(rules, rays, tree, frame):
                 # stop, emit
                 tree.pair[frame.node] = LEAF
                 write_order(references, frame.buffer + frame.first, frame.count, tree.order, frame.first)

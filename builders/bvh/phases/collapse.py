@@ -7,7 +7,7 @@ one leaf. Opening the largest child repeatedly until there are W leaves many nod
 triangles). A binary node n has the weight A(n): its surface area, or another weight by a `Heuristic`. F(n, j) is the least cost
 of its triangles if they may take up to j lanes:
 
-    leaf(n) = A(n) C_b blocks(n)                               if a leaf may hold the triangles of n
+    leaf(n) = A(n) C_b blocks(n)                               if n may be a leaf: by its number of triangles, and `large_boxes`
     D(n, j) = min over k of F(left, k) + F(right, j - k)       both children share the lanes
     F(n, 1) = min(leaf(n), A(n) C_t + D(n, W))                 a lane: a leaf, or a wide node
     F(n, j) = min(F(n, 1), D(n, j))
@@ -34,10 +34,11 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
+from wrt.builders.bvh.bvh_config import MAX_WIDTH, BuildRules, BvhConfig
 from wrt.builders.bvh.phases.bin_heuristic import Heuristic
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
-from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree
+from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, half_area_of_both
+from wrt.builders.bvh.phases.large_boxes import are_flat, holds_large_part, is_flat, is_large_area
 from wrt.builders.cost import leaf_cost
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
@@ -48,8 +49,6 @@ from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
-
-MAX_WIDTH = 16
 
 NO_NODE = wp.constant(0x7FFFFFFF)
 """Binary node of an unused lane."""
@@ -86,6 +85,7 @@ class WideLevels:
     const float node = inner + best[width - 1];
     const float one = leaf < node ? leaf : node;
     WRT_FOR_LANES(i) to[i] = best[i] < one ? best[i] : one;
+    to[W - 1] = holds_large ? 1.0f : 0.0f;
 """
 )
 def combine(
@@ -98,10 +98,12 @@ def combine(
     right_leaf: float,
     inner: float,
     leaf: float,
+    holds_large: bool,
 ):
-    """Computes F(n, 1 .. W) of the parent of a pair from those of the pair's nodes.
+    """Computes F(n, 1 .. W - 1) of the parent of a pair from those of the pair's nodes.
 
-    left, right: indices of their costs; LEAF for leaves, which cost left_leaf and right_leaf. inner: A(n) C_t."""
+    left, right: indices of their costs; LEAF for leaves, which cost left_leaf and right_leaf. inner: A(n) C_t. holds_large:
+    what `holds_large_part` is to say of the parent; it takes the place of F(n, W), which is never needed."""
     ...
 
 
@@ -111,17 +113,21 @@ def make_costs(heuristic: Heuristic) -> tuple[wp.Function, wp.Function]:
     rays_type, weigh = heuristic.rays, heuristic.weigh
 
     @wp.func
-    def cost_as_leaf(rules: BuildRules, rays: rays_type, tree: BinaryTree, node: int):
-        """leaf(n); INFINITY if it has too many triangles for a leaf."""
+    def cost_as_leaf(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), node: int):
+        """leaf(n); INFINITY if it may not be a leaf."""
         count = tree.range[node][1]
-        return wp.where(count <= rules.max_leaf, weigh(rays, tree, node) * leaf_cost(rules.cost, count), INFINITY)
+        if count > rules.max_leaf:
+            return float(INFINITY)
+        if tree.pair[node] != LEAF and holds_large_part(rules, tree, costs, node) and not is_flat(tree.box, node):
+            return float(INFINITY)
+        return weigh(rays, tree, node) * leaf_cost(rules.cost, count)
 
     @wp.func
     def least_cost(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), node: int, lanes: int):
         """F(n, lanes)."""
         pair = tree.pair[node]
         if pair == LEAF:
-            return cost_as_leaf(rules, rays, tree, node)
+            return cost_as_leaf(rules, rays, tree, costs, node)
         return costs[pair * MAX_WIDTH + lanes - 1]
 
     return cost_as_leaf, least_cost
@@ -140,17 +146,22 @@ def make_solve(heuristic: Heuristic) -> wp.Kernel:
         right = left + 1
         count = tree.range[left][1] + tree.range[right][1]
         area = weigh_parent(rays, tree, pair)
-        leaf = wp.where(count <= rules.max_leaf, area * leaf_cost(rules.cost, count), INFINITY)
+        flat = are_flat(tree.box, pair)
+        holds_large = holds_large_part(rules, tree, costs, left) or holds_large_part(rules, tree, costs, right)
+        holds_large = holds_large or (flat and is_large_area(rules, tree, half_area_of_both(tree.box, pair)))
+        may_be_leaf = count <= rules.max_leaf and (flat or not holds_large)
+        leaf = wp.where(may_be_leaf, area * leaf_cost(rules.cost, count), INFINITY)
         combine(
             costs,
             pair,
             1 << rules.cost.width_bits,
             tree.pair[left],
-            cost_as_leaf(rules, rays, tree, left),
+            cost_as_leaf(rules, rays, tree, costs, left),
             tree.pair[right],
-            cost_as_leaf(rules, rays, tree, right),
+            cost_as_leaf(rules, rays, tree, costs, right),
             area * rules.cost.traversal,
             leaf,
+            holds_large,
         )
 
     def solve(
@@ -227,7 +238,7 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
                 # costs are no guide if surface areas overflow or are NaN: what has no children is a leaf whatever it costs
                 is_leaf = pair == LEAF
                 if tree.range[node][1] <= rules.max_leaf and not is_leaf:
-                    is_leaf = cost_as_leaf(rules, rays, tree, node) <= least_cost(rules, rays, tree, costs, node, 1)
+                    is_leaf = cost_as_leaf(rules, rays, tree, costs, node) <= least_cost(rules, rays, tree, costs, node, 1)
                 if is_leaf:
                     wide.pick[index, held] = ~node
                     counts[1] += (tree.range[node][1] + width - 1) >> rules.cost.width_bits

@@ -39,10 +39,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
+from wrt.builders.bvh.bvh_config import MAX_WIDTH, BuildRules, BvhConfig
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, empty_tree, half_area
-from wrt.builders.bvh.phases.collapse import MAX_WIDTH, solve_costs
+from wrt.builders.bvh.phases.collapse import solve_costs
+from wrt.builders.bvh.phases.large_boxes import is_small
 from wrt.builders.tree import BuildStats
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
@@ -281,11 +282,11 @@ def lay_out(first: int, tree: BinaryTree, result: BinaryTree, links: Links, pair
 
 
 @wp.kernel
-def join_leaves(first: int, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i), most: int):
-    """Item: a subtree. Turns its nodes of at most `most` triangles into leaves."""
+def join_leaves(first: int, rules: BuildRules, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i)):
+    """Item: a subtree. Turns nodes that are small by these rules into leaves."""
     pairs = subtrees[first + wp.tid()]
     for node in range(2 * pairs[0], 2 * pairs[1]):
-        if tree.range[node][1] <= most:
+        if is_small(rules, tree, node, tree.range[node][1]):
             tree.pair[node] = LEAF
 
 
@@ -366,6 +367,6 @@ def reinsert(binary: BinaryBuild, triangles: int, config: BvhConfig, stats: Buil
         if work.move(places) == 0:
             break
     rules, moved = config.struct(), Reinsertion.of(work.binary, triangles).binary
-    inputs = [binary.tree, binary.subtrees, replace(config, reinsertion=0).struct().grain]
+    inputs = [replace(config, reinsertion=0).struct(), binary.tree, binary.subtrees]
     launch(join_leaves, len(binary.subtrees), inputs, device=binary.space.device, chunk=1)
     return moved if wide_cost(moved, rules) < MAX_RELATIVE_COST * wide_cost(binary, rules) else binary

@@ -1,0 +1,90 @@
+"""Nodes with large boxes: how far they are divided, and what their leaves may hold.
+
+**Problem.** A block of W lanes costs as much with one triangle as with W, so the surface area heuristic fills leaves: it adds
+the steps of a stair to the two triangles of the ground. The heuristic has rays that start outside. But shadow rays, ambient
+rays and reflections start on surfaces, most of them on large ones. A ray that leaves the ground is never in the ground's own
+box, which is flat, and always in that of the joint leaf. Camera rays gain, too, since most hit large triangles.
+
+**Rules.** A box is large if its surface area exceeds a share of the root's (`BvhConfig.large`).
+
+1. A node with a large box is divided down to single triangles (`is_small`), so that the collapse can choose.
+2. A leaf that is not flat has no large flat part (`holds_large_part`; the collapse asks).
+
+Both concern a few dozen nodes, so a build takes no longer. Scanned meshes have none but the uppermost. The cost that the
+heuristic expects can increase.
+
+**Limits.** A wall that is not parallel to an axis has no flat box.
+
+References:
+    B. Fabianowski, C. Fowler, J. Dingliana: A cost metric for scene-interior ray origins. Eurographics 2009, short papers.
+        The case of rays that start anywhere in space.
+"""
+
+import warp as wp
+
+from wrt.builders.bvh.bvh_config import MAX_WIDTH, BuildRules
+from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, half_area
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
+
+THIN = 2.0**-10
+"""Ratio of the shortest and the longest side up to which a box is flat."""
+
+_IS_FLAT = f"""
+    const float longest = x > y ? (x > z ? x : z) : (y > z ? y : z), shortest = x < y ? (x < z ? x : z) : (y < z ? y : z);
+    return shortest <= longest * {THIN}f;
+"""
+
+
+@wp.func_native(
+    """
+    const float* box = boxes.data + (size_t)node * 8;
+    const float x = -(box[0] + box[4]), y = -(box[1] + box[5]), z = -(box[2] + box[6]);
+"""
+    + _IS_FLAT
+)
+def is_flat(boxes: wp.array(dtype=float), node: int) -> bool:
+    """Whether a node's box is flat."""
+    ...
+
+
+@wp.func_native(
+    """
+    const float* a = boxes.data + (size_t)pair * 16;
+    float size[3];
+    for (int i = 0; i < 3; ++i) {
+        const float low = a[i] < a[8 + i] ? a[i] : a[8 + i];
+        const float high = a[4 + i] < a[12 + i] ? a[4 + i] : a[12 + i];
+        size[i] = -(low + high);
+    }
+    const float x = size[0], y = size[1], z = size[2];
+"""
+    + _IS_FLAT
+)
+def are_flat(boxes: wp.array(dtype=float), pair: int) -> bool:
+    """Whether the box around both nodes of a pair is flat."""
+    ...
+
+
+@wp.func
+def is_large_area(rules: BuildRules, tree: BinaryTree, area: float):
+    """Whether a box with half this surface area is large."""
+    return area > rules.large * half_area(tree.box, 0)
+
+
+@wp.func
+def is_small(rules: BuildRules, tree: BinaryTree, node: int, count: int):
+    """Whether a node of the binary tree has so few triangles, for its size, that it is a leaf; the collapse merges leaves."""
+    if count > rules.grain:
+        return False
+    return count == 1 or not is_large_area(rules, tree, half_area(tree.box, node))
+
+
+@wp.func
+def holds_large_part(rules: BuildRules, tree: BinaryTree, costs: wp.array(dtype=float), node: int):
+    """Whether a node is or contains one that is large and flat. costs: of the collapse, see `combine` there."""
+    pair = tree.pair[node]
+    if pair == LEAF:
+        return is_flat(tree.box, node) and is_large_area(rules, tree, half_area(tree.box, node))
+    return costs[pair * MAX_WIDTH + MAX_WIDTH - 1] > 0.0
