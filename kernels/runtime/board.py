@@ -3,7 +3,7 @@
 Warp's entry point of a CPU kernel is a C function of two pointers, the launch bounds and the packed arguments. Native code can
 therefore run any kernel for any range of items, without Python: it copies both, writes the first item and the number of items,
 and calls the function. Two kernels do this, `serve` on each helper thread and `lead` on the calling thread (the leader). They
-communicate through the *board*, an array of 64-bit words:
+communicate through the *board*, an array of 64-bit words (schedules: see `wrt.kernels.runtime.schedules`):
 
     words               contents
     MASK                bit s is set while slot s has a job
@@ -20,6 +20,7 @@ communicate through the *board*, an array of 64-bit words:
       NEXT              first item that no thread has claimed ("guided", "fixed", "locked")
       LOCK, JOINED, LEADER_QUEUE, PHASE, CURRENT, STOPPED
       job               JOB_WORDS words, copied from the caller's `Job`
+    SLEEPERS            of helpers that stay on their core (`wrt.kernels.runtime.own_core`)
 
 **A job.** The leader copies the job into its slot, makes GENERATION odd, sets its bit in MASK, wakes helpers if any sleep, and
 claims chunks like a helper. When no items are left it makes GENERATION even and waits until ACTIVE is 0. A helper increments
@@ -30,21 +31,19 @@ sequentially consistent). A helper that is not scheduled by the system delays a 
 whether to continue. A loop over the levels of a tree thus runs without Python. The end of a job is the barrier between the two.
 
 **Interrupts.** `lead` returns to Python after at most `TURN_NS`, or after its current chunk, so that Python can handle signals.
-It is called again until PHASE is IDLE. To abandon a job, the caller calls `stop`, which makes GENERATION even, and continues to
-call `lead` until all helpers have left.
+It is called again until PHASE is IDLE. To abandon a job, the caller calls `stop`, and `lead` until all helpers have left.
 
 **Waiting.** A helper without work spins for SPIN_NS, if at most MAX_SPINNING helpers do, and then sleeps on a futex. It
 increments SLEEPING before it looks for jobs a last time; a leader sets MASK before it reads SLEEPING. One of the two therefore
-sees the other. A leader wakes `WAKE` helpers, and each of them wakes as many while chunks are left, so that the system calls
-are shared. STAYS: see `wrt.kernels.runtime.own_core`; schedules: see `wrt.kernels.runtime.schedules`.
+sees the other. A leader wakes `WAKE` helpers, and each of them as many while chunks are left, which shares the system calls.
 
-**Limits.** Needs Linux (futex); works on every processor that Warp's compiler supports.
+**Limits.** Needs Linux (futex).
 """
 
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.runtime.own_core import OWN_CORE
+from wrt.kernels.runtime.own_core import OWN_CORE, SLEEPER_WORDS, SLEEPERS_MOST
 
 exact_module(__name__)
 
@@ -54,8 +53,8 @@ GENERATION, ACTIVE, NEXT, LOCK, JOINED, LEADER_QUEUE, PHASE, CURRENT, STOPPED, J
 JOB_WORDS = 16
 """Size of a `Job` in 64-bit words."""
 
-BOARD_WORDS = FIRST_SLOT + SLOTS * SLOT_WORDS
-"""Size of the board in 64-bit words."""
+SLEEPERS = FIRST_SLOT + SLOTS * SLOT_WORDS
+BOARD_WORDS = SLEEPERS + SLEEPERS_MOST * SLEEPER_WORDS + 1
 
 IDLE, RUNNING, ENDING, BETWEEN = 0, 1, 2, 3
 """Values of PHASE in a slot; only the leader of the slot uses it."""
@@ -77,7 +76,7 @@ NATIVE = f"""
     long wrt_syscall(long, void*, long, long, void*, void*, long) __asm__("syscall");
     enum {{ MASK = {MASK}, EPOCH = {EPOCH}, SLEEPING = {SLEEPING}, SPINNING = {SPINNING}, CLOSED = {CLOSED}, STAYS = {STAYS},
            MAX_SPINNING = {MAX_SPINNING}, SPIN_NS = {SPIN_NS}, FIRST_SLOT = {FIRST_SLOT}, SLOT_WORDS = {SLOT_WORDS},
-           GENERATION = {GENERATION}, ACTIVE = {ACTIVE}, NEXT = {NEXT}, LOCK = {LOCK}, JOINED = {JOINED},
+           SLEEPERS = {SLEEPERS}, GENERATION = {GENERATION}, ACTIVE = {ACTIVE}, NEXT = {NEXT}, LOCK = {LOCK}, JOINED = {JOINED},
            LEADER_QUEUE = {LEADER_QUEUE}, PHASE = {PHASE}, CURRENT = {CURRENT}, STOPPED = {STOPPED}, JOB = {JOB} }};
     enum {{ ENTRY = JOB, BOUNDS, ARGUMENTS, BYTES, COUNT, LARGEST, SMALLEST, DIVISOR, HELPERS, SCHEDULE, QUEUES, QUEUE_COUNT,
            COUNT_AT, FOLLOWING, WHILE_AT }};
@@ -109,8 +108,10 @@ NATIVE = f"""
         wrt_clock(1, t);  // CLOCK_MONOTONIC: seconds, nanoseconds
         return (word)t[0] * 1000000000 + (word)t[1];
     }};
+    {OWN_CORE}
     auto wake = [&](word most) {{
         if (most <= 0 || get(b + SLEEPING) == 0) return;
+        if (get(b + STAYS)) make_way();
         __atomic_fetch_add((int*)(b + EPOCH), 1, __ATOMIC_SEQ_CST);
         wrt_syscall(SYS_FUTEX, b + EPOCH, FUTEX_WAKE_PRIVATE, most, nullptr, nullptr, 0);
     }};
@@ -207,7 +208,7 @@ NATIVE = f"""
 """C++ shared by all functions: names of the words, atomics, futex calls, claiming of chunks."""
 
 SERVE = (
-    f"{NATIVE}{OWN_CORE}"
+    NATIVE
     + f"""
     auto any_wants_help = [&]() {{
         for (unsigned long long mask = get(b + MASK); mask; mask &= mask - 1) {{
@@ -231,14 +232,13 @@ SERVE = (
         return helped;
     }};
     auto sleep = [&]() {{
-        Cores all = {{}}, own = {{}};
-        const bool stays = get(b + STAYS) != 0 && stay(all, own);
+        if (get(b + STAYS)) stay(helper);
         const int epoch = __atomic_load_n((int*)(b + EPOCH), __ATOMIC_SEQ_CST);
         add(b + SLEEPING, 1);
         if (get(b + CLOSED) == 0 && !any_wants_help())
             wrt_syscall(SYS_FUTEX, b + EPOCH, FUTEX_WAIT_PRIVATE, epoch, nullptr, nullptr, 0);
         add(b + SLEEPING, -1);
-        if (stays) stay_no_longer(all, own);
+        stay_no_longer(helper);
     }};
     // Waits awake until there is work, for a while; false if it is time to sleep.
     auto spin = [&]() {{
@@ -335,8 +335,8 @@ def on_cpu(code: str) -> str:
 
 
 @wp.func_native(on_cpu(SERVE))
-def serve_native(board: wp.array(dtype=wp.int64)) -> int:
-    """The loop of a helper; returns when the board is closed."""
+def serve_native(board: wp.array(dtype=wp.int64), helper: wp.int64) -> int:
+    """The loop of the helper with a number; returns when the board is closed."""
     ...
 
 
@@ -377,9 +377,9 @@ def close_native(board: wp.array(dtype=wp.int64)) -> int:
 
 
 @wp.kernel
-def serve(board: wp.array(dtype=wp.int64)):
+def serve(board: wp.array(dtype=wp.int64), helper: wp.int64):
     """Runs a helper thread. One item."""
-    serve_native(board)
+    serve_native(board, helper)
 
 
 @wp.kernel

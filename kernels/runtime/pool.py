@@ -178,7 +178,7 @@ class Pool:
         until = time.monotonic() + EXIT_SECONDS
         for thread in self._threads:
             thread.join(max(0.0, until - time.monotonic()))
-        phases = self._words[layout.FIRST_SLOT :].reshape(layout.SLOTS, layout.SLOT_WORDS)[:, layout.PHASE]
+        phases = self._words[layout.FIRST_SLOT : layout.SLEEPERS].reshape(layout.SLOTS, layout.SLOT_WORDS)[:, layout.PHASE]
         while phases.any() and time.monotonic() < until:
             time.sleep(0.001)
 
@@ -224,7 +224,7 @@ class Pool:
         """Starts helpers up to the given number; fewer if the system provides no more threads."""
         with self._lock:
             while len(self._threads) < helpers and not self.closed:
-                serve = PackedKernel(layout.serve, [self._board], self._board.device)
+                serve = PackedKernel(layout.serve, [self._board, len(self._threads)], self._board.device)
                 thread = threading.Thread(target=serve.call, name=f"wrt-{len(self._threads)}", daemon=True)
                 try:
                     thread.start()

@@ -363,32 +363,3 @@ def test_nobody_else_leads_a_job_whose_owner_waits():
     pool._reap()
     assert (slot.turns, slot.is_busy) == (1, False)
     assert not pool._interrupted
-
-
-@pytest.mark.skipif(available_cores() < 2, reason="one core")
-@pytest.mark.parametrize("stays", [True, False])
-def test_a_sleeping_helper_stays_on_its_core(stays):
-    """Only while it sleeps, and only if it is to; what others have done to its cores meanwhile remains."""
-    run_process(f"""
-from wrt.kernels.runtime import board
-stays, everywhere = {stays}, os.sched_getaffinity(0)
-helpers = [thread.native_id for thread in pools.the_pool()._threads]
-pools.the_pool()._words[board.STAYS] = stays
-def cores_of_helpers(asking, seconds=0.5):
-    end, seen = time.monotonic() + seconds, []
-    while time.monotonic() < end:
-        if asking:
-            assert (ask() == expected).all()
-        seen.append([os.sched_getaffinity(helper) for helper in helpers])
-        time.sleep(0.0 if asking else 0.01)
-    return seen
-assert helpers
-assert any(everywhere in cores for cores in cores_of_helpers(True)), "all stay while they work"
-asleep = cores_of_helpers(False)[-1]
-assert all(len(cores) == 1 for cores in asleep) if stays else all(cores == everywhere for cores in asleep), asleep
-chosen = {{(everywhere - asleep[0]).pop() if stays else min(everywhere)}}
-os.sched_setaffinity(helpers[0], chosen)
-cores_of_helpers(True), cores_of_helpers(False)
-assert os.sched_getaffinity(helpers[0]) == chosen
-assert any(everywhere in cores[1:] for cores in cores_of_helpers(True)), "the others stay while they work"
-""")
