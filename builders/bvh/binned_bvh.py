@@ -17,7 +17,8 @@ as much as the tree needs of a reservation of 88 bytes per triangle.
 
 **What we changed.** Like the paper, we parallelise over subtrees and over the triangles of large nodes. The paper keeps a list
 of indices; here whole references are moved, which makes reads sequential. Leaf costs count blocks of W triangles
-(`wrt.builders.cost`). The tree is the same for any number of threads, chunks and tasks.
+(`wrt.builders.cost`). Where sizes differ much, the size of triangles is a fourth axis (`bvh_bins`), and nodes with large boxes
+have rules of their own (`large_boxes`). The tree is the same for any number of threads, chunks and tasks.
 
 **Limits.** Surface areas are float32: nodes larger than 1e19 or smaller than 1e-19 are split in the middle of their list.
 

@@ -15,7 +15,7 @@ whether it was moved.
 **Limits.** For up to 64 cores and 64 helpers; others do not stay. A helper whose core is taken by another program starts late;
 its job then goes on without it. So this is not for cores of the machine itself, among which the system chooses well.
 
-Figures: notebooks/records/2026-11-23-sleeping-helpers.md.
+Figures: notebooks/records/2026-11-23-sleeping-helpers.md and 2026-11-24-making-way.md.
 """
 
 SLEEPER_WORDS, SLEEPERS_MOST = 2, 64

@@ -199,9 +199,8 @@ class Bvh:
         bins: bins along an axis, 2 to 40, for builders that bin.
         max_leaf_triangles: largest number of triangles in a leaf, 1 to 63; None for a default by width.
         reinsertion: rounds of reinsertion, 0 to 1000, each of which moves subtrees to where they cost less; three reach
-            most of the gain. For scenes with triangles of very different sizes, such as buildings, traversal becomes up to
-            1.1 times as fast; scanned meshes gain nothing, and their tree stays as it is. Builds take three to four times
-            as long.
+            most of the gain. Since "binned" divides by size, rays seldom become faster, and builds take several times as
+            long. Scanned meshes keep the builder's tree.
         subset: share of the triangles, in (0, 1], drawn at random, over which the builder "binned" makes the upper levels; the
             others are then inserted (Tessari et al. 2023). 1 for all triangles.
 

@@ -24,8 +24,9 @@ unless the tree of wide nodes becomes clearly cheaper (`MAX_RELATIVE_COST`).
 
 **Complexity.** O(N) moves per round. A search visits the whole tree in the worst case and usually a few dozen nodes.
 
-**Limits.** Scenes with few large triangles across many small ones gain; scanned meshes do not. The build takes several times as
-long whether or not moves are kept (notebooks/records/2026-11-21-bvh-builders.md).
+**Limits.** The surface area heuristic gains in scenes with few large triangles across many small ones, not in scanned meshes.
+Since the binned build divides by size, rays rarely do (notebooks/records/2026-11-24-large-triangles.md). The build takes
+several times as long whether or not moves are kept.
 
 References:
     J. Bittner, M. Hapala, V. Havran: Fast insertion-based optimization of bounding volume hierarchies.
