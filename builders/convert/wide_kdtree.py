@@ -44,6 +44,7 @@ References:
     M. Stich, H. Friedrich, A. Dietrich: Spatial splits in bounding volume hierarchies. High Performance Graphics 2009.
 """
 
+import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
@@ -318,6 +319,8 @@ def to_wide_bvh(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, undiv
         if count == 0:  # the root is a leaf
             for array in (binary.pair, binary.range, binary.box):
                 array.zero_()
+        else:
+            write_root(binary, triangles)
         launch(place_nodes, 1, [nodes, undivided_blocks * config.cost.width, cells, binary], device=device)
         split_nodes, whole = cells.totals.numpy().tolist()
     with phase("divide"):
@@ -334,6 +337,13 @@ def to_wide_bvh(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, undiv
     with phase("collapse"):
         top = cells.pairs[:split_nodes] if split_nodes else None
         return collapse(BinaryBuild(binary, subtrees, top, references), triangles, config, phase.stats)
+
+
+def write_root(binary: BinaryTree, triangles: TriangleBoxes) -> None:
+    """Writes the root's box, on which the division of nodes below depends (`wrt.builders.bvh.phases.large_boxes`)."""
+    root = np.zeros(8, dtype=np.float32)
+    root[0:3], root[4:7] = triangles.low, -triangles.high
+    binary.box[:8].assign(root)
 
 
 def _empty_cells(tree: KdTree) -> Cells:

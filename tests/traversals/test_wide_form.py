@@ -9,6 +9,8 @@ from conftest import assert_same_hits, mixed_rays
 
 import wrt
 from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.bvh.phases.binary_tree import empty_tree
+from wrt.builders.convert import wide_kdtree
 from wrt.builders.convert.wide_kdtree import MAX_UNDIVIDED_BLOCKS, to_wide_bvh
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree.kdtree_statistics import unpack
@@ -70,6 +72,23 @@ def test_boxes_hold_what_is_below(teapot, name, undivided_blocks):
     np.testing.assert_array_equal(below[:, :3].min(axis=2), bounds[node, :3, lane])
     np.testing.assert_array_equal(below[:, 3:].max(axis=2), bounds[node, 3:, lane])
     assert sorted(child[node, lane]) == list(range(1, len(child)))
+
+
+def test_the_form_does_not_depend_on_what_is_in_memory(monkeypatch):
+    """Nodes are divided by their share of the root, whose box must be known before it is computed from theirs."""
+    scene = wrt.Scene(wrt.scenes.build("cornell_box"), TREES["default"], device="cpu")
+    forms = []
+    for value in (0.0, 1e18):
+
+        def filled(triangles: int, device: wp.Device, value: float = value):
+            tree = empty_tree(triangles, device)
+            tree.box.assign(np.tile(np.repeat(np.float32([value, -2 * value]), 4), 2 * triangles))
+            return tree
+
+        monkeypatch.setattr(wide_kdtree, "empty_tree", filled)
+        forms.append(to_wide_bvh(scene.tree, boxes_of(scene), CONFIG))
+    for name in ("bounds", "child", "primitive"):
+        np.testing.assert_array_equal(getattr(forms[0], name).numpy(), getattr(forms[1], name).numpy())
 
 
 def test_boxes_lie_in_cells(teapot):
