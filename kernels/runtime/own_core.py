@@ -12,11 +12,15 @@ restricted it, and that remains.
 it. So it first moves that sleeper to its other cores. Meanwhile the sleeper's state is locked, so if it wakes it sees
 whether it was moved.
 
-**Limits.** For up to 64 cores and 64 helpers; others do not stay. A helper whose core is taken by another program starts late;
-its job then goes on without it. So this is not for cores of the machine itself, among which the system chooses well.
+**Limits.** For virtual machines of up to `MOST_CORES` cores: on 16 it gained nothing, and it is not for cores of the machine
+itself, among which the system chooses well. A helper whose core is taken by another program starts late; its job then goes on
+without it.
 
 Figures: notebooks/records/2026-11-23-sleeping-helpers.md and 2026-11-24-making-way.md.
 """
+
+MOST_CORES = 4
+"""Most cores with which helpers stay. Measured with 2, where it helps, and with 16, where it does not."""
 
 SLEEPER_WORDS, SLEEPERS_MOST = 2, 64
 """64-bit words of a sleeper on the board, and the greatest number of helpers that stay. A word with all their cores follows."""

@@ -34,6 +34,7 @@ from wrt.kernels.compilation.module_compiler import load_modules
 from wrt.kernels.compilation.target import cpu_features
 from wrt.kernels.runtime import board as layout
 from wrt.kernels.runtime.argument_packing import PackedKernel
+from wrt.kernels.runtime.own_core import MOST_CORES
 from wrt.kernels.runtime.schedules import Schedule
 
 SPIN_SECONDS = 0.001
@@ -125,7 +126,7 @@ class Pool:
         words = self._board.numpy()
         words[layout.MAX_SPINNING] = available_cores() - 1
         words[layout.SPIN_NS] = int(SPIN_SECONDS * 1e9)
-        words[layout.STAYS] = "hypervisor" in cpu_features()
+        words[layout.STAYS] = "hypervisor" in cpu_features() and available_cores() <= MOST_CORES
         self._words = words
         self._lock = threading.Lock()
         self._threads: list[threading.Thread] = []
