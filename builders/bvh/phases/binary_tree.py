@@ -57,17 +57,13 @@ def empty_tree(triangles: int, device: wp.Device) -> BinaryTree:
     return tree
 
 
-@wp.func_native("""
+SIDES = """
     const float* box = boxes.data + (size_t)node * 8;
     const float x = -(box[0] + box[4]), y = -(box[1] + box[5]), z = -(box[2] + box[6]);
-    return x * y + y * z + z * x;
-""")
-def half_area(boxes: wp.array(dtype=float), node: int) -> float:
-    """Half the surface area of a node's box."""
-    ...
+"""
+"""C++: x, y, z, the sides of a node's box."""
 
-
-@wp.func_native("""
+SIDES_OF_BOTH = """
     const float* a = boxes.data + (size_t)pair * 16;
     float size[3];
     for (int i = 0; i < 3; ++i) {
@@ -75,8 +71,18 @@ def half_area(boxes: wp.array(dtype=float), node: int) -> float:
         const float high = a[4 + i] < a[12 + i] ? a[4 + i] : a[12 + i];
         size[i] = -(low + high);
     }
-    return size[0] * size[1] + size[1] * size[2] + size[2] * size[0];
-""")
+    const float x = size[0], y = size[1], z = size[2];
+"""
+"""C++: x, y, z, the sides of the box around both nodes of a pair."""
+
+
+@wp.func_native(SIDES + "return x * y + y * z + z * x;")
+def half_area(boxes: wp.array(dtype=float), node: int) -> float:
+    """Half the surface area of a node's box."""
+    ...
+
+
+@wp.func_native(SIDES_OF_BOTH + "return x * y + y * z + z * x;")
 def half_area_of_both(boxes: wp.array(dtype=float), pair: int) -> float:
     """Half the surface area of the box around both nodes of a pair."""
     ...

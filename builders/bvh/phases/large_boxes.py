@@ -10,8 +10,7 @@ box, which is flat, and always in that of the joint leaf. Camera rays gain, too,
 1. A node with a large box is divided down to single triangles (`is_small`), so that the collapse can choose.
 2. A leaf that is not flat has no large flat part (`holds_large_part`; the collapse asks).
 
-Both concern a few dozen nodes, so a build takes no longer. Scanned meshes have none but the uppermost. The cost that the
-heuristic expects can increase.
+Both concern a few dozen nodes; of scanned meshes, only the uppermost. The cost that the heuristic expects can increase.
 
 **Limits.** A wall that is not parallel to an axis has no flat box.
 
@@ -23,7 +22,7 @@ References:
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import MAX_WIDTH, BuildRules
-from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, half_area
+from wrt.builders.bvh.phases.binary_tree import LEAF, SIDES, SIDES_OF_BOTH, BinaryTree, half_area
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -37,31 +36,13 @@ _IS_FLAT = f"""
 """
 
 
-@wp.func_native(
-    """
-    const float* box = boxes.data + (size_t)node * 8;
-    const float x = -(box[0] + box[4]), y = -(box[1] + box[5]), z = -(box[2] + box[6]);
-"""
-    + _IS_FLAT
-)
+@wp.func_native(SIDES + _IS_FLAT)
 def is_flat(boxes: wp.array(dtype=float), node: int) -> bool:
     """Whether a node's box is flat."""
     ...
 
 
-@wp.func_native(
-    """
-    const float* a = boxes.data + (size_t)pair * 16;
-    float size[3];
-    for (int i = 0; i < 3; ++i) {
-        const float low = a[i] < a[8 + i] ? a[i] : a[8 + i];
-        const float high = a[4 + i] < a[12 + i] ? a[4 + i] : a[12 + i];
-        size[i] = -(low + high);
-    }
-    const float x = size[0], y = size[1], z = size[2];
-"""
-    + _IS_FLAT
-)
+@wp.func_native(SIDES_OF_BOTH + _IS_FLAT)
 def are_flat(boxes: wp.array(dtype=float), pair: int) -> bool:
     """Whether the box around both nodes of a pair is flat."""
     ...
