@@ -74,6 +74,8 @@ class Traversal:
         front_faces: whether it can cull back faces, though it does not answer every query.
         mailbox: whether `mailbox` of the config applies, on a kd-tree.
         streams: whether rays are traced in streams: `stream` of the config applies.
+        long_streams: whether streams through the boxes of one level are not in a thread's local memory, so that they may be
+            long.
         wide: whether it traverses the wide form of a kd-tree, which has the layout of a BVH
             (`wrt.builders.convert.wide_kdtree`).
         queued: whether rays wait at subtrees and its kernels trace them generation by generation
@@ -103,6 +105,7 @@ class Traversal:
     front_faces: bool = False
     mailbox: bool = False
     streams: bool = False
+    long_streams: bool = False
     wide: bool = False
     queued: bool = False
     counters: type = Counters
@@ -255,6 +258,7 @@ TRAVERSALS: dict[str, Traversal] = {
             stream.rays_per_item,
             long_items=True,
             streams=True,
+            long_streams=True,
             counters=stream.StreamCounters,
             queries={"bvh": QUERIES},
             two_level={"bvh": (CLOSEST, ANY, COUNT)},
@@ -268,6 +272,7 @@ TRAVERSALS: dict[str, Traversal] = {
             stream.rays_per_item,
             long_items=True,
             streams=True,
+            long_streams=True,
             counters=stream.StreamCounters,
             queries={"bvh": QUERIES},
             orders=(AS_GIVEN,),
@@ -290,6 +295,7 @@ TRAVERSALS: dict[str, Traversal] = {
             stream.rays_per_item,
             long_items=True,
             streams=True,
+            long_streams=True,
             wide=True,
             counters=stream.StreamCounters,
             score=score_wide_stream,

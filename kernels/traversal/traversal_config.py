@@ -84,7 +84,7 @@ class StreamConfig:
     """Options of the traversals whose rays are in streams.
 
     Attributes:
-        rays: rays per stream, 1 to 4096.
+        rays: rays per stream, 1 to 16384.
     """
 
     rays: int = 1024

@@ -11,7 +11,7 @@ notebooks/records/2026-11-21-plans.md, notebooks/records/2026-11-21-instances.md
 from collections.abc import Callable
 from typing import NamedTuple
 
-from wrt.kernels.traversal.traversal_config import ALL, COUNT, NEAREST_QUERIES
+from wrt.kernels.traversal.traversal_config import ALL, ANY, COUNT, NEAREST_QUERIES
 
 RAYS_PER_TRIANGLE = 0.125
 """Rays per triangle from which coherent rays are traced in packets where no sample of them was traced: they are few, or still
@@ -38,6 +38,11 @@ SHORT_WALK = 5.0
 DENSE_RAYS_PER_TRIANGLE = 0.5
 """Rays per triangle from which long walks count as short ones: many rays of a packet then meet the same triangles."""
 
+MANY_RAYS = 1 << 16
+"""Number of incoherent rays from which any hits have a limit of their own: lists of streams are long
+(notebooks/records/2026-11-24-streams.md).
+"""
+
 RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
 """Rays per instance from which sorting rays by instance pays: for coherent rays, and for others
 (notebooks/records/2026-11-21-instances.md).
@@ -62,6 +67,7 @@ class Limits(NamedTuple):
 
     Attributes:
         incoherent: triangles of the scene from which interleaved walks are faster than streams for incoherent rays.
+        occlusion: the same for any hit of `MANY_RAYS` or more.
         coherent: the same for coherent rays that part.
         few: number of incoherent rays below which they are faster in any scene.
         long_share, short_share: greatest `Overlap.share` with which packets are faster than these, for long and short walks.
@@ -74,6 +80,7 @@ class Limits(NamedTuple):
     """
 
     incoherent: float
+    occlusion: float
     coherent: float
     few: float
     long_share: float
@@ -88,6 +95,7 @@ class Limits(NamedTuple):
 LIMITS = {
     8: Limits(
         incoherent=0,
+        occlusion=100_000,
         coherent=0,
         few=0,
         long_share=0.2,
@@ -100,6 +108,7 @@ LIMITS = {
     ),
     16: Limits(
         incoherent=120_000,
+        occlusion=300_000,
         coherent=500_000,
         few=8192,
         long_share=0.2,
@@ -113,8 +122,8 @@ LIMITS = {
 }
 """`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
 (notebooks/records/2026-11-22-auto.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md; `view_share`, `crowded`:
-notebooks/records/2026-11-23-edge-functions.md; `incoherent`, `rough`:
-notebooks/records/2026-11-23-limits.md). Fewer lanes are taken for 8; they have not been measured.
+notebooks/records/2026-11-23-edge-functions.md; `rough`: notebooks/records/2026-11-23-limits.md; `incoherent`, `occlusion`:
+notebooks/records/2026-11-24-streams.md). Fewer lanes are taken for 8; they have not been measured.
 """
 
 
@@ -306,7 +315,9 @@ def score_interleaved(situation: Situation) -> tuple[float, str] | None:
     if situation.coherent:
         enough = situation.triangles >= limits.coherent
     else:
-        enough = situation.triangles >= limits.incoherent or situation.rays < limits.few
+        finds_any_of_many = situation.query == ANY and situation.rays >= MANY_RAYS
+        least = limits.occlusion if finds_any_of_many else limits.incoherent
+        enough = situation.triangles >= least or situation.rays < limits.few
     return (INTERLEAVED_RAYS, reason_for_streams(situation)) if enough else None
 
 

@@ -33,7 +33,7 @@ bunny         69630  0 view   1048576 coherent -           packet      -        
 bunny         69630  0 scan   1048576 coherent -           packet      -           packet
 bunny         69630  0 random 1048576 parted   -           stream      -           interleaved
 bunny         69630  0 shadow  233064 coherent -           packet      -           packet
-bunny         69630  0 ao      233064 parted   -           stream      -           interleaved
+bunny         69630  0 ao      233064 parted   -           stream      -           stream
 world        788410  0 view      4096 coherent 0.223:1.9   packet      0.155:1.5   packet
 world        788410  0 scan      4096 coherent 0.235:11.1  interleaved 0.29:13.9   interleaved
 world        788410  0 random    4096 parted   -           interleaved -           interleaved
@@ -93,7 +93,7 @@ dragon       202520  0 view   1048576 coherent -           packet      -        
 dragon       202520  0 scan   1048576 coherent -           packet      -           packet
 dragon       202520  0 random 1048576 parted   -           interleaved -           interleaved
 dragon       202520  0 shadow  217356 coherent 0.18:6.9    packet      0.182:8.7   packet
-dragon       202520  0 ao      217356 parted   -           interleaved -           interleaved
+dragon       202520  0 ao      217356 parted   -           stream      -           interleaved
 large_dragon 810080  0 view      4096 coherent 0.462:2.7   interleaved 0.506:2.8   interleaved
 large_dragon 810080  0 scan      4096 coherent 0.233:11.6  interleaved 0.294:15.3  interleaved
 large_dragon 810080  0 random    4096 parted   -           interleaved -           interleaved

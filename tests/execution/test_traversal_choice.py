@@ -23,7 +23,7 @@ from wrt.state.query_kinds import FEW_RAYS
 SCENES = ("bvh", "kdtree", "lazy", "instances bvh", "instances kdtree", "spaces")
 RAYS = (1, 1024, 1025, 100_000, 10_000_000)
 QUERIES = ("closest", "any", "count", "all")
-TRIANGLES = (500, 100_000, 400_000, 1_000_000)
+TRIANGLES = (500, 100_000, 200_000, 400_000, 1_000_000)
 
 SIMILAR, DISSIMILAR = "neighbouring rays are coherent", "neighbouring rays are incoherent"
 SINGLE_RAYS = "two levels, one ray at a time"
@@ -82,7 +82,13 @@ def expected(
         if kind == "bvh":
             return "stream", f"{hits} of many rays"
         return "single", f"the traversal that finds {hits} on a kd-tree"
-    enough = triangles >= 120_000 or count < 8192
+    many = query == "any" and count >= 65_536
+    if coherent:
+        parts = width < 16 or triangles >= 500_000
+    elif width < 16:
+        parts = triangles >= 100_000 or not many
+    else:
+        parts = triangles >= (300_000 if many else 120_000) or count < 8192
     is_wide = kind == "kdtree" and (wide or savings + count / (16 if coherent else 1) >= triangles)
     if kind != "bvh" and not is_wide and coherent:
         crowd = (8 * count if shared else count // 2) >= triangles
@@ -90,7 +96,7 @@ def expected(
     if kind != "bvh" and not is_wide:
         return "lockstep", DISSIMILAR
     stream, packet = ("wide_stream", "wide_packet") if is_wide else ("stream", "packet")
-    if kind == "bvh" and (width < 16 or (coherent and triangles >= 500_000) or (not coherent and enough)):
+    if kind == "bvh" and parts:
         stream = "interleaved"
     if not coherent:
         return stream, DISSIMILAR

@@ -9,7 +9,9 @@ import pytest
 from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_rays
 
 import wrt
+import wrt.memory
 import wrt.planning.planner
+import wrt.state.device_hits
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.packet_bvh import MAX_STEPS_PER_RAY
@@ -137,6 +139,23 @@ def test_sizes_and_ranges(vectors, tree, device):
     plan = replace(plan, packet=vectors * plan.width)
     assert_same_hits(scene.intersect(rays, traversal=plan), expected)
     np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
+
+
+@pytest.mark.width
+def test_hits_are_stored_past_the_caches(monkeypatch, device):
+    """By packets of four vectors, if hits are many: whole lines in the middle, and what is left over; not those of pictures."""
+    monkeypatch.setattr(wrt.memory, "MIN_BYTES", 1 << 12)  # smaller arrays do not begin with a cache line
+    mesh = SCENES["teapot"]()
+    scene = wrt.Scene(mesh, device=device)
+    eye, directions = beams(mesh, 90, False)
+    for count in (4 * 16 * 20, 4 * 16 * 20 + 37):
+        for rays in (wrt.Rays(eye, directions[:count]), wrt.Rays(eye, directions[:1280].reshape(32, 40, 3))):
+            plan = packet_plan(scene, rays, "woop", packet=4 * scene.width)
+            expected = scene.intersect(rays, traversal="brute")
+            for cache_bytes in (1 << 40, 1):
+                monkeypatch.setattr(wrt.state.device_hits, "l3_bytes", lambda size=cache_bytes: size)
+                for _ in range(2):  # the second answer is of a query that was prepared
+                    assert_same_hits(scene.intersect(rays, traversal=plan), expected)
 
 
 @pytest.mark.width

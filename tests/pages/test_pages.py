@@ -312,3 +312,16 @@ def test_public_modules_are_in_the_reference(module):
     if module != "device":
         for name in getattr(wrt, module).__all__:
             assert name == "BUILTIN_SCENES" or f":: wrt.{module}.{name}\n" in text
+
+
+def test_cited_records_exist():
+    """Those that code, tests and pages name, and those that records link to."""
+    root, cited = DOCS.parent, set()
+    for folder in ("kernels", "builders", "wrt", "tests", "docs", "notebooks/records"):
+        for path in (*(root / folder).rglob("*.py"), *(root / folder).rglob("*.md")):
+            text = path.read_text(encoding="utf-8")
+            cited |= set(re.findall(r"notebooks/records/([\w.-]+\.md)", text))
+            if path.parent.name == "records":
+                cited |= set(re.findall(r"\]\(([\w.-]+\.md)\)", text))
+    assert len(cited) > 50
+    assert sorted(name for name in cited if not (root / "notebooks" / "records" / name).exists()) == []

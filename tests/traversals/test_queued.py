@@ -9,7 +9,7 @@ from conftest import assert_same_hits, brute_force, mixed_rays
 import wrt
 from wrt.builders.convert.queue_points import child_bytes, find_queue_points
 from wrt.execution import queued_tracing
-from wrt.kernels.compilation.cache_size import USUAL_L2, l2_bytes
+from wrt.kernels.compilation.cache_size import USUAL_L2, USUAL_L3, l2_bytes, l3_bytes
 
 NAME = "queued"
 
@@ -85,6 +85,8 @@ def test_size_of_the_cache(tmp_path):
         (folder / "level").write_text(level + "\n")
         (folder / "size").write_text(size + "\n")
     assert l2_bytes(tmp_path / "some") == 512 << 10
+    assert l3_bytes(tmp_path / "some") == 16 << 20
+    assert l3_bytes(tmp_path) == USUAL_L3, "the system does not say"
     (tmp_path / "some" / "index1" / "size").write_text("large")
     l2_bytes.cache_clear()
     assert l2_bytes(tmp_path / "some") == USUAL_L2

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_rays
 from test_packets import beams
 
@@ -13,7 +14,7 @@ import wrt
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.planning.plan import Plan
-from wrt.planning.plan_checks import MAX_CUDA_STREAM, MAX_STREAM
+from wrt.planning.plan_checks import MAX_LOCAL_STREAM, MAX_STREAM, longest_stream
 from wrt.planning.planner import CUDA_STREAM, STREAMS
 
 pytestmark = pytest.mark.width
@@ -60,14 +61,40 @@ def test_beams(tree, triangle_test, own_origins, device):
         assert expected.is_hit.mean() > 0.05
 
 
-@pytest.mark.parametrize("size", [1, 17, SIZE, MAX_STREAM])
+def walls() -> wrt.TriangleMesh:
+    """A room with boxes in it, one of them twice, so that hits tie, and a ball: leaves of few triangles, and full ones."""
+    at = trimesh.transformations.translation_matrix
+    places = [(x, y, -1.2) for x in (-1.0, 1.0) for y in (-1.5, 0.0, 1.5)]
+    boxes = [trimesh.creation.box((0.5, 0.8, 0.6), transform=at(place)) for place in places]
+    room = trimesh.creation.box((4.0, 5.0, 3.0))
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.4)
+    merged = trimesh.util.concatenate([room, *boxes, ball, boxes[0]])
+    return wrt.TriangleMesh(merged.vertices.astype(np.float32), merged.faces)
+
+
+def test_leaves_of_few_triangles(device):
+    """Rays in lanes: ranges that end at hits, rays that have ended, ties; lanes are full where those of blocks would not be."""
+    mesh = walls()
+    scene = wrt.Scene(mesh, device=device)
+    origins, directions = mixed_rays(mesh, 4500, seed=3)
+    size = CUDA_STREAM if scene.device.is_cuda else MAX_STREAM
+    expected = assert_equals_brute_force(scene, wrt.Rays(origins, directions), size)
+    assert expected.is_hit.mean() > 0.5
+    t_max = np.where(expected.is_hit, expected.t * np.float32([1.0, 0.9, 2.0])[np.arange(4500) % 3], np.float32(1.0))
+    assert_equals_brute_force(scene, wrt.Rays(origins, directions, 0.0, t_max), size)
+    if not scene.device.is_cuda:
+        rays = wrt.Rays(origins, directions)
+        assert utilisation(scene, rays, MAX_STREAM)[1] > utilisation(scene, rays, 16)[1]  # lists of 16 rays are too short
+
+
+@pytest.mark.parametrize("size", [1, 17, SIZE, MAX_LOCAL_STREAM, MAX_STREAM])
 @pytest.mark.parametrize("tree", TREES)
 def test_sizes(tree, size, device):
     """Streams of one ray to the longest, with per-ray ranges that cut between hits, at hits, and empty ones."""
     mesh = wrt.scenes.build("teapot", level=4)
     scene = wrt.Scene(mesh, tree, device=device)
     origins, directions = mixed_rays(mesh, 4500, seed=size)
-    if scene.device.is_cuda and size > MAX_CUDA_STREAM:
+    if size > longest_stream(scene.state, TRAVERSALS["stream"]):
         with pytest.raises(ValueError, match=r"plan\.stream"):
             assert_equals_brute_force(scene, wrt.Rays(origins, directions), size)
         return
@@ -105,7 +132,7 @@ def test_one_leaf(triangles):
         scene = wrt.Scene(mesh, wrt.KdTree(width=width, max_depth=0), device="cpu")
         assert len(scene.tree.nodes) == 1
         origins = np.random.default_rng(0).uniform(-0.5, 0.0, (1100, 3))
-        assert_equals_brute_force(scene, wrt.Rays(origins, 0.5 - origins), MAX_STREAM)
+        assert_equals_brute_force(scene, wrt.Rays(origins, 0.5 - origins), MAX_LOCAL_STREAM)
 
 
 @pytest.mark.parametrize("tree", TREES)

@@ -7,13 +7,25 @@ import pytest
 import warp as wp
 from packet_loops import OPTIONS, Packets, PlainRays, make_packets, plain_rays
 
+from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, WideNodes
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS, stream_ray
-from wrt.kernels.traversal.stream.stream_lanes import collect_child, filter_boxes, filter_hits, filter_plane, next_child
+from wrt.kernels.traversal.stream.stream_lanes import (
+    FAR,
+    NEAR,
+    NONE,
+    collect_child,
+    filter_boxes,
+    filter_hits,
+    filter_plane,
+    list_leaves,
+    next_child,
+)
 from wrt.kernels.traversal.stream.stream_lists import Pairs, RayIntervals, load_pair, set_arrays
-from wrt.kernels.traversal.stream.stream_load import PROBED, WORTHWHILE, load_stream
+from wrt.kernels.traversal.stream.stream_load import load_stream
+from wrt.kernels.traversal.stream.stream_root import load_root
 
 pytestmark = pytest.mark.width
 
@@ -25,9 +37,9 @@ FULL, SMALL = 608, 304
 """Rays for which there is room: for all, and for half of them."""
 
 ROOM = 2 * SIZE + 2 * LIST_LANES
-LOAD, NEAR, FAR, PLANE, HITS, ROOT = range(6)
-WIDTHS = {NEAR: 16, FAR: 8}
-"""Of the nodes whose nearest and farthest children come first."""
+LOAD, ROOT, NODE, PLANE, HITS = range(5)
+WIDTHS = {NONE: 8, NEAR: 16, FAR: 8}
+"""Children of the nodes whose children come in this order."""
 
 
 @wp.struct
@@ -40,11 +52,8 @@ class Lists:
     stream: wp.array2d(dtype=StreamRay)
     words: wp.array2d(dtype=int)
     sizes: wp.array(dtype=int)
-    bounds: wp.array(dtype=float)
-    """Of a wide node a stream."""
-    nodes: wp.array2d(dtype=float)
-    """The same, a row a stream, for the root test."""
-    children: wp.array(dtype=int)
+    trees: wp.array(dtype=WideNodes)
+    """A tree of one node a stream."""
     keys: wp.array2d(dtype=int)
     pairs: wp.array2d(dtype=wp.vec2i)
     answers: wp.array2d(dtype=int)
@@ -58,27 +67,30 @@ class Lists:
 
 
 @cache
-def loops() -> wp.Kernel:
-    """The loops; which one is `stage`. Item: a stream."""
-    load, load_small = load_stream("woop", FULL), load_stream("woop", SMALL, WIDTHS[FAR])
+def loops(order: int) -> wp.Kernel:
+    """The loops, for children in this order; which one is `stage`. Item: a stream."""
+    width = WIDTHS[order]
+    load, load_small = load_stream("woop", FULL), load_root("woop", SMALL, width, order)
+    filter_node, pairs_of, following = filter_boxes(width, "woop", order), list_leaves(width), next_child(width)
     split, pop = filter_plane("woop"), filter_hits("woop")
-    near, far = filter_boxes(WIDTHS[NEAR], "woop", False), filter_boxes(WIDTHS[FAR], "woop", True)
-    next_near, next_far = next_child(WIDTHS[NEAR]), next_child(WIDTHS[FAR])
 
-    def run(lists: Lists, stage: int, width: int):
+    def run(lists: Lists, stage: int):
         i = wp.tid()
         stream, words, keys, size = lists.stream[i], lists.words[i], lists.keys[i], lists.sizes[i]
         list, stack = RayIntervals(), RayIntervals()
         set_arrays(list, words, lists.entry[i], lists.leave[i])
         set_arrays(stack, lists.far_rays[i], lists.far_entry[i], lists.far_leave[i])
+        leaves = wp.uint32(0)
         begin, kept = i * SIZE, int(0)
         end = wp.min(begin + SIZE, lists.rays.count)
         if stage == LOAD:
-            lists.answers[i, 0] = load(lists.rays, begin, end, lists.low, lists.high, lists.bounds, stream, kept)
+            lists.answers[i, 0] = load(lists.rays, begin, end, lists.low, lists.high, stream, kept)
             lists.answers[i, 1] = kept
         elif stage == ROOT:
-            lists.answers[i, 0] = load_small(lists.rays, begin, end, lists.low, lists.high, lists.nodes[i], stream, kept)
+            tree = lists.trees[i]
+            lists.answers[i, 0] = load_small(lists.rays, begin, end, tree, stream, words, keys, leaves, kept)
             lists.answers[i, 1] = kept
+            lists.answers[i, 2] = wp.int(leaves)
         elif stage == PLANE:
             behind = int(0)
             lists.answers[i, 0] = split(lists.axes[i], lists.positions[i], stream, list, size, stack, 5, behind)
@@ -86,24 +98,21 @@ def loops() -> wp.Kernel:
         elif stage == HITS:
             lists.answers[i, 0] = pop(stream, stack, 5, size, list)
         else:
-            tested, survivors, total = int(0), int(0), int(0)
-            while tested < size:
+            tree = lists.trees[i]
+            survivors = filter_node(tree.bounds, tree.child, 0, stream, words, 0, size, keys, 0, leaves)
+            listed, total = int(0), int(0)
+            while listed < survivors:
                 pairs = Pairs()
-                paired = int(0)
-                if stage == NEAR:
-                    paired = near(lists.bounds, lists.children, i, stream, words, 0, size, keys, 0, pairs, tested, survivors)
-                else:
-                    paired = far(lists.bounds, lists.children, i, stream, words, 0, size, keys, 0, pairs, tested, survivors)
-                for p in range(paired):
+                for p in range(pairs_of(tree.child, 0, words, 0, survivors, leaves, listed, pairs)):
                     leaf = int(0)
                     ray = load_pair(pairs, p, leaf)
                     lists.pairs[i, total] = wp.vec2i(ray, leaf)
                     total += 1
             lists.answers[i, 0] = total
             lists.answers[i, 1] = survivors
-            lists.answers[i, 2] = collect_child(words, 0, survivors, i % width)
-            last = keys[(i + 1) % width]
-            lists.answers[i, 3] = wp.where(stage == NEAR, next_near(keys, 0, last), next_far(keys, 0, last))
+            lists.answers[i, 2] = wp.int(leaves)
+            lists.answers[i, 3] = collect_child(words, 0, survivors, i % wp.static(width))
+            lists.answers[i, 4] = following(keys, 0, keys[(i + 1) % wp.static(width)])
 
     return wp.kernel(run, **OPTIONS)
 
@@ -136,8 +145,8 @@ def lists(packets, plain, device) -> Lists:
         words[i, : valid.sum()] = rng.permutation(np.flatnonzero(valid))
     made.sizes = wp.array(plain.valid.sum(axis=1), dtype=int, device=device)
     made.words = wp.array(words, dtype=int, device=device)
-    made.answers = wp.zeros((STREAMS, 4), dtype=int, device=device)
-    wp.launch(loops(), STREAMS, [made, LOAD, 1], device=device)
+    made.answers = wp.zeros((STREAMS, 5), dtype=int, device=device)
+    wp.launch(loops(NEAR), STREAMS, [made, LOAD], device=device)
     put_back(made)
     return made
 
@@ -191,60 +200,88 @@ def test_loaded(lists, plain):
     check_loaded(lists.stream.numpy()[:, :SIZE], plain, plain.valid)
 
 
-def test_rays_that_miss_the_root_are_left_out(lists, plain, device):
-    """As long as a quarter leaves; a stream is loaded until it is full."""
-    width = WIDTHS[FAR]
-    boxes, _ = random_nodes(np.random.default_rng(2), width)
+def random_nodes(rng: np.random.Generator, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """(STREAMS, 6, W) boxes in the scene, with an unused lane each, and their children, of which some are leaves."""
+    corners = rng.integers(-4, 5, (2, STREAMS, 3, width)) / 8.0
+    boxes = np.concatenate([corners.min(axis=0), corners.max(axis=0)], axis=1).astype(np.float32)
+    boxes[:, :3, -1], boxes[:, 3:, -1] = np.inf, -np.inf
+    children = rng.integers(2, 1000, (STREAMS, width)) * rng.choice([1, -1], (STREAMS, width))
+    return boxes, children.astype(np.int32)
+
+
+def set_nodes(lists: Lists, boxes: np.ndarray, children: np.ndarray, device: wp.Device) -> list[WideNodes]:
+    """Gives each stream a tree of one node; the trees must be kept."""
+    trees = [WideNodes() for _ in boxes]
+    for tree, box, child in zip(trees, boxes, children, strict=True):
+        tree.bounds, tree.child = wp.array(box.ravel(), dtype=float, device=device), wp.array(child, dtype=int, device=device)
+        tree.low, tree.high = lists.low, lists.high
+    lists.trees = wp.array(trees, dtype=WideNodes, device=device)
+    lists.keys = wp.full(children.shape, 7, dtype=int, device=device)
+    return trees
+
+
+def expected_keys(enter: np.ndarray, met: np.ndarray, leaf: np.ndarray, order: int) -> np.ndarray:
+    """(W,) keys of the children of a node: `enter` (N, W) where rays meet them, and `met` whether they do."""
+    width = leaf.size
+    entry = {NONE: np.zeros_like(bits(enter)), NEAR: bits(enter), FAR: 0x7F7FFFFF - bits(enter)}[order]
+    keys = np.where(met, (entry & -width) | np.arange(width), NO_CHILD_CONSTANT)
+    return np.where(leaf, NO_CHILD_CONSTANT, keys.min(axis=0, initial=NO_CHILD_CONSTANT))
+
+
+def bit_sum(flags: np.ndarray) -> np.ndarray:
+    """Bits of flags, the first the lowest, over the last axis."""
+    return (flags << np.arange(flags.shape[-1])).sum(axis=-1)
+
+
+@pytest.mark.parametrize("order", WIDTHS)
+def test_root(lists, plain, order, device):
+    """Rays that miss the root's children are left out, until the stream is full; the others are listed as in any node."""
+    width = WIDTHS[order]
+    boxes, children = random_nodes(np.random.default_rng(2), width)
     boxes[::2] *= 0.1  # few rays meet the children of these roots
     boxes[np.isnan(boxes)] = 0.0
-    lists.nodes = wp.array(boxes.reshape(STREAMS, -1), dtype=float, device=device)
-    wp.launch(loops(), STREAMS, [lists, ROOT, 1], device=device)
-    answers, found = lists.answers.numpy(), put_back(lists)
+    children[:, -1] = EMPTY_LANE
+    trees = set_nodes(lists, boxes, children, device)
+    wp.launch(loops(order), STREAMS, [lists, ROOT], device=device)
+    del trees  # the kernel has run
+    words, keys, answers, found = lists.words.numpy(), lists.keys.numpy(), lists.answers.numpy(), put_back(lists)
     enter, leave = plain.meeting(boxes)
-    met = (enter <= leave).any(axis=-1)
-    stopped, filled = 0, 0
+    enter = enter + np.float32(0.0)  # not -0
+    met = (enter <= leave) & plain.valid[..., None]
+    met[..., -1] = False
+    filled = 0
     for i in range(STREAMS):
         place = kept = 0
         expected = np.zeros(SIZE, dtype=bool)
         here = (plain.number[i] >= 0).sum()
         while place < here and kept <= SMALL - LIST_LANES:
             group = slice(place, min(place + LIST_LANES, here))
-            testing = place < PROBED or place - kept >= WORTHWHILE * place
-            expected[group] = plain.valid[i, group] & (met[i, group] | (not testing))
+            expected[group] = met[i, group].any(axis=-1)
             kept += expected[group].sum()
-            stopped += not testing
             place += LIST_LANES
         filled += place < here
-        np.testing.assert_array_equal(answers[i, :2], (min(place, here), kept))
+        own, leaf = met[i, expected], children[i] < 0
+        np.testing.assert_array_equal(answers[i, :3], (min(place, here), kept, bit_sum(own.any(axis=0) & leaf)))
         np.testing.assert_array_equal(found[i], expected)
-    assert stopped
-    assert filled
-    assert (plain.valid & ~met).any()
+        np.testing.assert_array_equal(words[i, :kept], (bit_sum(own) << RAY_BITS | np.arange(kept)).astype(np.int32))
+        np.testing.assert_array_equal(keys[i], expected_keys(enter[i, expected], own, leaf, order))
+    assert 0 < filled < STREAMS
+    assert (plain.valid & ~met.any(axis=-1)).any()
     check_loaded(lists.stream.numpy()[:, :SIZE], plain, found)
-
-
-def random_nodes(rng: np.random.Generator, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """(STREAMS, 6, W) boxes in the scene, with an unused lane each, and their children, of which some are leaves."""
-    corners = rng.integers(-4, 5, (2, STREAMS, 3, width)) / 8.0
-    boxes = np.concatenate([corners.min(axis=0), corners.max(axis=0)], axis=1).astype(np.float32)
-    boxes[:, :3, -1], boxes[:, 3:, -1] = np.inf, -np.inf
-    children = rng.integers(1, 1000, (STREAMS, width)) * rng.choice([1, -1], (STREAMS, width))
-    return boxes, children.astype(np.int32)
 
 
 @pytest.mark.parametrize("order", WIDTHS)
 def test_boxes(lists, plain, order, device):
-    """Pairs with leaves, the rays that go on with the children that they meet, and keys, list by list."""
+    """The rays that go on with the children that they meet, keys, and pairs with leaves, list by list."""
     width = WIDTHS[order]
     boxes, children = random_nodes(np.random.default_rng(width), width)
-    lists.bounds = wp.array(boxes.ravel(), dtype=float, device=device)
-    lists.children = wp.array(children.ravel(), dtype=int, device=device)
-    lists.keys = wp.full((STREAMS, width), NO_CHILD_CONSTANT, dtype=int, device=device)
+    trees = set_nodes(lists, boxes, children, device)
     lists.pairs = wp.zeros((STREAMS, SIZE * width), dtype=wp.vec2i, device=device)
     before = lists.words.numpy().copy()
     done = np.random.default_rng(5).random(plain.valid.shape) < 0.1
     set_best(lists, np.where(done, -np.inf, plain.ray["t_max"]))
-    wp.launch(loops(), STREAMS, [lists, order, width], device=device)
+    wp.launch(loops(order), STREAMS, [lists, NODE], device=device)
+    del trees  # the kernel has run
     words, keys, pairs, answers = (x.numpy() for x in (lists.words, lists.keys, lists.pairs, lists.answers))
 
     enter, leave = plain.meeting(boxes)
@@ -252,24 +289,21 @@ def test_boxes(lists, plain, order, device):
     meets = (enter <= leave) & ~done[..., None]
     assert 0.05 < meets.mean() < 0.8
     assert (answers[:, 0] > 256).any()  # pairs that ran out of room on the way
-    entry = bits(enter) if order == NEAR else 0x7F7FFFFF - bits(enter)
-    lane = np.arange(width)
-    order_keys = np.where(meets, (entry & -width) | lane, NO_CHILD_CONSTANT).min(axis=1)
     for i in range(STREAMS):
         listed = before[i, : lists.sizes.numpy()[i]]
         leaf, met = children[i] < 0, meets[i, listed]
         expected = [(k, children[i, c]) for k, row in zip(listed, met, strict=True) for c in np.flatnonzero(row & leaf)]
         np.testing.assert_array_equal(pairs[i, : answers[i, 0]], np.reshape(expected, (-1, 2)))
-        inner = ((met & ~leaf) << lane).sum(axis=1)
-        kept = (inner << RAY_BITS | listed)[inner > 0]
-        np.testing.assert_array_equal(words[i, : answers[i, 1]], kept.astype(np.int32))
-        assert answers[i, 1] == len(kept)
-        active = listed[inner >> (i % width) & 1 != 0]
-        np.testing.assert_array_equal(words[i, len(kept) : len(kept) + answers[i, 2]], active)
-        assert answers[i, 2] == len(active)
-        row = np.where(leaf, NO_CHILD_CONSTANT, np.where(met.any(axis=0), order_keys[i], NO_CHILD_CONSTANT))
+        of_children = bit_sum(met)
+        kept = (of_children << RAY_BITS | listed)[of_children > 0].astype(np.int32)
+        active = listed[met[:, i % width]]
+        row = expected_keys(enter[i, listed], met, leaf, order)
+        following = min(row[row > row[(i + 1) % width]], default=NO_CHILD_CONSTANT)
+        counts = len(kept), bit_sum(met.any(axis=0) & leaf), len(active), following
+        np.testing.assert_array_equal(answers[i, 1:], counts)
+        np.testing.assert_array_equal(words[i, : len(kept)], kept)
+        np.testing.assert_array_equal(words[i, len(kept) : len(kept) + len(active)], active)
         np.testing.assert_array_equal(keys[i], row)
-        assert answers[i, 3] == min(row[row > row[(i + 1) % width]], default=NO_CHILD_CONSTANT)
 
 
 def test_planes_and_best_hits(lists, plain, device):
@@ -290,7 +324,7 @@ def test_planes_and_best_hits(lists, plain, device):
     lists.far_rays = wp.full(shape, -1, dtype=int, device=device)
     lists.far_entry, lists.far_leave = (wp.zeros(shape, dtype=float, device=device) for _ in range(2))
     lists.axes, lists.positions = wp.array(axes, dtype=int, device=device), wp.array(positions, dtype=float, device=device)
-    wp.launch(loops(), STREAMS, [lists, PLANE, 1], device=device)
+    wp.launch(loops(NEAR), STREAMS, [lists, PLANE], device=device)
     near = lists.answers.numpy()[:, 0].copy()
     behind = lists.answers.numpy()[:, 1].copy()
     got = {
@@ -318,7 +352,7 @@ def test_planes_and_best_hits(lists, plain, device):
     best = rng.choice(np.float32([-np.inf, 0.5, 1.0, np.inf]), (STREAMS, SIZE))
     set_best(lists, best)
     lists.sizes = wp.array(behind, dtype=int, device=device)
-    wp.launch(loops(), STREAMS, [lists, HITS, 1], device=device)
+    wp.launch(loops(NEAR), STREAMS, [lists, HITS], device=device)
     left = lists.answers.numpy()[:, 0]
     assert 0.2 < left.sum() / behind.sum() < 0.9
     for i in range(STREAMS):

@@ -26,8 +26,21 @@ MAX_CUDA_STREAM = 256
 at a time.
 """
 
-MAX_STREAM = 4096
-"""Largest number of rays of a stream on the CPU: 64 x 64."""
+MAX_STREAM = 1 << 14
+"""Largest number of rays of a stream on the CPU. Longer ones do not stay in the near caches
+(notebooks/records/2026-11-24-streams.md).
+"""
+
+MAX_LOCAL_STREAM = 4096
+"""The same where a stream is in a thread's local memory: in the cells of a kd-tree, and through instances."""
+
+
+def longest_stream(scene: SceneState, traversal: Traversal) -> int:
+    """Largest number of rays of a stream."""
+    if scene.device.is_cuda:
+        return MAX_CUDA_STREAM
+    is_long = traversal.long_streams and traversal.walks_boxes(scene.accelerator.kind) and not scene.instances
+    return MAX_STREAM if is_long else MAX_LOCAL_STREAM
 
 
 def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> Plan:
@@ -71,7 +84,7 @@ def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> P
         raise ValueError(f"plan.reorder is {plan.reorder!r}, which needs {able}, not {plan.traversal!r}")
     if plan.reorder == "tiles" and rays.columns == 0:
         raise ValueError(f"plan.reorder is 'tiles', but rays of shape {rays.shape} are not the pixels of an image")
-    most = MAX_CUDA_STREAM if scene.device.is_cuda else MAX_STREAM
+    most = longest_stream(scene, traversal)
     if traversal.streams and not 1 <= plan.stream <= most:
         raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {most}")
     if not traversal.packets:

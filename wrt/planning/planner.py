@@ -14,7 +14,7 @@ from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.planning.answer_checks import can_answer, check_answer, check_origins
 from wrt.planning.packet_sample import measure_overlap
 from wrt.planning.plan import ChosenPlan, Plan, plan_for_query, traversal_of
-from wrt.planning.plan_checks import check_plan, fits
+from wrt.planning.plan_checks import check_plan, fits, longest_stream
 from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, Query
 from wrt.state.wide_trees import can_be_wide, wide_form_pays, wide_form_savings, wide_width
 from wrt.tables import lookup
@@ -46,7 +46,7 @@ ROUGH_RAYS_PER_TRIANGLE = 2.0
 """Rays per triangle up to which camera rays use a transient frustum at each leaf if the triangle test does not filter pairs: a
 packet then reaches a leaf with few active rays (notebooks/records/2026-11-21-plans.md). Else it is `Limits.rough`."""
 
-STREAMS, CUDA_STREAM = (4096, 1024, 256), 64
+STREAMS, CUDA_STREAM = (16384, 4096, 1024, 256), 64
 """Rays of a stream, the largest first. Longer streams fill their vector lanes better, if each thread still has several
 streams. On CUDA, a thread traces a stream and holds its rays in local memory.
 """
@@ -159,7 +159,7 @@ def choose_plan(
         options["packet"] = packet_vectors(scene, rays, query, chosen) * width
         options["culling"] = choose_culling(scene, rays, chosen, test)
     if chosen.streams:
-        options["stream"] = stream_size(scene, rays)
+        options["stream"] = stream_size(scene, rays, chosen)
     if traversal == AUTO or "tiles" in chosen.orders:
         options["reorder"] = choose_order(scene, rays, chosen, test)
     return Plan(
@@ -234,12 +234,13 @@ def tree_for(traversal: Traversal, scene: SceneState) -> str:
     return kind
 
 
-def stream_size(scene: SceneState, rays: RayBuffers) -> int:
+def stream_size(scene: SceneState, rays: RayBuffers, traversal: Traversal) -> int:
     """Rays of a stream: fewer if the batch would not give each thread several streams."""
     if scene.device.is_cuda:
         return CUDA_STREAM
     share = rays.count / max(STREAMS_PER_THREAD * get_num_threads(), len(scene.instances))
-    return next((size for size in STREAMS if size <= share), STREAMS[-1])
+    most = min(share, longest_stream(scene, traversal))
+    return next((size for size in STREAMS if size <= most), STREAMS[-1])
 
 
 def packet_vectors(scene: SceneState, rays: RayBuffers, query: str, traversal: Traversal) -> int:

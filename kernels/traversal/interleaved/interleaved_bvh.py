@@ -26,6 +26,7 @@ References:
     R. Barringer, T. Akenine-Möller: Dynamic ray stream traversal. ACM Transactions on Graphics 33(4), 2014.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import warp as wp
@@ -36,10 +37,18 @@ from wrt.kernels.layout.scratch import leave_scratch, take_scratch
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.interleaved.leaf_pairs import block_tester
 from wrt.kernels.traversal.interleaved.ray_slots import pair_room, slot_words, walk_to_leaves
-from wrt.kernels.traversal.stream.stream_kernel import StreamCounterRows, StreamCounters, ray_words, store_stream, stream_ray
+from wrt.kernels.traversal.stream.stream_kernel import (
+    LIST_LANES,
+    StreamCounterRows,
+    StreamCounters,
+    ray_words,
+    store_stream,
+    stream_ray,
+)
+from wrt.kernels.traversal.stream.stream_lanes import NONE
 from wrt.kernels.traversal.stream.stream_lists import Pairs
-from wrt.kernels.traversal.stream.stream_load import load_stream
-from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.traversal.stream.stream_root import load_root
+from wrt.kernels.traversal.traversal_config import StreamConfig, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -49,15 +58,20 @@ LOADED = 1024
 (notebooks/records/2026-11-22-interleaved-rays.md)."""
 
 
-@cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
+    return make_walk(replace(config, stream=StreamConfig(min(config.stream.rays, LOADED))))
+
+
+@cache
+def make_walk(config: TraversalConfig) -> wp.Kernel:
+    """The same; `config.stream` is of the rays that are loaded at a time."""
     StreamRay = stream_ray(config.triangle_test)
     walk, room, width = walk_to_leaves(config), slot_words(config), config.width
-    counting, size = config.counters, min(config.stream.rays, LOADED)
-    load, store, test_blocks = load_stream(config.triangle_test, size, width), store_stream(config), block_tester(config)
-    block_words = 2 * pair_room(width)
-    bytes, on_cuda = 4 * ray_words(config.triangle_test), config.stack.block > 0
+    counting, size = config.counters, config.stream.rays
+    load, store, test_blocks = load_root(config.triangle_test, size, width, NONE), store_stream(config), block_tester(config)
+    block_words, list_words = 2 * pair_room(width), size + LIST_LANES
+    bytes, on_cuda = 4 * size * ray_words(config.triangle_test), config.stack.block > 0
 
     def interleaved_bvh(
         first: int,
@@ -70,9 +84,12 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         scratch = wp.uint64(0)
         if wp.static(on_cuda):
             stream = wp.zeros(shape=(size,), dtype=StreamRay)
+            list = wp.zeros(shape=(list_words,), dtype=int)
         else:
-            scratch = take_scratch(wp.static(size * bytes))
+            scratch = take_scratch(wp.static(bytes + 4 * list_words))
             stream = wp.array(ptr=scratch, shape=(size,), dtype=StreamRay)
+            list = wp.array(ptr=scratch + wp.uint64(wp.static(bytes)), shape=(list_words,), dtype=int)
+        keys = wp.zeros(shape=(width,), dtype=int)  # not used
         memory = wp.zeros(shape=(room,), dtype=int)  # slots are slower in scratch memory
         blocks = wp.zeros(shape=(block_words,), dtype=int)
         pairs = Pairs()
@@ -81,13 +98,16 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         while begin < end:
             work = StreamCounters()
             kept = int(0)
-            count = load(rays, begin, end, tree.low, tree.high, tree.bounds, stream, kept)
+            leaves = wp.uint32(0)
+            count = load(rays, begin, end, tree, stream, list, keys, leaves, kept)
             started = int(0)
             waiting = int(0)
             visited = int(0)
             paired = int(1)
             while paired > 0:
-                paired = walk(tree, triangles.records, stream, kept, memory, started, waiting, visited, work.triangles, blocks)
+                paired = walk(
+                    tree, triangles.records, stream, list, kept, memory, started, waiting, visited, work.triangles, blocks
+                )
                 if wp.static(counting):
                     work.leaves += waiting
                     work.intersection_slots += paired * wp.static(width)

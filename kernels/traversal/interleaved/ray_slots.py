@@ -19,7 +19,7 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.interleaved.child_order import push_reversed, push_sorted
 from wrt.kernels.traversal.interleaved.slot_boxes import MEET, SET_SLOT, SLOT, SLOT_WORDS
-from wrt.kernels.traversal.stream.stream_kernel import stream_ray
+from wrt.kernels.traversal.stream.stream_kernel import RAY_BITS, stream_ray
 from wrt.kernels.traversal.stream.stream_lists import BLOCK_LANES
 from wrt.kernels.traversal.traversal_config import CLOSEST, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -115,8 +115,9 @@ _MOVES = """
         wrt_set_boxes(slot, slabs, slabs + 3, slabs + 6);
         slot.t_min = ray.t_min; slot.t_max = ray.best.t + 0.0f;
         slot.top = place / 4 + BOTTOM + 1;
-        slot.ray = following++;
-        words[inners] = 0; listed[inners++] = place;
+        slot.ray = following;
+        START
+        ++following;
     };
     auto wrt_settle = [&]() {
         WRT_SCALAR for (int j = 0; j < outers; ++j) {
@@ -135,9 +136,11 @@ _MOVES = """
         outers = 0;
         while (idles > 0 && following < count) wrt_start(idle[--idles]);
     };
+    auto wrt_settle_all = [&]() { do wrt_settle(); while (outers > 0); };
 """
 """C++: `wrt_pop` takes the next child from a stack, `wrt_partition` divides the list, `wrt_start` puts the next ray before the
-root. `wrt_settle` lists the leaves of the slots that have left the list, and starts rays in those that are idle."""
+root, or, where the order of children is free, before one of its children. `wrt_settle_all` lists the leaves of the slots that
+have left the list, and starts rays in those that are idle."""
 
 _BEGIN = """
     if (next == 0) {
@@ -158,7 +161,7 @@ _BEGIN = """
         }
         wrt_partition(waiting);
     }
-    wrt_settle();
+    wrt_settle_all();
 """
 """C++: all slots are idle, or their leaves have been tested."""
 
@@ -187,7 +190,7 @@ _PASSES = """
             wrt_fetch_node(word);
         }
         wrt_partition(inners);
-        wrt_settle();
+        wrt_settle_all();
     }
     next = following;
     waiting = leaves;
@@ -204,17 +207,32 @@ _PUSH_UNORDERED = """
 """
 
 
+_START_ORDERED = "words[inners] = 0; listed[inners++] = place;"
+
+_START_UNORDERED = """
+        const unsigned mask = (unsigned)list.data[following] >> RAY_BITS;
+        wrt_push(stacks + slot.top, tree.child.data, mask);
+        slot.top += wrt_count_bits(mask) - 1;
+        const int word = stacks[slot.top], leaf = word < 0 ? 1 : 0;
+        wrt_fetch_node(word);
+        words[inners] = word; listed[inners] = place; inners += 1 - leaf;
+        outer_words[outers] = word; outer[outers] = place; outers += leaf;
+"""
+
+
 @cache
 def walk_to_leaves(config: TraversalConfig) -> wp.Function:
-    """`func(tree, records, rays, count, memory, next, waiting, visited, triangles, pairs) -> int`: moves all slots to leaves.
+    """`func(tree, records, rays, list, count, memory, next, waiting, visited, triangles, pairs) -> int`: moves all slots to
+    leaves.
 
     Returns the number of pairs (ray, block) that it has listed, for the rays that take turns; 0 if the rays 0 .. count - 1 of
     the stream are done. Called again, after the pairs have been tested, it goes on.
 
-    Args (of the function): memory: `slot_words(config)` ints. next: number of rays started, initially 0. waiting: number of
-    slots at leaves. visited: number of nodes visited so far, increased. triangles: number of triangles in the leaves visited
-        so far, increased if the configuration has counters. pairs: 2 `pair_room(width)` ints: the rays of the pairs, then
-        their blocks.
+    Args (of the function): list: words of the rays: the root's children that they meet
+        (`wrt.kernels.traversal.stream.stream_root`). memory: `slot_words(config)` ints. next: number of rays started, initially
+        0. waiting: number of slots at leaves. visited: number of nodes visited so far, increased. triangles: number of
+        triangles in the leaves visited so far, increased if the configuration has counters. pairs: 2 `pair_room(width)` ints:
+        the rays of the pairs, then their blocks.
     """
     StreamRay = stream_ray(config.triangle_test)
     width, ordered = config.width, int(config.query == CLOSEST)
@@ -224,15 +242,18 @@ def walk_to_leaves(config: TraversalConfig) -> wp.Function:
     constexpr int BLOCKS = {leaf_blocks(width)}, ROOM = {pair_room(width)};
     constexpr int DEPTH = {stack_depth(config)}, STRIDE = {stack_stride(config)}, CHILDREN = {"DEPTH" if ordered else 0};
     constexpr int COMPONENTS = {TRIANGLE_TESTS[config.triangle_test].record.components};
+    constexpr int RAY_BITS = {RAY_BITS};
     constexpr bool ORDERED = {ordered}, COUNTING = {int(config.counters)};
 {BLOCK_LANES}{push_sorted(width) if ordered else push_reversed(width)}"""
     passes = _PASSES.replace("PUSH", _PUSH_ORDERED if ordered else _PUSH_UNORDERED)
+    moves = _MOVES.replace("START", _START_ORDERED if ordered else _START_UNORDERED)
 
-    @wp.func_native(head + _MEMORY + SET_SLOT + MEET + _MOVES + _BEGIN + passes)
+    @wp.func_native(head + _MEMORY + SET_SLOT + MEET + moves + _BEGIN + passes)
     def walk_native(
         tree: wp.ref[WideNodes],
         records: wp.array(dtype=float),
         rays: wp.array(dtype=StreamRay),
+        list: wp.array(dtype=int),
         count: int,
         memory: wp.array(dtype=int),
         next: wp.ref[int],

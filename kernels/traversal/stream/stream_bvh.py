@@ -1,19 +1,22 @@
 """Stream traversal of a wide BVH: a list of rays against the W children of a node, depth first.
 
-An element of a list is a word: the number of a ray and, above it, one bit for each inner child that the ray meets. The lists of
-the nodes on the path are stored one after the other on a stack of words, each as long as the number of rays that its node's
-filter kept. The list of a child is collected from the words of its parent when the child is visited, so no ray is in more than
-one list per level, and `levels` lists of a whole stream are enough memory. Keys give the next child, as for a single ray
-(`wrt.kernels.simd.box_lanes`), but a key is that of the first ray to enter.
+An element of a list is a word: the number of a ray and, above it, one bit for each child that the ray meets. The lists of the
+nodes on the path are stored one after the other on a stack of words, each as long as the number of rays that its node's filter
+kept. The list of a child is collected from the words of its parent when the child is visited, so no ray is in more than one
+list per level, and `levels` lists of a whole stream are enough memory, with another one for a leaf. Keys give the next child,
+as for a single ray (`wrt.kernels.simd.box_lanes`), but a key is that of the first ray to enter.
 
-Any-hit queries do not need the nearest child first. Rays to a light start on a surface, which is near and occludes nothing, so
-for coherent rays the farthest child is visited first.
+The list of the root is written while the rays are loaded (`wrt.kernels.traversal.stream.stream_root`).
 
-Leaves are tested as soon as the list of their parent has been filtered. Their pairs then come from up to 16 leaves at once,
-whereas a single leaf has only a few rays, and their hits shorten the rays for the inner children, which are filtered later.
+Any-hit queries do not need the nearest child first: their children are visited as they come. But coherent rays to a light start
+on a surface, which is near and occludes nothing, so for these the farthest child is visited first.
 
-Figures, lane utilisation, and variants that were tried: notebooks/records/2026-11-21-streams.md and
-notebooks/records/2026-11-22-stream-candidates.md.
+Leaves are tested as soon as the list of their parent has been filtered (`wrt.kernels.traversal.stream.stream_leaves`). Their
+pairs then come from up to 16 leaves at once, whereas a single leaf has only a few rays, and their hits shorten the rays for the
+inner children, which are filtered later.
+
+Figures, lane utilisation, and variants that were tried: notebooks/records/2026-11-21-streams.md,
+notebooks/records/2026-11-22-stream-candidates.md and notebooks/records/2026-11-24-streams.md.
 
 References: see `wrt.kernels.traversal.stream.stream_kernel`.
 """
@@ -37,10 +40,11 @@ from wrt.kernels.traversal.stream.stream_kernel import (
     store_stream,
     stream_ray,
 )
-from wrt.kernels.traversal.stream.stream_lanes import collect_child, filter_boxes, next_child
-from wrt.kernels.traversal.stream.stream_load import load_stream
-from wrt.kernels.traversal.stream.stream_pairs import Pairs, pair_tester
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE, collect_child, filter_boxes, next_child
+from wrt.kernels.traversal.stream.stream_leaves import leaf_tester
+from wrt.kernels.traversal.stream.stream_lists import Pairs
+from wrt.kernels.traversal.stream.stream_root import load_root
+from wrt.kernels.traversal.traversal_config import ANY, COUNT, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -49,14 +53,29 @@ BELOW_ALL_KEYS = wp.constant(-0x80000000)
 """Less than every key: the last key visited, before the first child of a node."""
 
 
+def child_order(config: TraversalConfig) -> int:
+    """Which child of a node is visited first."""
+    if config.query == ANY:
+        return FAR if config.coherent else NONE
+    return NONE if config.query == COUNT else NEAR
+
+
+@cache
+def stream_loader(config: TraversalConfig) -> wp.Function:
+    """The function that loads a stream with the list of its root: `wrt.kernels.traversal.stream.stream_root.load_root`."""
+    return load_root(config.triangle_test, config.stream.rays, config.width, child_order(config))
+
+
 @cache
 def make_trace(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, words, rays, hits, first_ray, work)`: traces the rays words[0 .. rays - 1]."""
-    StreamRay = stream_ray(config.triangle_test)
-    far_first = config.query == ANY and config.coherent
-    filter_list, following = filter_boxes(config.width, config.triangle_test, far_first), next_child(config.width)
-    test_pairs = pair_tester(config)
-    counting, width, levels, row = config.counters, config.width, config.stack.levels, config.stack.levels * config.width
+    """`wp.func(tree, triangles, stream, words, keys, rays, leaves, hits, first_ray, work)`: traces the `rays` rays of a stream.
+
+    Args (of the function): words, keys, leaves: the list of the root, keys and leaves of its children, as `stream_loader`
+        writes them, with room for those of other nodes. first_ray: number of the first ray that was loaded.
+    """
+    StreamRay, test_leaves = stream_ray(config.triangle_test), leaf_tester(config)
+    filter_list, following = filter_boxes(config.width, config.triangle_test, child_order(config)), next_child(config.width)
+    counting, width, levels = config.counters, config.width, config.stack.levels
 
     @wp.func
     def trace(
@@ -64,66 +83,56 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         triangles: TriangleBlocks,
         stream: wp.array(dtype=StreamRay),
         words: wp.array(dtype=int),
+        keys: wp.array(dtype=int),
         rays: int,
+        leaves: wp.uint32,
         hits: wp.ref[HitBatch],
         first_ray: int,
         work: wp.ref[StreamCounters],
     ):
-        keys = wp.zeros(shape=(row,), dtype=int)
         path = wp.zeros(shape=(levels,), dtype=int)
         begins = wp.zeros(shape=(levels,), dtype=int)
         sizes = wp.zeros(shape=(levels,), dtype=int)
         lasts = wp.zeros(shape=(levels,), dtype=int)
         pairs = Pairs()
-        level = int(-1)
+        met_leaves = wp.uint32(leaves)
+        level = int(0)
         node = int(0)
         begin = int(0)
-        size = int(0)
-        incoming = int(rays)
-        while level >= 0 or incoming > 0:
+        size = int(rays)
+        if wp.static(counting):
+            work.nodes += rays
+        while level >= 0:
+            test_leaves(tree, triangles, stream, words, begin, size, node, met_leaves, pairs, hits, first_ray, work)
+            store_int(path, level, node)
+            store_int(begins, level, begin)
+            store_int(sizes, level, size)
+            store_int(lasts, level, BELOW_ALL_KEYS)
+            incoming = int(0)
+            while level >= 0 and incoming == 0:
+                key = following(keys, level * wp.static(width), load_int(lasts, level))
+                if key != NO_CHILD:
+                    lane = key & wp.static(width - 1)
+                    store_int(lasts, level, key)
+                    node = load_int(tree.child, load_int(path, level) * wp.static(width) + lane)
+                    incoming = collect_child(words, begin, size, lane)
+                    if wp.static(counting):
+                        work.traversal_slots += round_up(size)
+                        work.traversal_active += size
+                else:
+                    level -= 1
+                    if level >= 0:
+                        begin = load_int(begins, level)
+                        size = load_int(sizes, level)
             if incoming > 0:
                 level += 1
                 begin += size
-                first_key = level * wp.static(width)
-                for lane in range(wp.static(width)):
-                    store_int(keys, first_key + lane, NO_CHILD)
-                size = int(0)
-                tested = int(0)
-                while tested < incoming:
-                    paired = filter_list(
-                        tree.bounds, tree.child, node, stream, words, begin, incoming, keys, first_key, pairs, tested, size
-                    )
-                    if paired > 0:
-                        test_pairs(triangles, stream, pairs, paired, hits, first_ray, work)
+                row = level * wp.static(width)
+                size = filter_list(tree.bounds, tree.child, node, stream, words, begin, incoming, keys, row, met_leaves)
                 if wp.static(counting):
                     work.nodes += incoming
-                store_int(path, level, node)
-                store_int(begins, level, begin)
-                store_int(sizes, level, size)
-                store_int(lasts, level, BELOW_ALL_KEYS)
-                incoming = int(0)
-            key = following(keys, level * wp.static(width), load_int(lasts, level))
-            if key != NO_CHILD:
-                lane = key & wp.static(width - 1)
-                store_int(lasts, level, key)
-                node = load_int(tree.child, load_int(path, level) * wp.static(width) + lane)
-                incoming = collect_child(words, begin, size, lane)
-                if wp.static(counting):
-                    work.traversal_slots += round_up(size)
-                    work.traversal_active += size
-            else:
-                level -= 1
-                if level >= 0:
-                    begin = load_int(begins, level)
-                    size = load_int(sizes, level)
 
     return trace
-
-
-@wp.func_native("for (int k = 0; k < count; ++k) words.data[k] = k;")
-def list_rays(count: int, words: wp.array(dtype=int)):
-    """Writes the list of a stream of `count` rays, with which they enter the tree."""
-    ...
 
 
 @cache
@@ -131,7 +140,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     StreamRay = stream_ray(config.triangle_test)
     counting, size = config.counters, config.stream.rays
-    load, store, trace = load_stream(config.triangle_test, size, config.width), store_stream(config), make_trace(config)
+    load, store, trace = stream_loader(config), store_stream(config), make_trace(config)
+    key_room = config.stack.levels * config.width
     bytes, on_cuda = 4 * ray_words(config.triangle_test), config.stack.block > 0
     room = (config.stack.levels + 1) * size + LIST_LANES
 
@@ -151,14 +161,15 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             scratch = take_scratch(wp.static(size * bytes + 4 * room))
             stream = wp.array(ptr=scratch, shape=(size,), dtype=StreamRay)
             words = wp.array(ptr=scratch + wp.uint64(wp.static(size * bytes)), shape=(room,), dtype=int)
+        keys = wp.zeros(shape=(key_room,), dtype=int)
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
         while begin < end:
             work = StreamCounters()
             kept = int(0)
-            count = load(rays, begin, end, tree.low, tree.high, tree.bounds, stream, kept)
-            list_rays(kept, words)
-            trace(tree, triangles, stream, words, kept, hits, begin, work)
+            leaves = wp.uint32(0)
+            count = load(rays, begin, end, tree, stream, words, keys, leaves, kept)
+            trace(tree, triangles, stream, words, keys, kept, leaves, hits, begin, work)
             store(stream, kept, begin, count, hits)
             if wp.static(counting):
                 counters.rows[begin] = work

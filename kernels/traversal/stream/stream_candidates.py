@@ -33,25 +33,7 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks, vertex_bo
 
 exact_module(__name__)
 
-_TEST = """
-    // the last vector is filled up: the lists have room for so many beyond the greatest number
-    WRT_UNROLLED for (int i = 0; i < L; ++i) {
-        pairs.candidates.c[count + i] = pairs.candidates.c[0]; pairs.candidate_rays.c[count + i] = pairs.candidate_rays.c[0];
-    }
-    for (int first = 0; first < count; first += L) {
-        alignas(64) float words[WORDS][L], corner[9][L];
-        float t[L], u[L], v[L];
-        int primitive[L], near[L];
-        const float* from[L];
-        WRT_SCALAR for (int i = 0; i < L; ++i) {
-            const unsigned slot = (unsigned)pairs.candidates.c[first + i];
-            if (!ANY) primitive[i] = primitives.data[slot];
-            from[i] = (const float*)(rays.data + (unsigned)pairs.candidate_rays.c[first + i]);
-            const float* r = &records.data[(size_t)(slot / WIDTH) * (COMPONENTS * WIDTH) + slot % WIDTH];
-            WRT_UNROLLED for (int c = 0; c < 9; ++c) corner[c][i] = r[c * WIDTH];
-        }
-        wrt_read(from, 0, words[0]);
-        wrt_read(from, WORDS - 16, words[WORDS - 16]);
+_EVALUATE = """
         CANDIDATE_LANES
         WRT_FOR_LANES(i) {
             float low[3], high[3];
@@ -68,9 +50,32 @@ _TEST = """
         }
         for (unsigned mask = wrt_bits(near); mask; mask &= mask - 1u) {
             const int i = wrt_lowest_bit(mask);
-            auto& best = rays.data[pairs.candidate_rays.c[first + i]].best;
+            auto& best = rays.data[owner[first + i]].best;
             TAKE
         }
+"""
+
+_TEST = """
+    // the last vector is filled up: the lists have room for so many beyond the greatest number
+    WRT_UNROLLED for (int i = 0; i < L; ++i) {
+        pairs.candidates.c[count + i] = pairs.candidates.c[0]; pairs.candidate_rays.c[count + i] = pairs.candidate_rays.c[0];
+    }
+    const int* owner = pairs.candidate_rays.c;
+    for (int first = 0; first < count; first += L) {
+        alignas(64) float words[WORDS][L], corner[9][L];
+        float t[L], u[L], v[L];
+        int primitive[L], near[L];
+        const float* from[L];
+        WRT_SCALAR for (int i = 0; i < L; ++i) {
+            const unsigned slot = (unsigned)pairs.candidates.c[first + i];
+            if (!ANY) primitive[i] = primitives.data[slot];
+            from[i] = (const float*)(rays.data + (unsigned)owner[first + i]);
+            const float* r = &records.data[(size_t)(slot / WIDTH) * (COMPONENTS * WIDTH) + slot % WIDTH];
+            WRT_UNROLLED for (int c = 0; c < 9; ++c) corner[c][i] = r[c * WIDTH];
+        }
+        wrt_read(from, 0, words[0]);
+        wrt_read(from, WORDS - 16, words[WORDS - 16]);
+        EVALUATE
     }
 """
 
@@ -89,19 +94,37 @@ _TAKE_CLOSEST = """
 """
 
 
-@cache
-def test_in_lanes(config: TraversalConfig) -> wp.Function:
-    """`func(records, primitives, rays, pairs, count)`: evaluates the first `count` candidates and merges their hits."""
-    test, width = TRIANGLE_TESTS[config.triangle_test], config.width
-    StreamRay, words = stream_ray(config.triangle_test), ray_words(config.triangle_test)
-    code = _TEST.replace("CANDIDATE_LANES", test.candidate_lanes).replace("VERTEX_BOX", vertex_box("corner[0]", "i"))
-    code = code.replace("BOX_INTERVAL", BOX_INTERVAL).replace("TAKE", _TAKE_ANY if config.query == ANY else _TAKE_CLOSEST)
-    constants = f"""{LISTS}{TRANSPOSE}
-    constexpr int W = L, WIDTH = {width}, WORDS = {words}, COMPONENTS = {test.record.components};
+def evaluates_in_lanes(config: TraversalConfig) -> bool:
+    """Whether candidates are evaluated 16 at a time."""
+    return bool(TRIANGLE_TESTS[config.triangle_test].candidate_lanes) and not config.crossing and not config.cull_backfaces
+
+
+def evaluation(config: TraversalConfig) -> str:
+    """C++ that evaluates a vector of candidates and merges their hits, where `evaluates_in_lanes`.
+
+    It reads words[c][i] of their rays, corner[c][i] and, for closest hits, primitive[i] of their triangles. Lane i is candidate
+    first + i of `count`, of ray owner[first + i].
+    """
+    code = _EVALUATE.replace("CANDIDATE_LANES", TRIANGLE_TESTS[config.triangle_test].candidate_lanes)
+    code = code.replace("VERTEX_BOX", vertex_box("corner[0]", "i")).replace("BOX_INTERVAL", BOX_INTERVAL)
+    return code.replace("TAKE", _TAKE_ANY if config.query == ANY else _TAKE_CLOSEST)
+
+
+def lane_constants(config: TraversalConfig) -> str:
+    """C++ of what `evaluation` needs: constants, and how lists and transpositions work."""
+    return f"""{LISTS}{TRANSPOSE}
+    constexpr int W = L, WIDTH = {config.width}, WORDS = {ray_words(config.triangle_test)};
+    constexpr int COMPONENTS = {TRIANGLE_TESTS[config.triangle_test].record.components};
     constexpr bool ANY = {int(config.query == ANY)};
     """
 
-    @wp.func_native(constants + code)
+
+@cache
+def test_in_lanes(config: TraversalConfig) -> wp.Function:
+    """`func(records, primitives, rays, pairs, count)`: evaluates the first `count` candidates and merges their hits."""
+    StreamRay, code = stream_ray(config.triangle_test), _TEST.replace("EVALUATE", evaluation(config))
+
+    @wp.func_native(lane_constants(config) + code)
     def test_in_lanes_native(
         records: wp.array(dtype=float),
         primitives: wp.array(dtype=int),
@@ -181,8 +204,8 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
 
     hits, begin: as in `wrt.kernels.traversal.stream.stream_pairs.pair_tester`.
     """
-    StreamRay, test = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test]
-    if test.candidate_lanes and not config.crossing and not config.cull_backfaces:
+    StreamRay = stream_ray(config.triangle_test)
+    if evaluates_in_lanes(config):
         in_lanes = test_in_lanes(config)
 
         @wp.func

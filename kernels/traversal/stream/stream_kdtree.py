@@ -233,7 +233,6 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         order = wp.zeros(shape=(size,), dtype=int)
         ends = wp.zeros(shape=(8,), dtype=int)
-        unused = wp.zeros(shape=(1,), dtype=float)
         list = RayIntervals()
         list_rays = wp.zeros(shape=(list_size,), dtype=int)
         list_entry = wp.zeros(shape=(list_size,), dtype=float)
@@ -249,7 +248,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         while begin < end:
             work = StreamCounters()
             kept = int(0)
-            count = load(rays, begin, end, tree.low, tree.high, unused, stream, kept)
+            count = load(rays, begin, end, tree.low, tree.high, stream, kept)
             sort_by_octant(stream, kept, order, ends)
             done = int(0)
             octant = int(0)

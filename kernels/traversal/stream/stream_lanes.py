@@ -1,4 +1,4 @@
-"""The lane loops of streams: lists of ray numbers, filtered 16 at a time (`wrt.kernels.traversal.stream.stream_lists`).
+"""The lane loops of streams: lists of rays (`wrt.kernels.traversal.stream.stream_lists`), filtered by boxes and planes.
 
 The arithmetic is that of `wrt.kernels.simd.boxes`: `slab_interval` for the boxes of a wide node, `cross_plane` for the plane of
 a kd-tree's node.
@@ -11,23 +11,25 @@ import warp as wp
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.lanes import FOR_LANES
-from wrt.kernels.traversal.stream.stream_kernel import stream_ray
-from wrt.kernels.traversal.stream.stream_lists import LISTS, PAIRS, Pairs, RayIntervals
+from wrt.kernels.traversal.stream.stream_kernel import RAY_BITS, stream_ray
+from wrt.kernels.traversal.stream.stream_lists import BLOCK_LANES, LISTS, PAIRS, Pairs, RayIntervals
 
 exact_module(__name__)
+
+NONE, NEAR, FAR = range(3)
+"""Which child of a node comes first: any, the nearest, the farthest."""
 
 _FILTER_BOXES = """
     const float* box = &bounds.data[(size_t)node * (6 * W)];
     const int* child = &children.data[(size_t)node * W];
     int* list = words.data + first;
     int* key = keys.data + row;
-    int least[L], leaf[L] = {};
-    unsigned leaves = 0;
-    for (int i = 0; i < W; ++i) { leaf[i] = child[i]; leaves |= child[i] < 0 ? 1u << i : 0u; }
-    for (int i = 0; i < W; ++i) { least[i] = key[i]; }
+    int least[W];
+    unsigned are_leaves = 0, reached = 0;
+    for (int i = 0; i < W; ++i) { least[i] = NO_CHILD; are_leaves |= child[i] < 0 ? 1u << i : 0u; }
     auto wrt_sign = [](float x) { return __builtin_bit_cast(int, x) >> 31; };
-    int paired = 0, kept = survivors, j = tested;
-    for (; j < count && paired <= PAIRS; ++j) {
+    int kept = 0;
+    for (int j = 0; j < count; ++j) {
         const int k = list[j] & RAY;
         const auto& ray = rays.data[k];
         const float ix = ray.slabs.inverse.c[0], iy = ray.slabs.inverse.c[1], iz = ray.slabs.inverse.c[2];
@@ -37,7 +39,7 @@ _FILTER_BOXES = """
         const float in_x = ray.slabs.origin_in.c[0], in_y = ray.slabs.origin_in.c[1], in_z = ray.slabs.origin_in.c[2];
         const float out_x = ray.slabs.origin_out.c[0], out_y = ray.slabs.origin_out.c[1], out_z = ray.slabs.origin_out.c[2];
         const float t_min = ray.t_min, t_max = ray.best.t;
-        int hit[L] = {}, number[L];
+        int hit[L] = {};
         WRT_FOR_LANES(i) {
             float enter = t_min, leave = t_max, t;
             t = (near_x[i] - in_x) * ix; enter = t > enter ? t : enter;
@@ -46,42 +48,41 @@ _FILTER_BOXES = """
             t = (far_x[i] - out_x) * ix; leave = t < leave ? t : leave;
             t = (far_y[i] - out_y) * iy; leave = t < leave ? t : leave;
             t = (far_z[i] - out_z) * iz; leave = t < leave ? t : leave;
-            const int entry = __builtin_bit_cast(int, enter);
-            int order = ((FAR_FIRST ? 0x7f7fffff - entry : entry) & -W) | i;
-            order = enter <= leave ? order : NO_CHILD;
-            least[i] = order < least[i] ? order : least[i];
             hit[i] = enter <= leave ? -1 : 0;
+            if (ORDER != NONE) {
+                const int entry = __builtin_bit_cast(int, enter);
+                int order = ((ORDER == FAR ? 0x7f7fffff - entry : entry) & -W) | i;
+                order = enter <= leave ? order : NO_CHILD;
+                least[i] = order < least[i] ? order : least[i];
+            }
         }
-        const unsigned bits = wrt_bits(hit), inner = bits & ~leaves;
-        for (int i = 0; i < L; ++i) { number[i] = k; }
-        wrt_append(pairs.rays.c + paired, number, (1u << L) - 1u);
-        paired += wrt_append(pairs.leaves.c + paired, leaf, bits & leaves);
-        list[kept] = (int)(inner << RAY_BITS) | k;
-        kept += inner != 0u;
+        const unsigned bits = wrt_bits(hit);
+        list[kept] = (int)(bits << RAY_BITS) | k;
+        kept += bits != 0u;
+        reached |= bits;
     }
-    for (int i = 0; i < W; ++i) { key[i] = leaves >> i & 1u ? NO_CHILD : least[i]; }
-    survivors = kept;
-    tested = j;
-    return paired;
+    const unsigned inner = reached & ~are_leaves;
+    for (int i = 0; i < W; ++i) { key[i] = inner >> i & 1u ? (ORDER == NONE ? i : least[i]) : NO_CHILD; }
+    leaves = reached & are_leaves;
+    return kept;
 """
 
 
 @cache
-def filter_boxes(width: int, triangle_test: str, far_first: bool) -> wp.Function:
-    """`func(bounds, children, node, rays, words, first, count, keys, row, pairs, tested, survivors) -> int`.
+def filter_boxes(width: int, triangle_test: str, order: int) -> wp.Function:
+    """`func(bounds, children, node, rays, words, first, count, keys, row, leaves) -> survivors`.
 
     Filters the list words[first .. first + count - 1] by the W boxes of a node. A ray is active in a child if its interval, up
-    to its best hit, meets the child's box. For a leaf, (ray, leaf) is appended to `pairs`; for inner children, their bits are
-    set in the ray's word above its number. Words without such a bit are removed in place, and keys[row ..] are lowered to those
-    of the rays that enter first. With `far_first` the order of keys is reversed, and those of the rays that enter last are
-    kept. The filter stops when `pairs` may become full; when it is called again it continues at `tested`. Returns the number of
-    pairs.
+    to its best hit, meets the child's box; the bit of the child is then set in the ray's word above its number. Words without a
+    bit are removed in place. keys[row ..] become keys of the inner children that a ray meets: of the ray that enters first
+    (`NEAR`), of the one that enters last, in reverse (`FAR`), or the number of the lane (`NONE`). `leaves` becomes the bits of
+    the leaves that a ray meets.
     """
     StreamRay = stream_ray(triangle_test)
-    constants = f"    constexpr int W = {width}, PAIRS = {PAIRS}, NO_CHILD = {NO_CHILD_CONSTANT};\n"
-    constants += f"    constexpr bool FAR_FIRST = {int(far_first)};\n"
+    constants = f"{FOR_LANES}    constexpr int W = {width}, RAY_BITS = {RAY_BITS}, RAY = (1 << RAY_BITS) - 1;\n"
+    constants += f"    constexpr int NO_CHILD = {NO_CHILD_CONSTANT}, ORDER = {order}, NONE = {NONE}, FAR = {FAR};\n"
 
-    @wp.func_native(LISTS + constants + _FILTER_BOXES)
+    @wp.func_native(constants + BLOCK_LANES + _FILTER_BOXES)
     def filter_boxes_native(
         bounds: wp.array(dtype=float),
         children: wp.array(dtype=int),
@@ -92,12 +93,51 @@ def filter_boxes(width: int, triangle_test: str, far_first: bool) -> wp.Function
         count: int,
         keys: wp.array(dtype=int),
         row: int,
-        pairs: wp.ref[Pairs],
-        tested: wp.ref[int],
-        survivors: wp.ref[int],
+        leaves: wp.ref[wp.uint32],
     ) -> int: ...
 
     return filter_boxes_native
+
+
+_LIST_LEAVES = """
+    const int* child = &children.data[(size_t)node * W];
+    const int* list = words.data + first;
+    int leaf[L] = {}, paired = 0, j = listed;
+    for (int c = 0; c < W; ++c) { leaf[c] = child[c]; }
+    for (; j < count && paired <= PAIRS; ++j) {
+        const int word = list[j], k = word & ((1 << RAY_BITS) - 1);
+        WRT_FOR(L, i) { pairs.rays.c[paired + i] = k; }
+        paired += wrt_append(pairs.leaves.c + paired, leaf, (unsigned)word >> RAY_BITS & leaves);
+    }
+    listed = j;
+    return paired;
+"""
+
+
+@cache
+def list_leaves(width: int) -> wp.Function:
+    """`func(children, node, words, first, count, leaves, listed, pairs) -> int`: lists the pairs of a node's leaves, and of the
+    rays of its list from number `listed` on that meet them.
+
+    leaves: bits of the leaves. It stops when `pairs` may become full, and continues when it is called again. Returns the number
+    of pairs.
+    """
+
+    @wp.func_native(
+        f"{FOR_LANES}    constexpr int W = {width}, PAIRS = {PAIRS}, RAY_BITS = {RAY_BITS};{BLOCK_LANES}{_LIST_LEAVES}"
+    )
+    def list_leaves_native(
+        children: wp.array(dtype=int),
+        node: int,
+        words: wp.array(dtype=int),
+        first: int,
+        count: int,
+        leaves: wp.uint32,
+        listed: wp.ref[int],
+        pairs: wp.ref[Pairs],
+    ) -> int: ...
+
+    return list_leaves_native
 
 
 @wp.func_native(
@@ -120,6 +160,25 @@ def filter_boxes(width: int, triangle_test: str, far_first: bool) -> wp.Function
 )
 def collect_child(words: wp.array(dtype=int), first: int, count: int, lane: int) -> int:
     """Appends the rays of a list that are active in the child of a lane behind the list; returns their number."""
+    ...
+
+
+@wp.func_native(
+    LISTS
+    + """
+    const int* list = words.data + first;
+    int* to = words.data + first + count;
+    int size = 0;
+    for (int f = 0; f < count; f += L) {
+        int flag[L];
+        WRT_FOR(L, i) { flag[i] = (int)((unsigned)list[f + i] >> RAY_BITS & lanes) & (f + i < count ? -1 : 0); }
+        size += wrt_append(to + size, list + f, wrt_bits(flag));
+    }
+    return size;
+"""
+)
+def collect_words(words: wp.array(dtype=int), first: int, count: int, lanes: wp.uint32) -> int:
+    """Appends those words of a list that have one of these bits behind the list; returns their number."""
     ...
 
 

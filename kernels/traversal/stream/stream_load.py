@@ -6,11 +6,8 @@ by one or two vector stores. The per-ray data of the triangle test is included i
 other tests prepare one ray after the other. The arithmetic is that of `load_ray`, `ray_slabs` and `prepare`, to the bit.
 Figures: notebooks/records/2026-11-21-streams.md.
 
-**Rays that leave at once.** Invalid rays are not stored. For a wide BVH, the rays are tested against the children of the root
-while they are in lanes; those that meet none of them miss, and are not stored either. In open scenes and for rays from
-anywhere that is a third to four fifths of all rays, and otherwise they would be prepared, stored, and given a place in a list
-to find the same. The test is `slab_interval`, to the bit. It ends for a stream as soon as less than `WORTHWHILE` of its rays
-have left. A stream is therefore loaded from as many rays as fill it. Figures: notebooks/records/2026-11-23-root-filter.md.
+Invalid rays are not stored, so a stream is loaded from as many rays as fill it. For a wide BVH, neither are rays that meet no
+child of the root (`wrt.kernels.traversal.stream.stream_root`).
 """
 
 from functools import cache
@@ -21,21 +18,16 @@ from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
 from wrt.kernels.layout.unchecked import load_float
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
-from wrt.kernels.simd.lanes import FOR_LANES, count_bits, lane_bits, lowest_bit
+from wrt.kernels.simd.lanes import count_bits, lowest_bit
 from wrt.kernels.simd.transpose import TRANSPOSE
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, ray_words, stream_ray
+from wrt.kernels.traversal.stream.stream_lists import LISTS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 exact_module(__name__)
 
 COMMON_WORDS = 14
 """4-byte words of a `stream_ray` before the state of the triangle test: slabs, t_min, best."""
-
-PROBED = wp.constant(128)
-"""Rays of a stream that are tested against the children of the root in any case."""
-
-WORTHWHILE = wp.constant(0.25)
-"""Share of the rays that must leave the stream at the root for the test to go on."""
 
 RAYS_TO_LANES = (
     DIRECTION_LANES
@@ -65,10 +57,13 @@ RAYS_TO_LANES = (
         const wp::vec3 d = batch.directions.data[number(k, batch.direction_stride)];
         ex[k] = d.c[0]; ey[k] = d.c[1]; ez[k] = d.c[2];
     }
-    if (here == L && batch.t_min_stride) { WRT_FOR(L, k) t_min[k] = batch.t_min.data[first + k]; }
-    else WRT_SCALAR for (int k = 0; k < L; ++k) t_min[k] = batch.t_min.data[number(k, batch.t_min_stride)];
-    if (here == L && batch.t_max_stride) { WRT_FOR(L, k) longest[k] = batch.t_max.data[first + k]; }
-    else WRT_SCALAR for (int k = 0; k < L; ++k) longest[k] = batch.t_max.data[number(k, batch.t_max_stride)];
+    auto range = [&](const float* from, int stride, float* to) {
+        if (stride == 0) { const float all = from[0]; WRT_FOR(L, k) to[k] = all; }
+        else if (here == L) { WRT_FOR(L, k) to[k] = from[first + k]; }
+        else { WRT_SCALAR for (int k = 0; k < L; ++k) to[k] = from[number(k, 1)]; }
+    };
+    range(batch.t_min.data, batch.t_min_stride, t_min);
+    range(batch.t_max.data, batch.t_max_stride, longest);
     WRT_FOR(L, k) {
         float x = ex[k], y = ey[k], z = ez[k];
         wrt_direction(x, y, z);
@@ -120,6 +115,7 @@ WRT_VALID        float far = WRT_ABS(low.c[0] - px), f;
     WRT_ROOT
     const unsigned kept = wrt_bits(stored) & ((1u << here) - 1u);
     if (kept == 0) return 0;
+    WRT_LIST
     WRT_PREPARE
     if (WORDS > COMMON) { WRT_FOR(L, k) ((int*)words[WORDS - 1])[k] = place + k; }
     float* to = (float*)(stream.data + size);
@@ -128,64 +124,50 @@ WRT_VALID        float far = WRT_ABS(low.c[0] - px), f;
     return kept;
 """
 
-_ROOT = """
-    if (testing) {
-        int met[L] = {};
-        for (int c = 0; c < W; ++c) {
-            const float low_x = bounds.data[c], low_y = bounds.data[W + c], low_z = bounds.data[2 * W + c];
-            const float high_x = bounds.data[3 * W + c], high_y = bounds.data[4 * W + c], high_z = bounds.data[5 * W + c];
-            WRT_FOR(L, k) {
-                const float jx = ix[k], jy = iy[k], jz = iz[k];
-                float enter = t_min[k], leave = t[k], s;
-                s = ((jx < 0.0f ? high_x : low_x) - words[3][k]) * jx; enter = s > enter ? s : enter;
-                s = ((jy < 0.0f ? high_y : low_y) - words[4][k]) * jy; enter = s > enter ? s : enter;
-                s = ((jz < 0.0f ? high_z : low_z) - words[5][k]) * jz; enter = s > enter ? s : enter;
-                s = ((jx < 0.0f ? low_x : high_x) - words[6][k]) * jx; leave = s < leave ? s : leave;
-                s = ((jy < 0.0f ? low_y : high_y) - words[7][k]) * jy; leave = s < leave ? s : leave;
-                s = ((jz < 0.0f ? low_z : high_z) - words[8][k]) * jz; leave = s < leave ? s : leave;
-                met[k] |= enter <= leave ? -1 : 0;
-            }
-        }
-        WRT_FOR(L, k) stored[k] &= met[k];
-    }
-"""
-"""C++: clears `stored` for the rays that meet no child of the node at `bounds`."""
 
-
-@cache
-def load_lanes(triangle_test: str, width: int) -> wp.Function:
-    """`func(batch, first, count, low, high, bounds, testing, stream, size, place, own) -> bits`: loads the next rays.
+def loading(triangle_test: str, root: str = "", listing: str = "") -> str:
+    """C++ of a function `(batch, first, count, low, high, stream, size, place, own, ...) -> bits` that loads the next rays.
 
     They are the rays from `first` on, at most `count` and at most 16 of them, and `place` after the first ray of the stream.
-    Those that are valid and, if `testing`, meet a child of the root are appended to the `size` rays of the stream; their bits
-    are returned. bounds: as of `load_stream`. own: the origins and directions of the 16 rays, component by component.
+    Those that are valid are appended to the `size` rays of the stream; their bits are returned. own: the origins and directions
+    of the 16 rays, component by component.
+
+    Args:
+        triangle_test: name of the triangle test.
+        root: C++ that may clear `stored[k]`, then ray k is not stored. It finds the first `COMMON` words of the rays in
+            `words`.
+        listing: C++ for the rays that are stored, whose bits are `kept`; not carried out if there are none.
 
     Raises:
         ValueError: a ray with the state of this triangle test does not fit into one or two vectors of 16 words.
     """
     test = TRIANGLE_TESTS[triangle_test]
-    StreamRay, words, prepared = stream_ray(triangle_test), ray_words(triangle_test), bool(test.prepare_lanes)
+    words, prepared = ray_words(triangle_test), bool(test.prepare_lanes)
     if not 16 <= words <= (32 if prepared else words):
         raise ValueError(f"triangle test {triangle_test!r} needs {words} words per ray; streams store 16 to 32 words per ray")
-    constants = f"""{FOR_LANES}{TRANSPOSE}
-    constexpr int L = {LIST_LANES}, W = {width}, COMMON = {COMMON_WORDS};
-    constexpr int RAY_WORDS = {words}, WORDS = {words if prepared else COMMON_WORDS};
+    constants = f"""{LISTS}{TRANSPOSE}
+    constexpr int COMMON = {COMMON_WORDS}, RAY_WORDS = {words}, WORDS = {words if prepared else COMMON_WORDS};
     constexpr float SLACK = {SLACK!r}f;
-    {lane_bits("L")}
     """
-    code = _LOAD.replace("WRT_RAYS", RAYS_TO_LANES).replace("WRT_VALID", VALID_LANE)
-    code = code.replace("WRT_ROOT", _ROOT if width else "").replace("WRT_PREPARE", test.prepare_lanes)
+    parts = {"WRT_RAYS": RAYS_TO_LANES, "WRT_VALID": VALID_LANE, "WRT_ROOT": root, "WRT_LIST": listing}
+    code = _LOAD.replace("WRT_PREPARE", test.prepare_lanes)
+    for name, part in parts.items():
+        code = code.replace(name, part)
+    return constants + code
 
-    @wp.func_native(constants + code)
+
+@cache
+def load_lanes(triangle_test: str) -> wp.Function:
+    """`func(batch, first, count, low, high, stream, size, place, own) -> bits`: loads the next rays (`loading`)."""
+
+    @wp.func_native(loading(triangle_test))
     def load_lanes_native(
         batch: RayBatch,
         first: int,
         count: int,
         low: wp.vec3,
         high: wp.vec3,
-        bounds: wp.array(dtype=float),
-        testing: wp.bool,
-        stream: wp.array(dtype=StreamRay),
+        stream: wp.array(dtype=stream_ray(triangle_test)),
         size: int,
         place: int,
         own: wp.array(dtype=float),
@@ -224,21 +206,19 @@ def prepare_one_by_one(triangle_test: str) -> wp.Function:
 
 
 @cache
-def load_stream(triangle_test: str, room: int, width: int = 0) -> wp.Function:
-    """`wp.func(rays, begin, end, low, high, bounds, stream, size) -> count`: loads rays from `begin` on, until the stream
-    is full or ray `end` is reached.
+def load_stream(triangle_test: str, room: int) -> wp.Function:
+    """`wp.func(rays, begin, end, low, high, stream, size) -> count`: loads rays from `begin` on, until the stream is full or
+    ray `end` is reached.
 
     Returns how many rays were loaded; `size` becomes the number of those that are in the stream. The others miss.
 
     Args:
         triangle_test: name of the triangle test.
         room: of a stream, in rays.
-        width: children of a node of the wide BVH whose root the rays are tested against; 0 for none.
 
-    Args (of the function): low, high: bounds of the scene. bounds: of the tree's nodes (`wrt.kernels.layout.bvh_nodes`); any
-        array if `width` is 0.
+    Args (of the function): low, high: bounds of the scene.
     """
-    StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test, width)
+    StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test)
     prepared, own_size = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes), 6 * LIST_LANES
     prepare_kept, group = prepare_one_by_one(triangle_test), min(room, LIST_LANES)
 
@@ -249,7 +229,6 @@ def load_stream(triangle_test: str, room: int, width: int = 0) -> wp.Function:
         end: int,
         low: wp.vec3,
         high: wp.vec3,
-        bounds: wp.array(dtype=float),
         stream: wp.array(dtype=StreamRay),
         size: wp.ref[int],
     ):
@@ -257,9 +236,8 @@ def load_stream(triangle_test: str, room: int, width: int = 0) -> wp.Function:
         place = int(0)
         kept = int(0)
         while begin + place < end and kept <= wp.static(room - group):
-            testing = place < PROBED or float(place - kept) >= WORTHWHILE * float(place)
             count = wp.min(end - begin - place, wp.static(group))
-            bits = load(rays, begin + place, count, low, high, bounds, testing, stream, kept, place, own)
+            bits = load(rays, begin + place, count, low, high, stream, kept, place, own)
             if wp.static(not prepared):
                 prepare_kept(stream, kept, bits, place, own)
             place += count

@@ -33,7 +33,6 @@ from wrt.kernels.simd.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.stream import stream_bvh
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, StreamCounterRows, StreamCounters, store_stream, stream_ray
-from wrt.kernels.traversal.stream.stream_load import load_stream
 from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT, TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree, root_of
 
@@ -212,8 +211,8 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel by which streams trace a round; an item is a segment of one instance's rays."""
     StreamRay = stream_ray(config.triangle_test)
     size, trace = config.stream.rays, stream_bvh.make_trace(config)
-    load, store = load_stream(config.triangle_test, size, config.width), store_stream(config)
-    stack_size = (config.stack.levels + 1) * size + LIST_LANES
+    load, store = stream_bvh.stream_loader(config), store_stream(config)
+    key_room, stack_size = config.stack.levels * config.width, (config.stack.levels + 1) * size + LIST_LANES
 
     def streams_of_instances(
         first: int,
@@ -228,13 +227,14 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
         part = parts[placements[segment[0]].geometry]
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         words = wp.zeros(shape=(stack_size,), dtype=int)
+        keys = wp.zeros(shape=(key_room,), dtype=int)
         begin = segment[1]
         while begin < segment[2]:
             work = StreamCounters()
             kept = int(0)
-            count = load(rays, begin, segment[2], part.tree.low, part.tree.high, part.tree.bounds, stream, kept)
-            stream_bvh.list_rays(kept, words)
-            trace(part.tree, part.triangles, stream, words, kept, hits, begin, work)
+            leaves = wp.uint32(0)
+            count = load(rays, begin, segment[2], part.tree, stream, words, keys, leaves, kept)
+            trace(part.tree, part.triangles, stream, words, keys, kept, leaves, hits, begin, work)
             store(stream, kept, begin, count, hits)
             begin += count
 

@@ -1,0 +1,162 @@
+"""Leaves of a node that a stream has come to.
+
+Most leaves are tested ray by ray, against the triangles of a block (`wrt.kernels.traversal.stream.stream_pairs`). A leaf of few
+triangles leaves most lanes of a block idle. In scenes with walls and floors such leaves are the ones that most rays meet, and
+many rays of a list meet the same. So these are tested with rays in the lanes: 16 of them are read and transposed, and each
+triangle of the leaf is tested against all of them, without looking for candidates first. Where that leaves few rays for the
+others, and the CPU compacts lists by one instruction, only those are looked at. Figures:
+notebooks/records/2026-11-24-streams.md.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.bvh_nodes import WideNodes, leaf_triangles
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.lanes import lowest_bit
+from wrt.kernels.traversal.stream.stream_candidates import evaluates_in_lanes, evaluation, lane_constants
+from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, StreamCounters, round_up, stream_ray
+from wrt.kernels.traversal.stream.stream_lanes import collect_child, collect_words, list_leaves
+from wrt.kernels.traversal.stream.stream_lists import Pairs
+from wrt.kernels.traversal.stream.stream_pairs import pair_tester
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+exact_module(__name__)
+
+FEW_TRIANGLES = 4
+"""Triangles of a leaf that is tested with rays in lanes, at most."""
+
+MANY_RAYS = 32
+"""Rays of a list from which that pays."""
+
+_TEST_LEAF = """
+    const int block = ~leaf >> 6, triangles = ~leaf & 63;
+    int* const owner = words.data + begin;
+    // the last vector is filled up: a list has room for so many beyond its end
+    WRT_UNROLLED for (int i = 0; i < L; ++i) owner[count + i] = owner[0];
+    for (int first = 0; first < count; first += L) {
+        alignas(64) float words[WORDS][L], corner[9][L];
+        float t[L], u[L], v[L];
+        int primitive[L], near[L];
+        const float* from[L];
+        WRT_SCALAR for (int i = 0; i < L; ++i) from[i] = (const float*)(rays.data + owner[first + i]);
+        wrt_read(from, 0, words[0]);
+        wrt_read(from, WORDS - 16, words[WORDS - 16]);
+        for (int k = 0; k < triangles; ++k) {
+            const int id = primitives.data[block * WIDTH + k];
+            const float* record = &records.data[(size_t)block * (COMPONENTS * WIDTH) + k];
+            for (int c = 0; c < 9; ++c) { const float x = record[c * WIDTH]; WRT_FOR_LANES(i) { corner[c][i] = x; } }
+            WRT_FOR_LANES(i) { primitive[i] = id; }
+            EVALUATE
+        }
+    }
+"""
+
+
+@cache
+def leaf_in_lanes(config: TraversalConfig) -> wp.Function:
+    """`func(records, primitives, rays, words, begin, count, leaf)`: tests the rays words[begin .. begin + count - 1] against
+    all triangles of a leaf of one block. leaf: a child word of `wrt.kernels.layout.bvh_nodes`."""
+    StreamRay, code = stream_ray(config.triangle_test), _TEST_LEAF.replace("EVALUATE", evaluation(config))
+
+    @wp.func_native(lane_constants(config) + code)
+    def test_leaf_native(
+        records: wp.array(dtype=float),
+        primitives: wp.array(dtype=int),
+        rays: wp.array(dtype=StreamRay),
+        words: wp.array(dtype=int),
+        begin: int,
+        count: int,
+        leaf: int,
+    ): ...
+
+    return test_leaf_native
+
+
+@cache
+def small_leaf_tester(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, stream, words, begin, size, node, leaves, work) -> leaves`: tests the leaves of few triangles,
+    if the list is long; arguments as of `leaf_tester`. Returns the bits of the leaves that remain."""
+    StreamRay, test_leaf = stream_ray(config.triangle_test), leaf_in_lanes(config)
+    width, counting = config.width, config.counters
+
+    @wp.func
+    def test_small_leaves(
+        tree: WideNodes,
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        words: wp.array(dtype=int),
+        begin: int,
+        size: int,
+        node: int,
+        leaves: wp.uint32,
+        work: wp.ref[StreamCounters],
+    ):
+        large = wp.uint32(leaves)
+        left = wp.where(size >= wp.static(MANY_RAYS), leaves, wp.uint32(0))
+        while left != wp.uint32(0):
+            lane = lowest_bit(left)
+            left = left & (left - wp.uint32(1))
+            leaf = load_int(tree.child, node * wp.static(width) + lane)
+            if leaf_triangles(leaf) <= wp.static(FEW_TRIANGLES):
+                large = large & ~(wp.uint32(1) << wp.uint32(lane))
+                met = collect_child(words, begin, size, lane)
+                test_leaf(triangles.records, triangles.primitive, stream, words, begin + size, met, leaf)
+                if wp.static(counting):
+                    work.leaves += met
+                    work.triangles += met * leaf_triangles(leaf)
+                    work.intersection_slots += round_up(met) * leaf_triangles(leaf)
+                    work.intersection_active += met * leaf_triangles(leaf)
+        return large
+
+    return test_small_leaves
+
+
+@cache
+def leaf_tester(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, stream, words, begin, size, node, leaves, pairs, hits, first_ray, work)`: tests the leaves of a
+    node.
+
+    words[begin .. begin + size - 1]: the node's list, which says what children a ray meets; the words behind it are written.
+    leaves: bits of the leaves that a ray meets. hits, first_ray: as `wrt.kernels.traversal.stream.stream_pairs.pair_tester` has
+    them.
+    """
+    StreamRay, list_pairs, test_pairs = stream_ray(config.triangle_test), list_leaves(config.width), pair_tester(config)
+    in_lanes = evaluates_in_lanes(config) and config.width >= FEW_TRIANGLES
+    test_small, compacts = small_leaf_tester(config) if in_lanes else None, config.width >= LIST_LANES
+
+    @wp.func
+    def test_leaves(
+        tree: WideNodes,
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        words: wp.array(dtype=int),
+        begin: int,
+        size: int,
+        node: int,
+        leaves: wp.uint32,
+        pairs: wp.ref[Pairs],
+        hits: wp.ref[HitBatch],
+        first_ray: int,
+        work: wp.ref[StreamCounters],
+    ):
+        left = wp.uint32(leaves)
+        if wp.static(in_lanes):
+            left = test_small(tree, triangles, stream, words, begin, size, node, left, work)
+        first = int(begin)
+        count = int(size)
+        if wp.static(compacts):  # noqa: SIM102 (Warp leaves out whole branches only)
+            if left != wp.uint32(0):
+                first = begin + size
+                count = collect_words(words, begin, size, left)
+        listed = int(0)
+        while listed < count and left != wp.uint32(0):
+            paired = list_pairs(tree.child, node, words, first, count, left, listed, pairs)
+            if paired > 0:
+                test_pairs(triangles, stream, pairs, paired, hits, first_ray, work)
+
+    return test_leaves

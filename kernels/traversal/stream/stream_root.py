@@ -1,0 +1,203 @@
+"""Streams of a wide BVH, loaded with the list of its root.
+
+**Problem.** Many rays meet no child of the root: in open scenes, for rays from anywhere, and for short rays, a third to four
+fifths of them. They would be prepared, stored and listed to find the same. The others are read again for the first node that
+they visit.
+
+**Idea.** While 16 rays are in lanes to be loaded (`wrt.kernels.traversal.stream.stream_load`), they are tested against the
+children of the root, one child after the other. Rays that meet none are not stored. For the others the result is what the
+filter of a node writes (`wrt.kernels.traversal.stream.stream_lanes`): their words, and keys. The arithmetic is that of
+`wrt.kernels.simd.boxes.slab_interval`, to the bit.
+
+Nodes below the root are filtered ray by ray: with their rays in lanes, reading and transposing these takes as long as it saves.
+Figures: notebooks/records/2026-11-24-streams.md.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, WideNodes
+from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
+from wrt.kernels.simd.lanes import count_bits
+from wrt.kernels.simd.row_maxima import row_maxima
+from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, stream_ray
+from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE
+from wrt.kernels.traversal.stream.stream_lists import LISTS
+from wrt.kernels.traversal.stream.stream_load import loading, prepare_one_by_one
+from wrt.kernels.triangle import TRIANGLE_TESTS
+
+exact_module(__name__)
+
+_TEST = """
+    int met[L] = {};
+    for (unsigned left = used; left; left &= left - 1u) {
+        const int c = wrt_lowest_bit(left);
+        const float low_x = bounds.data[c], low_y = bounds.data[W + c], low_z = bounds.data[2 * W + c];
+        const float high_x = bounds.data[3 * W + c], high_y = bounds.data[4 * W + c], high_z = bounds.data[5 * W + c];
+        WRT_FOR(L, k) {
+            const float jx = ix[k], jy = iy[k], jz = iz[k];
+            float enter = t_min[k], leave = t[k], s;
+            s = ((jx < 0.0f ? high_x : low_x) - words[3][k]) * jx; enter = s > enter ? s : enter;
+            s = ((jy < 0.0f ? high_y : low_y) - words[4][k]) * jy; enter = s > enter ? s : enter;
+            s = ((jz < 0.0f ? high_z : low_z) - words[5][k]) * jz; enter = s > enter ? s : enter;
+            s = ((jx < 0.0f ? low_x : high_x) - words[6][k]) * jx; leave = s < leave ? s : leave;
+            s = ((jy < 0.0f ? low_y : high_y) - words[7][k]) * jy; leave = s < leave ? s : leave;
+            s = ((jz < 0.0f ? low_z : high_z) - words[8][k]) * jz; leave = s < leave ? s : leave;
+            met[k] |= enter <= leave ? 1 << c : 0;
+            if (ORDER != NONE) {
+                const float own = ((enter <= leave) & (stored[k] != 0)) ? (ORDER == NEAR ? -enter : enter) : -WRT_INFINITY;
+                last[c * L + k] = own > last[c * L + k] ? own : last[c * L + k];
+            }
+        }
+    }
+    WRT_FOR(L, k) { met[k] &= stored[k]; any[k] |= met[k]; stored[k] = met[k]; }
+"""
+
+_LIST = """
+    int word[L];
+    WRT_FOR(L, k) word[k] = (int)((unsigned)met[k] << RAY_BITS);
+    int* listed = list.data + size;
+    wrt_append(listed, word, kept);
+    WRT_FOR(L, k) listed[k] |= size + k;
+"""
+
+_BEGIN = """
+    unsigned used = 0;
+    for (int c = 0; c < W; ++c) used |= children.data[c] != EMPTY ? 1u << c : 0u;
+    if (ORDER != NONE) { WRT_FOR(W * L, k) last[k] = -WRT_INFINITY; }
+    WRT_FOR(L, k) any[k] = 0;
+    return used;
+"""
+
+_END = """
+    unsigned reached = 0, leaves = 0;
+    for (int k = 0; k < L; ++k) reached |= (unsigned)any[k];
+    for (int c = 0; c < W; ++c) leaves |= children.data[c] < 0 ? 1u << c : 0u;
+    float greatest[W];
+MAXIMA
+    for (int c = 0; c < W; ++c) {
+        const int entry = ORDER == NONE ? 0 : __builtin_bit_cast(int, ORDER == NEAR ? -greatest[c] : greatest[c]);
+        const int key = ((ORDER == FAR ? 0x7f7fffff - entry : entry) & -W) | c;
+        keys.data[c] = (reached & ~leaves) >> c & 1u ? key : NO_CHILD;
+    }
+    return reached & leaves;
+"""
+
+
+def _head(width: int, order: int) -> str:
+    """C++: what the functions of a root have in common, after `LISTS`. last: for each child, the greatest t, or the greatest
+    -t, at which the rays of a lane enter it; any: bits of the children that they meet."""
+    return f"""
+    constexpr int W = {width}, EMPTY = {int(EMPTY_LANE)}, NO_CHILD = {NO_CHILD_CONSTANT};
+    constexpr int ORDER = {order}, NONE = {NONE}, NEAR = {NEAR}, FAR = {FAR};
+    float* last = lanes.data;
+    int* any = (int*)(lanes.data + W * L);
+    """
+
+
+@cache
+def begin_root(width: int, order: int) -> wp.Function:
+    """`func(children, lanes) -> used`: before the first rays of a stream; returns the bits of the root's children."""
+
+    @wp.func_native(LISTS + _head(width, order) + _BEGIN)
+    def begin_native(children: wp.array(dtype=int), lanes: wp.array(dtype=float)) -> wp.uint32: ...
+
+    return begin_native
+
+
+@cache
+def end_root(width: int, order: int) -> wp.Function:
+    """`func(children, lanes, keys) -> leaves`: after the last rays of a stream; writes the keys of the root's children, and
+    returns the bits of the leaves that a ray meets."""
+    rows = [f"(last + {c * LIST_LANES})" for c in range(width)]
+    code = _END.replace("MAXIMA", "" if order == NONE else row_maxima(rows, LIST_LANES, "greatest"))
+
+    @wp.func_native(LISTS + _head(width, order) + code)
+    def end_native(children: wp.array(dtype=int), lanes: wp.array(dtype=float), keys: wp.array(dtype=int)) -> wp.uint32: ...
+
+    return end_native
+
+
+@cache
+def load_lanes(triangle_test: str, width: int, order: int) -> wp.Function:
+    """`func(batch, first, count, low, high, stream, size, place, own, bounds, used, list, lanes) -> bits`: loads the next rays
+    (`wrt.kernels.traversal.stream.stream_load.loading`) and lists those that meet a child of the root; only they are stored.
+
+    bounds: of the tree's nodes. used: bits of the root's children. list: words of the rays of the stream. lanes: see `_head`.
+    """
+
+    @wp.func_native(loading(triangle_test, _head(width, order) + _TEST, _LIST))
+    def load_native(
+        batch: RayBatch,
+        first: int,
+        count: int,
+        low: wp.vec3,
+        high: wp.vec3,
+        stream: wp.array(dtype=stream_ray(triangle_test)),
+        size: int,
+        place: int,
+        own: wp.array(dtype=float),
+        bounds: wp.array(dtype=float),
+        used: wp.uint32,
+        list: wp.array(dtype=int),
+        lanes: wp.array(dtype=float),
+    ) -> wp.uint32: ...
+
+    return load_native
+
+
+@cache
+def load_root(triangle_test: str, room: int, width: int, order: int) -> wp.Function:
+    """`wp.func(rays, begin, end, tree, stream, list, keys, leaves, size) -> count`: loads rays from `begin` on, until the
+    stream is full or ray `end` is reached.
+
+    Returns how many rays were loaded; `size` becomes the number of those that are in the stream. The others miss.
+
+    Args:
+        triangle_test: name of the triangle test.
+        room: of a stream, in rays.
+        width: children of a node.
+        order: of the children of a node: `NONE`, `NEAR` or `FAR`.
+
+    Args (of the function): list: becomes the list of the root, a word for each ray of the stream, in order; `LIST_LANES` words
+        beyond it are written, too. keys: of the root's children, W ints. leaves: becomes the bits of the root's leaves that a
+        ray meets.
+    """
+    StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test, width, order)
+    prepared, own_size, lanes_size = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes), 6 * LIST_LANES, (width + 1) * LIST_LANES
+    prepare_kept, group = prepare_one_by_one(triangle_test), min(room, LIST_LANES)
+    begin_list, end_list = begin_root(width, order), end_root(width, order)
+
+    @wp.func
+    def load_rays(
+        rays: RayBatch,
+        begin: int,
+        end: int,
+        tree: WideNodes,
+        stream: wp.array(dtype=StreamRay),
+        list: wp.array(dtype=int),
+        keys: wp.array(dtype=int),
+        leaves: wp.ref[wp.uint32],
+        size: wp.ref[int],
+    ):
+        own = wp.zeros(shape=(own_size,), dtype=float)
+        lanes = wp.zeros(shape=(lanes_size,), dtype=float)
+        place = int(0)
+        kept = int(0)
+        used = begin_list(tree.child, lanes)
+        while begin + place < end and kept <= wp.static(room - group):
+            first = begin + place
+            count = wp.min(end - first, wp.static(group))
+            bits = load(rays, first, count, tree.low, tree.high, stream, kept, place, own, tree.bounds, used, list, lanes)
+            if wp.static(not prepared):
+                prepare_kept(stream, kept, bits, place, own)
+            place += count
+            kept += count_bits(bits)
+        leaves = end_list(tree.child, lanes, keys)  # noqa: F841 (a reference)
+        size = kept  # noqa: F841 (a reference)
+        return place
+
+    return load_rays
