@@ -113,8 +113,6 @@ class HitBatch:
     """Number of hits of each ray, including those that did not fit."""
     room: int
     begins: wp.array(dtype=int)
-    beside_caches: wp.bool
-    """Whether closest hits may be stored past the caches: they would not fit."""
 
 
 @wp.func

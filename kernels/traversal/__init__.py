@@ -69,6 +69,7 @@ class Traversal:
         kernels: config -> kernel for each supported tree kind: "kdtree", "bvh" or "none" (all triangles).
         rays_per_item: config -> number of consecutive rays that one item of the kernel traces; the last item may have fewer.
         packets: whether rays are traced in packets: `packet` of the config applies.
+        non_temporal: whether `packet.non_temporal` of the config applies, in scenes of one level.
         packet_vectors: vectors of rays of a packet, where the traversal determines it; 0 if it depends on the query.
         needs_shared_origin: whether all rays of a batch must start at the same point.
         front_faces: whether it can cull back faces, though it does not answer every query.
@@ -100,6 +101,7 @@ class Traversal:
     kernels: Mapping[str, Callable[[TraversalConfig], wp.Kernel]]
     rays_per_item: Callable[[TraversalConfig], int] = one_ray
     packets: bool = False
+    non_temporal: bool = False
     packet_vectors: int = 0
     needs_shared_origin: bool = False
     front_faces: bool = False
@@ -198,6 +200,7 @@ TRAVERSALS: dict[str, Traversal] = {
             packet_kernel.rays_per_item,
             long_items=True,
             packets=True,
+            non_temporal=True,
             mailbox=True,
             orders=(AS_GIVEN, CELLS, TILES),
             two_level={"bvh": NEAREST_QUERIES},
@@ -307,6 +310,7 @@ TRAVERSALS: dict[str, Traversal] = {
             packet_kernel.rays_per_item,
             long_items=True,
             packets=True,
+            non_temporal=True,
             wide=True,
             orders=(AS_GIVEN, TILES),
             score=score_wide_packet,

@@ -57,11 +57,13 @@ class PacketConfig:
         rays: rays per packet, a multiple of the width.
         shared_origin: whether all rays of the batch start at the same point.
         culling: key in `wrt.kernels.traversal.packet.CULLINGS`.
+        non_temporal: whether closest hits are written by non-temporal stores (`Traversal.non_temporal`).
     """
 
     rays: int = 64
     shared_origin: bool = False
     culling: str = "interval"
+    non_temporal: bool = False
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from wrt.kernels.traversal.traversal_config import (
 FAMILIES = {
     ("single", "bvh"): {"stack": StackConfig(24, 64)},
     ("single", "kdtree"): {"single": SingleConfig(pair_words=3, scalar_test=True, compact=2)},
-    ("packet", "bvh"): {"packet": PacketConfig(16, True, "none"), "stack": StackConfig(24, 64)},
+    ("packet", "bvh"): {"packet": PacketConfig(16, True, "none", True), "stack": StackConfig(24, 64)},
     ("mlrta", "kdtree"): {"tiles": TileConfig(2, 8, 3)},
     ("stream", "bvh"): {"stream": StreamConfig(256)},
 }

@@ -18,7 +18,7 @@ from wrt.kernels.traversal.traversal_config import (
     TraversalConfig,
 )
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.state.query_kinds import ALL, ANY, COUNT
+from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT
 from wrt.state.wide_trees import wide_tree
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ class Plan:
         reason: why the traversal was chosen.
         packet: rays of a packet; 1 if every ray is traced on its own.
         culling: key in `wrt.kernels.traversal.packet.CULLINGS`; empty without packets.
+        non_temporal: whether packets write closest hits by non-temporal stores, past the caches.
         stream: rays of a stream; 1 without streams.
         mailbox: key in `wrt.kernels.traversal.mailbox.MAILBOXES`; "none" for trees that store each triangle in one leaf.
         reorder: the order in which rays are traced (`wrt.kernels.query.ordering.ray_order`): "none", as given; "cells", by cell
@@ -58,6 +59,7 @@ class Plan:
     reason: str
     packet: int = 1
     culling: str = ""
+    non_temporal: bool = False
     stream: int = 1
     mailbox: str = "none"
     reorder: str = "none"
@@ -72,6 +74,8 @@ class Plan:
         parts = [self.accelerator, self.traversal]
         if self.packet > 1:
             parts += [f"packets of {self.packet}", f"{self.culling} culling"]
+        if self.non_temporal:
+            parts.append("non-temporal stores")
         if self.stream > 1:
             parts.append(f"streams of {self.stream}")
         if self.mailbox != "none":
@@ -124,7 +128,8 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
     """The specialisation of the traversal that carries out a plan."""
     traversal, families = traversal_of(plan), {}
     if traversal.packets:
-        families["packet"] = PacketConfig(plan.packet, plan.shared_origin, plan.culling)
+        non_temporal = plan.non_temporal and traversal.non_temporal and query == CLOSEST and not scene.instances
+        families["packet"] = PacketConfig(plan.packet, plan.shared_origin, plan.culling, non_temporal)
     if traversal.streams:
         families["stream"] = StreamConfig(plan.stream)
     if traversal.walks_boxes(plan.accelerator) or (scene.only_single and traversal.walks_tree):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Hashable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from wrt.kernels.compilation.cache_size import l3_bytes
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS, Traversal
 from wrt.kernels.traversal.packet import CULLINGS
@@ -52,6 +54,11 @@ streams. On CUDA, a thread traces a stream and holds its rays in local memory.
 """
 
 STREAMS_PER_THREAD = 4
+
+HIT_BYTES = 16
+"""Bytes of a closest hit: t, primitive, u and v. Hits of half of the last-level cache or more are written by non-temporal
+stores (notebooks/records/2026-11-24-streams.md).
+"""
 
 MIN_RAYS_TO_REORDER = 1 << 16
 """Smallest batch whose rays are sorted before tracing."""
@@ -162,6 +169,8 @@ def choose_plan(
         options["stream"] = stream_size(scene, rays, chosen)
     if traversal == AUTO or "tiles" in chosen.orders:
         options["reorder"] = choose_order(scene, rays, chosen, test)
+    if chosen.non_temporal and options["reorder"] != "tiles":
+        options["non_temporal"] = fills_caches(scene, rays, query)
     return Plan(
         accelerator=accelerator,
         traversal=chosen.name,
@@ -271,6 +280,12 @@ def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, te
         if score > best and fits(culling, traversal, kind, test):
             best, name = score, culling.name
     return name
+
+
+def fills_caches(scene: SceneState, rays: RayBuffers, query: str) -> bool:
+    """Whether closest hits take so much of the last-level cache that whoever reads them finds few there."""
+    has_stores = scene.is_cpu and platform.machine().lower() in ("x86_64", "amd64")
+    return has_stores and query == CLOSEST and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
 
 
 def choose_order(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:

@@ -9,7 +9,6 @@ import numpy as np
 import warp as wp
 
 from wrt.host_arrays import HostArray, write_flat
-from wrt.kernels.compilation.cache_size import l3_bytes
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.memory import empty, empty_host, keep_alive
 from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT, FEW_RAYS
@@ -26,15 +25,6 @@ CLOSEST_HITS = ("t", "primitive", "uv")
 
 BLOCK = {"uv": 0, "t": 8, "primitive": 12}
 """Where each array of closest hits begins in a block of 16 bytes a ray, in bytes a ray."""
-
-
-BYTES_OF_A_HIT = 16
-
-
-def beside_caches(count: int) -> bool:
-    """Whether closest hits of so many rays are stored past the caches: they take half of the last one or more, and what reads
-    them finds few of them there (notebooks/records/2026-11-24-streams.md)."""
-    return 2 * BYTES_OF_A_HIT * count >= l3_bytes()
 
 
 class DeviceHits:
@@ -131,7 +121,6 @@ class DeviceHits:
             if (array := getattr(self, name)) is not None:
                 setattr(batch, name, array)
         batch.room = self.room
-        batch.beside_caches = beside_caches(self.count)
         if self.begins is not None:
             batch.begins = self.begins
         return batch
@@ -142,7 +131,6 @@ class DeviceHits:
             field = getattr(arguments, name)
             field.data = self._address(name)
             field.shape[0] = self.count
-        arguments.beside_caches = beside_caches(self.count)
 
     def point_to(self, struct: Any, names: Sequence[str]) -> None:
         """Writes the addresses of some arrays into the packed form of a struct that has such fields, and keeps them alive with

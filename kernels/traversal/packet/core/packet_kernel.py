@@ -23,7 +23,7 @@ from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes, lanes_tes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
-from wrt.kernels.traversal.packet.rays.packet_store import fetch_hits, finish_stores, store_lines, store_packet
+from wrt.kernels.traversal.packet.rays.packet_store import fetch_hits, finish_stores, store_packet
 from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
 from wrt.kernels.traversal.packet.rays.reversed_bounds import reverse_bounds
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
@@ -255,11 +255,6 @@ def trace_packet(
     return trace_unsplit if config.packet.shared_origin else trace_parts(config, Tree, trace_unsplit, reverses)
 
 
-MANY_VECTORS = 4
-"""Vectors of a packet from which its hits may be stored past the caches: of dense rays, many of which are traced at a time.
-Other packets would be 2 to 4 % slower for the question (notebooks/records/2026-11-24-streams.md)."""
-
-
 @cache
 def packet_step(
     config: TraversalConfig,
@@ -269,7 +264,6 @@ def packet_step(
     mixed_axes: int,
     reversible: bool = False,
     later: bool = False,
-    finished: bool = False,
 ) -> wp.Function:
     """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: traces the packet at `begin`.
 
@@ -285,13 +279,11 @@ def packet_step(
         mixed_axes: greatest number of axes with both signs for which a packet is traversed as a whole.
         reversible: whether the walk may see the rays from their ends (`reversed_bounds`).
         later: whether the walk calls `finish_packet` before its first test.
-        finished: whether the kernel calls `finish_stores` after the packets of an item.
     """
     layout, parts, culling = packet_layout(config), not config.packet.shared_origin, CULLINGS[config.packet.culling]
     load = load_packet(layout, culling.slopes, later, reverses_bounds(config, reversible))
-    any_hit = config.query == ANY
-    fetch, store, store_beside = fetch_hits(layout), store_packet(layout, any_hit), store_lines(layout)
-    beside = finished and not any_hit and layout.rays >= MANY_VECTORS * layout.width
+    store, fetch = store_packet(layout, config.query == ANY, config.packet.non_temporal), fetch_hits(layout)
+    fetches = config.query != ANY and not config.packet.non_temporal
     single_rays, counting = trace_single_rays(config, Tree, walk_ray), config.counters
     trace = trace_packet(config, Tree, walk_packet, mixed_axes, reversible)
 
@@ -309,17 +301,12 @@ def packet_step(
         work: wp.ref[Counters],
     ):
         bounds = PacketBounds()
-        if wp.static(not any_hit):
+        if wp.static(fetches):
             fetch(rays, begin, hits)
         load(rays, begin, tree.low, tree.high, packet, bounds)
         completed = trace(tree, below, triangles, packet, memory, bounds, work)
         if completed or wp.static(parts):  # left-over rays are stored again when they are traced
-            stored = bool(False)
-            if wp.static(beside):  # noqa: SIM102 (Warp leaves out whole branches only)
-                if hits.beside_caches:
-                    stored = store_beside(packet, rays, begin, hits)
-            if not stored:
-                store(packet, rays, begin, hits)
+            store(packet, rays, begin, hits)
         if not completed:
             single_rays(tree, triangles, rays, begin, packet, hits, counters, work)
         elif wp.static(counting):
@@ -341,8 +328,8 @@ def make_packet_kernel(
     later: bool = False,
 ) -> wp.Kernel:
     """The kernel for one specialisation; memory_size: ints of memory for a walk; the other arguments as in `packet_step`."""
-    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later, finished=True)
-    packet_rays, size, any_hit = config.packet.rays, packet_layout(config).size, config.query == ANY
+    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later)
+    packet_rays, size, non_temporal = config.packet.rays, packet_layout(config).size, config.packet.non_temporal
 
     def packet_traversal(
         first: int,
@@ -360,7 +347,7 @@ def make_packet_kernel(
             work = Counters()
             step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)
             begin += wp.static(packet_rays)
-        if wp.static(not any_hit):
-            finish_stores(hits)
+        if wp.static(non_temporal):
+            finish_stores()
 
     return specialised_kernel(packet_traversal)

@@ -1,9 +1,8 @@
 """Writes the results of a packet to a batch of hits.
 
-A store first fetches the line that it writes to, which takes time before and room in the caches after. Packets of consecutive
-rays write whole lines. So the lines are fetched ahead, or, if the hits would not fit into the caches anyway
-(`HitBatch.beside_caches`), written past them. Figures: notebooks/records/2026-11-23-packet-ends.md,
-notebooks/records/2026-11-24-streams.md.
+A store fetches the cache line that it writes to. Packets of consecutive rays write whole lines, so these are fetched ahead; or,
+if the hits would not stay in the caches anyway (`PacketConfig.non_temporal`), written by non-temporal stores, which fetch
+nothing. Figures: notebooks/records/2026-11-23-packet-ends.md, notebooks/records/2026-11-24-streams.md.
 """
 
 from functools import cache
@@ -33,71 +32,57 @@ _STORE = """
 """
 
 
-@cache
-def store_packet(layout: PacketLayout, any_hit: bool) -> wp.Function:
-    """`wp.func(packet, rays, first, hits)`: writes the hits of the P rays that `load_packet` loaded."""
-    constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
-
-    @wp.func_native(layout.head + constant + NUMBERS + _STORE)
-    def store_packet_native(packet: wp.array(dtype=float), rays: wp.ref[RayBatch], first: int, hits: wp.ref[HitBatch]): ...
-
-    return store_packet_native
-
-
 LINE = 16
 """Words of a cache line."""
 
 _STORE_LINES = """
 #if defined(__x86_64__) && defined(__clang__) && !defined(__CUDA_ARCH__)
-    const int* found = (const int*)primitive;
-    float *t_out = hits.t.data + first, *uv_out = (float*)(hits.uv.data + first);
-    int* primitive_out = hits.primitive.data + first;
-    const bool lines = (((size_t)t_out | (size_t)primitive_out | (size_t)uv_out) & 63) == 0;
-    if (P % LINE != 0 || rays.columns > 0 || rays.count - first < P || !lines) return false;
-    typedef float wrt_line __attribute__((ext_vector_type(LINE)));
-    typedef int wrt_line_of_ints __attribute__((ext_vector_type(LINE)));
-    // not inlined, so that it is out of the way of smaller batches
-    auto store_all = [](const float* t, const float* u, const float* v, const int* found, float* t_out, int* primitive_out,
-                        float* uv_out) __attribute__((noinline)) {
+    float *t_to = hits.t.data + first, *uv_to = (float*)(hits.uv.data + first);
+    int* primitive_to = hits.primitive.data + first;
+    if (P % LINE == 0 && whole && !picture && (((size_t)t_to | (size_t)primitive_to | (size_t)uv_to) & 63) == 0) {
+        typedef float wrt_line __attribute__((ext_vector_type(LINE)));
+        typedef int wrt_line_of_ints __attribute__((ext_vector_type(LINE)));
         for (int j = 0; j < P; j += LINE) {
-            wrt_line distances, first, second;
+            wrt_line distances, second, third;
             wrt_line_of_ints ids;
-            __builtin_memcpy(&distances, t + j, sizeof(distances)); __builtin_memcpy(&ids, found + j, sizeof(ids));
-            __builtin_memcpy(&first, u + j, sizeof(first)); __builtin_memcpy(&second, v + j, sizeof(second));
-            distances = ids < 0 ? (wrt_line)(__builtin_bit_cast(float, 0x7f800000)) : distances;
-            __builtin_nontemporal_store(distances, (wrt_line*)(t_out + j));
-            __builtin_nontemporal_store(ids, (wrt_line_of_ints*)(primitive_out + j));
-            __builtin_nontemporal_store(__builtin_shufflevector(first, second, LOW), (wrt_line*)(uv_out + 2 * j));
-            __builtin_nontemporal_store(__builtin_shufflevector(first, second, HIGH), (wrt_line*)(uv_out + 2 * j + LINE));
+            __builtin_memcpy(&distances, t + j, sizeof(distances)); __builtin_memcpy(&ids, primitive + j, sizeof(ids));
+            __builtin_memcpy(&second, u + j, sizeof(second)); __builtin_memcpy(&third, v + j, sizeof(third));
+            distances = ids < 0 ? (wrt_line)(INF) : distances;
+            __builtin_nontemporal_store(distances, (wrt_line*)(t_to + j));
+            __builtin_nontemporal_store(ids, (wrt_line_of_ints*)(primitive_to + j));
+            __builtin_nontemporal_store(__builtin_shufflevector(second, third, LOW), (wrt_line*)(uv_to + 2 * j));
+            __builtin_nontemporal_store(__builtin_shufflevector(second, third, HIGH), (wrt_line*)(uv_to + 2 * j + LINE));
         }
-    };
-    store_all(t, u, v, found, t_out, primitive_out, uv_out);
-    return true;
-#else
-    return false;
+        return;
+    }
 #endif
 """
+"""C++ that writes closest hits by non-temporal stores and returns, if they are whole cache lines."""
 
 
 @cache
-def store_lines(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, rays, first, hits) -> bool`: writes closest hits as `store_packet` does, but past the caches; False, and
-    nothing written, if they are not whole cache lines. `finish_stores` has to follow."""
+def store_packet(layout: PacketLayout, any_hit: bool, non_temporal: bool = False) -> wp.Function:
+    """`wp.func(packet, rays, first, hits)`: writes the hits of the P rays that `load_packet` loaded.
 
-    pairs = [f"{k}, {LINE + k}" for k in range(LINE)]
-    code = _STORE_LINES.replace("LOW", ", ".join(pairs[: LINE // 2])).replace("HIGH", ", ".join(pairs[LINE // 2 :]))
+    non_temporal: whether closest hits are written by non-temporal stores, where they are whole cache lines; the kernel has to
+    call `finish_stores` after the last of them.
+    """
+    constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
+    if non_temporal and not any_hit:
+        pairs = [f"{k}, {LINE + k}" for k in range(LINE)]  # of u and v, alternately
+        lines = _STORE_LINES.replace("LOW", ", ".join(pairs[: LINE // 2])).replace("HIGH", ", ".join(pairs[LINE // 2 :]))
+    else:
+        lines = ""
 
-    @wp.func_native(f"{layout.head}    constexpr int LINE = {LINE};\n{code}")
-    def store_lines_native(
-        packet: wp.array(dtype=float), rays: wp.ref[RayBatch], first: int, hits: wp.ref[HitBatch]
-    ) -> wp.bool: ...
+    @wp.func_native(f"{layout.head}    constexpr int LINE = {LINE};\n{constant}{NUMBERS}{lines}{_STORE}")
+    def store_packet_native(packet: wp.array(dtype=float), rays: RayBatch, first: int, hits: HitBatch): ...
 
-    return store_lines_native
+    return store_packet_native
 
 
 _FETCH_HITS = """
 #if !defined(__CUDA_ARCH__)
-    if (!whole || picture || hits.beside_caches) return;
+    if (!whole || picture) return;
     auto fetch_to_write = [](void* data, int bytes) {
         WRT_UNROLLED for (int b = 0; b < bytes; b += 64) __builtin_prefetch((char*)data + b, 1);
     };
@@ -114,18 +99,18 @@ def fetch_hits(layout: PacketLayout) -> wp.Function:
     wait for memory."""
 
     @wp.func_native(layout.constants + NUMBERS + _FETCH_HITS)
-    def fetch_hits_native(rays: wp.ref[RayBatch], first: int, hits: wp.ref[HitBatch]): ...
+    def fetch_hits_native(rays: RayBatch, first: int, hits: HitBatch): ...
 
     return fetch_hits_native
 
 
 @wp.func_native("""
 #if defined(__x86_64__) && defined(__clang__) && !defined(__CUDA_ARCH__)
-    if (hits.beside_caches) __builtin_ia32_sfence();
+    __builtin_ia32_sfence();
 #endif
 """)
-def finish_stores(hits: HitBatch):
-    """Hits that an item has stored past the caches are there for whoever learns that the item is done."""
+def finish_stores():
+    """Orders non-temporal stores before all later stores: whoever learns that the item is done then finds its hits."""
     ...
 
 
