@@ -16,7 +16,7 @@ from wrt.kernels.traversal.stream.stream_lanes import (
     FAR,
     NEAR,
     NONE,
-    collect_child,
+    collect_words,
     filter_boxes,
     filter_hits,
     filter_plane,
@@ -111,7 +111,7 @@ def loops(order: int) -> wp.Kernel:
             lists.answers[i, 0] = total
             lists.answers[i, 1] = survivors
             lists.answers[i, 2] = wp.int(leaves)
-            lists.answers[i, 3] = collect_child(words, 0, survivors, i % wp.static(width))
+            lists.answers[i, 3] = collect_words(words, 0, survivors, wp.uint32(1) << wp.uint32(i % wp.static(width)))
             lists.answers[i, 4] = following(keys, 0, keys[(i + 1) % wp.static(width)])
 
     return wp.kernel(run, **OPTIONS)
@@ -296,7 +296,7 @@ def test_boxes(lists, plain, order, device):
         np.testing.assert_array_equal(pairs[i, : answers[i, 0]], np.reshape(expected, (-1, 2)))
         of_children = bit_sum(met)
         kept = (of_children << RAY_BITS | listed)[of_children > 0].astype(np.int32)
-        active = listed[met[:, i % width]]
+        active = (of_children << RAY_BITS | listed)[met[:, i % width]].astype(np.int32)
         row = expected_keys(enter[i, listed], met, leaf, order)
         following = min(row[row > row[(i + 1) % width]], default=NO_CHILD_CONSTANT)
         counts = len(kept), bit_sum(met.any(axis=0) & leaf), len(active), following

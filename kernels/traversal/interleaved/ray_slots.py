@@ -206,7 +206,6 @@ _PUSH_UNORDERED = """
             const int word = stacks[slot.top];
 """
 
-
 _START_ORDERED = "words[inners] = 0; listed[inners++] = place;"
 
 _START_UNORDERED = """
@@ -215,6 +214,7 @@ _START_UNORDERED = """
         slot.top += wrt_count_bits(mask) - 1;
         const int word = stacks[slot.top], leaf = word < 0 ? 1 : 0;
         wrt_fetch_node(word);
+        ++visited;  // the root
         words[inners] = word; listed[inners] = place; inners += 1 - leaf;
         outer_words[outers] = word; outer[outers] = place; outers += leaf;
 """

@@ -40,8 +40,8 @@ from wrt.kernels.traversal.stream.stream_kernel import (
     store_stream,
     stream_ray,
 )
-from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE, collect_child, filter_boxes, next_child
-from wrt.kernels.traversal.stream.stream_leaves import leaf_tester
+from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE, collect_words, filter_boxes, next_child
+from wrt.kernels.traversal.stream.stream_leaves import NodeList, leaf_tester
 from wrt.kernels.traversal.stream.stream_lists import Pairs
 from wrt.kernels.traversal.stream.stream_root import load_root
 from wrt.kernels.traversal.traversal_config import ANY, COUNT, TraversalConfig
@@ -95,18 +95,17 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         sizes = wp.zeros(shape=(levels,), dtype=int)
         lasts = wp.zeros(shape=(levels,), dtype=int)
         pairs = Pairs()
-        met_leaves = wp.uint32(leaves)
+        list = NodeList()
+        list.size = rays
+        list.leaves = leaves
         level = int(0)
-        node = int(0)
-        begin = int(0)
-        size = int(rays)
         if wp.static(counting):
             work.nodes += rays
         while level >= 0:
-            test_leaves(tree, triangles, stream, words, begin, size, node, met_leaves, pairs, hits, first_ray, work)
-            store_int(path, level, node)
-            store_int(begins, level, begin)
-            store_int(sizes, level, size)
+            test_leaves(tree, triangles, stream, words, list, pairs, hits, first_ray, work)
+            store_int(path, level, list.node)
+            store_int(begins, level, list.begin)
+            store_int(sizes, level, list.size)
             store_int(lasts, level, BELOW_ALL_KEYS)
             incoming = int(0)
             while level >= 0 and incoming == 0:
@@ -114,21 +113,23 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                 if key != NO_CHILD:
                     lane = key & wp.static(width - 1)
                     store_int(lasts, level, key)
-                    node = load_int(tree.child, load_int(path, level) * wp.static(width) + lane)
-                    incoming = collect_child(words, begin, size, lane)
+                    list.node = load_int(tree.child, load_int(path, level) * wp.static(width) + lane)
+                    incoming = collect_words(words, list.begin, list.size, wp.uint32(1) << wp.uint32(lane))
                     if wp.static(counting):
-                        work.traversal_slots += round_up(size)
-                        work.traversal_active += size
+                        work.traversal_slots += round_up(list.size)
+                        work.traversal_active += list.size
                 else:
                     level -= 1
                     if level >= 0:
-                        begin = load_int(begins, level)
-                        size = load_int(sizes, level)
+                        list.begin = load_int(begins, level)
+                        list.size = load_int(sizes, level)
             if incoming > 0:
                 level += 1
-                begin += size
+                list.begin += list.size
                 row = level * wp.static(width)
-                size = filter_list(tree.bounds, tree.child, node, stream, words, begin, incoming, keys, row, met_leaves)
+                list.size = filter_list(
+                    tree.bounds, tree.child, list.node, stream, words, list.begin, incoming, keys, row, list.leaves
+                )
                 if wp.static(counting):
                     work.nodes += incoming
 

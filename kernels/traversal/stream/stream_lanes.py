@@ -147,29 +147,6 @@ def list_leaves(width: int) -> wp.Function:
     int* to = words.data + first + count;
     int size = 0;
     for (int f = 0; f < count; f += L) {
-        int ray[L], flag[L];
-        WRT_FOR(L, i) {
-            const int word = list[f + i];
-            ray[i] = word & RAY;
-            flag[i] = (word >> (RAY_BITS + lane) & 1) & (f + i < count ? 1 : 0);
-        }
-        size += wrt_append(to + size, ray, wrt_bits(flag));
-    }
-    return size;
-"""
-)
-def collect_child(words: wp.array(dtype=int), first: int, count: int, lane: int) -> int:
-    """Appends the rays of a list that are active in the child of a lane behind the list; returns their number."""
-    ...
-
-
-@wp.func_native(
-    LISTS
-    + """
-    const int* list = words.data + first;
-    int* to = words.data + first + count;
-    int size = 0;
-    for (int f = 0; f < count; f += L) {
         int flag[L];
         WRT_FOR(L, i) { flag[i] = (int)((unsigned)list[f + i] >> RAY_BITS & lanes) & (f + i < count ? -1 : 0); }
         size += wrt_append(to + size, list + f, wrt_bits(flag));
@@ -178,7 +155,10 @@ def collect_child(words: wp.array(dtype=int), first: int, count: int, lane: int)
 """
 )
 def collect_words(words: wp.array(dtype=int), first: int, count: int, lanes: wp.uint32) -> int:
-    """Appends those words of a list that have one of these bits behind the list; returns their number."""
+    """Appends those words of a list whose rays are active in one of these children behind the list; returns their number.
+
+    lanes: bits of the children.
+    """
     ...
 
 

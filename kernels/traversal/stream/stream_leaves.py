@@ -19,7 +19,7 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lowest_bit
 from wrt.kernels.traversal.stream.stream_candidates import evaluates_in_lanes, evaluation, lane_constants
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, StreamCounters, round_up, stream_ray
-from wrt.kernels.traversal.stream.stream_lanes import collect_child, collect_words, list_leaves
+from wrt.kernels.traversal.stream.stream_lanes import collect_words, list_leaves
 from wrt.kernels.traversal.stream.stream_lists import Pairs
 from wrt.kernels.traversal.stream.stream_pairs import pair_tester
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -36,6 +36,7 @@ MANY_RAYS = 32
 _TEST_LEAF = """
     const int block = ~leaf >> 6, triangles = ~leaf & 63;
     int* const owner = words.data + begin;
+    WRT_FOR(count, i) owner[i] &= RAY;
     // the last vector is filled up: a list has room for so many beyond its end
     WRT_UNROLLED for (int i = 0; i < L; ++i) owner[count + i] = owner[0];
     for (int first = 0; first < count; first += L) {
@@ -59,8 +60,9 @@ _TEST_LEAF = """
 
 @cache
 def leaf_in_lanes(config: TraversalConfig) -> wp.Function:
-    """`func(records, primitives, rays, words, begin, count, leaf)`: tests the rays words[begin .. begin + count - 1] against
-    all triangles of a leaf of one block. leaf: a child word of `wrt.kernels.layout.bvh_nodes`."""
+    """`func(records, primitives, rays, words, begin, count, leaf)`: tests the rays of a list against all triangles of a
+    leaf of one block. words[begin .. begin + count - 1]: the list, of whose words only the rays' numbers remain. leaf: a child
+    word of `wrt.kernels.layout.bvh_nodes`."""
     StreamRay, code = stream_ray(config.triangle_test), _TEST_LEAF.replace("EVALUATE", evaluation(config))
 
     @wp.func_native(lane_constants(config) + code)
@@ -77,10 +79,23 @@ def leaf_in_lanes(config: TraversalConfig) -> wp.Function:
     return test_leaf_native
 
 
+@wp.struct
+class NodeList:
+    """The list of a node."""
+
+    node: int
+    begin: int
+    """Where it begins in the stack of words; what is behind it may be written."""
+    size: int
+    """Number of its words."""
+    leaves: wp.uint32
+    """Bits of the leaves that a ray meets."""
+
+
 @cache
 def small_leaf_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, words, begin, size, node, leaves, work) -> leaves`: tests the leaves of few triangles,
-    if the list is long; arguments as of `leaf_tester`. Returns the bits of the leaves that remain."""
+    """`wp.func(tree, triangles, stream, words, list, work) -> leaves`: tests the leaves of few triangles, if the list is long;
+    arguments as of `leaf_tester`. Returns the bits of the leaves that remain."""
     StreamRay, test_leaf = stream_ray(config.triangle_test), leaf_in_lanes(config)
     width, counting = config.width, config.counters
 
@@ -90,22 +105,20 @@ def small_leaf_tester(config: TraversalConfig) -> wp.Function:
         triangles: TriangleBlocks,
         stream: wp.array(dtype=StreamRay),
         words: wp.array(dtype=int),
-        begin: int,
-        size: int,
-        node: int,
-        leaves: wp.uint32,
+        list: NodeList,
         work: wp.ref[StreamCounters],
     ):
-        large = wp.uint32(leaves)
-        left = wp.where(size >= wp.static(MANY_RAYS), leaves, wp.uint32(0))
+        large = wp.uint32(list.leaves)
+        left = wp.where(list.size >= wp.static(MANY_RAYS), list.leaves, wp.uint32(0))
+        behind = list.begin + list.size
         while left != wp.uint32(0):
             lane = lowest_bit(left)
             left = left & (left - wp.uint32(1))
-            leaf = load_int(tree.child, node * wp.static(width) + lane)
+            leaf = load_int(tree.child, list.node * wp.static(width) + lane)
             if leaf_triangles(leaf) <= wp.static(FEW_TRIANGLES):
                 large = large & ~(wp.uint32(1) << wp.uint32(lane))
-                met = collect_child(words, begin, size, lane)
-                test_leaf(triangles.records, triangles.primitive, stream, words, begin + size, met, leaf)
+                met = collect_words(words, list.begin, list.size, wp.uint32(1) << wp.uint32(lane))
+                test_leaf(triangles.records, triangles.primitive, stream, words, behind, met, leaf)
                 if wp.static(counting):
                     work.leaves += met
                     work.triangles += met * leaf_triangles(leaf)
@@ -118,12 +131,10 @@ def small_leaf_tester(config: TraversalConfig) -> wp.Function:
 
 @cache
 def leaf_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, words, begin, size, node, leaves, pairs, hits, first_ray, work)`: tests the leaves of a
-    node.
+    """`wp.func(tree, triangles, stream, words, list, pairs, hits, first_ray, work)`: tests the leaves of the node of a
+    `NodeList`.
 
-    words[begin .. begin + size - 1]: the node's list, which says what children a ray meets; the words behind it are written.
-    leaves: bits of the leaves that a ray meets. hits, first_ray: as `wrt.kernels.traversal.stream.stream_pairs.pair_tester` has
-    them.
+    words: the stack of words. hits, first_ray: as `wrt.kernels.traversal.stream.stream_pairs.pair_tester` has them.
     """
     StreamRay, list_pairs, test_pairs = stream_ray(config.triangle_test), list_leaves(config.width), pair_tester(config)
     in_lanes = evaluates_in_lanes(config) and config.width >= FEW_TRIANGLES
@@ -135,27 +146,24 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
         triangles: TriangleBlocks,
         stream: wp.array(dtype=StreamRay),
         words: wp.array(dtype=int),
-        begin: int,
-        size: int,
-        node: int,
-        leaves: wp.uint32,
+        list: NodeList,
         pairs: wp.ref[Pairs],
         hits: wp.ref[HitBatch],
         first_ray: int,
         work: wp.ref[StreamCounters],
     ):
-        left = wp.uint32(leaves)
+        left = wp.uint32(list.leaves)
         if wp.static(in_lanes):
-            left = test_small(tree, triangles, stream, words, begin, size, node, left, work)
-        first = int(begin)
-        count = int(size)
+            left = test_small(tree, triangles, stream, words, list, work)
+        first = int(list.begin)
+        count = int(list.size)
         if wp.static(compacts):  # noqa: SIM102 (Warp leaves out whole branches only)
             if left != wp.uint32(0):
-                first = begin + size
-                count = collect_words(words, begin, size, left)
+                first = list.begin + list.size
+                count = collect_words(words, list.begin, list.size, left)
         listed = int(0)
         while listed < count and left != wp.uint32(0):
-            paired = list_pairs(tree.child, node, words, first, count, left, listed, pairs)
+            paired = list_pairs(tree.child, list.node, words, first, count, left, listed, pairs)
             if paired > 0:
                 test_pairs(triangles, stream, pairs, paired, hits, first_ray, work)
 

@@ -1,8 +1,7 @@
 """Streams of a wide BVH, loaded with the list of its root.
 
-**Problem.** Many rays meet no child of the root: in open scenes, for rays from anywhere, and for short rays, a third to four
-fifths of them. They would be prepared, stored and listed to find the same. The others are read again for the first node that
-they visit.
+**Problem.** In open scenes, many rays from anywhere and many short rays meet no child of the root. They would be prepared,
+stored and listed to find the same. The others would be read again for the first node that they visit.
 
 **Idea.** While 16 rays are in lanes to be loaded (`wrt.kernels.traversal.stream.stream_load`), they are tested against the
 children of the root, one child after the other. Rays that meet none are not stored. For the others the result is what the
