@@ -3,8 +3,7 @@
 Most leaves are tested ray by ray, against the triangles of a block (`wrt.kernels.traversal.stream.stream_pairs`). A leaf of few
 triangles leaves most lanes of a block idle. In scenes with walls and floors such leaves are the ones that most rays meet, and
 many rays of a list meet the same. So these are tested with rays in the lanes: 16 of them are read and transposed, and each
-triangle of the leaf is tested against all of them, without looking for candidates first. Where that leaves few rays for the
-others, and the CPU compacts lists by one instruction, only those are looked at. Figures:
+triangle of the leaf is tested against all of them, without looking for candidates first. Figures:
 notebooks/records/2026-11-24-streams.md.
 """
 
@@ -18,7 +17,7 @@ from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lowest_bit
 from wrt.kernels.traversal.stream.stream_candidates import evaluates_in_lanes, evaluation, lane_constants
-from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, StreamCounters, round_up, stream_ray
+from wrt.kernels.traversal.stream.stream_kernel import StreamCounters, round_up, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import collect_words, list_leaves
 from wrt.kernels.traversal.stream.stream_lists import Pairs
 from wrt.kernels.traversal.stream.stream_pairs import pair_tester
@@ -138,7 +137,7 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
     """
     StreamRay, list_pairs, test_pairs = stream_ray(config.triangle_test), list_leaves(config.width), pair_tester(config)
     in_lanes = evaluates_in_lanes(config) and config.width >= FEW_TRIANGLES
-    test_small, compacts = small_leaf_tester(config) if in_lanes else None, config.width >= LIST_LANES
+    test_small = small_leaf_tester(config) if in_lanes else None
 
     @wp.func
     def test_leaves(
@@ -155,16 +154,12 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
         left = wp.uint32(list.leaves)
         if wp.static(in_lanes):
             left = test_small(tree, triangles, stream, words, list, work)
-        first = int(list.begin)
-        count = int(list.size)
-        if wp.static(compacts):  # noqa: SIM102 (Warp leaves out whole branches only)
-            if left != wp.uint32(0):
-                first = list.begin + list.size
-                count = collect_words(words, list.begin, list.size, left)
-        listed = int(0)
-        while listed < count and left != wp.uint32(0):
-            paired = list_pairs(tree.child, list.node, words, first, count, left, listed, pairs)
-            if paired > 0:
+        if left != wp.uint32(0):
+            behind = list.begin + list.size
+            met = collect_words(words, list.begin, list.size, left)
+            listed = int(0)
+            while listed < met:
+                paired = list_pairs(tree.child, list.node, words, behind, met, left, listed, pairs)
                 test_pairs(triangles, stream, pairs, paired, hits, first_ray, work)
 
     return test_leaves
