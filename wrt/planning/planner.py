@@ -170,7 +170,7 @@ def choose_plan(
     if traversal == AUTO or "tiles" in chosen.orders:
         options["reorder"] = choose_order(scene, rays, chosen, test)
     if chosen.non_temporal and options["reorder"] != "tiles":
-        options["non_temporal"] = writes_past_caches(scene, rays, query)
+        options["non_temporal"] = stores_past_caches(scene, rays, query)
     return Plan(
         accelerator=accelerator,
         traversal=chosen.name,
@@ -282,8 +282,8 @@ def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, te
     return name
 
 
-def writes_past_caches(scene: SceneState, rays: RayBuffers, query: str) -> bool:
-    """Whether packets write closest hits by non-temporal stores: they are so many that who reads them finds few in a cache."""
+def stores_past_caches(scene: SceneState, rays: RayBuffers, query: str) -> bool:
+    """Whether packets write closest hits by non-temporal stores: so many that few of them would be in a cache when read."""
     has_stores = scene.is_cpu and platform.machine().lower() in ("x86_64", "amd64")
     return has_stores and query == CLOSEST and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
 
