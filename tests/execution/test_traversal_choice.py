@@ -141,7 +141,7 @@ def test_choices_of_a_culling(triangle_test):
     """Cullings by vertices need a test without hits beside the triangle; frusta at leaves need boxes, and sparse rays. Where
     pairs are filtered, dense rays do without."""
     test = TRIANGLE_TESTS[triangle_test]
-    filtered = bool(test.packet_form.filter)
+    filtered = bool(test.packet_form.pairs)
     packets = [way for way in TRAVERSALS.values() if way.packets]
     for way, kind, count, shared in product(packets, ("bvh", "kdtree", "instances bvh"), (999, 1000, 100_000), (False, True)):
         scene, rays = make_scene(kind, 500, False, False, 0.0), make_rays(count, True, shared)

@@ -272,10 +272,10 @@ def is_dense(scene: SceneState, rays: RayBuffers, least: float) -> bool:
 
 def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:
     """Name of the culling with the best score among those that fit."""
-    least = limits_for(scene.width).rough if test.packet_form.filter else ROUGH_RAYS_PER_TRIANGLE
+    least = limits_for(scene.width).rough if test.packet_form.pairs else ROUGH_RAYS_PER_TRIANGLE
     dense, kind, best, name = is_dense(scene, rays, least), scene.accelerator.kind, 0.0, ""
     for culling in CULLINGS.values():
-        dense_score, sparse_score = culling.filtered_scores if test.packet_form.filter else culling.scores
+        dense_score, sparse_score = culling.filtered_scores if test.packet_form.pairs else culling.scores
         score = dense_score if dense else sparse_score
         if score > best and fits(culling, traversal, kind, test):
             best, name = score, culling.name

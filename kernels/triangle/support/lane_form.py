@@ -40,6 +40,29 @@ PACKET_VALUES = {
 
 
 @dataclass(frozen=True)
+class PairForm:
+    """W rays x a triangle for each: pieces of C++ with vectors (`wrt.kernels.simd.vectors`), for Clang on the CPU.
+
+    Free variables: those of `PacketForm` but `k` and `i`; `f` is the first of the W rays, `pass` the current pass. Lanes of
+    `vi` masks are 0 or -1.
+
+    Attributes:
+        rays: once, before all pairs.
+        axes: for each pass.
+        may_meet: for the triangle at `corner`, as of `PacketForm`, and the rays from f on: declares `vi may_meet`, 0 only where
+            the ray's line certainly misses the triangle.
+        test: for the rays from f on and the lanes `which` of a block, where `paired` is not 0. Row c of the block's vertices is
+            `corners[c]`, less the origin if it is `SHARED`. Declares `vi inside`, the lanes whose line meets the triangle, and
+            `vf at, hit_u, hit_v`; executes `continue` if there are none.
+    """
+
+    rays: str
+    axes: str
+    may_meet: str
+    test: str
+
+
+@dataclass(frozen=True)
 class PacketForm:
     """W rays x one triangle: pieces of C++ that `wrt.kernels.traversal.packet` puts into its lane loops.
 
@@ -56,10 +79,9 @@ class PacketForm:
         inside: for the W rays from f on; declares `int inside[W]`, nonzero where the ray's line meets the triangle, and
             executes `continue` if no line meets it.
         hit: per ray, sets `at`, `hit_u`, `hit_v`.
-        filter: per ray, sets `may_meet`, false only if its line certainly misses the triangle; cheaper than `inside`, and
-            without branches. Empty for a test without it.
         ray: for the single ray k; sets the members of `ray`, the struct that the test's `prepare` returns, which `block_test`
             reads.
+        pairs: the same test for rays that have a triangle each; None for a test without it.
     """
 
     state: tuple[str, ...]
@@ -69,7 +91,7 @@ class PacketForm:
     inside: str
     hit: str
     ray: str
-    filter: str = ""
+    pairs: PairForm | None = None
 
 
 @dataclass(frozen=True)

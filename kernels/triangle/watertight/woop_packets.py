@@ -3,6 +3,7 @@ for bit."""
 
 from wrt.kernels.triangle.support.lane_form import PacketForm
 from wrt.kernels.triangle.watertight.woop_areas import AREAS_SIZE, IS_THIN, PRECISE_AREAS
+from wrt.kernels.triangle.watertight.woop_pairs import PAIRS
 
 PACKET = PacketForm(
     state=("shear_z",),
@@ -84,18 +85,6 @@ PACKET = PacketForm(
                     hit_u = area_b[i] * scale;
                     hit_v = area_c[i] * scale;
     """,
-    filter="""
-                    const float ox = SHARED ? from_x0 : from_x[k], oy = SHARED ? from_y0 : from_y[k],
-                                oz = SHARED ? from_z0 : from_z[k];
-                    const float pz = az - oz, qz = bz - oz, rz = cz - oz, sx = slope_x[k], sy = slope_y[k];
-                    const float px = (ax - ox) - sx * pz, qx = (bx - ox) - sx * qz, rx = (cx - ox) - sx * rz;
-                    const float py = (ay - oy) - sy * pz, qy = (by - oy) - sy * qz, ry = (cy - oy) - sy * rz;
-                    const float a = rx * qy - ry * qx, b = px * ry - py * rx, c = qx * py - qy * px;
-                    // of three areas, 0 < c and 0 > a: which comparisons of NaN leave to the exact test
-                    const float less = a < b ? a : b, more = a < b ? b : a, rest = more < c ? more : c;
-                    const float least = less < c ? less : c, most = more > c ? more : c, middle = less > rest ? less : rest;
-                    const bool may_meet = ((!((least < 0.0f) & (most > 0.0f))) | (middle == 0.0f)) & (axis[k] == z);
-    """,
     ray="""
     const float* origins[3] = {origin_x, origin_y, origin_z};
     ray.z = ((const int*)main_axis)[k]; ray.x = ray.z == 2 ? 0 : ray.z + 1; ray.y = ray.x == 2 ? 0 : ray.x + 1;
@@ -103,5 +92,6 @@ PACKET = PacketForm(
     for (int a = 0; a < 3; ++a) ray.origin.c[a] = SHARED ? origin0[axes[a]] : origins[axes[a]][k];
     ray.shear = wp::vec3(slope_x[k], slope_y[k], shear_z[k]);
     """,
+    pairs=PAIRS,
 )
 """W rays x one triangle: the same arithmetic, with one pass for each main axis that occurs among the rays."""

@@ -1,10 +1,7 @@
 """The rays of a packet against the triangles of a block, W rays x one triangle at a time.
 
-**Filter.** Whether any of W rays meets a triangle is hard to predict, and a branch that is mispredicted waits for all of the
-arithmetic before it. So all triangles are tested first by signs alone, without branches: what the CPU does for one overlaps
-with the next. Only the pairs of a triangle and W rays that may meet are then tested in full. Rays through one point take linear
-functions of their slopes (`edge_functions`), others the test's own areas (`PacketForm.filter`)
-(notebooks/records/2026-11-23-packet-loading.md, notebooks/records/2026-11-23-edge-functions.md).
+Tests that have the form for it (`PacketForm.pairs`) take the triangles for each ray on the CPU instead
+(`wrt.kernels.traversal.packet.core.packet_pairs`).
 """
 
 from functools import cache
@@ -14,7 +11,8 @@ import warp as wp
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.leaf import FRONT
-from wrt.kernels.traversal.packet.culling.edge_functions import COEFFICIENTS, CONVERGING, EDGES, MACROS, MEETS
+from wrt.kernels.traversal.packet.core.packet_pairs import pairs_code
+from wrt.kernels.traversal.packet.culling.edge_functions import MACROS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
@@ -23,54 +21,7 @@ from wrt.kernels.triangle.support.record_blocks import vertex_box
 
 exact_module(__name__)
 
-LEAST_FILTERED = 2
-"""Triangles of a block from which they are filtered: a single one that is left of a block is mostly hit."""
-
-MOST_VECTORS = 32
-"""Greatest number of vectors of a packet whose pairs with triangles are filtered: the bits of a word."""
-
-_VECTORS = """
-                unsigned vectors = 0u;
-                WRT_UNROLLED for (int f = 0; f < P; f += W) {
-                    int some = 0;
-                    WRT_FOR_LANES(i) {
-                        const int k = f + i;
-                        WRT_MEETS
-                        some |= (may_meet & (t[k] >= t_min[k])) ? 1 : 0;
-                    }
-                    vectors |= (unsigned)(some != 0) << f / W;
-                }
-                meeting[lane] |= vectors;
-                met |= (unsigned)(vectors != 0u) << lane;
-"""
-
-_FILTER = f"""
-    unsigned meeting[W];  // of each triangle: a bit for each W rays some of which may meet it
-    const bool filtered = wrt_count_bits(mask) >= {LEAST_FILTERED};
-    for (int i = 0; i < W; ++i) meeting[i] = filtered ? 0u : ~0u >> ({MOST_VECTORS} - P / W);
-    if (filtered) {{
-        unsigned met = 0u;{CONVERGING}
-        if (converging) {{{EDGES}
-            for (unsigned left = mask; left; left &= left - 1u) {{
-                const int lane = wrt_lowest_bit(left);{COEFFICIENTS}{_VECTORS.replace("WRT_MEETS", MEETS)}
-            }}
-        }} else {{
-            WRT_UNROLLED for (int pass = 0; pass < PASSES; ++pass) {{
-                if (PASSES > 1 && !(bounds.passes >> pass & 1)) continue;
-                for (unsigned left = mask; left; left &= left - 1u) {{
-                    const int lane = wrt_lowest_bit(left);
-                    const float* corner = &records.data[(size_t)block * (RECORD * W) + lane];
-                    WRT_TRIANGLE{_VECTORS.replace("WRT_MEETS", "WRT_MAY_MEET")}
-                }}
-            }}
-        }}
-        mask = met;
-    }}
-"""
-
 _BLOCK = """
-    int* found = (int*)primitive;
-    WRT_FILTER
     for (; mask; mask &= mask - 1u) {
         const int lane = wrt_lowest_bit(mask), id = ids.data[block * W + lane];
         const float* corner = &records.data[(size_t)block * (RECORD * W) + lane];
@@ -80,7 +31,7 @@ _BLOCK = """
         WRT_UNROLLED for (int pass = 0; pass < PASSES; ++pass) {
             if (PASSES > 1 && !(bounds.passes >> pass & 1)) continue;
             WRT_TRIANGLE
-            WRT_VECTORS
+            for (int f = 0; f < P; f += W) {
                 WRT_INSIDE
                 WRT_FOR_LANES(i) {
                     const int k = f + i;
@@ -107,7 +58,6 @@ _BLOCK = """
             }
         }
     }
-    WRT_SHORTEN
 """
 
 SHORTEN = """
@@ -129,14 +79,6 @@ _NORMAL = "double normal[3]; wrt_normal(corner, W, normal);"
 _FACES = " & wrt_front(normal, ix, iy, iz)"
 
 
-_ALL_VECTORS = """
-            for (int f = 0; f < P; f += W) {"""
-
-_SOME_VECTORS = """
-            for (unsigned vectors = meeting[lane]; vectors; vectors &= vectors - 1u) {
-                const int f = wrt_lowest_bit(vectors) * W;"""
-
-
 def block_constants(layout: PacketLayout, any_hit: bool, cull_backfaces: bool = False) -> str:
     """C++ for the head of a function that contains `block_code`, after the constants of the layout."""
     passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
@@ -149,15 +91,15 @@ def block_code(layout: PacketLayout, cull_backfaces: bool = False) -> str:
     """C++ of `test_block`: its variables have the names of that function's parameters and of the packet's components."""
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     pieces = {"WRT_TRIANGLE": form.triangle, "WRT_INSIDE": form.inside, "WRT_HIT": form.hit, "WRT_SLABS": SLABS}
-    pieces["WRT_SHORTEN"] = SHORTEN
-    pieces["WRT_BOX"] = vertex_box("corner", "0")
-    pieces |= {"WRT_NORMAL": _NORMAL, "WRT_FACES": _FACES} if cull_backfaces else {"WRT_NORMAL": "", "WRT_FACES": ""}
-    filtered = bool(form.filter) and layout.rays // layout.width <= MOST_VECTORS
-    body = _BLOCK.replace("WRT_FILTER", _FILTER if filtered else "")
-    pieces |= {"WRT_MAY_MEET": form.filter, "WRT_VECTORS": _SOME_VECTORS if filtered else _ALL_VECTORS}
+    pieces |= {"WRT_BOX": vertex_box("corner", "0"), "WRT_FACES": _FACES if cull_backfaces else ""}
+    pieces["WRT_NORMAL"] = _NORMAL if cull_backfaces else ""
+    body = _BLOCK
     for name, piece in pieces.items():
         body = body.replace(name, piece)
-    return SHARED_ORIGIN + body
+    if form.pairs:
+        pairs = pairs_code(form.pairs, layout.width, cull_backfaces)
+        body = f"#if defined(__clang__) && !defined(__CUDA_ARCH__)\n{pairs}\n#else\n{body}\n#endif\n"
+    return f"{SHARED_ORIGIN}    int* found = (int*)primitive;\n{body}{SHORTEN}"
 
 
 @cache

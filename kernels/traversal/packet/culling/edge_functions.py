@@ -71,20 +71,17 @@ EDGES = f"""
 """C++: the coefficients of the W triangles of a block and their bounds e."""
 
 MEETS = """
-                        const float sx = slope_x[k], sy = slope_y[k];
-                        const float a = WRT_LINEAR(a0, a1, a2), b = WRT_LINEAR(b0, b1, b2), c = WRT_LINEAR(c0, c1, c2);
-                        const float less = a < b ? a : b, more = a < b ? b : a;
-                        const float least = less < c ? less : c, most = more > c ? more : c;
-                        const bool may_meet = !((least < -error) & (most > error));
+                    const vf sx = load(slope_x + f), sy = load(slope_y + f);
+                    const vf a = sum_of_product(sx, (vf)a1, sum_of_product(sy, (vf)a2, (vf)a0));
+                    const vf b = sum_of_product(sx, (vf)b1, sum_of_product(sy, (vf)b2, (vf)b0));
+                    const vf c = sum_of_product(sx, (vf)c1, sum_of_product(sy, (vf)c2, (vf)c0));
+                    const vf less = a < b ? a : b, more = a < b ? b : a;
+                    const vf least = less < c ? less : c, most = more > c ? more : c;
+                    const vi may_meet = ~((least < -error) & (most > error));
 """
-"""C++: whether ray k may meet the triangle of coefficients a0 .. c2."""
+"""C++: which of the rays from f on may meet the triangle of coefficients a0 .. c2."""
 
 MACROS = """
-#if (defined(__FMA__) || defined(__ARM_FEATURE_FMA)) && defined(__clang__) && !defined(__CUDA_ARCH__)
-#define WRT_LINEAR(w0, w1, w2) __builtin_fmaf(sx, w1, __builtin_fmaf(sy, w2, w0))
-#else
-#define WRT_LINEAR(w0, w1, w2) (sx * (w1) + (sy * (w2) + (w0)))
-#endif
 #define WRT_WIDER(value) size = WRT_ABS(value) > size ? WRT_ABS(value) : size;
 #define WRT_EDGE(n, to, from, at) \\
     ex = to##x - from##x; ey = to##y - from##y; ez = to##z - from##z; \\
@@ -92,8 +89,7 @@ MACROS = """
     vx = at##x - from_x; vy = at##y - from_y; vz = at##z - from_z; \\
     edges[n][i] = ex * vy - ey * vx; edges[n + 1][i] = ey * vz - ez * vy; edges[n + 2][i] = ez * vx - ex * vz;
 """
-"""C++ of `WRT_LINEAR(w0, w1, w2)`, which is w0 + w1 sx + w2 sy, and of `WRT_EDGE(n, to, from, at)`: the normal of the plane
-through the point and the edge, whose vertex is `at`."""
+"""C++ of `WRT_EDGE(n, to, from, at)`: the normal of the plane through the point and the edge, whose vertex is `at`."""
 
 COEFFICIENTS = """
                 const float a0 = edges[0][lane], a1 = edges[1][lane], a2 = edges[2][lane], b0 = edges[3][lane];
