@@ -16,7 +16,7 @@ import wrt
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import CACHE_LINE
 from wrt.kernels.simd.boxes import SLACK, RaySlabs, clamp_to_box, ray_slabs, reach
-from wrt.kernels.traversal.packet.core import packet_block as packet_block
+from wrt.kernels.traversal.packet.leaves import packet_block
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet

@@ -5,15 +5,15 @@ functions do whose bits it gives: each operation is that of the scalar function,
 is W vectors of three components.
 """
 
+from wrt.kernels.simd.lane_vectors import vector_words
+
 
 def lane_words(width: int) -> str:
     """C++: types and functions for `width` lanes, a power of two up to 16. Needs `W`, an int constant of that value."""
-    return _TYPES + _moves(width) + _NUMBERS
+    return vector_words(width) + _TYPES + _moves(width) + _NUMBERS
 
 
 _TYPES = """
-    typedef float vf __attribute__((ext_vector_type(W)));
-    typedef int vi __attribute__((ext_vector_type(W)));
     typedef unsigned vu __attribute__((ext_vector_type(W)));
     typedef double vd __attribute__((ext_vector_type(W)));
     struct V3 {
@@ -39,11 +39,6 @@ _TYPES = """
     auto pick_ints = [](vi mask, vi a, vi b) { return mask ? a : b; };
     auto as_float = [](vi a) { return __builtin_convertvector(a, vf); };
     auto is_any = [](vi mask) { return __builtin_reduce_or(mask) != 0; };
-    auto bits_of = [](vi mask) {
-        unsigned bits = 0;
-        for (int i = 0; i < W; ++i) bits |= mask[i] ? 1u << i : 0u;
-        return bits;
-    };
     auto for_each_value = [&](vi values, vi lanes, auto act) {  // act(value, its lanes)
         while (is_any(lanes)) {
             const int value = values[__builtin_ctz(bits_of(lanes))];
@@ -155,9 +150,6 @@ def _moves(width: int) -> str:
         distance *= 2
 
     return f"""
-    auto load = [](const void* from) {{ vf v; __builtin_memcpy(&v, from, sizeof(v)); return v; }};
-    auto load_ints = [](const void* from) {{ vi v; __builtin_memcpy(&v, from, sizeof(v)); return v; }};
-    auto save = [](void* to, auto v) {{ __builtin_memcpy(to, &v, sizeof(v)); }};
     auto load3 = [&](const wp::vec3* from) {{
         const vf a = load(from), b = load((const float*)from + W), c = load((const float*)from + 2 * W);
         return V3{{{component(0)},

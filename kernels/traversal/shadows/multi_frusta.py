@@ -41,8 +41,8 @@ from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.boxes import SLACK
-from wrt.kernels.traversal.packet.core.packet_block import block_code, block_constants
 from wrt.kernels.traversal.packet.culling.interval_culling import BOXES, TRIANGLES
+from wrt.kernels.traversal.packet.leaves.packet_block import block_code, block_constants
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS

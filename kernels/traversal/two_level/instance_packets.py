@@ -26,11 +26,11 @@ from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.packet.core import occluder_cache as occluder
 from wrt.kernels.traversal.packet.core import packet_bvh as packet
 from wrt.kernels.traversal.packet.core import packet_splitting
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, ray_continuation, rays_per_item, trace_packet
 from wrt.kernels.traversal.packet.culling.interval_culling import cull_boxes
+from wrt.kernels.traversal.packet.leaves import occluder_cache as occluder
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
 from wrt.kernels.traversal.single.single_bvh import make_walk

@@ -41,7 +41,7 @@ PACKET_VALUES = {
 
 @dataclass(frozen=True)
 class PairForm:
-    """W rays x a triangle for each: pieces of C++ with vectors (`wrt.kernels.simd.vectors`), for Clang on the CPU.
+    """W rays x a triangle for each: pieces of C++ with vectors (`wrt.kernels.simd.lane_vectors`), for Clang on the CPU.
 
     Free variables: those of `PacketForm` but `k` and `i`; `f` is the first of the W rays, `pass` the current pass. Lanes of
     `vi` masks are 0 or -1.

@@ -1,5 +1,5 @@
 """The watertight test (`wrt.kernels.triangle.watertight.woop`) for packets: W rays, each with a triangle of its own, in vectors
-(`wrt.kernels.simd.vectors`), with the same results bit for bit.
+(`wrt.kernels.simd.lane_vectors`), with the same results bit for bit.
 
 Areas of 0 are recomputed only for rays that the signs leave inside: the sign of an area that is not 0 is exact, so that a ray
 with areas of both signs is outside whatever a third area is.

@@ -16,8 +16,8 @@ import warp as wp
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step
-from wrt.kernels.traversal.packet.core.packet_block import SHORTEN
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout
+from wrt.kernels.traversal.packet.leaves.packet_block import SHORTEN
 from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout

@@ -7,7 +7,7 @@ meets the child's box: one step for all rays, W children at a time. At a leaf th
 a time, and only then are rays tested, W at a time against each remaining triangle (Wald et al. 2001 for rays in lanes; Reshetov
 et al. 2005 for large packets). The rest of a level is dropped once its nearest child lies beyond the farthest of the rays' best
 hits. Leaves that few rays meet are tested ray by ray (`few_active_rays`). Any-hit packets start at the leaf that occluded the
-last packet (`wrt.kernels.traversal.packet.core.occluder_cache`).
+last packet (`wrt.kernels.traversal.packet.leaves.occluder_cache`).
 
 **Diverging rays.** Rays of a packet need not share an origin or signs. If the directions have both signs along all three axes,
 the bounds of boxes are useless. A packet whose rays have diverged, because neighbouring pixels see different surfaces, may
@@ -36,10 +36,10 @@ from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.packet.core import occluder_cache as occluder
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel, packet_layout
 from wrt.kernels.traversal.packet.culling.culling_hooks import no_start
+from wrt.kernels.traversal.packet.leaves import occluder_cache as occluder
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import finish_packet

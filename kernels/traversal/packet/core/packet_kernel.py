@@ -17,8 +17,8 @@ from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, improve
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core import packet_splitting
-from wrt.kernels.traversal.packet.core.packet_block import test_block
 from wrt.kernels.traversal.packet.culling.back_faces import keep_front_faces
+from wrt.kernels.traversal.packet.leaves.packet_block import test_block
 from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes, lanes_tested
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout

@@ -16,7 +16,7 @@ import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS
-from wrt.kernels.traversal.packet.core.packet_block import SHORTEN
+from wrt.kernels.traversal.packet.leaves.packet_block import SHORTEN
 from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout

@@ -61,7 +61,7 @@ class PacketLayout:
 
     @property
     def occluder(self) -> int:
-        """Index of the last float, behind the components; used by `wrt.kernels.traversal.packet.core.occluder_cache`."""
+        """Index of the last float, behind the components; used by `wrt.kernels.traversal.packet.leaves.occluder_cache`."""
         return self.size - 1
 
     @property

@@ -1,7 +1,7 @@
 """The rays of a packet against the triangles of a block, W rays x one triangle at a time.
 
 Tests that have the form for it (`PacketForm.pairs`) take the triangles for each ray on the CPU instead
-(`wrt.kernels.traversal.packet.core.packet_pairs`).
+(`wrt.kernels.traversal.packet.leaves.packet_pairs`).
 """
 
 from functools import cache
@@ -11,8 +11,8 @@ import warp as wp
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.leaf import FRONT
-from wrt.kernels.traversal.packet.core.packet_pairs import pairs_code
-from wrt.kernels.traversal.packet.culling.edge_functions import MACROS
+from wrt.kernels.traversal.packet.leaves.edge_functions import MACROS
+from wrt.kernels.traversal.packet.leaves.packet_pairs import pairs_code
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS

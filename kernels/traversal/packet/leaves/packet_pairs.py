@@ -22,8 +22,8 @@ References:
         rays against one triangle, which this departs from).
 """
 
-from wrt.kernels.simd.vectors import vector_words
-from wrt.kernels.traversal.packet.culling.edge_functions import COEFFICIENTS, CONVERGING, EDGES, MEETS
+from wrt.kernels.simd.lane_vectors import vector_words
+from wrt.kernels.traversal.packet.leaves.edge_functions import COEFFICIENTS, CONVERGING, EDGES, MEETS
 from wrt.kernels.triangle.support.lane_form import PairForm
 from wrt.kernels.triangle.support.record_blocks import vertex_box
 
@@ -89,20 +89,20 @@ _ROWS = f"""
 _TEST = """
     const float* const inverses[3] = {inverse_x, inverse_y, inverse_z};
     const float* const starts[3] = {origin_x, origin_y, origin_z};
-    for (int f = 0; f < P; f += W) {
-        for (vi left = load_ints(pairs + f); bits_of(left);) {
-            const vi lowest = left & -left, paired = left != 0;
-            const vi which = (((vi)__builtin_convertvector(lowest, vf) >> 23) - 127) & (W - 1);  // the exponent of a power of 2
-            left = left ^ lowest;WRT_PASSES
+    for (int f = 0; f < P; f += W) for (vi left = load_ints(pairs + f); bits_of(left);) {
+        const vi lowest = left & -left, paired = left != 0;
+        const vi which = (((vi)__builtin_convertvector(lowest, vf) >> 23) - 127) & (W - 1);  // the exponent of a power of 2
+        left = left ^ lowest;WRT_PASSES
                 WRT_AXES
                 WRT_PAIRS
                 // the consistency rule: t is that of a meeting with the triangle's own widened box
                 vf enter = -INF, leave = INF;
                 WRT_UNROLLED for (int a = 0; a < 3; ++a) {
-                    const vf inverse = load(inverses[a] + f), low = chosen(planes[a], which), high = chosen(planes[3 + a], which);
+                    const vf low = chosen(planes[a], which), high = chosen(planes[3 + a], which), inverse = load(inverses[a] + f);
                     vf to_near = low, to_far = high;
                     if (!planar) {
-                        const vf from = SHARED ? (vf)origin0[a] : load(starts[a] + f), wide = SHARED ? (vf)slack0 : load(slack + f);
+                        const vf from = SHARED ? (vf)origin0[a] : load(starts[a] + f);
+                        const vf wide = SHARED ? (vf)slack0 : load(slack + f);
                         const vi back = inverse < 0.0f;
                         const vf step = back ? -wide : wide;
                         to_near = (back ? high : low) - (from + step);
@@ -129,7 +129,6 @@ _TEST = """
                 }
                 save(found + f, hit ? number : before);
             }
-        }
     }
 """
 

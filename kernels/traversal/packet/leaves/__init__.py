@@ -1,0 +1,1 @@
+"""The rays of a packet against the triangles of a leaf."""
