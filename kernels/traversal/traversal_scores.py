@@ -43,6 +43,9 @@ MANY_RAYS = 1 << 16
 (notebooks/records/2026-11-24-streams.md).
 """
 
+MANY_COHERENT_RAYS = 1 << 17
+"""The same for coherent rays (notebooks/records/2026-11-25-packet-pairs.md)."""
+
 RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
 """Rays per instance from which sorting rays by instance pays: for coherent rays, and for others
 (notebooks/records/2026-11-21-instances.md).
@@ -69,9 +72,10 @@ class Limits(NamedTuple):
         incoherent: triangles of the scene from which interleaved walks are faster than streams for incoherent rays.
         occlusion: the same for any hit of `MANY_RAYS` or more.
         coherent: the same for coherent rays that part.
+        coherent_many: the same for `MANY_COHERENT_RAYS` or more.
         few: number of incoherent rays below which they are faster in any scene.
         long_share, short_share: greatest `Overlap.share` with which packets are faster than these, for long and short walks.
-        view_share: the same for short walks of rays from one point.
+        long_view_share, view_share: the same for rays from one point.
         instance_share: the same through instances.
         large_packet: rays of a packet, in vectors, in a BVH of one level: of dense rays from one point, and of any-hit queries.
         rough: rays per triangle of the scene up to which packets of rays from one point test each ray against the boxes of
@@ -82,9 +86,11 @@ class Limits(NamedTuple):
     incoherent: float
     occlusion: float
     coherent: float
+    coherent_many: float
     few: float
     long_share: float
     short_share: float
+    long_view_share: float
     view_share: float
     instance_share: float
     large_packet: int
@@ -97,22 +103,26 @@ LIMITS = {
         incoherent=0,
         occlusion=100_000,
         coherent=0,
+        coherent_many=0,
         few=0,
         long_share=0.2,
-        short_share=0.3,
+        short_share=0.245,
+        long_view_share=0.26,
         view_share=0.29,
         instance_share=0.2,
         large_packet=4,
-        rough=2.0,
-        crowded=12.0,
+        rough=12.0,
+        crowded=8.0,
     ),
     16: Limits(
         incoherent=120_000,
         occlusion=300_000,
         coherent=500_000,
+        coherent_many=1_000_000,
         few=8192,
         long_share=0.2,
         short_share=0.245,
+        long_view_share=0.26,
         view_share=0.29,
         instance_share=0.22,
         large_packet=2,
@@ -121,9 +131,9 @@ LIMITS = {
     ),
 }
 """`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
-(notebooks/records/2026-11-22-auto.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md; `view_share`, `crowded`:
-notebooks/records/2026-11-23-edge-functions.md; `rough`: notebooks/records/2026-11-23-limits.md; `incoherent`, `occlusion`:
-notebooks/records/2026-11-24-streams.md). Fewer lanes are taken for 8; they have not been measured.
+(notebooks/records/2026-11-22-auto.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md; `view_share`:
+notebooks/records/2026-11-23-edge-functions.md; `rough`, `crowded`, `coherent_many`, `short_share`, `long_view_share`:
+notebooks/records/2026-11-25-packet-pairs.md; `incoherent`, `occlusion`: notebooks/records/2026-11-24-streams.md). Fewer lanes are taken for 8; they have not been measured.
 """
 
 
@@ -225,9 +235,9 @@ class Situation(NamedTuple):
         if self.instances:
             return self.overlap.share <= limits.instance_share
         is_short = self.overlap.steps < SHORT_WALK or self.rays >= DENSE_RAYS_PER_TRIANGLE * self.triangles
-        if is_short:
-            return self.overlap.share <= (limits.view_share if self.shared_origin else limits.short_share)
-        return self.overlap.share <= limits.long_share
+        if self.shared_origin:
+            return self.overlap.share <= (limits.view_share if is_short else limits.long_view_share)
+        return self.overlap.share <= (limits.short_share if is_short else limits.long_share)
 
 
 Score = Callable[[Situation], tuple[float, str] | None]
@@ -313,7 +323,8 @@ def score_interleaved(situation: Situation) -> tuple[float, str] | None:
         return None
     limits = situation.limits
     if situation.coherent:
-        enough = situation.triangles >= limits.coherent
+        many = situation.rays >= MANY_COHERENT_RAYS
+        enough = situation.triangles >= (limits.coherent_many if many else limits.coherent)
     else:
         finds_any_of_many = situation.query == ANY and situation.rays >= MANY_RAYS
         least = limits.occlusion if finds_any_of_many else limits.incoherent
