@@ -40,7 +40,8 @@ DENSE_RAYS_PER_TRIANGLE = 0.5
 
 MANY_RAYS = 1 << 16
 """Number of incoherent rays from which any hits have a limit of their own: lists of streams are long
-(notebooks/records/2026-11-24-streams.md).
+(notebooks/records/2026-11-24-streams.md); of rays from one point from which long walks have one
+(notebooks/records/2026-11-25-packet-pairs.md).
 """
 
 MANY_COHERENT_RAYS = 1 << 17
@@ -75,7 +76,8 @@ class Limits(NamedTuple):
         coherent_many: the same for `MANY_COHERENT_RAYS` or more.
         few: number of incoherent rays below which they are faster in any scene.
         long_share, short_share: greatest `Overlap.share` with which packets are faster than these, for long and short walks.
-        long_view_share, view_share: the same for rays from one point.
+        long_view_share: the same for long walks of `MANY_RAYS` rays from one point, or more.
+        view_share: the same for short walks of rays from one point.
         instance_share: the same through instances.
         large_packet: rays of a packet, in vectors, in a BVH of one level: of dense rays from one point, and of any-hit queries.
         rough: rays per triangle of the scene up to which packets of rays from one point test each ray against the boxes of
@@ -118,7 +120,7 @@ LIMITS = {
         incoherent=120_000,
         occlusion=300_000,
         coherent=500_000,
-        coherent_many=1_000_000,
+        coherent_many=900_000,
         few=8192,
         long_share=0.2,
         short_share=0.245,
@@ -133,7 +135,8 @@ LIMITS = {
 """`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
 (notebooks/records/2026-11-22-auto.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md; `view_share`:
 notebooks/records/2026-11-23-edge-functions.md; `rough`, `crowded`, `coherent_many`, `short_share`, `long_view_share`:
-notebooks/records/2026-11-25-packet-pairs.md; `incoherent`, `occlusion`: notebooks/records/2026-11-24-streams.md). Fewer lanes are taken for 8; they have not been measured.
+notebooks/records/2026-11-25-packet-pairs.md; `incoherent`, `occlusion`: notebooks/records/2026-11-24-streams.md). Fewer lanes
+are taken for 8; they have not been measured.
 """
 
 
@@ -235,9 +238,10 @@ class Situation(NamedTuple):
         if self.instances:
             return self.overlap.share <= limits.instance_share
         is_short = self.overlap.steps < SHORT_WALK or self.rays >= DENSE_RAYS_PER_TRIANGLE * self.triangles
-        if self.shared_origin:
-            return self.overlap.share <= (limits.view_share if is_short else limits.long_view_share)
-        return self.overlap.share <= (limits.short_share if is_short else limits.long_share)
+        if is_short:
+            return self.overlap.share <= (limits.view_share if self.shared_origin else limits.short_share)
+        many_of_one_point = self.shared_origin and self.rays >= MANY_RAYS
+        return self.overlap.share <= (limits.long_view_share if many_of_one_point else limits.long_share)
 
 
 Score = Callable[[Situation], tuple[float, str] | None]
