@@ -61,7 +61,7 @@ class Culling:
             (`wrt.kernels.traversal.packet.rays.reversed_bounds`).
         scores: how well it suits dense rays from one point, and other rays. "auto" takes the highest score among the cullings
             that fit, and never one whose score is 0.
-        filtered_scores: the same if the test filters pairs of rays and triangles (`PacketForm.filter`), after which a triangle
+        filtered_scores: the same if the test lists pairs of rays and triangles (`PacketForm.pairs`), after which a triangle
             that culling leaves costs little.
     """
 

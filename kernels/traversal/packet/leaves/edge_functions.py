@@ -8,7 +8,7 @@ coefficients are computed for W triangles at a time, and a pair of a ray and a t
 
 **Which packets.** All lines pass through the box of `PacketBounds.origin_in` and `origin_out`: rays from one point, and shadow
 rays to a point light, whose bounds are seen from their ends (`wrt.kernels.traversal.packet.rays.reversed_bounds`). It must not
-be larger than rounding makes it (`WIDEST`). The rays need one main axis in common. Others are tested by `PacketForm.filter`.
+be larger than rounding makes it (`WIDEST`). The rays need one main axis in common. Others are tested by `PairForm.may_meet`.
 
 **Exactness.** A pair is left out only if one area is below -e and another above e, where e bounds the difference to the areas
 that the test computes. Let u = 2^-24; M the largest distance along an axis of a vertex from the point or an origin; h the

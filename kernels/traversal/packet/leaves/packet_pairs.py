@@ -98,7 +98,8 @@ _TEST = """
                 // the consistency rule: t is that of a meeting with the triangle's own widened box
                 vf enter = -INF, leave = INF;
                 WRT_UNROLLED for (int a = 0; a < 3; ++a) {
-                    const vf low = chosen(planes[a], which), high = chosen(planes[3 + a], which), inverse = load(inverses[a] + f);
+                    const vf low = chosen(planes[a], which), high = chosen(planes[3 + a], which);
+                    const vf inverse = load(inverses[a] + f);
                     vf to_near = low, to_far = high;
                     if (!planar) {
                         const vf from = SHARED ? (vf)origin0[a] : load(starts[a] + f);
