@@ -28,7 +28,7 @@ _EXACT = """
                         const bool in = ((exact_a >= 0.0f) & (exact_b >= 0.0f) & (exact_c >= 0.0f))
                             | ((exact_a <= 0.0f) & (exact_b <= 0.0f) & (exact_c <= 0.0f));
                         a[i] = exact_a; b[i] = exact_b; c[i] = exact_c;
-                        inside[i] = in & ((exact_a + exact_b) + exact_c != 0.0f) ? -1 : 0;
+                        inside[i] = (in & ((exact_a + exact_b) + exact_c != 0.0f)) ? -1 : 0;
                     }
                 }
 """
