@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.traversal_scores import Overlap
+from wrt.kernels.traversal.traversal_scores import Overlap, Situation, score_interleaved, score_packet
 from wrt.planning import planner
 from wrt.state.query_kinds import ANY, CLOSEST, few_rays
 
@@ -149,6 +149,34 @@ def test_choices(lanes, monkeypatch):
         query = "any" if kind in ("shadow", "ao") else "closest"
         assert planner.choose_traversal(state, batch, query)[0] == expected, (scene, kind, rays)
         assert asked == ([] if overlap is None else [(state, "rays", 2 * lanes, query)]), (scene, kind, rays)
+
+
+def situation(rays: int, triangles: int, shared_origin: bool, share: float, lanes: int) -> Situation:
+    """Coherent rays with long walks, on a BVH."""
+    kind = {"query": "closest", "cull_backfaces": False, "is_cuda": False, "tree": "bvh", "lanes": lanes, "instances": 0}
+    found = {"own_spaces": False, "has_wide_form": False, "few": False, "coherent": True, "shared_origin": shared_origin}
+    return Situation(**kind, **found, triangles=triangles, rays=rays, overlap=Overlap(share, 9.0))
+
+
+@pytest.mark.parametrize("lanes", [8, 16])
+def test_long_walks_of_many_rays_from_one_point(lanes):
+    """They may share less of their way than others (notebooks/records/2026-11-25-packet-pairs.md)."""
+    many = 1 << 16
+    assert score_packet(situation(many, 10 * many, True, 0.26, lanes))
+    assert not score_packet(situation(many, 10 * many, True, 0.261, lanes))
+    assert not score_packet(situation(many - 1, 10 * many, True, 0.26, lanes))
+    assert not score_packet(situation(many, 10 * many, False, 0.26, lanes))
+    assert score_packet(situation(many, 10 * many, False, 0.2, lanes))
+
+
+@pytest.mark.parametrize(
+    ("rays", "triangles", "walks"),
+    [(1 << 17, 899_999, False), (1 << 17, 900_000, True), ((1 << 17) - 1, 499_999, False), ((1 << 17) - 1, 500_000, True)],
+)
+def test_walks_of_many_coherent_rays(rays, triangles, walks):
+    """With 16 lanes, many rays that part go in streams in larger scenes; with 8, none do."""
+    assert bool(score_interleaved(situation(rays, triangles, False, 0.5, 16))) == walks
+    assert score_interleaved(situation(rays, triangles, False, 0.5, 8))
 
 
 def test_the_grid_has_all_kinds():
