@@ -12,7 +12,7 @@ from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.core.packet_splitting import activate_part, finish_part
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-from wrt.kernels.traversal.packet.rays.packet_load import load_packet
+from wrt.kernels.traversal.packet.rays.packet_load import finish_packet, load_packet
 from wrt.kernels.traversal.packet.rays.reversed_bounds import reverse_bounds
 
 pytestmark = pytest.mark.width
@@ -28,8 +28,9 @@ LIGHT = np.array([0.9, 1.2, 0.8])
 def bounding_kernel(part: int = 0) -> wp.Kernel:
     """Loads a packet, halves it if a `part` of it is asked for, and reverses its bounds. Item: a packet."""
     layout = PacketLayout(RAYS, 8, False, "woop")
-    load, reverse, size = load_packet(layout, ends=True), reverse_bounds(layout), layout.size
-    halve, activate = finish_part(layout), activate_part(layout, ends=True)
+    load, finish = load_packet(layout, slopes=False, later=True, ends=True), finish_packet(layout)
+    reverse, size = reverse_bounds(layout), layout.size
+    halve, activate = finish_part(layout), activate_part(layout, slopes=False, ends=True)
 
     def run(
         rays: RayBatch, low: wp.vec3, high: wp.vec3, loaded: wp.array(dtype=PacketBounds), found: wp.array(dtype=PacketBounds)
@@ -38,6 +39,7 @@ def bounding_kernel(part: int = 0) -> wp.Kernel:
         bounds = PacketBounds()
         load(rays, wp.tid() * wp.static(RAYS), low, high, packet, bounds)
         if wp.static(part > 0):
+            finish(low, high, packet, bounds)
             halve(packet, bounds, 0, 1, False)
             activate(packet, bounds, wp.static(part))
         loaded[wp.tid()] = bounds
@@ -102,7 +104,8 @@ def test_ends_are_those_of_the_active_rays(part):
     ends = origins + end[..., None] * directions
     np.testing.assert_allclose(loaded["end_low"], np.where(active[..., None], ends, np.inf).min(axis=1), rtol=0, atol=1e-6)
     np.testing.assert_allclose(loaded["end_high"], np.where(active[..., None], ends, -np.inf).max(axis=1), rtol=0, atol=1e-6)
-    np.testing.assert_allclose(loaded["span"], np.where(active, end - begin, 0.0).max(axis=1), rtol=1e-6)
+    np.testing.assert_array_equal(loaded["t_min"], np.where(active, begin, np.inf).min(axis=1))
+    np.testing.assert_array_equal(loaded["t_max"], np.where(active, end, -np.inf).max(axis=1))
 
 
 def test_components_that_count_as_zero_move_no_end():

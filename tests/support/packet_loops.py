@@ -106,9 +106,9 @@ def loops(layout: PacketLayout) -> wp.Kernel:
             mask = loop.masks[i, CLOSEST_BLOCKS]
             any_hit(loop.triangles.records, loop.triangles.primitive, block, mask, loop.packets[i], bounds)
         elif stage == STORE:
-            store(loop.packets[i], loop.rays, first, loop.hits)
+            store(loop.packets[i], loop.rays, first, loop.hits, False)
         elif stage == STORE_ANY:
-            store_any(loop.packets[i], loop.rays, first, loop.hits)
+            store_any(loop.packets[i], loop.rays, first, loop.hits, False)
         loop.bounds[i] = bounds
 
     return wp.kernel(run, **OPTIONS)

@@ -200,7 +200,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             for f in range(frusta):
                 if made & (wp.uint32(1) << wp.uint32(f)) == wp.uint32(0):
                     clear(packets[f])
-                store(packets[f], rays, order(rays, block + f) * wp.static(packet_rays), hits)
+                store(packets[f], rays, order(rays, block + f) * wp.static(packet_rays), hits, False)
             if wp.static(counting):
                 counters.rows[block * wp.static(packet_rays)] = work
             block += wp.static(FRUSTA)

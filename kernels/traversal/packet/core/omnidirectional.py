@@ -127,7 +127,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                     low = stack_low[size]
                     high = stack_high[size]
                     searching = enter(packet, bounds, low, high, cells) > 0
-        store(packet, rays, begin, hits)
+        store(packet, rays, begin, hits, False)
         if wp.static(counting):
             counters.rows[begin] = work
 

@@ -11,9 +11,14 @@ last packet (`wrt.kernels.traversal.packet.leaves.occluder_cache`).
 
 **Diverging rays.** Rays of a packet need not share an origin or signs. If the directions have both signs along all three axes,
 the bounds of boxes are useless. A packet whose rays have diverged, because neighbouring pixels see different surfaces, may
-visit half of the scene. Its traversal is abandoned after `MAX_STEPS_PER_RAY` steps per ray. Such packets are split by their
-origins (`wrt.kernels.traversal.packet.core.packet_splitting`); rays that still diverge are traced one by one (`single_bvh`),
-and so are those of a packet from one point, after `MAX_STEPS_UNSPLIT` steps per ray. All keep the hits found until then.
+visit half of the scene. Packets whose origins are far apart are split before their traversal, others if it is abandoned after
+`MAX_STEPS_PER_RAY` steps per ray (`wrt.kernels.traversal.packet.core.packet_splitting`). Rays that still diverge are traced one
+by one (`single_bvh`), and so are those of a packet from one point, after `MAX_STEPS_UNSPLIT` steps per ray. All keep the hits
+found until then.
+
+**Packets that meet nothing.** What only tests need is computed at a packet's first leaf
+(`wrt.kernels.traversal.packet.rays.packet_load`). After two packets without a leaf, the next ones are tested against the root
+together (`wrt.kernels.traversal.packet.core.joined_packets`).
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
@@ -37,6 +42,7 @@ from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
+from wrt.kernels.traversal.packet.core.joined_packets import joined_misses
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel, packet_layout
 from wrt.kernels.traversal.packet.culling.culling_hooks import no_start
 from wrt.kernels.traversal.packet.leaves import occluder_cache as occluder
@@ -94,7 +100,7 @@ def walk_memory(config: TraversalConfig) -> int:
 def finishes_later(config: TraversalConfig) -> bool:
     """Whether the rays of a packet are prepared for tests at its first leaf: those that nothing else needs prepared."""
     culling = CULLINGS[config.packet.culling]
-    return config.packet.shared_origin and not culling.every_ray and culling.start is no_start
+    return not (culling.every_ray or culling.slopes) and culling.start is no_start
 
 
 @cache
@@ -133,8 +139,8 @@ def visit_leaf(config: TraversalConfig, later: bool) -> wp.Function:
         child = load_int(tree.child, node * wp.static(width) + lane)
         first = bvh.first_block(child)
         count = bvh.leaf_triangles(child)
-        if wp.static(later):
-            finish(packet, bounds)
+        if wp.static(later) and bounds.finished == 0:
+            finish(tree.low, tree.high, packet, bounds)
         ray_count = count_rays(tree.bounds, node, lane, packet, bounds)
         if ray_count > wp.static(MAX_FEW_RAYS):
             test_leaf(triangles, first, count, packet, bounds, mailbox, work)
@@ -227,4 +233,6 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     walks = make_walk_packet(config), make_walk(config)
     memory = walk_memory(config)
-    return make_packet_kernel(config, WideNodes, *walks, MIXED_AXES, memory, reversible=True, later=finishes_later(config))
+    later = finishes_later(config)
+    misses = joined_misses(config) if later and not config.counters else None
+    return make_packet_kernel(config, WideNodes, *walks, MIXED_AXES, memory, reversible=True, later=later, miss_together=misses)

@@ -22,7 +22,7 @@ from wrt.kernels.traversal.packet.leaves.packet_block import test_block
 from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes, lanes_tested
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-from wrt.kernels.traversal.packet.rays.packet_load import load_packet
+from wrt.kernels.traversal.packet.rays.packet_load import finish_packet, load_packet
 from wrt.kernels.traversal.packet.rays.packet_store import fetch_hits, finish_stores, store_packet
 from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
 from wrt.kernels.traversal.packet.rays.reversed_bounds import reverse_bounds
@@ -36,6 +36,9 @@ def packet_layout(config: TraversalConfig) -> PacketLayout:
     """Memory layout of the packets of a config."""
     return PacketLayout(config.packet.rays, config.width, config.packet.shared_origin, config.triangle_test)
 
+
+MISSED = 2
+"""Packets in succession that have met no leaf, after which the next ones are tested together."""
 
 RUN = 8
 """Packets per item, or more (`RayBatch.run`). They share its local memory, which Warp clears once per item
@@ -185,13 +188,14 @@ def reverses_bounds(config: TraversalConfig, reversible: bool) -> bool:
 
 
 @cache
-def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function, ends: bool) -> wp.Function:
+def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function, ends: bool, later: bool) -> wp.Function:
     """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet, split if necessary.
 
     False if some rays are still to be traced one by one (`packet_splitting.needs_single_ray`). trace_unsplit: the same for a
-    packet that is not to be split. ends: whether it needs the bounds of the ends of rays.
+    packet that is not to be split. ends: whether it needs the bounds of the ends of rays. later: as of `packet_step`.
     """
     layout = packet_layout(config)
+    is_wide, finish_loading = packet_splitting.is_wide(layout), finish_packet(layout)
     activate = packet_splitting.activate_part(layout, CULLINGS[config.packet.culling].slopes, ends)
     finish, count_single_rays = packet_splitting.finish_part(layout), packet_splitting.count_single_rays(layout)
 
@@ -211,7 +215,13 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function,
         while number < parts:
             if number > 0:
                 activate(packet, bounds, number)
-            completed = trace_unsplit(tree, below, triangles, packet, memory, bounds, work)
+            splits = bounds.active > 0 and parts + 2 <= wp.static(packet_splitting.MAX_PARTS)
+            completed = bool(False)
+            if splits and is_wide(packet, bounds, tree.low, tree.high, number == 0):
+                if wp.static(later):
+                    finish_loading(tree.low, tree.high, packet, bounds)
+            else:
+                completed = trace_unsplit(tree, below, triangles, packet, memory, bounds, work)
             abandoned = abandoned or not completed
             parts += finish(packet, bounds, number, parts, completed)
             number += 1
@@ -222,7 +232,12 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function,
 
 @cache
 def trace_packet(
-    config: TraversalConfig, Tree: type, walk_packet: wp.Function, mixed_axes: int, reversible: bool = False
+    config: TraversalConfig,
+    Tree: type,
+    walk_packet: wp.Function,
+    mixed_axes: int,
+    reversible: bool = False,
+    later: bool = False,
 ) -> wp.Function:
     """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet that is loaded, split if
     necessary.
@@ -230,7 +245,7 @@ def trace_packet(
     False if some rays are still to be traced one by one (`packet_splitting.needs_single_ray`). Arguments as of `packet_step`.
     """
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
-    start_packet = culling.start(layout)
+    start_packet, finish = culling.start(layout), finish_packet(layout)
     reverses = reverses_bounds(config, reversible)
     reverse = reverse_bounds(layout) if reverses else None
 
@@ -250,9 +265,11 @@ def trace_packet(
             if wp.static(reverses):
                 reverse(tree.low, tree.high, bounds)
             completed = walk_packet(below, triangles, packet, memory, bounds, work)
+        if wp.static(later) and not completed:  # its rays are traced in parts, or one by one
+            finish(tree.low, tree.high, packet, bounds)
         return completed
 
-    return trace_unsplit if config.packet.shared_origin else trace_parts(config, Tree, trace_unsplit, reverses)
+    return trace_unsplit if config.packet.shared_origin else trace_parts(config, Tree, trace_unsplit, reverses, later)
 
 
 @cache
@@ -265,7 +282,8 @@ def packet_step(
     reversible: bool = False,
     later: bool = False,
 ) -> wp.Function:
-    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: traces the packet at `begin`.
+    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work) -> bool`: traces the packet at
+    `begin`. False if it met no leaf, as far as that is known (`later`).
 
     below: the tree, or the subtree that contains all hits of the packet. packet: memory for it. memory: memory for its walk.
     `work` is the work done for it so far.
@@ -278,14 +296,14 @@ def packet_step(
         walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`: traces one valid ray.
         mixed_axes: greatest number of axes with both signs for which a packet is traversed as a whole.
         reversible: whether the walk may see the rays from their ends (`reversed_bounds`).
-        later: whether the walk calls `finish_packet` before its first test.
+        later: whether `finish_packet` is called before the first leaf.
     """
     layout, parts, culling = packet_layout(config), not config.packet.shared_origin, CULLINGS[config.packet.culling]
     load = load_packet(layout, culling.slopes, later, reverses_bounds(config, reversible))
     store, fetch = store_packet(layout, config.query == ANY, config.packet.non_temporal), fetch_hits(layout)
     fetches = config.query != ANY and not config.packet.non_temporal
     single_rays, counting = trace_single_rays(config, Tree, walk_ray), config.counters
-    trace = trace_packet(config, Tree, walk_packet, mixed_axes, reversible)
+    trace = trace_packet(config, Tree, walk_packet, mixed_axes, reversible, later)
 
     @wp.func
     def step(
@@ -305,13 +323,15 @@ def packet_step(
             fetch(rays, begin, hits)
         load(rays, begin, tree.low, tree.high, packet, bounds)
         completed = trace(tree, below, triangles, packet, memory, bounds, work)
+        tested = not wp.static(later) or bounds.finished != 0
         if completed or wp.static(parts):  # left-over rays are stored again when they are traced
-            store(packet, rays, begin, hits)
+            store(packet, rays, begin, hits, not tested)
         if not completed:
             single_rays(tree, triangles, rays, begin, packet, hits, counters, work)
         elif wp.static(counting):
             counters.rows[begin] = work
             work = Counters()
+        return tested
 
     return step
 
@@ -326,10 +346,20 @@ def make_packet_kernel(
     memory_size: int,
     reversible: bool = False,
     later: bool = False,
+    miss_together: wp.Function | None = None,
 ) -> wp.Kernel:
-    """The kernel for one specialisation; memory_size: ints of memory for a walk; the other arguments as in `packet_step`."""
+    """The kernel for one specialisation.
+
+    Args:
+        memory_size: ints of memory for a walk.
+        miss_together: `wp.func(tree, rays, begin, end, packet, memory, hits) -> packets`: how many packets from ray `begin` on
+            have no hits, which it stores; 0 if the next one has to be traced. It is asked after `MISSED` packets in succession
+            that have met no leaf. None not to ask.
+        config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later: as in `packet_step`.
+    """
     step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later)
     packet_rays, size, non_temporal = config.packet.rays, packet_layout(config).size, config.packet.non_temporal
+    joining = miss_together is not None
 
     def packet_traversal(
         first: int,
@@ -343,10 +373,19 @@ def make_packet_kernel(
         memory = wp.zeros(shape=(memory_size,), dtype=int)
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
+        missed = int(0)
         while begin < end:
-            work = Counters()
-            step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)
-            begin += wp.static(packet_rays)
+            packets = int(0)
+            if wp.static(joining):  # noqa: SIM102 - decided when the kernel is made
+                if missed >= wp.static(MISSED):
+                    packets = miss_together(tree, rays, begin, end, packet, memory, hits)
+                    missed = wp.where(packets == 0, 0, missed)
+            if packets == 0:
+                work = Counters()
+                tested = step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)
+                missed = wp.where(tested, 0, missed + 1)
+                packets = 1
+            begin += packets * wp.static(packet_rays)
         if wp.static(non_temporal):
             finish_stores()
 

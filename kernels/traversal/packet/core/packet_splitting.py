@@ -13,8 +13,9 @@ by one.
 `DONE` marks rays whose part has been traced and rays that were never active; `SINGLE_RAY` marks rays to be traced one by
 one. `kept` stores the t of a ray while another part is active.
 
-**When.** A packet is split only if its traversal takes too long. Hits that were found until then are kept, and any-hit rays
-that have one are done (figures: notebooks/records/2026-11-21-packets.md).
+**When.** A packet is split before its traversal if its origins are far farther apart than those of the packets before it
+(`is_wide`), otherwise if the traversal takes too long. Hits that were found until then are kept, and any-hit rays that have one
+are done (figures: notebooks/records/2026-11-21-packets.md, notebooks/records/2026-11-26-joined-packets.md).
 
 **Source.** This reaction is ours. That of Boulos et al. (2008), packets made again where less than half of their rays are
 active, is `wrt.kernels.traversal.packet.core.repacked_bvh`.
@@ -25,7 +26,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounding import KEPT, bound_packet, bounding_head
+from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
@@ -34,6 +35,15 @@ exact_module(__name__)
 MAX_PARTS = 7
 """Greatest number of parts of a packet, including parts that are halved again; more are hardly ever needed
 (notebooks/records/2026-11-21-packets.md)."""
+
+WIDE = 3.0
+"""How many times as far apart as usual the origins of a packet must be that is split before its traversal."""
+
+LEAST_WIDE = 2.0**-7
+"""Share of the scene's size that they must span."""
+
+ADAPTION = 0.25
+"""Weight of a packet in what is usual for those after it."""
 
 DONE, SINGLE_RAY = -1, -2
 
@@ -68,16 +78,46 @@ _ACTIVATE = """
         kept[k] = t[k];
         t[k] = of[k] == number ? t[k] : -INF;
     }
-    float lows[3], highs[3], slack0;
+    float lows[3], highs[3];
     const bool ranged = true;
 """
+
+
+_IS_WIDE = """
+    float extent = 0.0f, scene = 0.0f;
+    for (int a = 0; a < 3; ++a) {
+        extent += bounds.origin_high.c[a] - bounds.origin_low.c[a];
+        scene += high.c[a] - low.c[a];
+    }
+    float& usual = packet.data[USUAL];
+    const bool wide = usual > 0.0f && extent > WIDE * usual && extent > LEAST_WIDE * scene;
+    if (first && !wide) usual = usual > 0.0f ? usual + ADAPTION * (extent - usual) : extent;
+    return wide;
+"""
+
+
+@cache
+def is_wide(layout: PacketLayout) -> wp.Function:
+    """`wp.func(packet, bounds, low, high, first) -> bool`: whether the origins of a packet, or of a part of one, are far apart.
+
+    Compared with what is usual in the item of the kernel, which the whole packets, `first`, determine. low, high: bounds of the
+    scene.
+    """
+    constants = f"    constexpr float WIDE = {WIDE!r}f, LEAST_WIDE = {LEAST_WIDE!r}f, ADAPTION = {ADAPTION!r}f;\n"
+
+    @wp.func_native(f"{constants}    constexpr int USUAL = {layout.usual_extent};\n{_IS_WIDE}")
+    def is_wide_native(
+        packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], low: wp.vec3, high: wp.vec3, first: bool
+    ) -> bool: ...
+
+    return is_wide_native
 
 
 @cache
 def activate_part(layout: PacketLayout, slopes: bool = True, ends: bool = False) -> wp.Function:
     """`wp.func(packet, bounds, number)`: makes the rays of a part the active ones, and computes their bounds; slopes, ends: see
     `load_packet`."""
-    bound = bound_packet(layout, slopes, direction=KEPT if ends else None)
+    bound = bound_packet(layout, slopes, ends=ends, loading=False)
 
     @wp.func_native(layout.head + _CONSTANTS + bounding_head(layout, slopes) + _ACTIVATE + bound)
     def activate_part_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int): ...

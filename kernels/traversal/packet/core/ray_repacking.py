@@ -14,6 +14,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.layout.unchecked import CACHE_LINE
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.packet.leaves.packet_block import SHORTEN
@@ -60,7 +61,7 @@ _LIST = f"""
 """
 
 _GATHER = """
-    float* to = inner.data + WRT_INNER_FIRST;
+    float* to = inner.data + INNER_FIRST;
     int* from = &numbers.data[first];
     int n = 0;
     for (int f = 0; f < P; f += W) {
@@ -114,7 +115,7 @@ _SHORTEN_MOVED = f"""
 """
 
 _SCATTER = """
-    const float* from = inner.data + WRT_INNER_FIRST;
+    const float* from = inner.data + INNER_FIRST;
     for (int k = 0; k < count; ++k) {
         const int own = numbers.data[first + k], found = __builtin_bit_cast(int, from[FOUND * Q + k]);
         if (found < 0 || found == ((const int*)primitive)[own]) continue;
@@ -125,18 +126,13 @@ _SCATTER = """
 
 
 def _constants(layout: PacketLayout, inner: PacketLayout, moved: bool = False) -> str:
-    """C++ constants: rays of the smaller packet, and the rows of the components that change."""
+    """C++ constants: rays of the smaller packet `inner`, where its components begin, and the rows of those that change."""
     rows = {"START": "t_min", "T": "t", "FOUND": "primitive", "U": "u", "V": "v", "KEPT": "kept"}
     names = layout.components
     text = "".join(f"    constexpr int {name} = {names.index(row) if row in names else 0};\n" for name, row in rows.items())
     text += f"    constexpr int Q = {inner.rays}, COMPONENTS = {len(names)};\n"
+    text += f"    const size_t INNER_FIRST = -((size_t)inner.data / 4) & {CACHE_LINE - 1};\n"
     return text + f"    constexpr bool MOVED = {str(moved).lower()};\n"
-
-
-def _inner_first(body: str, layout: PacketLayout) -> str:
-    """The code with the place where the components of the packet `inner` begin, as `PacketLayout.head` has it."""
-    line = layout.size - len(layout.components) * layout.rays
-    return body.replace("WRT_INNER_FIRST", f"(-((size_t)inner.data / 4) & {line - 1})")
 
 
 @cache
@@ -158,9 +154,8 @@ def list_rays(layout: PacketLayout) -> wp.Function:
 def gather_rays(layout: PacketLayout, inner: PacketLayout, moved: bool) -> wp.Function:
     """`wp.func(boxes, node, lane, packet, bounds, inner, numbers, first)`: copies the rays that meet a box to the packet
     `inner`, clipped to the box; `numbers` gets their numbers, from `first` on."""
-    body = _inner_first(_GATHER, inner)
 
-    @wp.func_native(layout.head + _constants(layout, inner, moved) + BITS + _SLABS + body)
+    @wp.func_native(layout.head + _constants(layout, inner, moved) + BITS + _SLABS + _GATHER)
     def gather_meeting_rays(
         boxes: wp.array(dtype=float),
         node: int,
@@ -180,13 +175,15 @@ def bound_entries(layout: PacketLayout, slopes: bool, moved: bool) -> wp.Functio
     """`wp.func(boxes, node, lane, packet, outer, bounds)`: bounds of a packet that `gather_rays` filled, its origins moved to
     the box; outer: the bounds of the packet that it was taken from."""
     shared = """
-    float lows[3], highs[3], slack0 = outer.slack;
+    float lows[3], highs[3];
     for (int a = 0; a < 3; ++a) { lows[a] = outer.origin_low.c[a]; highs[a] = outer.origin_high.c[a]; }
     const bool ranged = true;
 """
+    if layout.shared_origin:
+        shared += "    const float slack0 = outer.slack;\n"
     move = _MOVE + _SHORTEN_MOVED if moved else ""
 
-    @wp.func_native(layout.head + bounding_head(layout, slopes) + shared + bound_packet(layout, slopes) + move)
+    @wp.func_native(layout.head + bounding_head(layout, slopes) + shared + bound_packet(layout, slopes, loading=False) + move)
     def bound_moved_rays(
         boxes: wp.array(dtype=float),
         node: int,
@@ -213,9 +210,8 @@ def shorten_rays(layout: PacketLayout, moved: bool, any_hit: bool) -> wp.Functio
 @cache
 def scatter_rays(layout: PacketLayout, inner: PacketLayout) -> wp.Function:
     """`wp.func(packet, inner, numbers, first, count)`: copies the hits that the `count` rays of `inner` have found back."""
-    body = _inner_first(_SCATTER, inner)
 
-    @wp.func_native(layout.head + _constants(layout, inner) + body)
+    @wp.func_native(layout.head + _constants(layout, inner) + _SCATTER)
     def scatter_found_hits(
         packet: wp.array(dtype=float), inner: wp.array(dtype=float), numbers: wp.array(dtype=int), first: int, count: int
     ): ...

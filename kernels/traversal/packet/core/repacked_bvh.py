@@ -243,7 +243,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             if bounds.active > 0:
                 start(tree.low, tree.high, packet, bounds)
                 walk(tree, triangles, packet, memory, base, 0, bounds, work)
-            store(packet, rays, begin, hits)
+            store(packet, rays, begin, hits, False)
             if wp.static(counting):
                 counters.rows[begin] = work
             begin += wp.static(packet_rays)

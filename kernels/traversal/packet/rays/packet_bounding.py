@@ -4,6 +4,8 @@
 Inactive rays are replaced by the first active one, so that the loops need no masks.
 """
 
+import re
+
 from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS, PACKET_INTERVALS, packet_ends
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -24,22 +26,17 @@ _BOUND = """
     if (one == P) return;
     WRT_ENDS(ix); WRT_ENDS(iy); WRT_ENDS(iz); WRT_ENDS(sx); WRT_ENDS(sy);
     WRT_ENDS(ox); WRT_ENDS(oy); WRT_ENDS(oz); WRT_ENDS(wide);
-    WRT_ENDS(ex); WRT_ENDS(ey); WRT_ENDS(ez); WRT_ENDS(span);
-    const int* axis = (const int*)main_axis;
-    int active = 0, main_axes = 0;
+    WRT_ENDS(ex); WRT_ENDS(ey); WRT_ENDS(ez);
+    int active = 0;
     WRT_FOR_LANES(i) {
         WRT_BOUND(ix, inverse_x[k]) WRT_BOUND(iy, inverse_y[k]) WRT_BOUND(iz, inverse_z[k])
         if (SLOPES) { WRT_BOUND(sx, slope_x[k]) WRT_BOUND(sy, slope_y[k]) }
         if (!SHARED) {
             WRT_BOUND(ox, origin_x[k]) WRT_BOUND(oy, origin_y[k]) WRT_BOUND(oz, origin_z[k])
-            WRT_BOUND(wide, slack[k])
         }
+        WRT_WIDE
         WRT_RAY_ENDS
-        WRT_UNROLLED for (int f = 0; f < P; f += W) {
-            const int bit = 1 << axis[f + i], mask = t[f + i] >= -0.0f ? -1 : 0;
-            active -= mask;
-            main_axes |= bit & mask;
-        }
+        WRT_UNROLLED for (int f = 0; f < P; f += W) active += t[f + i] >= -0.0f ? 1 : 0;
     }
     WRT_ALL_ENDS
     bounds.active = active;
@@ -53,8 +50,8 @@ _BOUND = """
     }
     WRT_ORIGIN_ENDS
     WRT_SET_RAY_ENDS
-    bounds.main_axes = main_axes;
-    bounds.passes = PASSES == 1 ? 1 : main_axes;
+    WRT_MAIN_AXES
+    WRT_SLACK
     bounds.slack = slack0;
     if (SLOPES) {
         const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2;
@@ -78,11 +75,15 @@ _BOUND = """
             bounds.through_high = wp::vec2(cx_most + slack0, cy_most + slack0);
         }
     }
+    WRT_AXES
+"""
+
+_AXES = """
     bounds.finished = WRT_FINISHED;
     const float none = WRT_NAN;
     int mixed_axes = 0;
     bounds.forward_small = wp::vec3(); bounds.backward_small = wp::vec3();
-    WRT_AXES
+    WRT_EACH_AXIS
     bounds.mixed_axes = mixed_axes;
 """
 
@@ -130,7 +131,14 @@ _DIRECTION_AXES = f"""
 _ORIGIN_ENDS = """
     lows[0] = ox_least; lows[1] = oy_least; lows[2] = oz_least;
     highs[0] = ox_most; highs[1] = oy_most; highs[2] = oz_most;
-    slack0 = wide_most;
+"""
+
+_MAIN_AXES = """
+    const int* axis = (const int*)main_axis;
+    int main_axes = 0;
+    WRT_FOR(P, k) { main_axes |= t[k] >= -0.0f ? 1 << axis[k] : 0; }
+    bounds.main_axes = main_axes;
+    bounds.passes = PASSES == 1 ? 1 : main_axes;
 """
 
 _SLOPE_ENDS = """
@@ -139,43 +147,58 @@ _SLOPE_ENDS = """
 """
 
 
-_RAY_ENDS = """WRT_BOUND(ex, origin_x[k] + t[k] * (WRT_X)) WRT_BOUND(ey, origin_y[k] + t[k] * (WRT_Y))
-        WRT_BOUND(ez, origin_z[k] + t[k] * (WRT_Z)) WRT_BOUND(span, t[k] - t_min[k])"""
+_RAY_ENDS = """
+        WRT_BOUND(ex, origin_x[k] + t[k] * (WRT_DIRECTION(inverse_x[k])))
+        WRT_BOUND(ey, origin_y[k] + t[k] * (WRT_DIRECTION(inverse_y[k])))
+        WRT_BOUND(ez, origin_z[k] + t[k] * (WRT_DIRECTION(inverse_z[k])))
+"""
 
 _SET_RAY_ENDS = """
     bounds.end_low = wp::vec3(ex_least, ey_least, ez_least);
     bounds.end_high = wp::vec3(ex_most, ey_most, ez_most);
-    bounds.span = span_most;
 """
 
-LOADED = ("to_x[k]", "to_y[k]", "to_z[k]")
-"""C++ of the components of the direction of ray k while it is loaded, for `bound_packet`."""
+SLACK_OF_ENDS = """
+    const float of_lows = reach(lows[0], lows[1], lows[2]), of_highs = reach(highs[0], highs[1], highs[2]);
+    const float slack0 = SLACK * (of_lows > of_highs ? of_lows : of_highs);
+"""
+"""C++ of `slack0`, the greatest slack of rays that start between `lows[3]` and `highs[3]` (`packet_load.REACH`)."""
 
-KEPT = ("1.0f / inverse_x[k]", "1.0f / inverse_y[k]", "1.0f / inverse_z[k]")
-"""The same for a ray that has been loaded, if `later` is not set."""
+
+def axes_code(later: bool) -> str:
+    """C++ that sets the fields of `bounds` that depend on the axis, from `lows`, `highs`, `slack0` and the intervals ix_least,
+    ix_most and so on of 1 / direction. later: these are the intervals of the directions."""
+    code = _AXES.replace("WRT_FINISHED", "0" if later else "1")
+    return code.replace("WRT_EACH_AXIS", _DIRECTION_AXES if later else _INVERSE_AXES)
 
 
-def bound_packet(layout: PacketLayout, slopes: bool, later: bool = False, direction: tuple[str, str, str] | None = None) -> str:
+def bound_packet(layout: PacketLayout, slopes: bool, later: bool = False, ends: bool = False, loading: bool = True) -> str:
     """C++ after `PacketLayout.head` and `bounding_head`: sets `bounds`. An active ray has t >= 0; if there is no active ray,
-    only `active` is set. later: the components of 1 / direction hold directions (`packet_load.finish_packet`).
+    only `active` is set.
 
-    The code needs `lows[3]`, `highs[3]` and `slack0` (the shared origin and its slack, otherwise any numbers) and `ranged`:
-    whether rays may have a t_min or t of their own. direction: `LOADED` or `KEPT`, to bound the ends of rays with origins of
-    their own, too.
+    The code needs `lows[3]` and `highs[3]` (the shared origin, otherwise any numbers) and `ranged`: whether rays may have a
+    t_min or t of their own.
+
+    later: what only tests need is still to be computed (`packet_load.finish_packet`); the components of 1 / direction hold
+    directions. ends: bounds the ends of rays with origins of their own, too. loading: the code has `reach` and SLACK
+    (`packet_load`); otherwise the slack is that of the rays or, if the origin is shared, a variable `slack0`.
     """
-    names = ["ix", "iy", "iz", *(["sx", "sy"] if slopes else []), *([] if layout.shared_origin else ["ox", "oy", "oz", "wide"])]
-    pieces = {"WRT_RAY_ENDS": "", "WRT_SET_RAY_ENDS": ""}
-    if direction:
-        names += ["ex", "ey", "ez", "span"]
-        x, y, z = direction
-        pieces["WRT_RAY_ENDS"] = _RAY_ENDS.replace("WRT_X", x).replace("WRT_Y", y).replace("WRT_Z", z)
+    own_slack = not loading and not layout.shared_origin
+    names = ["ix", "iy", "iz", *(["sx", "sy"] if slopes else []), *([] if layout.shared_origin else ["ox", "oy", "oz"])]
+    pieces = {"WRT_RAY_ENDS": "", "WRT_SET_RAY_ENDS": "", "WRT_WIDE": "WRT_BOUND(wide, slack[k])" if own_slack else ""}
+    if own_slack:
+        names.append("wide")
+    if ends:
+        names += ["ex", "ey", "ez"]
+        pieces["WRT_RAY_ENDS"] = re.sub(r"WRT_DIRECTION\((.*?)\)", r"\1" if later else r"1.0f / \1", _RAY_ENDS)
         pieces["WRT_SET_RAY_ENDS"] = _SET_RAY_ENDS
     pieces |= {"WRT_ALL_ENDS": packet_ends(names, layout.width), "WRT_RANGE_ENDS": packet_ends(["start", "end"], layout.width)}
     pieces["WRT_ORIGIN_ENDS"] = "" if layout.shared_origin else _ORIGIN_ENDS
+    pieces["WRT_MAIN_AXES"] = "const int main_axes = 0;" if later else _MAIN_AXES
+    pieces["WRT_SLACK"] = SLACK_OF_ENDS if loading else "const float slack0 = wide_most;" if own_slack else ""
     pieces["WRT_SLOPE_ENDS"] = _SLOPE_ENDS if slopes else ""
     pieces["WRT_CROSSING_ENDS"] = packet_ends(["cx", "cy"], layout.width)
-    pieces["WRT_AXES"] = _DIRECTION_AXES if later else _INVERSE_AXES
-    pieces["WRT_FINISHED"] = "0" if later else "1"
+    pieces["WRT_AXES"] = axes_code(later)
     code = _BOUND
     for name, piece in pieces.items():
         code = code.replace(name, piece)

@@ -30,7 +30,8 @@ class PacketBounds:
     finished: int
     """1 if the packet has what only tests need (`wrt.kernels.traversal.packet.rays.packet_load.finish_packet`), else 0."""
     passes: int
-    """Passes over the rays that the triangle test needs, one bit each (`PacketForm.passes`)."""
+    """Passes over the rays that the triangle test needs, one bit each (`PacketForm.passes`); 0 until the packet is
+    finished."""
     t_min: float
     """Least t_min of the rays."""
     t_max: float
@@ -55,11 +56,9 @@ class PacketBounds:
     origin_low: wp.vec3
     origin_high: wp.vec3
     end_low: wp.vec3
-    """Interval of the points origin + t_max direction at which the rays end. This and the next two fields are defined only if
-    they are asked for (`wrt.kernels.traversal.packet.rays.reversed_bounds`)."""
+    """Interval of the points origin + t_max direction at which the rays end. This and the next field are defined only if they
+    are asked for (`wrt.kernels.traversal.packet.rays.reversed_bounds`)."""
     end_high: wp.vec3
-    span: float
-    """Greatest t_max - t_min of the rays."""
     slope_low: wp.vec2
     """Least slopes against the main axis. This and the next four fields are defined only if all rays have the same main axis
     and the culling needs them (`Culling.slopes`)."""
@@ -71,7 +70,7 @@ class PacketBounds:
     in the watertight test."""
     through_high: wp.vec2
     main_axes: int
-    """Main axes that occur, one bit each."""
+    """Main axes that occur, one bit each; 0 until the packet is finished."""
     frame: int
     """Axis of the frustum below, the main axis of all rays; -1 if there is no frustum."""
     forward: float

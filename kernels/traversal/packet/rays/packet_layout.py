@@ -56,13 +56,18 @@ class PacketLayout:
 
     @property
     def size(self) -> int:
-        """Floats of a packet, including a cache line for alignment."""
-        return len(self.components) * self.rays + CACHE_LINE
+        """Floats of a packet, including a cache line for alignment and what packets leave to the next."""
+        return len(self.components) * self.rays + CACHE_LINE + 1
 
     @property
     def occluder(self) -> int:
         """Index of the last float, behind the components; used by `wrt.kernels.traversal.packet.leaves.occluder_cache`."""
         return self.size - 1
+
+    @property
+    def usual_extent(self) -> int:
+        """Index of the float before it; used by `wrt.kernels.traversal.packet.core.packet_splitting`."""
+        return self.size - 2
 
     @property
     def constants(self) -> str:

@@ -20,12 +20,19 @@ _STORE = """
     const int* found = (const int*)primitive;
     if (ANY_HIT) {
         bool* __restrict__ occluded = hits.occluded.data;
-        for_rays([&](int k, int n) { occluded[n] = found[k] >= 0; });
+        if (untested) for_rays([&](int k, int n) { occluded[n] = false; });
+        else for_rays([&](int k, int n) { occluded[n] = found[k] >= 0; });
         return;
     }
     float* __restrict__ t_out = hits.t.data;
     int* __restrict__ primitive_out = hits.primitive.data;
     float* __restrict__ uv_out = (float*)hits.uv.data;
+    if (untested) {
+        for_rays([&](int k, int n) { t_out[n] = INF; });
+        for_rays([&](int k, int n) { primitive_out[n] = -1; });
+        for_rays([&](int k, int n) { uv_out[2 * (size_t)n] = 0.0f; uv_out[2 * (size_t)n + 1] = 0.0f; });
+        return;
+    }
     for_rays([&](int k, int n) { t_out[n] = found[k] < 0 ? INF : t[k]; });
     for_rays([&](int k, int n) { primitive_out[n] = found[k]; });
     for_rays([&](int k, int n) { uv_out[2 * (size_t)n] = u[k]; uv_out[2 * (size_t)n + 1] = v[k]; });
@@ -47,7 +54,9 @@ _STORE_LINES = """
             wrt_line_of_ints ids;
             __builtin_memcpy(&distances, t + j, sizeof(distances)); __builtin_memcpy(&ids, primitive + j, sizeof(ids));
             __builtin_memcpy(&second, u + j, sizeof(second)); __builtin_memcpy(&third, v + j, sizeof(third));
+            ids |= untested ? -1 : 0;
             distances = ids < 0 ? (wrt_line)(INF) : distances;
+            second = untested ? (wrt_line)(0.0f) : second; third = untested ? (wrt_line)(0.0f) : third;
             __builtin_nontemporal_store(distances, (wrt_line*)(t_to + j));
             __builtin_nontemporal_store(ids, (wrt_line_of_ints*)(primitive_to + j));
             __builtin_nontemporal_store(__builtin_shufflevector(second, third, LOW), (wrt_line*)(uv_to + 2 * j));
@@ -62,8 +71,9 @@ _STORE_LINES = """
 
 @cache
 def store_packet(layout: PacketLayout, any_hit: bool, non_temporal: bool = False) -> wp.Function:
-    """`wp.func(packet, rays, first, hits)`: writes the hits of the P rays that `load_packet` loaded.
+    """`wp.func(packet, rays, first, hits, untested)`: writes the hits of the P rays that `load_packet` loaded.
 
+    untested: whether the packet has met no leaf, so that it has no hits and was not finished (`finish_packet`).
     non_temporal: whether closest hits are written by non-temporal stores, where they are whole cache lines; the kernel has to
     call `finish_stores` after the last of them.
     """
@@ -75,7 +85,7 @@ def store_packet(layout: PacketLayout, any_hit: bool, non_temporal: bool = False
         lines = ""
 
     @wp.func_native(f"{layout.head}    constexpr int LINE = {LINE};\n{constant}{NUMBERS}{lines}{_STORE}")
-    def store_packet_native(packet: wp.array(dtype=float), rays: RayBatch, first: int, hits: HitBatch): ...
+    def store_packet_native(packet: wp.array(dtype=float), rays: RayBatch, first: int, hits: HitBatch, untested: bool): ...
 
     return store_packet_native
 

@@ -47,6 +47,28 @@ NUMBERS = """
 """
 """C++ for the head of a native function with parameters `rays` and `first`, and the constant P."""
 
+ROWS = """
+    constexpr int ACROSS = P < 8 ? P : 8, DOWN = P / ACROSS, STEP = W > ACROSS ? W / ACROSS : 1;
+    const int left_over = rays.count - first;
+    int packets = left_over / P < limit ? left_over / P : limit;
+    int rows = 1, begin = first, apart = 0, length;
+    if (rays.columns > 0) {
+        const int columns = rays.columns, band_rays = DOWN * columns;
+        const int band = first / band_rays, within = first - band * band_rays;
+        const int left = within / P * ACROSS, fit = (columns - left) / ACROSS;
+        begin = band * band_rays + left;
+        apart = columns;
+        rows = DOWN;
+        const bool tiles = P % ACROSS == 0 && within % P == 0 && band * band_rays <= rays.count - band_rays;
+        packets = tiles ? (packets < fit ? packets : fit) : 0;
+        packets -= packets % STEP;
+        length = packets * ACROSS;
+    } else length = packets * P;
+"""
+"""C++ for the head of a native function with parameters `rays`, `first` and `limit`, and the constants P and W: `packets`, the
+number of whole packets from ray `first` on that lie side by side, at most `limit`. They are `rows` of `length` rays, a multiple
+of W, from ray `begin` on and `apart` rays from each other."""
+
 FETCH = """
     // in memory of their own, so that no component of a packet may lie in their way
     float to_x[P], to_y[P], to_z[P];

@@ -60,8 +60,8 @@ _REVERSE = """
         bounds.origin_out.c[a] = backward ? bounds.end_high.c[a] + wide : bounds.end_low.c[a] - wide;
     }
     bounds.slack = wide;
+    bounds.t_max = (bounds.t_max - bounds.t_min) * (1.0f + ENDS_ERROR);
     bounds.t_min = 0.0f;
-    bounds.t_max = bounds.span * (1.0f + ENDS_ERROR);
 """
 
 
