@@ -44,6 +44,7 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
+from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.leaf import Candidate, store_best
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -175,8 +176,10 @@ def store_stream(config: TraversalConfig) -> wp.Function:
 
     if config.query == ANY:
 
-        @wp.func_native("""
-            for (int k = 0; k < size; ++k) occluded.data[begin + rays.data[k].number] = rays.data[k].best.primitive >= 0;
+        @wp.func_native(f"""{FOR_LANES}
+            WRT_SCALAR for (int k = 0; k < size; ++k) {{
+                occluded.data[begin + rays.data[k].number] = rays.data[k].best.primitive >= 0;
+            }}
         """)
         def store_any(rays: wp.array(dtype=StreamRay), size: int, begin: int, occluded: wp.array(dtype=wp.bool)): ...
 

@@ -29,6 +29,9 @@ exact_module(__name__)
 COMMON_WORDS = 14
 """4-byte words of a `stream_ray` before the state of the triangle test: slabs, t_min, best."""
 
+FEW = 3
+"""Greatest number of rays of a group that are written word by word, without a transposition."""
+
 RAYS_TO_LANES = (
     DIRECTION_LANES
     + """
@@ -85,16 +88,29 @@ VALID_LANE = """
 """
 """C++ that loads ray k of those and sets `valid`, as `load_ray` does."""
 
-_LOAD = """
+FETCH = """
+    int here = count < L ? count : L;
+    float ox[L], oy[L], oz[L], dx[L], dy[L], dz[L], t_min[L], t[L];
+    int stored[L];
+    if (count > 0) {
+WRT_RAYS
+    WRT_FOR(L, k) {
+WRT_VALID
+        stored[k] = valid ? -1 : 0;
+    }
+    }
+""".replace("WRT_RAYS", RAYS_TO_LANES).replace("WRT_VALID", VALID_LANE)
+"""C++ after `constants`: the `here` rays of the batch from `first` on, at most `count` and at most 16 of them, in lanes.
+`stored`: not 0 if a ray is valid. No memory of the batch is read if `count` is 0."""
+
+_WRITE = """
     const float INF = __builtin_bit_cast(float, 0x7f800000);
-    const int here = count < L ? count : L;
-    float *ox = own.data, *oy = ox + L, *oz = oy + L, *dx = oz + L, *dy = dx + L, *dz = dy + L;
     alignas(64) float words[WORDS < 16 ? 16 : WORDS][L];
-    float *ix = words[0], *iy = words[1], *iz = words[2], *t_min = words[9];
-    alignas(64) float t[L];
-    int *primitive = (int*)words[11], stored[L];
-WRT_RAYS    WRT_FOR(L, k) {
-WRT_VALID        float far = WRT_ABS(low.c[0] - px), f;
+    float *ix = words[0], *iy = words[1], *iz = words[2];
+    int* primitive = (int*)words[11];
+    WRT_FOR(L, k) {
+        const float x = dx[k], y = dy[k], z = dz[k], px = ox[k], py = oy[k], pz = oz[k];
+        float far = WRT_ABS(low.c[0] - px), f;
         f = WRT_ABS(high.c[0] - px); far = f > far ? f : far;
         f = WRT_ABS(low.c[1] - py); far = f > far ? f : far;
         f = WRT_ABS(high.c[1] - py); far = f > far ? f : far;
@@ -106,61 +122,82 @@ WRT_VALID        float far = WRT_ABS(low.c[0] - px), f;
         ix[k] = jx; iy[k] = jy; iz[k] = jz;
         words[3][k] = px + step_x; words[4][k] = py + step_y; words[5][k] = pz + step_z;
         words[6][k] = px - step_x; words[7][k] = py - step_y; words[8][k] = pz - step_z;
-        t_min[k] = t_min[k] + 0.0f;  // turns -0 into +0: as an integer, -0 would be the least key of all
+        words[9][k] = t_min[k] + 0.0f;  // turns -0 into +0: as an integer, -0 would be the least key of all
         words[10][k] = t[k];
         primitive[k] = -1;
         words[12][k] = 0.0f; words[13][k] = 0.0f;
-        stored[k] = valid ? -1 : 0;
     }
     WRT_ROOT
     const unsigned kept = wrt_bits(stored) & ((1u << here) - 1u);
     if (kept == 0) return 0;
     WRT_LIST
     WRT_PREPARE
-    if (WORDS > COMMON) { WRT_FOR(L, k) ((int*)words[WORDS - 1])[k] = place + k; }
+    if (WORDS > COMMON) { WRT_FOR(L, k) ((int*)words[WORDS - 1])[k] = WRT_NUMBER; }
     float* to = (float*)(stream.data + size);
+    if (wrt_count_bits(kept) <= FEW) {
+        for (unsigned left = kept; left; left &= left - 1u, to += RAY_WORDS) {
+            const float* own_word = words[0] + wrt_lowest_bit(left);
+            WRT_UNROLLED for (int c = 0; c < WORDS; ++c) to[c] = own_word[c * L];
+        }
+        return kept;
+    }
     wrt_write(words[0], to, RAY_WORDS, kept);
     if (WORDS > 16) wrt_write(words[WORDS - 16], to + WORDS - 16, RAY_WORDS, kept);
     return kept;
 """
 
+KEPT_SIZE = 7 * LIST_LANES
+"""Floats of `own`: what `prepare_one_by_one` reads, origins, directions and numbers of the rays in lanes, component by
+component."""
 
-def loading(triangle_test: str, root: str = "", listing: str = "") -> str:
-    """C++ of a function `(batch, first, count, low, high, stream, size, place, own, ...) -> bits` that loads the next rays.
+_KEEP = """
+    const float* const kept_of[6] = {ox, oy, oz, dx, dy, dz};
+    WRT_UNROLLED for (int row = 0; row < 6; ++row) { WRT_FOR(L, k) own.data[row * L + k] = kept_of[row][k]; }
+    WRT_FOR(L, k) ((int*)own.data)[6 * L + k] = WRT_NUMBER;
+"""
 
-    They are the rays from `first` on, at most `count` and at most 16 of them, and `place` after the first ray of the stream.
-    Those that are valid are appended to the `size` rays of the stream; their bits are returned. own: the origins and directions
-    of the 16 rays, component by component.
+
+def constants(triangle_test: str) -> str:
+    """C++ for the head of a function that contains `FETCH` or `written`.
+
+    Raises:
+        ValueError: a ray with the state of this triangle test does not fit into one or two vectors of 16 words.
+    """
+    words, prepared = ray_words(triangle_test), bool(TRIANGLE_TESTS[triangle_test].prepare_lanes)
+    if not 16 <= words <= (32 if prepared else words):
+        raise ValueError(f"triangle test {triangle_test!r} needs {words} words per ray; streams store 16 to 32 words per ray")
+    return f"""{LISTS}{TRANSPOSE}
+    constexpr int COMMON = {COMMON_WORDS}, FEW = {FEW}, RAY_WORDS = {words}, WORDS = {words if prepared else COMMON_WORDS};
+    constexpr float SLACK = {SLACK!r}f;
+    """
+
+
+def written(triangle_test: str, root: str = "", listing: str = "", number: str = "place + k") -> str:
+    """C++ that appends the stored ones of the `here` rays in lanes (`FETCH`) to the `size` rays of the stream and returns their
+    bits. low, high: bounds of the scene. own: receives what `prepare_one_by_one` reads (`KEPT_SIZE`), if it is needed.
 
     Args:
         triangle_test: name of the triangle test.
         root: C++ that may clear `stored[k]`, then ray k is not stored. It finds the first `COMMON` words of the rays in
             `words`.
         listing: C++ for the rays that are stored, whose bits are `kept`; not carried out if there are none.
-
-    Raises:
-        ValueError: a ray with the state of this triangle test does not fit into one or two vectors of 16 words.
+        number: C++ of the number of ray k, after the first ray of the stream.
     """
     test = TRIANGLE_TESTS[triangle_test]
-    words, prepared = ray_words(triangle_test), bool(test.prepare_lanes)
-    if not 16 <= words <= (32 if prepared else words):
-        raise ValueError(f"triangle test {triangle_test!r} needs {words} words per ray; streams store 16 to 32 words per ray")
-    constants = f"""{LISTS}{TRANSPOSE}
-    constexpr int COMMON = {COMMON_WORDS}, RAY_WORDS = {words}, WORDS = {words if prepared else COMMON_WORDS};
-    constexpr float SLACK = {SLACK!r}f;
-    """
-    parts = {"WRT_RAYS": RAYS_TO_LANES, "WRT_VALID": VALID_LANE, "WRT_ROOT": root, "WRT_LIST": listing}
-    code = _LOAD.replace("WRT_PREPARE", test.prepare_lanes)
-    for name, part in parts.items():
-        code = code.replace(name, part)
-    return constants + code
+    code = ("" if test.prepare_lanes else _KEEP) + _WRITE.replace("WRT_PREPARE", test.prepare_lanes)
+    code = code.replace("WRT_NUMBER", number)
+    return code.replace("WRT_ROOT", root).replace("WRT_LIST", listing)
 
 
 @cache
 def load_lanes(triangle_test: str) -> wp.Function:
-    """`func(batch, first, count, low, high, stream, size, place, own) -> bits`: loads the next rays (`loading`)."""
+    """`func(batch, first, count, low, high, stream, size, place, own) -> bits`: loads the next rays, from `first` on, at most
+    `count` and at most 16 of them, and `place` after the first ray of the stream.
 
-    @wp.func_native(loading(triangle_test))
+    Those that are valid are appended to the `size` rays of the stream; their bits are returned. own: see `written`.
+    """
+
+    @wp.func_native(constants(triangle_test) + FETCH + written(triangle_test))
     def load_lanes_native(
         batch: RayBatch,
         first: int,
@@ -178,13 +215,16 @@ def load_lanes(triangle_test: str) -> wp.Function:
 
 @cache
 def prepare_one_by_one(triangle_test: str) -> wp.Function:
-    """`wp.func(stream, size, bits, place, own)`: stores what a triangle test without `prepare_lanes` needs, and the numbers of
-    the rays; arguments as of `load_lanes`, which has stored the rest."""
+    """`wp.func(stream, size, bits, own)`: stores what a triangle test without `prepare_lanes` needs, and the numbers of the
+    rays, after `written` has stored the rest. own: see `KEPT_SIZE`."""
     test = TRIANGLE_TESTS[triangle_test]
     StreamRay, RayState, prepare = stream_ray(triangle_test), test.ray_state, test.prepare
 
     @wp.func_native("stream.data[k].state = state; stream.data[k].number = number;")
     def put_state(stream: wp.array(dtype=StreamRay), k: int, state: RayState, number: int): ...
+
+    @wp.func_native(f"return ((const int*)own.data)[{6 * LIST_LANES} + k];")
+    def number_of(own: wp.array(dtype=float), k: int) -> int: ...
 
     @wp.func
     def vector(own: wp.array(dtype=float), k: int, component: int):
@@ -193,12 +233,12 @@ def prepare_one_by_one(triangle_test: str) -> wp.Function:
         return wp.vec3(x, y, load_float(own, (component + 2) * wp.static(LIST_LANES) + k))
 
     @wp.func
-    def prepare_kept(stream: wp.array(dtype=StreamRay), size: int, bits: wp.uint32, place: int, own: wp.array(dtype=float)):
+    def prepare_kept(stream: wp.array(dtype=StreamRay), size: int, bits: wp.uint32, own: wp.array(dtype=float)):
         left = wp.uint32(bits)
         k = int(size)
         while left != wp.uint32(0):
             lane = lowest_bit(left)
-            put_state(stream, k, prepare(vector(own, lane, 0), vector(own, lane, 3)), place + lane)
+            put_state(stream, k, prepare(vector(own, lane, 0), vector(own, lane, 3)), number_of(own, lane))
             left = left & (left - wp.uint32(1))
             k += 1
 
@@ -219,7 +259,7 @@ def load_stream(triangle_test: str, room: int) -> wp.Function:
     Args (of the function): low, high: bounds of the scene.
     """
     StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test)
-    prepared, own_size = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes), 6 * LIST_LANES
+    prepared = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes)
     prepare_kept, group = prepare_one_by_one(triangle_test), min(room, LIST_LANES)
 
     @wp.func
@@ -232,14 +272,14 @@ def load_stream(triangle_test: str, room: int) -> wp.Function:
         stream: wp.array(dtype=StreamRay),
         size: wp.ref[int],
     ):
-        own = wp.zeros(shape=(own_size,), dtype=float)
+        own = wp.zeros(shape=(KEPT_SIZE,), dtype=float)
         place = int(0)
         kept = int(0)
         while begin + place < end and kept <= wp.static(room - group):
             count = wp.min(end - begin - place, wp.static(group))
             bits = load(rays, begin + place, count, low, high, stream, kept, place, own)
             if wp.static(not prepared):
-                prepare_kept(stream, kept, bits, place, own)
+                prepare_kept(stream, kept, bits, own)
             place += count
             kept += count_bits(bits)
         size = kept  # noqa: F841 (a reference)

@@ -8,6 +8,8 @@ children of the root, one child after the other. Rays that meet none are not sto
 filter of a node writes (`wrt.kernels.traversal.stream.stream_lanes`): their words, and keys. The arithmetic is that of
 `wrt.kernels.simd.boxes.slab_interval`, to the bit.
 
+Short rays are first tested by the boxes around them (`wrt.kernels.traversal.stream.stream_boxes`).
+
 Nodes below the root are filtered ray by ray: with their rays in lanes, reading and transposing these takes as long as it saves.
 Figures: notebooks/records/2026-11-24-streams.md.
 """
@@ -22,23 +24,24 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.lanes import count_bits
 from wrt.kernels.simd.row_maxima import row_maxima
+from wrt.kernels.traversal.stream.stream_boxes import BOX_CONSTANTS, BOX_MEMORY, BOXES, has_boxes
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE
 from wrt.kernels.traversal.stream.stream_lists import LISTS
-from wrt.kernels.traversal.stream.stream_load import loading, prepare_one_by_one
+from wrt.kernels.traversal.stream.stream_load import FETCH, KEPT_SIZE, constants, prepare_one_by_one, written
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 exact_module(__name__)
 
 _TEST = """
     int met[L] = {};
-    for (unsigned left = used; left; left &= left - 1u) {
+    for (unsigned left = state.used; left; left &= left - 1u) {
         const int c = wrt_lowest_bit(left);
         const float low_x = bounds.data[c], low_y = bounds.data[W + c], low_z = bounds.data[2 * W + c];
         const float high_x = bounds.data[3 * W + c], high_y = bounds.data[4 * W + c], high_z = bounds.data[5 * W + c];
         WRT_FOR(L, k) {
             const float jx = ix[k], jy = iy[k], jz = iz[k];
-            float enter = t_min[k], leave = t[k], s;
+            float enter = words[9][k], leave = t[k], s;
             s = ((jx < 0.0f ? high_x : low_x) - words[3][k]) * jx; enter = s > enter ? s : enter;
             s = ((jy < 0.0f ? high_y : low_y) - words[4][k]) * jy; enter = s > enter ? s : enter;
             s = ((jz < 0.0f ? high_z : low_z) - words[5][k]) * jz; enter = s > enter ? s : enter;
@@ -120,15 +123,40 @@ def end_root(width: int, order: int) -> wp.Function:
     return end_native
 
 
+@wp.struct
+class RootLoad:
+    """A stream while it is loaded with the list of its root."""
+
+    used: wp.uint32
+    """Bits of the root's children."""
+    loaded: int
+    """Rays that were loaded."""
+    kept: int
+    """Those of them that are in the stream."""
+    waiting: int
+    """Those that wait to be tested."""
+    unboxed: int
+    """How many groups of rays are still tested without boxes around rays."""
+
+
 @cache
 def load_lanes(triangle_test: str, width: int, order: int) -> wp.Function:
-    """`func(batch, first, count, low, high, stream, size, place, own, bounds, used, list, lanes) -> bits`: loads the next rays
-    (`wrt.kernels.traversal.stream.stream_load.loading`) and lists those that meet a child of the root; only they are stored.
+    """`func(batch, first, count, low, high, stream, bounds, list, lanes, own, state) -> bits`: loads the next rays
+    (`wrt.kernels.traversal.stream.stream_load.FETCH`), and stores and lists those that meet a child of the root.
 
-    bounds: of the tree's nodes. used: bits of the root's children. list: words of the rays of the stream. lanes: see `_head`.
+    Returns the bits of the rays that were stored, of those in the lanes: rays may wait until others fill the lanes
+    (`wrt.kernels.traversal.stream.stream_boxes`), or until there are no more (`count` 0).
+
+    low, high: bounds of the scene; bounds: of the tree's nodes. list: words of the rays of the stream. lanes: see `_head`. own:
+    see `wrt.kernels.traversal.stream.stream_load.KEPT_SIZE`.
     """
+    head = constants(triangle_test) + _head(width, order) + "    const int place = state.loaded, size = state.kept;\n"
+    if has_boxes(width, order):
+        code = BOX_CONSTANTS + FETCH + BOXES + written(triangle_test, _TEST, _LIST, "own_number[k]")
+    else:
+        code = "    if (count == 0) return 0;\n" + FETCH + written(triangle_test, _TEST, _LIST)
 
-    @wp.func_native(loading(triangle_test, _head(width, order) + _TEST, _LIST))
+    @wp.func_native(head + code)
     def load_native(
         batch: RayBatch,
         first: int,
@@ -136,13 +164,11 @@ def load_lanes(triangle_test: str, width: int, order: int) -> wp.Function:
         low: wp.vec3,
         high: wp.vec3,
         stream: wp.array(dtype=stream_ray(triangle_test)),
-        size: int,
-        place: int,
-        own: wp.array(dtype=float),
         bounds: wp.array(dtype=float),
-        used: wp.uint32,
         list: wp.array(dtype=int),
         lanes: wp.array(dtype=float),
+        own: wp.array(dtype=float),
+        state: wp.ref[RootLoad],
     ) -> wp.uint32: ...
 
     return load_native
@@ -166,7 +192,7 @@ def load_root(triangle_test: str, room: int, width: int, order: int) -> wp.Funct
         ray meets.
     """
     StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test, width, order)
-    prepared, own_size, lanes_size = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes), 6 * LIST_LANES, (width + 1) * LIST_LANES
+    prepared, lanes_size = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes), (width + 1) * LIST_LANES + BOX_MEMORY
     prepare_kept, group = prepare_one_by_one(triangle_test), min(room, LIST_LANES)
     begin_list, end_list = begin_root(width, order), end_root(width, order)
 
@@ -182,21 +208,22 @@ def load_root(triangle_test: str, room: int, width: int, order: int) -> wp.Funct
         leaves: wp.ref[wp.uint32],
         size: wp.ref[int],
     ):
-        own = wp.zeros(shape=(own_size,), dtype=float)
         lanes = wp.zeros(shape=(lanes_size,), dtype=float)
-        place = int(0)
-        kept = int(0)
-        used = begin_list(tree.child, lanes)
-        while begin + place < end and kept <= wp.static(room - group):
-            first = begin + place
-            count = wp.min(end - first, wp.static(group))
-            bits = load(rays, first, count, tree.low, tree.high, stream, kept, place, own, tree.bounds, used, list, lanes)
+        own = wp.zeros(shape=(KEPT_SIZE,), dtype=float)
+        state = RootLoad()
+        state.used = begin_list(tree.child, lanes)
+        more = bool(True)
+        while more:
+            first = begin + state.loaded
+            more = first < end and state.kept + state.waiting <= wp.static(room - group)
+            count = wp.where(more, wp.min(end - first, wp.static(group)), 0)
+            bits = load(rays, first, count, tree.low, tree.high, stream, tree.bounds, list, lanes, own, state)
             if wp.static(not prepared):
-                prepare_kept(stream, kept, bits, place, own)
-            place += count
-            kept += count_bits(bits)
+                prepare_kept(stream, state.kept, bits, own)
+            state.loaded += count
+            state.kept += count_bits(bits)
         leaves = end_list(tree.child, lanes, keys)  # noqa: F841 (a reference)
-        size = kept  # noqa: F841 (a reference)
-        return place
+        size = state.kept  # noqa: F841 (a reference)
+        return state.loaded
 
     return load_rays
