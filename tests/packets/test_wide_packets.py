@@ -61,7 +61,6 @@ def test_small_packets_are_not_wide():
     assert answers([0.0, 0.0, 2.0 * small, 2.0 * small]) == [0, 0, 0, 0]  # of rays from one point nothing is usual
 
 
-@pytest.mark.width
 @pytest.mark.parametrize("culling", ["leaf_boxes", "transient_frustum"])
 @pytest.mark.parametrize("surfaces", [2, 5, 12])
 def test_hits(culling, surfaces, device):
