@@ -10,32 +10,36 @@ from packet_loops import OPTIONS
 from test_packets import packet_plan
 
 import wrt
-from wrt.kernels.traversal.packet.core.packet_splitting import LEAST_WIDE, is_wide
+from wrt.kernels.traversal.packet.core.packet_splitting import LEAST_WIDE, forget_extent, is_wide
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 WIDTH = 8
 LAYOUT = PacketLayout(32, WIDTH, False, "woop")
-SIZE, ASK = LAYOUT.size, is_wide(LAYOUT)
+SIZE, ASK, FORGET = LAYOUT.size, is_wide(LAYOUT), forget_extent(LAYOUT)
 SCENE = 10.0
 """Edge of the scene's box."""
 
 
 @wp.kernel(**OPTIONS)
 def ask_in_turn(extents: wp.array(dtype=float), whole: wp.array(dtype=int), edge: float, wide: wp.array(dtype=int)):
-    """Whether packets, or parts of them, are wide, one after the other."""
+    """Whether packets, or parts of them (0), are wide, one after the other; before some of them (2) all are forgotten."""
     packet = wp.zeros(shape=(SIZE,), dtype=float)
     for i in range(extents.shape[0]):
+        if whole[i] == 2:
+            FORGET(packet)
         bounds = PacketBounds()
         bounds.origin_high = wp.vec3(extents[i], 0.0, 0.0)
         if ASK(packet, bounds, wp.vec3(0.0, 0.0, 0.0), wp.vec3(edge, edge, edge), whole[i] != 0):
             wide[i] = 1
 
 
-def answers(extents: list[float], parts: tuple[int, ...] = ()) -> list[int]:
-    """Whether each packet is wide; parts: numbers of those that are parts of another."""
+def answers(extents: list[float], parts: tuple[int, ...] = (), forgetting: tuple[int, ...] = ()) -> list[int]:
+    """Whether each packet is wide; parts: numbers of those that are parts of another; forgetting: of the first ones of another
+    instance."""
     whole = np.ones(len(extents), dtype=np.int32)
     whole[list(parts)] = 0
+    whole[list(forgetting)] = 2
     wide = wp.zeros(len(extents), dtype=int, device="cpu")
     given = [wp.array(extents, dtype=float, device="cpu"), wp.array(whole, dtype=int, device="cpu"), SCENE, wide]
     wp.launch(ask_in_turn, 1, given, device="cpu")
@@ -53,6 +57,10 @@ def test_compared_with_the_packets_before():
 def test_parts_are_compared_and_change_nothing():
     assert answers([1.0, 5.0, 4.0, 1.0, 5.0], parts=(2, 3)) == [0, 1, 1, 0, 1]
     assert answers([1.0, *20 * [2.9], 3.5], parts=tuple(range(1, 21))) == [0, *20 * [0], 1]
+
+
+def test_nothing_is_usual_in_another_instance():
+    assert answers([1.0, 5.0, 5.0, 5.0, 1.0, 5.0], forgetting=(2,)) == [0, 1, 0, 0, 0, 0]
 
 
 def test_small_packets_are_not_wide():

@@ -168,6 +168,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
     layout = packet_layout(config)
     load = load_instance(layout, CULLINGS[config.packet.culling].slopes)
     trace = trace_packet(config, WideNodes, packet.make_walk_packet(config), packet.MIXED_AXES)
+    forget_extent = packet_splitting.forget_extent(layout)
     cache_leaf, trace_left, merge = (
         occluder.cache_leaf(layout),
         trace_left_rays(config),
@@ -181,6 +182,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
         bounds = PacketBounds()
         load(memory, batch.rays, placement, part.tree.low, part.tree.high, bounds)
         cache_leaf(memory.packet, 0)  # the last packet's leaf is in another instance's tree
+        forget_extent(memory.packet)
         if not trace(part.tree, part.tree, part.triangles, memory.packet, memory.walk, bounds, work):
             trace_left(batch, memory, placement, part, work)
         return merge(memory, placement.first)

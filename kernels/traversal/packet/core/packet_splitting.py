@@ -114,6 +114,16 @@ def is_wide(layout: PacketLayout) -> wp.Function:
 
 
 @cache
+def forget_extent(layout: PacketLayout) -> wp.Function:
+    """`wp.func(packet)`: nothing is usual any more, as the next origins are in another space."""
+
+    @wp.func_native(f"packet.data[{layout.usual_extent}] = 0.0f;")
+    def forget_extent_native(packet: wp.array(dtype=float)): ...
+
+    return forget_extent_native
+
+
+@cache
 def activate_part(layout: PacketLayout, slopes: bool = True, ends: bool = False) -> wp.Function:
     """`wp.func(packet, bounds, number)`: makes the rays of a part the active ones, and computes their bounds; slopes, ends: see
     `load_packet`."""
