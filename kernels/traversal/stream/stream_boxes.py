@@ -1,8 +1,8 @@
 """Boxes around the rays of a stream, from origin to end, which tell that most short rays meet nothing.
 
 **Problem.** Most of the short rays in an open scene, such as those of ambient occlusion, meet no child of the root. Before that
-is known, each of them is prepared, with three divisions, and tested against all children (33 instructions for 16 rays and a
-child). The lanes of the others are then mostly idle: of 16 rays, three or four are stored.
+is known, each of them is prepared, with three divisions, and tested against all children. The few rays of a group that stay
+then leave most lanes idle.
 
 **Idea.** Compare the box around each ray with the boxes of the children: six comparisons for 16 rays and a child. Rays whose
 box meets none are done. The others wait until there are 16 of them, which are then prepared, tested and stored together.

@@ -192,7 +192,8 @@ def load_root(triangle_test: str, room: int, width: int, order: int) -> wp.Funct
         ray meets.
     """
     StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test, width, order)
-    prepared, lanes_size = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes), (width + 1) * LIST_LANES + BOX_MEMORY
+    prepared = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes)
+    lanes_size = (width + 1) * LIST_LANES + (BOX_MEMORY if has_boxes(width, order) else 0)
     prepare_kept, group = prepare_one_by_one(triangle_test), min(room, LIST_LANES)
     begin_list, end_list = begin_root(width, order), end_root(width, order)
 

@@ -1,7 +1,7 @@
 """Bounds of several packets together, taken from the batch without loading a packet.
 
 **Problem.** Where a packet meets nothing, mostly its neighbours do not either: the background of a view, surfaces that a light
-reaches. Loading and bounding each of them takes several times as long as the test of the root that all of them fail.
+reaches. Loading and bounding each of them costs more than the test of the root that all of them fail.
 
 **Idea.** Bound the rays of some packets together, and test the root once. The extremes of origins and directions are found
 where these lie in memory (`wrt.kernels.simd.triples`). The rest is derived from the ends of the intervals of origins,
