@@ -7,8 +7,6 @@ import pytest
 from conftest import SCENES, mixed_rays
 
 import wrt
-from wrt.kernels.traversal.stream.stream_boxes import has_boxes
-from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE
 
 pytestmark = pytest.mark.width
 
@@ -25,14 +23,6 @@ def points_on(mesh: wrt.TriangleMesh, triangles: np.ndarray, rng: np.random.Gene
     """A point of each of these triangles, (N, 3) float64."""
     weights = rng.dirichlet(np.ones(3), len(triangles))
     return np.einsum("nk,nkc->nc", weights, mesh.vertices[mesh.faces[triangles]])
-
-
-def test_where_boxes_are_compared():
-    """With 16 lanes, and where children need no order."""
-    assert has_boxes(16, NONE)
-    assert not has_boxes(16, NEAR)
-    assert not has_boxes(16, FAR)
-    assert not has_boxes(8, NONE)
 
 
 @pytest.mark.parametrize("length", [0.05, 0.3, np.inf])

@@ -33,63 +33,119 @@ ROWS = 9
 ROOM = 2 * LIST_LANES
 """Waiting rays: less than a group, and the next group."""
 
-BOX_MEMORY = ROWS * ROOM
-"""Floats of memory for them."""
+CELLS = 65000
+"""Cells along the longest side of the scene's box."""
+
+MARGIN = 2
+"""Cells by which the boxes of children are widened: 1.1 for the rounding of both boxes to cells, the rest for `ERROR`."""
+
+ERROR = 3.0 * SLACK + ENDS_ERROR
+"""By which the box around a ray must be widened, as a fraction of the sum of the largest coordinates of ray and scene."""
+
+GRID = 5
+"""Floats that describe the grid: cells per unit of length; what is added to x, y and z in cells; the largest coordinate of a
+box around a ray for which `MARGIN` suffices."""
 
 
-def has_boxes(width: int, order: int) -> bool:
-    """Whether boxes are compared: where a comparison of 16 lanes is one instruction with a mask, for queries that need no order
-    of children. With eight lanes it costs as much as it saves."""
-    return width == LIST_LANES and order == NONE
+def box_memory(width: int) -> int:
+    """Floats of memory: waiting rays, the grid, and six planes of each child, in cells, once for each lane."""
+    return ROWS * ROOM + GRID + 3 * width * LIST_LANES
 
 
 BOX_CONSTANTS = f"""
-    constexpr int ROWS = {ROWS}, ROOM = {ROOM}, MANY = {MANY}, PAUSE = {PAUSE};
-    constexpr float ERROR = {3.0 * SLACK + ENDS_ERROR!r}f;
+    constexpr int ROWS = {ROWS}, ROOM = {ROOM}, GRID = {GRID}, MANY = {MANY}, PAUSE = {PAUSE}, MARGIN = {MARGIN};
+    constexpr float ERROR = {ERROR!r}f, CELLS = {CELLS}.0f;
+    constexpr float WHOLE = 12582912.0f;
+    constexpr unsigned WHOLE_BITS = 0x4b400000u;
+    float* const waiting = lanes.data + (W + 1) * L;
+    float* const grid = waiting + ROWS * ROOM;
+    float* const planes = grid + GRID;
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    typedef float wrt_spans __attribute__((ext_vector_type(16)));
+    typedef int wrt_numbers __attribute__((ext_vector_type(16)));
+    typedef unsigned wrt_unsigned __attribute__((ext_vector_type(16)));
+    typedef short wrt_cells __attribute__((ext_vector_type(16)));
+    typedef bool wrt_flags __attribute__((ext_vector_type(16)));
+    // WHOLE is 1.5 * 2^23: the bits of a float near it, less those of it, are the nearest whole number
+    auto wrt_cell = [](wrt_spans x, float scale, float offset) {{
+        const wrt_spans cell = x * scale + offset;
+        return (wrt_numbers)(__builtin_bit_cast(wrt_unsigned, cell) - WHOLE_BITS);
+    }};
+    auto wrt_narrow = [](wrt_numbers cell) {{
+        cell = __builtin_elementwise_max(cell, (wrt_numbers)-32768);
+        return __builtin_convertvector(__builtin_elementwise_min(cell, (wrt_numbers)32767), wrt_cells);
+    }};
+#endif
 """
+"""C++ after `lanes`, W and L. wrt_cell: the cells of 16 coordinates, whole numbers; wrt_narrow: the nearest 16-bit ones."""
+
+BEGIN_BOXES = """
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    float longest = 0.0f, scene = 0.0f;
+    for (int a = 0; a < 3; ++a) {
+        longest = high.c[a] - low.c[a] > longest ? high.c[a] - low.c[a] : longest;
+        scene = WRT_ABS(low.c[a]) > scene ? WRT_ABS(low.c[a]) : scene;
+        scene = WRT_ABS(high.c[a]) > scene ? WRT_ABS(high.c[a]) : scene;
+    }
+    const float scale = CELLS < 1e30f * longest ? CELLS / longest : 1e30f;  // 0 if the length is infinite
+    grid[0] = scale;
+    for (int a = 0; a < 3; ++a) grid[1 + a] = WHOLE - 0.5f * CELLS - low.c[a] * scale;
+    grid[4] = (MARGIN - 1.1f) / (ERROR * scale) - scene;
+    for (int c = 0; c < W; ++c) {
+        for (int plane = 0; plane < 6; ++plane) {
+            const float at = used >> c & 1u ? bounds.data[plane * W + c] : 0.0f;
+            const int margin = plane < 3 ? -MARGIN : MARGIN;
+            const wrt_cells cell = wrt_narrow(wrt_cell((wrt_spans)at, scale, grid[1 + plane % 3]) + margin);
+            __builtin_memcpy(planes + (6 * c + plane) * (L / 2), &cell, sizeof(cell));
+        }
+    }
+#endif
+"""
+"""C++ after `BOX_CONSTANTS`: writes the grid, and the planes of the root's children in cells."""
 
 BOXES = """
     int own_number[L];
     WRT_FOR(L, k) own_number[k] = place + k;
     float* const lanes_of[ROWS] = {ox, oy, oz, dx, dy, dz, (float*)own_number, t_min, t};
-    float* const waiting = lanes.data + (W + 1) * L;
     bool waits = count == 0;
     if (count > 0 && state.unboxed > 0) --state.unboxed;
     else if (count > 0) {
-        float from_x[L], from_y[L], from_z[L], to_x[L], to_y[L], to_z[L];
-        int reaches[L];
-        float scene = 0.0f;
+        unsigned bits = wrt_bits(stored) & ((1u << here) - 1u);
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+        wrt_spans far_t, least = (wrt_spans)WRT_INFINITY, most = -least;
+        wrt_cells from[3], to[3];
+        __builtin_memcpy(&far_t, t, sizeof(far_t));
         WRT_UNROLLED for (int a = 0; a < 3; ++a) {
-            scene = WRT_ABS(low.c[a]) > scene ? WRT_ABS(low.c[a]) : scene;
-            scene = WRT_ABS(high.c[a]) > scene ? WRT_ABS(high.c[a]) : scene;
+            wrt_spans origin, along;
+            __builtin_memcpy(&origin, lanes_of[a], sizeof(origin));
+            __builtin_memcpy(&along, lanes_of[3 + a], sizeof(along));
+            const wrt_spans end = origin + far_t * along;
+            const wrt_spans low_end = origin < end ? origin : end, high_end = origin > end ? origin : end;
+            least = low_end < least ? low_end : least; most = high_end > most ? high_end : most;
+            from[a] = wrt_narrow(wrt_cell(low_end, grid[0], grid[1 + a]));
+            to[a] = wrt_narrow(wrt_cell(high_end, grid[0], grid[1 + a]));
         }
-        WRT_FOR(L, k) {
-            const float ax = ox[k], ay = oy[k], az = oz[k];
-            const float bx = ax + t[k] * dx[k], by = ay + t[k] * dy[k], bz = az + t[k] * dz[k];
-            float size = WRT_ABS(ax), f;
-            f = WRT_ABS(ay); size = f > size ? f : size; f = WRT_ABS(az); size = f > size ? f : size;
-            f = WRT_ABS(bx); size = f > size ? f : size; f = WRT_ABS(by); size = f > size ? f : size;
-            f = WRT_ABS(bz); size = f > size ? f : size;
-            const float wide = ERROR * (size + scene);
-            from_x[k] = (ax < bx ? ax : bx) - wide; to_x[k] = (ax > bx ? ax : bx) + wide;
-            from_y[k] = (ay < by ? ay : by) - wide; to_y[k] = (ay > by ? ay : by) + wide;
-            from_z[k] = (az < bz ? az : bz) - wide; to_z[k] = (az > bz ? az : bz) + wide;
-            reaches[k] = 0;
-        }
+        wrt_cells apart = (wrt_cells)-1;
         for (unsigned left = state.used; left; left &= left - 1u) {
-            const int c = wrt_lowest_bit(left);
-            const float low_x = bounds.data[c], low_y = bounds.data[W + c], low_z = bounds.data[2 * W + c];
-            const float high_x = bounds.data[3 * W + c], high_y = bounds.data[4 * W + c], high_z = bounds.data[5 * W + c];
-            WRT_FOR(L, k) {
-                reaches[k] |= (!(from_x[k] > high_x) & !(to_x[k] < low_x) & !(from_y[k] > high_y) & !(to_y[k] < low_y)
-                    & !(from_z[k] > high_z) & !(to_z[k] < low_z)) ? -1 : 0;
+            wrt_cells plane[6];
+            __builtin_memcpy(plane, planes + wrt_lowest_bit(left) * 3 * L, sizeof(plane));
+            wrt_cells own = (wrt_cells)0;
+            WRT_UNROLLED for (int a = 0; a < 3; ++a) {
+                own |= __builtin_elementwise_sub_sat(to[a], plane[a]) | __builtin_elementwise_sub_sat(plane[3 + a], from[a]);
             }
+            apart &= own;
         }
-        if (wrt_count_bits(wrt_bits(reaches)) > MANY) state.unboxed = PAUSE;
-        WRT_FOR(L, k) stored[k] &= reaches[k];
-        const unsigned bits = wrt_bits(stored) & ((1u << here) - 1u);
-        int* const to = (int*)waiting + state.waiting;
-        WRT_UNROLLED for (int row = 0; row < ROWS; ++row) wrt_append(to + row * ROOM, (const int*)lanes_of[row], bits);
+        const wrt_flags meet = __builtin_convertvector(apart >= (wrt_cells)0, wrt_flags);
+        const wrt_flags beyond = __builtin_convertvector(
+            !((least >= (wrt_spans)-grid[4]) & (most <= (wrt_spans)grid[4])), wrt_flags);
+        unsigned short meeting, leaving;
+        __builtin_memcpy(&meeting, &meet, sizeof(meeting)); __builtin_memcpy(&leaving, &beyond, sizeof(leaving));
+        const unsigned reach = meeting | leaving;
+        if (wrt_count_bits(reach) > MANY) state.unboxed = PAUSE;
+        bits &= reach;
+#endif
+        int* const to_row = (int*)waiting + state.waiting;
+        WRT_UNROLLED for (int row = 0; row < ROWS; ++row) wrt_append(to_row + row * ROOM, (const int*)lanes_of[row], bits);
         state.waiting += wrt_count_bits(bits);
         waits = true;
     }

@@ -63,7 +63,8 @@ def child_order(config: TraversalConfig) -> int:
 @cache
 def stream_loader(config: TraversalConfig) -> wp.Function:
     """The function that loads a stream with the list of its root: `wrt.kernels.traversal.stream.stream_root.load_root`."""
-    return load_root(config.triangle_test, config.stream.rays, config.width, child_order(config))
+    order = child_order(config)
+    return load_root(config.triangle_test, config.stream.rays, config.width, order, boxes=order == NONE)
 
 
 @cache

@@ -24,7 +24,7 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.lanes import count_bits
 from wrt.kernels.simd.row_maxima import row_maxima
-from wrt.kernels.traversal.stream.stream_boxes import BOX_CONSTANTS, BOX_MEMORY, BOXES, has_boxes
+from wrt.kernels.traversal.stream.stream_boxes import BEGIN_BOXES, BOX_CONSTANTS, BOXES, box_memory
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE
 from wrt.kernels.traversal.stream.stream_lists import LISTS
@@ -71,7 +71,6 @@ _BEGIN = """
     for (int c = 0; c < W; ++c) used |= children.data[c] != EMPTY ? 1u << c : 0u;
     if (ORDER != NONE) { WRT_FOR(W * L, k) last[k] = -WRT_INFINITY; }
     WRT_FOR(L, k) any[k] = 0;
-    return used;
 """
 
 _END = """
@@ -101,11 +100,15 @@ def _head(width: int, order: int) -> str:
 
 
 @cache
-def begin_root(width: int, order: int) -> wp.Function:
-    """`func(children, lanes) -> used`: before the first rays of a stream; returns the bits of the root's children."""
+def begin_root(width: int, order: int, boxes: bool) -> wp.Function:
+    """`func(children, bounds, low, high, lanes) -> used`: before the first rays of a stream; returns the bits of the root's
+    children."""
+    head = LISTS + _head(width, order) + (BOX_CONSTANTS if boxes else "")
 
-    @wp.func_native(LISTS + _head(width, order) + _BEGIN)
-    def begin_native(children: wp.array(dtype=int), lanes: wp.array(dtype=float)) -> wp.uint32: ...
+    @wp.func_native(head + _BEGIN + (BEGIN_BOXES if boxes else "") + "    return used;\n")
+    def begin_native(
+        children: wp.array(dtype=int), bounds: wp.array(dtype=float), low: wp.vec3, high: wp.vec3, lanes: wp.array(dtype=float)
+    ) -> wp.uint32: ...
 
     return begin_native
 
@@ -140,7 +143,7 @@ class RootLoad:
 
 
 @cache
-def load_lanes(triangle_test: str, width: int, order: int) -> wp.Function:
+def load_lanes(triangle_test: str, width: int, order: int, boxes: bool) -> wp.Function:
     """`func(batch, first, count, low, high, stream, bounds, list, lanes, own, state) -> bits`: loads the next rays
     (`wrt.kernels.traversal.stream.stream_load.FETCH`), and stores and lists those that meet a child of the root.
 
@@ -151,7 +154,7 @@ def load_lanes(triangle_test: str, width: int, order: int) -> wp.Function:
     see `wrt.kernels.traversal.stream.stream_load.KEPT_SIZE`.
     """
     head = constants(triangle_test) + _head(width, order) + "    const int place = state.loaded, size = state.kept;\n"
-    if has_boxes(width, order):
+    if boxes:
         code = BOX_CONSTANTS + FETCH + BOXES + written(triangle_test, _TEST, _LIST, "own_number[k]")
     else:
         code = "    if (count == 0) return 0;\n" + FETCH + written(triangle_test, _TEST, _LIST)
@@ -175,7 +178,7 @@ def load_lanes(triangle_test: str, width: int, order: int) -> wp.Function:
 
 
 @cache
-def load_root(triangle_test: str, room: int, width: int, order: int) -> wp.Function:
+def load_root(triangle_test: str, room: int, width: int, order: int, boxes: bool = False) -> wp.Function:
     """`wp.func(rays, begin, end, tree, stream, list, keys, leaves, size) -> count`: loads rays from `begin` on, until the
     stream is full or ray `end` is reached.
 
@@ -186,16 +189,18 @@ def load_root(triangle_test: str, room: int, width: int, order: int) -> wp.Funct
         room: of a stream, in rays.
         width: children of a node.
         order: of the children of a node: `NONE`, `NEAR` or `FAR`.
+        boxes: whether short rays are first tested by the boxes around them; then the rays of a stream are not in the order of
+            the batch.
 
     Args (of the function): list: becomes the list of the root, a word for each ray of the stream, in order; `LIST_LANES` words
         beyond it are written, too. keys: of the root's children, W ints. leaves: becomes the bits of the root's leaves that a
         ray meets.
     """
-    StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test, width, order)
+    StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test, width, order, boxes)
     prepared = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes)
-    lanes_size = (width + 1) * LIST_LANES + (BOX_MEMORY if has_boxes(width, order) else 0)
+    lanes_size = (width + 1) * LIST_LANES + (box_memory(width) if boxes else 0)
     prepare_kept, group = prepare_one_by_one(triangle_test), min(room, LIST_LANES)
-    begin_list, end_list = begin_root(width, order), end_root(width, order)
+    begin_list, end_list = begin_root(width, order, boxes), end_root(width, order)
 
     @wp.func
     def load_rays(
@@ -212,7 +217,7 @@ def load_root(triangle_test: str, room: int, width: int, order: int) -> wp.Funct
         lanes = wp.zeros(shape=(lanes_size,), dtype=float)
         own = wp.zeros(shape=(KEPT_SIZE,), dtype=float)
         state = RootLoad()
-        state.used = begin_list(tree.child, lanes)
+        state.used = begin_list(tree.child, tree.bounds, tree.low, tree.high, lanes)
         more = bool(True)
         while more:
             first = begin + state.loaded
