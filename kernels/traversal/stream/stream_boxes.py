@@ -19,7 +19,6 @@ Figures: notebooks/records/2026-11-26-joined-packets.md.
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.rays.reversed_bounds import ENDS_ERROR
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES
-from wrt.kernels.traversal.stream.stream_lanes import NONE
 
 MANY = 12
 """Rays of a group of 16 whose box meets a child, so that the next boxes will not pay."""

@@ -120,15 +120,15 @@ _TEST = """
                 const vi number = (vi)chosen(ids.data + block * W, which), before = load_ints(found + f);
                 if (ANY_HIT) {  // the first will do, and nobody asks for its weights
                     hit = hit & (at <= last);WRT_FACES
-                    save(t + f, hit ? (vf)(-INF) : last);
+                    replace(t + f, hit, (vf)(-INF));
                     left = hit ? 0 : left;
                 } else {  // no hit so far is -1, the greatest number without a sign
                     hit = hit & ((at < last) | ((at == last) & ((number ^ SIGN) < (before ^ SIGN))));WRT_FACES
-                    save(t + f, hit ? at : last);
-                    save(u + f, hit ? hit_u : load(u + f));
-                    save(v + f, hit ? hit_v : load(v + f));
+                    replace(t + f, hit, at);
+                    replace(u + f, hit, hit_u);
+                    replace(v + f, hit, hit_v);
                 }
-                save(found + f, hit ? number : before);
+                replace(found + f, hit, number);
             }
     }
 """
