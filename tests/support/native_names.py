@@ -29,7 +29,7 @@ SUPPLIED = frozenset(
         r"\w+",
         "INFINITY NAN memcpy fabsf __brev __ffs __popc threadIdx _Pragma __ATOMIC_SEQ_CST __ATOMIC_RELAXED "
         "__ATOMIC_ACQUIRE __ATOMIC_RELEASE static_assert "
-        "atomicAdd atomicMin sqrt sqrtf __attribute__ ext_vector_type noinline",
+        "atomicAdd atomicMin sqrt sqrtf __attribute__ aligned ext_vector_type noinline",
     )
 )
 """What the compilers or Warp's headers supply; names that begin with `__builtin_` or `__atomic_` count too."""

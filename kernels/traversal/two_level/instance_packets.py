@@ -181,7 +181,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
         part = batch.parts[placement.geometry]
         bounds = PacketBounds()
         load(memory, batch.rays, placement, part.tree.low, part.tree.high, bounds)
-        cache_leaf(memory.packet, 0)  # the last packet's leaf is in another instance's tree
+        cache_leaf(memory.packet, 0, False)  # the last packet's leaf is in another instance's tree
         forget_extent(memory.packet)
         if not trace(part.tree, part.tree, part.triangles, memory.packet, memory.walk, bounds, work):
             trace_left(batch, memory, placement, part, work)

@@ -82,6 +82,8 @@ class PacketForm:
         ray: for the single ray k; sets the members of `ray`, the struct that the test's `prepare` returns, which `block_test`
             reads.
         pairs: the same test for rays that have a triangle each; None for a test without it.
+        certain: whether a ray that passes well inside a triangle always hits it, for whatever triangle is large enough as seen
+            from the ray's origin (`wrt.kernels.traversal.packet.leaves.covering_triangle`).
     """
 
     state: tuple[str, ...]
@@ -92,6 +94,7 @@ class PacketForm:
     hit: str
     ray: str
     pairs: PairForm | None = None
+    certain: bool = False
 
 
 @dataclass(frozen=True)

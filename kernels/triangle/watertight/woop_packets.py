@@ -93,5 +93,6 @@ PACKET = PacketForm(
     ray.shear = wp::vec3(slope_x[k], slope_y[k], shear_z[k]);
     """,
     pairs=PAIRS,
+    certain=True,
 )
 """W rays x one triangle: the same arithmetic, with one pass for each main axis that occurs among the rays."""

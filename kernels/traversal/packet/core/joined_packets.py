@@ -1,28 +1,39 @@
-"""Packets that are tested against the root of a wide BVH together.
+"""Packets of a wide BVH that are answered together, before any of them is loaded.
 
 Where a packet meets nothing, mostly its neighbours do not either. After some packets in succession that have met no leaf, the
 kernel (`wrt.kernels.traversal.packet.core.packet_kernel`) asks for the next ones together: they are bounded as one
 (`wrt.kernels.traversal.packet.rays.joint_bounds`), and if no box of the root is left, none of them has a hit.
+
+Where the last occluder alone has occluded a packet of an any-hit query, mostly it occludes the next ones, too. They are tested
+together against its triangles (`wrt.kernels.traversal.packet.leaves.covering_triangle`).
 """
 
 from functools import cache
 
 import warp as wp
 
+from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
-from wrt.kernels.layout.unchecked import first_line
+from wrt.kernels.layout.unchecked import first_line, load_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import entry_of
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, reverses_bounds
-from wrt.kernels.traversal.packet.rays.joint_bounds import fetch_ahead, join_packets, store_misses
+from wrt.kernels.traversal.packet.leaves import occluder_cache as occluder
+from wrt.kernels.traversal.packet.leaves.covering_triangle import covered_packets
+from wrt.kernels.traversal.packet.rays.joint_bounds import fetch_ahead, join_packets, store_together
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.reversed_bounds import reverse_bounds
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
+
+MISSED = 2
+"""Packets in succession that have met no leaf, after which the next ones are tested together."""
 
 JOINED = 4
 """Greatest number of packets that are tested together (notebooks/records/2026-11-26-joined-packets.md)."""
@@ -67,7 +78,7 @@ def joined_misses(config: TraversalConfig) -> wp.Function:
     Returns their number; 0 if they have to be traced.
     """
     layout, packet_rays = packet_layout(config), config.packet.rays
-    store = store_misses(layout, config.query == ANY, config.packet.non_temporal)
+    store = store_together(layout, config.query == ANY, config.packet.non_temporal)
     count_misses, fetch = root_misses(config), fetch_ahead(layout)
     fetches = config.query != ANY and not config.packet.non_temporal
 
@@ -90,3 +101,78 @@ def joined_misses(config: TraversalConfig) -> wp.Function:
         return packets
 
     return miss_together
+
+
+@cache
+def joined_occlusion(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, rays, begin, end, leaf, hits) -> int`: tests whether a triangle of a leaf covers the next
+    packets, at most `JOINED` of those up to ray `end`, and stores that they are occluded if one does.
+
+    Returns their number; 0 if they have to be traced. leaf: as of `wrt.kernels.traversal.packet.leaves.occluder_cache`.
+    """
+    layout, packet_rays, width = packet_layout(config), config.packet.rays, config.width
+    covered, store = covered_packets(layout), store_together(layout, True, False, occluded=True)
+
+    @wp.func
+    def occlude_together(
+        tree: wp.ref[WideNodes],
+        triangles: wp.ref[TriangleBlocks],
+        rays: wp.ref[RayBatch],
+        begin: int,
+        end: int,
+        leaf: int,
+        hits: wp.ref[HitBatch],
+    ):
+        child = load_int(tree.child, leaf - 1)
+        blocks = (bvh.leaf_triangles(child) + wp.static(width - 1)) // wp.static(width)
+        limit = wp.min((end - begin) // wp.static(packet_rays), wp.static(JOINED))
+        packets = covered(rays, begin, limit, triangles.records, bvh.first_block(child), blocks)
+        if packets > 0:
+            store(rays, begin, packets, hits)
+        return packets
+
+    return occlude_together
+
+
+def may_cover(config: TraversalConfig) -> bool:
+    """Whether packets may be occluded together."""
+    certain = TRIANGLE_TESTS[config.triangle_test].packet_form.certain
+    return config.query == ANY and certain and not config.cull_backfaces
+
+
+@cache
+def answer_together(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, rays, begin, end, packet, memory, hits, missed) -> int`: the number of packets from ray `begin`
+    on whose results it stores; 0 if the next one has to be traced.
+
+    missed: packets in succession that have met no leaf; 0 again if the next ones may meet one.
+    """
+    misses, layout, covering = joined_misses(config), packet_layout(config), may_cover(config)
+    occlusion = joined_occlusion(config) if covering else None
+    covering_leaf, wait = occluder.covering_leaf(layout), occluder.wait_for_packets(layout, JOINED)
+
+    @wp.func
+    def answer(
+        tree: wp.ref[WideNodes],
+        triangles: wp.ref[TriangleBlocks],
+        rays: wp.ref[RayBatch],
+        begin: int,
+        end: int,
+        packet: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
+        hits: wp.ref[HitBatch],
+        missed: wp.ref[int],
+    ):
+        packets = int(0)
+        if missed >= wp.static(MISSED):
+            packets = misses(tree, rays, begin, end, packet, memory, hits)
+            missed = wp.where(packets == 0, 0, missed)
+        elif wp.static(covering):
+            leaf = covering_leaf(packet)
+            if leaf > 0:
+                packets = occlusion(tree, triangles, rays, begin, end, leaf, hits)
+                if packets == 0:
+                    wait(packet)
+        return packets
+
+    return answer

@@ -18,7 +18,8 @@ found until then.
 
 **Packets that meet nothing.** What only tests need is computed at a packet's first leaf
 (`wrt.kernels.traversal.packet.rays.packet_load`). After two packets without a leaf, the next ones are tested against the root
-together (`wrt.kernels.traversal.packet.core.joined_packets`).
+together, and after one that the last occluder alone has occluded, against that
+(`wrt.kernels.traversal.packet.core.joined_packets`).
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
@@ -42,7 +43,7 @@ from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
-from wrt.kernels.traversal.packet.core.joined_packets import joined_misses
+from wrt.kernels.traversal.packet.core.joined_packets import answer_together
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel, packet_layout
 from wrt.kernels.traversal.packet.culling.culling_hooks import no_start
 from wrt.kernels.traversal.packet.leaves import occluder_cache as occluder
@@ -186,6 +187,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
             if leaf > 0:
                 node = (leaf - 1) // wp.static(width)
                 visit(tree, triangles, node, (leaf - 1) % wp.static(width), packet, bounds, memory, work)
+        at_once = bounds.t_max < 0.0
         key = int(NO_CHILD)
         level = int(-1)
         if bounds.t_max >= 0.0:
@@ -222,7 +224,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
                 if level >= 0:
                     key = nearest(memory, keys + level * wp.static(width))
         if wp.static(any_hit):
-            cache_leaf(packet, wp.where(bounds.t_max < 0.0, leaf, 0))
+            cache_leaf(packet, wp.where(bounds.t_max < 0.0, leaf, 0), at_once)
         return steps <= wp.static(max_steps)
 
     return walk
@@ -234,5 +236,5 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     walks = make_walk_packet(config), make_walk(config)
     memory = walk_memory(config)
     later = finishes_later(config)
-    misses = joined_misses(config) if later and not config.counters else None
-    return make_packet_kernel(config, WideNodes, *walks, MIXED_AXES, memory, reversible=True, later=later, miss_together=misses)
+    answer = answer_together(config) if later and not config.counters else None
+    return make_packet_kernel(config, WideNodes, *walks, MIXED_AXES, memory, True, later, answer)

@@ -37,9 +37,6 @@ def packet_layout(config: TraversalConfig) -> PacketLayout:
     return PacketLayout(config.packet.rays, config.width, config.packet.shared_origin, config.triangle_test)
 
 
-MISSED = 2
-"""Packets in succession that have met no leaf, after which the next ones are tested together."""
-
 RUN = 8
 """Packets per item, or more (`RayBatch.run`). They share its local memory, which Warp clears once per item
 (notebooks/records/2026-11-21-packets.md)."""
@@ -346,20 +343,20 @@ def make_packet_kernel(
     memory_size: int,
     reversible: bool = False,
     later: bool = False,
-    miss_together: wp.Function | None = None,
+    answer_together: wp.Function | None = None,
 ) -> wp.Kernel:
     """The kernel for one specialisation.
 
     Args:
         memory_size: ints of memory for a walk.
-        miss_together: `wp.func(tree, rays, begin, end, packet, memory, hits) -> packets`: how many packets from ray `begin` on
-            have no hits, which it stores; 0 if the next one has to be traced. It is asked after `MISSED` packets in succession
-            that have met no leaf. None not to ask.
+        answer_together: `wp.func(tree, triangles, rays, begin, end, packet, memory, hits, missed) -> packets`: the number of
+            packets from ray `begin` on whose results it stores; 0 if the next one has to be traced. `missed` is the number of
+            packets in succession that have met no leaf. None not to ask.
         config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later: as in `packet_step`.
     """
     step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later)
     packet_rays, size, non_temporal = config.packet.rays, packet_layout(config).size, config.packet.non_temporal
-    joining = miss_together is not None
+    joining = answer_together is not None
 
     def packet_traversal(
         first: int,
@@ -376,10 +373,8 @@ def make_packet_kernel(
         missed = int(0)
         while begin < end:
             packets = int(0)
-            if wp.static(joining):  # noqa: SIM102 - decided when the kernel is made
-                if missed >= wp.static(MISSED):
-                    packets = miss_together(tree, rays, begin, end, packet, memory, hits)
-                    missed = wp.where(packets == 0, 0, missed)
+            if wp.static(joining):
+                packets = answer_together(tree, triangles, rays, begin, end, packet, memory, hits, missed)
             if packets == 0:
                 work = Counters()
                 tested = step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)

@@ -35,14 +35,14 @@ from wrt.kernels.traversal.packet.rays.reversed_bounds import ENDS_ERROR
 
 exact_module(__name__)
 
-_JOIN = """
+EXTREMES = """
     const double center[3] = {rays.center.c[0], rays.center.c[1], rays.center.c[2]};
     const float *origins = (const float*)rays.origins.data, *directions = (const float*)rays.directions.data;
     float origin_of_all[3 * W], direction_of_all[3 * W];
     if (!rays.origin_stride) for (int i = 0; i < 3 * W; ++i) origin_of_all[i] = origins[i % 3];
     if (!rays.direction_stride) for (int i = 0; i < 3 * W; ++i) direction_of_all[i] = directions[i % 3];
     const float last = rays.t_max.data[0] > FARTHEST ? FARTHEST : rays.t_max.data[0];
-    vf start = (vf)INF, end = (vf)(-INF);
+    vf start = (vf)INF, end = (vf)(-INF), odd = (vf)0.0f;
     vf least[3][3], most[3][3];  // of origins, directions and ends
     WRT_UNROLLED for (int r = 0; r < 3; ++r) WRT_UNROLLED for (int a = 0; a < 3; ++a) { least[r][a] = start; most[r][a] = end; }
     for (int y = 0; y < rows; ++y) for (int x = 0; x < length; x += W) {
@@ -52,29 +52,41 @@ _JOIN = """
         WRT_UNROLLED for (int a = 0; a < 3; ++a) {
             const vf direction = load(d + a * W);
             wrt_widen(direction, least[1][a], most[1][a]);
+            if (ODD) odd += direction * 0.0f;
             if (SHARED) continue;
             const vf origin = load(o + a * W);
             wrt_widen(origin, least[0][a], most[0][a]);
+            if (ODD) odd += origin * 0.0f;
             if (ENDS) wrt_widen(origin + direction * last, least[2][a], most[2][a]);
         }
         if (rays.t_min_stride) { const vf t = load(rays.t_min.data + at); start = t < start ? t : start; }
         if (rays.t_max_stride) { const vf t = load(rays.t_max.data + at); end = t > end ? t : end; }
     }
-    float low_of[3][3], high_of[3][3], t_min = INF, t_max = -INF;
+    float low_of[3][3], high_of[3][3], lows[3], highs[3];
     WRT_UNROLLED for (int a = 0; a < 3; ++a) low_of[0][a] = high_of[0][a] = origins[a];
     if (!SHARED) wrt_ends(least[0], most[0], low_of[0], high_of[0]);
     wrt_ends(least[1], most[1], low_of[1], high_of[1]);
     if (ENDS) wrt_ends(least[2], most[2], low_of[2], high_of[2]);
+    WRT_UNROLLED for (int a = 0; a < 3; ++a) {
+        lows[a] = (float)((double)low_of[0][a] - center[a]); highs[a] = (float)((double)high_of[0][a] - center[a]);
+    }
+"""
+"""C++ after `ROWS` and `triple_extremes`: the intervals low_of[r], high_of[r] of the origins (r = 0), the directions (1) and,
+if ENDS, the ends of the rays (2), all in the caller's coordinates; `lows` and `highs`, of the origins relative to the centre;
+lanes of the least t_min (`start`) and the greatest t_max (`end`) of rays with ranges of their own; `last`, the others' t_max.
+If ODD, a lane of `odd` is not 0 if a number of a ray is NaN or infinite."""
+
+_JOIN = """
+    float t_min = INF, t_max = -INF;
     if (rays.t_min_stride) { WRT_SCALAR for (int i = 0; i < W; ++i) t_min = start[i] < t_min ? start[i] : t_min; }
     if (rays.t_max_stride) { WRT_SCALAR for (int i = 0; i < W; ++i) t_max = end[i] > t_max ? end[i] : t_max; }
     bounds.t_min = rays.t_min_stride ? t_min : rays.t_min.data[0];
     bounds.t_max = rays.t_max_stride ? (t_max > FARTHEST ? FARTHEST : t_max) : last;
     bounds.active = packets * P;
 
-    float lows[3], highs[3], size = 0.0f, from_zero = 0.0f;
+    float size = 0.0f, from_zero = 0.0f;
     auto grow = [](float value, float& most) { most = WRT_ABS(value) > most ? WRT_ABS(value) : most; };
     WRT_UNROLLED for (int a = 0; a < 3; ++a) {
-        lows[a] = (float)((double)low_of[0][a] - center[a]); highs[a] = (float)((double)high_of[0][a] - center[a]);
         grow(low_of[1][a], size); grow(high_of[1][a], size);
         if (ENDS) WRT_UNROLLED for (int r = 0; r < 3; r += 2) { grow(low_of[r][a], from_zero); grow(high_of[r][a], from_zero); }
     }
@@ -103,12 +115,13 @@ def join_packets(layout: PacketLayout, ends: bool) -> wp.Function:
     finished (`PacketBounds.finished`).
     """
     constants = f"""
-    constexpr bool ENDS = {str(ends and not layout.shared_origin).lower()};
+    constexpr bool ENDS = {str(ends and not layout.shared_origin).lower()}, ODD = false;
     constexpr float SLACK = {SLACK!r}f, ENDS_ERROR = {ENDS_ERROR!r}f;
 {DIRECTION_LANES}"""
     body = (
         vector_words(layout.width)
         + triple_extremes(layout.width)
+        + EXTREMES
         + _JOIN
         + SLACK_OF_ENDS
         + "    bounds.slack = slack0;\n"
@@ -151,10 +164,10 @@ def fetch_ahead(layout: PacketLayout) -> wp.Function:
     return fetch_ahead_native
 
 
-_STORE_MISSES = """
+_STORE = """
     for (int y = 0; y < rows; ++y) {
         const size_t at = begin + (size_t)y * apart;
-        if (ANY_HIT) { WRT_FOR(length, x) hits.occluded.data[at + x] = false; continue; }
+        if (ANY_HIT) { WRT_FOR(length, x) hits.occluded.data[at + x] = OCCLUDED; continue; }
         float* t = hits.t.data + at; float* uv = (float*)(hits.uv.data + at);
         int* primitive = hits.primitive.data + at;
         WRT_STREAM
@@ -179,15 +192,16 @@ _STREAM = """
 
 
 @cache
-def store_misses(layout: PacketLayout, any_hit: bool, non_temporal: bool) -> wp.Function:
-    """`wp.func(rays, first, limit, hits)`: no ray of the packets has a hit that `join_packets` joins with this limit.
+def store_together(layout: PacketLayout, any_hit: bool, non_temporal: bool, occluded: bool = False) -> wp.Function:
+    """`wp.func(rays, first, limit, hits)`: no ray of the packets has a hit that `join_packets` joins with this limit; or, of an
+    any-hit query, all of them, if `occluded`.
 
     non_temporal: as of `wrt.kernels.traversal.packet.rays.packet_store.store_packet`.
     """
-    constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
-    body = _STORE_MISSES.replace("WRT_STREAM", _STREAM if non_temporal else "")
+    constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()}, OCCLUDED = {str(occluded).lower()};\n"
+    body = _STORE.replace("WRT_STREAM", _STREAM if non_temporal else "")
 
     @wp.func_native(layout.constants + constant + ROWS + body)
-    def store_misses_native(rays: RayBatch, first: int, limit: int, hits: HitBatch): ...
+    def store_together_native(rays: RayBatch, first: int, limit: int, hits: HitBatch): ...
 
-    return store_misses_native
+    return store_together_native

@@ -57,12 +57,17 @@ class PacketLayout:
     @property
     def size(self) -> int:
         """Floats of a packet, including a cache line for alignment and what packets leave to the next."""
-        return len(self.components) * self.rays + CACHE_LINE + 1
+        return len(self.components) * self.rays + CACHE_LINE + 2
 
     @property
     def occluder(self) -> int:
         """Index of the last float, behind the components; used by `wrt.kernels.traversal.packet.leaves.occluder_cache`."""
         return self.size - 1
+
+    @property
+    def at_once(self) -> int:
+        """Index of the third last float; used likewise."""
+        return self.size - 3
 
     @property
     def usual_extent(self) -> int:
