@@ -27,13 +27,17 @@ _FILTER_BOXES = """
     int least[W];
     unsigned are_leaves = 0, reached = 0;
     for (int i = 0; i < W; ++i) { least[i] = NO_CHILD; are_leaves |= child[i] < 0 ? 1u << i : 0u; }
-    auto wrt_sign = [](float x) { return __builtin_bit_cast(int, x) >> 31; };
+    // read as volatile where registers have 8 lanes: Clang would make a vector of the three signs, and take it apart again
+    auto wrt_sign = [](const float& x) {
+        return W < 16 ? *(const volatile int*)&x >> 31 : __builtin_bit_cast(int, x) >> 31;
+    };
     int kept = 0;
     for (int j = 0; j < count; ++j) {
         const int k = list[j] & RAY;
         const auto& ray = rays.data[k];
         const float ix = ray.slabs.inverse.c[0], iy = ray.slabs.inverse.c[1], iz = ray.slabs.inverse.c[2];
-        const int sx = wrt_sign(ix) & 3 * W, sy = wrt_sign(iy) & 3 * W, sz = wrt_sign(iz) & 3 * W;
+        const float* const inverse = ray.slabs.inverse.c;
+        const int sx = wrt_sign(inverse[0]) & 3 * W, sy = wrt_sign(inverse[1]) & 3 * W, sz = wrt_sign(inverse[2]) & 3 * W;
         const float *near_x = box + sx, *near_y = box + W + sy, *near_z = box + 2 * W + sz;
         const float *far_x = box + 3 * W - sx, *far_y = box + 4 * W - sy, *far_z = box + 5 * W - sz;
         const float in_x = ray.slabs.origin_in.c[0], in_y = ray.slabs.origin_in.c[1], in_z = ray.slabs.origin_in.c[2];
