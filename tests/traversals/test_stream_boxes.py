@@ -25,10 +25,12 @@ def points_on(mesh: wrt.TriangleMesh, triangles: np.ndarray, rng: np.random.Gene
     return np.einsum("nk,nkc->nc", weights, mesh.vertices[mesh.faces[triangles]])
 
 
-@pytest.mark.parametrize("length", [0.05, 0.3, np.inf])
-def test_short_and_long_rays(length, device):
-    """From surfaces, 64 rays from one place, some of them far from everything; ranges of their own; one origin; bad rays."""
+@pytest.mark.parametrize(("length", "offset"), [(0.05, 0.0), (0.3, 30000.0), (np.inf, 0.0)])
+def test_short_and_long_rays(length, offset, device):
+    """From surfaces, 64 rays from one place, some of them far from everything; ranges of their own; one origin; bad rays; a
+    scene far from the origin."""
     mesh = SCENES["atrium"]()
+    mesh = wrt.TriangleMesh(mesh.vertices + np.float32(offset), mesh.faces)
     scene = wrt.Scene(mesh, device=device)
     rng = np.random.default_rng(1)
     size = float(np.linalg.norm(mesh.bounds[1] - mesh.bounds[0]))

@@ -41,9 +41,9 @@ MARGIN = 2
 ERROR = 3.0 * SLACK + ENDS_ERROR
 """By which the box around a ray must be widened, as a fraction of the sum of the largest coordinates of ray and scene."""
 
-GRID = 5
+GRID = 8
 """Floats that describe the grid: cells per unit of length; what is added to x, y and z in cells; the largest coordinate of a
-box around a ray for which `MARGIN` suffices."""
+box around a ray for which `MARGIN` suffices; the scene's centre, from which coordinates count, as floats."""
 
 
 def box_memory(width: int) -> int:
@@ -81,18 +81,24 @@ BOX_CONSTANTS = f"""
 BEGIN_BOXES = """
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
     float longest = 0.0f, scene = 0.0f;
+    double rest[3];  // of the centre, which has more digits than a float
     for (int a = 0; a < 3; ++a) {
+        grid[5 + a] = (float)center.c[a];
+        rest[a] = center.c[a] - (double)grid[5 + a];
         longest = high.c[a] - low.c[a] > longest ? high.c[a] - low.c[a] : longest;
         scene = WRT_ABS(low.c[a]) > scene ? WRT_ABS(low.c[a]) : scene;
         scene = WRT_ABS(high.c[a]) > scene ? WRT_ABS(high.c[a]) : scene;
     }
     const float scale = CELLS < 1e30f * longest ? CELLS / longest : 1e30f;  // 0 if the length is infinite
     grid[0] = scale;
-    for (int a = 0; a < 3; ++a) grid[1 + a] = WHOLE - 0.5f * CELLS - low.c[a] * scale;
     grid[4] = (MARGIN - 1.1f) / (ERROR * scale) - scene;
+    for (int a = 0; a < 3; ++a) {
+        grid[1 + a] = (float)(WHOLE - 0.5 * CELLS - (low.c[a] + rest[a]) * scale);
+        grid[4] -= 2.0f * WRT_ABS((float)rest[a]);
+    }
     for (int c = 0; c < W; ++c) {
         for (int plane = 0; plane < 6; ++plane) {
-            const float at = used >> c & 1u ? bounds.data[plane * W + c] : 0.0f;
+            const float at = used >> c & 1u ? (float)(bounds.data[plane * W + c] + rest[plane % 3]) : 0.0f;
             const int margin = plane < 3 ? -MARGIN : MARGIN;
             const wrt_cells cell = wrt_narrow(wrt_cell((wrt_spans)at, scale, grid[1 + plane % 3]) + margin);
             __builtin_memcpy(planes + (6 * c + plane) * (L / 2), &cell, sizeof(cell));
@@ -105,11 +111,11 @@ BEGIN_BOXES = """
 BOXES = """
     int own_number[L];
     WRT_FOR(L, k) own_number[k] = place + k;
-    float* const lanes_of[ROWS] = {ox, oy, oz, dx, dy, dz, (float*)own_number, t_min, t};
+    float* const lanes_of[ROWS] = {given_x, given_y, given_z, ex, ey, ez, (float*)own_number, t_min, t};
     bool waits = count == 0;
     if (count > 0 && state.unboxed > 0) --state.unboxed;
     else if (count > 0) {
-        unsigned bits = wrt_bits(stored) & ((1u << here) - 1u);
+        unsigned bits = (1u << here) - 1u;
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
         wrt_spans far_t, least = (wrt_spans)WRT_INFINITY, most = -least;
         wrt_cells from[3], to[3];
@@ -118,6 +124,7 @@ BOXES = """
             wrt_spans origin, along;
             __builtin_memcpy(&origin, lanes_of[a], sizeof(origin));
             __builtin_memcpy(&along, lanes_of[3 + a], sizeof(along));
+            origin -= grid[5 + a];
             const wrt_spans end = origin + far_t * along;
             const wrt_spans low_end = origin < end ? origin : end, high_end = origin > end ? origin : end;
             least = low_end < least ? low_end : least; most = high_end > most ? high_end : most;
@@ -157,9 +164,9 @@ BOXES = """
             WRT_FOR(L, k) lanes_of[row][k] = from[k];
             WRT_FOR(L, k) from[k] = from[L + k];
         }
-        WRT_FOR(L, k) stored[k] = k < here ? -1 : 0;
     }
 """
-"""C++ after `BOX_CONSTANTS` and `wrt.kernels.traversal.stream.stream_load.FETCH`: compares the rays in lanes and lets them
-wait; then the lanes hold rays that have waited, and `own_number` their numbers. Returns 0 while these are not enough.
+"""C++ between `wrt.kernels.traversal.stream.stream_load.FETCH_GIVEN`, after `BOX_CONSTANTS`, and `FINISH_GIVEN`: compares the
+rays in lanes and lets them wait; then the lanes hold rays that have waited, and `own_number` their numbers. Returns 0 while
+these are not enough. Invalid rays wait, too, or not: they miss.
 state: see `wrt.kernels.traversal.stream.stream_root.RootLoad`."""

@@ -64,7 +64,7 @@ def child_order(config: TraversalConfig) -> int:
 def stream_loader(config: TraversalConfig) -> wp.Function:
     """The function that loads a stream with the list of its root: `wrt.kernels.traversal.stream.stream_root.load_root`."""
     order = child_order(config)
-    return load_root(config.triangle_test, config.stream.rays, config.width, order, boxes=order == NONE)
+    return load_root(config.triangle_test, config.stream.rays, config.width, order, boxes=order == NONE and config.width >= 8)
 
 
 @cache

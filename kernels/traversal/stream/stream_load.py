@@ -10,6 +10,7 @@ Invalid rays are not stored, so a stream is loaded from as many rays as fill it.
 child of the root (`wrt.kernels.traversal.stream.stream_root`).
 """
 
+from collections.abc import Callable
 from functools import cache
 
 import warp as wp
@@ -32,51 +33,69 @@ COMMON_WORDS = 14
 FEW = 3
 """Greatest number of rays of a group that are written word by word, without a transposition."""
 
-RAYS_TO_LANES = (
+
+def _to_lanes(origin: str, relative: bool) -> str:
+    """C++ that loads the `here` rays of `batch` from `first` on, at most L, into the arrays `origin` x, y and z (relative to
+    the centre, or as the caller gives them), ex, ey, ez, t_min and t."""
+
+    def numbers(array: str, names: str, of: Callable[[str, str], str]) -> str:
+        to = [f"{names}{axis}[k] = " for axis in "xyz"]
+        side_by_side = "".join(f"{to[a]}{of(f'v[3 * k + {a}]', 'xyz'[a])}; " for a in range(3))
+        one_by_one = "".join(f"{to[a]}{of(f'v.c[{a}]', 'xyz'[a])}; " for a in range(3))
+        return f"""
+    if (here == L && batch.{array}_stride) {{
+        const float* v = (const float*)(batch.{array}s.data + first);
+        WRT_FOR(L, k) {{ {side_by_side}}}
+    }} else WRT_SCALAR for (int k = 0; k < L; ++k) {{
+        const wp::vec3 v = batch.{array}s.data[number(k, batch.{array}_stride)];
+        {one_by_one}
+    }}"""
+
+    origins = numbers("origin", origin, lambda value, axis: _RELATIVE.format(value, axis) if relative else value)
+    return f"""
+    // rays beyond the last are the first again, and not written
+    auto number = [&](int k, int stride) {{ return (first + (k < here ? k : 0)) * stride; }};
+{origins}{numbers("direction", "e", lambda value, axis: value)}
+    auto range = [&](const float* from, int stride, float* to) {{
+        if (stride == 0) {{ const float all = from[0]; WRT_FOR(L, k) to[k] = all; }}
+        else if (here == L) {{ WRT_FOR(L, k) to[k] = from[first + k]; }}
+        else {{ WRT_SCALAR for (int k = 0; k < L; ++k) to[k] = from[number(k, 1)]; }}
+    }};
+    range(batch.t_min.data, batch.t_min_stride, t_min);
+    range(batch.t_max.data, batch.t_max_stride, longest);
+    WRT_FOR(L, k) t[k] = longest[k] > FARTHEST ? FARTHEST : longest[k];
+"""
+
+
+_RELATIVE = "(float)((double){0} - center_{1})"
+"""C++ of a coordinate of an origin, relative to the centre."""
+
+_GIVEN = (
     DIRECTION_LANES
     + """
     // not loaded to where they are stored below: of a select between the two the compiler makes a masked store, which is slow
     alignas(64) float ex[L], ey[L], ez[L], longest[L];
-    // rays beyond the last are the first again, and not written
-    auto number = [&](int k, int stride) { return (first + (k < here ? k : 0)) * stride; };
     const double center_x = batch.center.c[0], center_y = batch.center.c[1], center_z = batch.center.c[2];
-    if (here == L && batch.origin_stride) {
-        const float* o = (const float*)(batch.origins.data + first);
-        WRT_FOR(L, k) {
-            ox[k] = (float)((double)o[3 * k] - center_x);
-            oy[k] = (float)((double)o[3 * k + 1] - center_y);
-            oz[k] = (float)((double)o[3 * k + 2] - center_z);
-        }
-    } else WRT_SCALAR for (int k = 0; k < L; ++k) {
-        const wp::vec3 o = batch.origins.data[number(k, batch.origin_stride)];
-        ox[k] = (float)((double)o.c[0] - center_x);
-        oy[k] = (float)((double)o.c[1] - center_y);
-        oz[k] = (float)((double)o.c[2] - center_z);
-    }
-    if (here == L && batch.direction_stride) {
-        const float* d = (const float*)(batch.directions.data + first);
-        WRT_FOR(L, k) { ex[k] = d[3 * k]; ey[k] = d[3 * k + 1]; ez[k] = d[3 * k + 2]; }
-    } else WRT_SCALAR for (int k = 0; k < L; ++k) {
-        const wp::vec3 d = batch.directions.data[number(k, batch.direction_stride)];
-        ex[k] = d.c[0]; ey[k] = d.c[1]; ez[k] = d.c[2];
-    }
-    auto range = [&](const float* from, int stride, float* to) {
-        if (stride == 0) { const float all = from[0]; WRT_FOR(L, k) to[k] = all; }
-        else if (here == L) { WRT_FOR(L, k) to[k] = from[first + k]; }
-        else { WRT_SCALAR for (int k = 0; k < L; ++k) to[k] = from[number(k, 1)]; }
-    };
-    range(batch.t_min.data, batch.t_min_stride, t_min);
-    range(batch.t_max.data, batch.t_max_stride, longest);
+"""
+)
+
+_HEAD = f"""{_GIVEN}
+    int here = count < L ? count : L;
+    float ox[L], oy[L], oz[L], dx[L], dy[L], dz[L], t_min[L], t[L];
+    int stored[L];
+"""
+
+_DIRECTIONS = """
     WRT_FOR(L, k) {
         float x = ex[k], y = ey[k], z = ez[k];
         wrt_direction(x, y, z);
         dx[k] = x; dy[k] = y; dz[k] = z;
-        t[k] = longest[k] > FARTHEST ? FARTHEST : longest[k];
     }
 """
-)
-"""C++ that loads the `here` rays of `batch` from `first` on, at most L: ox, oy, oz (relative to the centre), dx, dy, dz, t_min
-and t."""
+
+RAYS_TO_LANES = _GIVEN + _to_lanes("o", relative=True) + _DIRECTIONS
+"""C++ that loads the `here` rays of `batch` from `first` on, at most L, into the caller's arrays ox, oy, oz (relative to the
+centre), dx, dy, dz, t_min and t."""
 
 VALID_LANE = """
         const float x = dx[k], y = dy[k], z = dz[k], px = ox[k], py = oy[k], pz = oz[k];
@@ -88,20 +107,36 @@ VALID_LANE = """
 """
 """C++ that loads ray k of those and sets `valid`, as `load_ray` does."""
 
-FETCH = """
-    int here = count < L ? count : L;
-    float ox[L], oy[L], oz[L], dx[L], dy[L], dz[L], t_min[L], t[L];
-    int stored[L];
-    if (count > 0) {
-WRT_RAYS
-    WRT_FOR(L, k) {
-WRT_VALID
+_VALID = f"""
+    WRT_FOR(L, k) {{{VALID_LANE}
         stored[k] = valid ? -1 : 0;
-    }
-    }
-""".replace("WRT_RAYS", RAYS_TO_LANES).replace("WRT_VALID", VALID_LANE)
-"""C++ after `constants`: the `here` rays of the batch from `first` on, at most `count` and at most 16 of them, in lanes.
-`stored`: not 0 if a ray is valid. No memory of the batch is read if `count` is 0."""
+    }}
+"""
+
+FETCH = f"""{_HEAD}
+    if (count > 0) {{{_to_lanes("o", relative=True)}{_DIRECTIONS}{_VALID}
+    }}
+"""
+"""C++ after `constants`: the `here` rays of the batch from `first` on, at most `count` and at most 16 of them, in lanes: ox,
+oy, oz (relative to the centre), dx, dy, dz, t_min and t. `stored`: not 0 if a ray is valid. No memory of the batch is read if
+`count` is 0."""
+
+FETCH_GIVEN = f"""{_HEAD}
+    float given_x[L], given_y[L], given_z[L];
+    if (count > 0) {{{_to_lanes("given_", relative=False)}
+    }}
+"""
+"""C++ of the first half of `FETCH`: origins `given_x`, `given_y`, `given_z` and directions ex, ey, ez as the caller gives them,
+t_min and t."""
+
+FINISH_GIVEN = f"""
+    WRT_FOR(L, k) {{
+        ox[k] = {_RELATIVE.format("given_x[k]", "x")};
+        oy[k] = {_RELATIVE.format("given_y[k]", "y")};
+        oz[k] = {_RELATIVE.format("given_z[k]", "z")};
+    }}
+{_DIRECTIONS}{_VALID}"""
+"""C++ of the second half."""
 
 _WRITE = """
     const float INF = __builtin_bit_cast(float, 0x7f800000);

@@ -28,7 +28,15 @@ from wrt.kernels.traversal.stream.stream_boxes import BEGIN_BOXES, BOX_CONSTANTS
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE
 from wrt.kernels.traversal.stream.stream_lists import LISTS
-from wrt.kernels.traversal.stream.stream_load import FETCH, KEPT_SIZE, constants, prepare_one_by_one, written
+from wrt.kernels.traversal.stream.stream_load import (
+    FETCH,
+    FETCH_GIVEN,
+    FINISH_GIVEN,
+    KEPT_SIZE,
+    constants,
+    prepare_one_by_one,
+    written,
+)
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 exact_module(__name__)
@@ -101,13 +109,18 @@ def _head(width: int, order: int) -> str:
 
 @cache
 def begin_root(width: int, order: int, boxes: bool) -> wp.Function:
-    """`func(children, bounds, low, high, lanes) -> used`: before the first rays of a stream; returns the bits of the root's
-    children."""
+    """`func(children, bounds, low, high, center, lanes) -> used`: before the first rays of a stream; returns the bits of the
+    root's children."""
     head = LISTS + _head(width, order) + (BOX_CONSTANTS if boxes else "")
 
     @wp.func_native(head + _BEGIN + (BEGIN_BOXES if boxes else "") + "    return used;\n")
     def begin_native(
-        children: wp.array(dtype=int), bounds: wp.array(dtype=float), low: wp.vec3, high: wp.vec3, lanes: wp.array(dtype=float)
+        children: wp.array(dtype=int),
+        bounds: wp.array(dtype=float),
+        low: wp.vec3,
+        high: wp.vec3,
+        center: wp.vec3d,
+        lanes: wp.array(dtype=float),
     ) -> wp.uint32: ...
 
     return begin_native
@@ -155,7 +168,8 @@ def load_lanes(triangle_test: str, width: int, order: int, boxes: bool) -> wp.Fu
     """
     head = constants(triangle_test) + _head(width, order) + "    const int place = state.loaded, size = state.kept;\n"
     if boxes:
-        code = BOX_CONSTANTS + FETCH + BOXES + written(triangle_test, _TEST, _LIST, "own_number[k]")
+        code = BOX_CONSTANTS + FETCH_GIVEN + BOXES + FINISH_GIVEN
+        code += written(triangle_test, _TEST, _LIST, "own_number[k]")
     else:
         code = "    if (count == 0) return 0;\n" + FETCH + written(triangle_test, _TEST, _LIST)
 
@@ -217,7 +231,7 @@ def load_root(triangle_test: str, room: int, width: int, order: int, boxes: bool
         lanes = wp.zeros(shape=(lanes_size,), dtype=float)
         own = wp.zeros(shape=(KEPT_SIZE,), dtype=float)
         state = RootLoad()
-        state.used = begin_list(tree.child, tree.bounds, tree.low, tree.high, lanes)
+        state.used = begin_list(tree.child, tree.bounds, tree.low, tree.high, rays.center, lanes)
         more = bool(True)
         while more:
             first = begin + state.loaded
