@@ -4,16 +4,19 @@
 is known, each of them is prepared, with three divisions, and tested against all children. The few rays of a group that stay
 then leave most lanes idle.
 
-**Idea.** Compare the box around each ray with the boxes of the children: six comparisons for 16 rays and a child. Rays whose
-box meets none are done. The others wait until there are 16 of them, which are then prepared, tested and stored together.
+**Idea.** Compare the box around each ray with the boxes of the children. Both are rounded to the cells of a grid, so that 16
+rays are compared at a time as 16-bit numbers: a saturated difference for each of six planes, whose sign is that of a gap. Rays
+whose box meets no child are done. The others wait until there are 16 of them, which are then made relative to the scene's
+centre, checked, prepared, tested and stored together.
 
 Long rays meet most boxes. If more than `MANY` rays of a group of 16 stay, the next `PAUSE` groups are not compared, nor do they
 wait.
 
-**Exactness.** A hit is a point origin + t direction within the slack of its triangle's box. The rays' boxes are widened by that
-and by the rounding of their ends, as in `wrt.kernels.traversal.packet.rays.reversed_bounds`. NaN meets every box.
+**Exactness.** A hit is a point origin + t direction within the slack of its triangle's box. The children's boxes are widened
+for that, for the rounding of the rays' ends (as in `wrt.kernels.traversal.packet.rays.reversed_bounds`), and for rounding to
+cells. Rays that end so far away that this does not suffice meet every box. On CUDA boxes are not compared.
 
-Figures: notebooks/records/2026-11-26-joined-packets.md.
+Figures: notebooks/records/2026-11-26-joined-packets.md, notebooks/records/2026-11-26-masked-stores.md.
 """
 
 from wrt.kernels.simd.boxes import SLACK
