@@ -44,10 +44,10 @@ from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.influence.box_clipping import clipped_areas
 from wrt.kernels.influence.box_projection import NEEDS_NEAR, NEEDS_WINDOW, whole_areas
 from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -81,8 +81,9 @@ def high_of(tree: BinaryTree, node: int):
 # -- search --------------------------------------------------------------------------------------------------------------
 
 
-@wp.func_native(
-    f"""{FOR_LANES}
+@native.func_native(
+    "lanes.h",
+    f"""
     constexpr int W = 8;
     const size_t base = (size_t)slot * {SLOT_BINS} + axis * bins;
     const float* grid = scratch.box.data + base * 8;
@@ -112,7 +113,7 @@ def high_of(tree: BinaryTree, node: int):
         const float z = to[5 * stride + i] - to[2 * stride + i];
         weights.data[i] = others * (x * y + y * z + z * x);
     }}
-"""
+""",
 )
 def sweep_axis(
     scratch: Scratch,
@@ -130,14 +131,17 @@ def sweep_axis(
     ...
 
 
-@wp.func_native(f"""
+@native.func_native(
+    "lanes.h",
+    f"""
     bool by_window = false, by_near = false;
     for (int i = 0; i < count; ++i) {{
         by_window |= areas.data[i] == {float(NEEDS_WINDOW)}f;
         by_near |= areas.data[i] == {float(NEEDS_NEAR)}f;
     }}
     return by_near ? {float(NEEDS_NEAR)}f : by_window ? {float(NEEDS_WINDOW)}f : 0.0f;
-""")
+""",
+)
 def areas_needed(areas: wp.array(dtype=float), count: int) -> float:
     """The most complete clipping that any of the boxes needs: NEEDS_NEAR, NEEDS_WINDOW, or 0.0 for none."""
     ...

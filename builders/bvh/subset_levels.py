@@ -41,9 +41,9 @@ from wrt.builders.radix_sort import sort_rows
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.builders.triangle_references import copy_references
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -77,8 +77,9 @@ def boxes_at(triangles: TriangleBoxes, ids: np.ndarray) -> TriangleBoxes:
     return TriangleBoxes(boxes, len(ids), triangles.low, triangles.high, triangles.center)
 
 
-@wp.func_native(
-    f"""{FOR_LANES}
+@native.func_native(
+    "lanes.h",
+    f"""
     constexpr int W = {LANES};
     float center[3][W];
     int node[W], pair[W];
@@ -106,7 +107,7 @@ def boxes_at(triangles: TriangleBoxes, ids: np.ndarray) -> TriangleBoxes:
         memcpy(keys.data + begin + i, &key, 4);
         values.data[begin + i] = begin + i;
     }}
-"""
+""",
 )
 def find_block(
     references: wp.array(dtype=float),

@@ -48,9 +48,9 @@ from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
 from wrt.builders.kdtree.scan.split_clipping import partition_clipping
 from wrt.builders.tree import KdTree, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -95,8 +95,9 @@ def place_samples(lists: ReferenceLists, number: int, frame: Frame, axis: int):
             to += 1
 
 
-@wp.func_native(
-    f"""{FOR_LANES}
+@native.func_native(
+    "lanes.h",
+    f"""
     constexpr int W = {int(SAMPLES)};
     const float* __restrict__ position = lists.value.data + (size_t)number * lists.value.shape[1];
     const float* __restrict__ from = lists.reference.data + (size_t)first * 8 + axis;
@@ -111,7 +112,7 @@ def place_samples(lists: ReferenceLists, number: int, frame: Frame, axis: int):
     }}
     int* to = lists.counter.data + (size_t)number * lists.counter.shape[1] + at;
     for (int j = 0; j < W; ++j) {{ to[j] = left[j]; to[W + j] = right[j]; }}
-"""
+""",
 )
 def count_samples(lists: ReferenceLists, number: int, first: int, count: int, axis: int, at: int):
     """The second scan: for every sample, counts the triangles to its left; the counts to the right follow all of these."""

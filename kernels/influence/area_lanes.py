@@ -15,8 +15,8 @@ import warp as wp
 from wrt.kernels.influence.region_tests import Region
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES
 from wrt.kernels.traversal.stream.stream_load import RAYS_TO_LANES, VALID_LANE
 
@@ -28,7 +28,7 @@ LANE_WORDS = wp.constant(9 * LIST_LANES + 6)
 MARK_WORDS = wp.constant(6 * LIST_LANES)
 """Number of elements of `marks`."""
 
-_BLOCK = f"""{FOR_LANES}
+_BLOCK = f"""
     constexpr int L = {LIST_LANES};
     const float INF = __builtin_bit_cast(float, 0x7f800000);
     float *ox = lanes.data, *oy = ox + L, *oz = oy + L, *dx = oz + L, *dy = dx + L, *dz = dy + L;
@@ -40,7 +40,8 @@ _BLOCK = f"""{FOR_LANES}
 """
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     f"""{_BLOCK}
     const int here = count < L ? count : L;
     {RAYS_TO_LANES}
@@ -61,14 +62,15 @@ _BLOCK = f"""{FOR_LANES}
     float* box = lanes.data + 9 * L;
     box[0] = low_x[0]; box[1] = low_y[0]; box[2] = low_z[0]; box[3] = high_x[0]; box[4] = high_y[0]; box[5] = high_z[0];
     return here;
-"""
+""",
 )
 def load_block(batch: RayBatch, first: int, count: int, lanes: wp.array(dtype=float), marks: wp.array(dtype=int)) -> int:
     """Loads up to `count` rays from `first` on, with list 0, and bounds their origins; returns the number of rays."""
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     f"""{_BLOCK}
     const float rx = region.right.c[0], ry = region.right.c[1], rz = region.right.c[2];
     const float ux = region.up.c[0], uy = region.up.c[1], uz = region.up.c[2];
@@ -104,7 +106,7 @@ def load_block(batch: RayBatch, first: int, count: int, lanes: wp.array(dtype=fl
         found[k] = belongs ? number : found[k];
         leave[k] = belongs ? until : leave[k];
     }}
-"""
+""",
 )
 def try_area(
     number: int,
@@ -124,7 +126,8 @@ def try_area(
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     f"""{_BLOCK}
     WRT_FOR(L, k) {{
         // in a plane of the box, 0 * inf is NaN: such a ray has no hits, as the corners are beyond them
@@ -149,7 +152,7 @@ def try_area(
         cut.data[first + k] = found[k] == areas ? -1.0f : leave[k] < t[k] ? leave[k] : t[k];
         rest.data[first + k] = found[k] == areas ? t_min[k] : leave[k];
     }}
-"""
+""",
 )
 def store_block(
     first: int,
@@ -168,7 +171,8 @@ def store_block(
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     f"""{_BLOCK}
     int sums[4] = {{}};
     for (int k = 0; k < L; ++k) {{
@@ -178,7 +182,7 @@ def store_block(
         sums[3] += alone[k];
     }}
     return wp::vec4i(sums[0], sums[1], sums[2], sums[3]);
-"""
+""",
 )
 def sum_blocks(lanes: wp.array(dtype=float), marks: wp.array(dtype=int)) -> wp.vec4i:
     """Sums over all stored rays.

@@ -20,6 +20,7 @@ import warp as wp
 
 from wrt.kernels.influence.box_projection import FACES, HEAD, NEEDS_NEAR, whole_area
 from wrt.kernels.influence.view import AreaView
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -180,21 +181,23 @@ def _clipped(lanes: int, count: str, load: str, store: str) -> str:
 """
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _clipped(
         1,
         "1",
         "for (int a = 0; a < 3; ++a) { box[a][0] = low.c[a]; box[a + 3][0] = high.c[a]; }",
         "return area[0];",
     )
-    + "return 0.0f;"
+    + "return 0.0f;",
 )
 def clipped_area(view: AreaView, low: wp.vec3, high: wp.vec3, by_near: bool) -> float:
     """Area of a box's projection within the window. `by_near`: whether the near plane may cut the box."""
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _clipped(
         16,
         "count",
@@ -205,7 +208,7 @@ def clipped_area(view: AreaView, low: wp.vec3, high: wp.vec3, by_near: bool) -> 
             else WRT_SCALAR for (int i = 0; i < W; ++i) box[a][i] = from[WRT_LESS(i, here - 1)];
         }""",
         "for (int i = 0; i < here; ++i) areas.data[begin + i] = area[i];",
-    )
+    ),
 )
 def clipped_areas(view: AreaView, boxes: wp.array(dtype=float), count: int, by_near: bool, areas: wp.array(dtype=float)):
     """`clipped_area` of many boxes. Arrays as in `whole_areas`."""

@@ -28,8 +28,8 @@ References:
 import warp as wp
 
 from wrt.kernels.influence.view import AreaView
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -90,7 +90,7 @@ _RADIAL = f"""{_TERMS}
     area = whole ? 0.25f * area : ((low0 <= high0) & shown) ? (depth >= near ? -1.0f : -2.0f) : 0.0f;
 """
 
-HEAD = f"""{FOR_LANES}
+HEAD = """
 #ifndef WRT_LESS
 #define WRT_LESS(a, b) ((a) < (b) ? (a) : (b))
 #define WRT_MORE(a, b) ((a) > (b) ? (a) : (b))
@@ -113,24 +113,30 @@ _ONE = "\n".join(f"const float low{a} = low.c[{a}], high{a} = high.c[{a}];" for 
 _LANE = "\n".join(f"const float low{a} = from[{a} * count + i], high{a} = from[{a + 3} * count + i];" for a in range(3))
 
 
-@wp.func_native(f"""{_WHOLE}
+@native.func_native(
+    "lanes.h",
+    f"""{_WHOLE}
 {_ONE}
     if (radial) {{ {_RADIAL} return area; }}
     {_PARALLEL}
     return area;
-""")
+""",
+)
 def whole_area(view: AreaView, low: wp.vec3, high: wp.vec3) -> float:
     """Area of a box's projection if it lies wholly inside or outside the window; else NEEDS_WINDOW. NEEDS_NEAR if the near
     plane cuts the box, whatever the window does. 0 for an empty box."""
     ...
 
 
-@wp.func_native(f"""{_WHOLE}
+@native.func_native(
+    "lanes.h",
+    f"""{_WHOLE}
     const float* __restrict__ from = boxes.data;
     float* __restrict__ to = areas.data;
     if (radial) WRT_FOR(count, i) {{ {_LANE} {_RADIAL} to[i] = area; }}
     else WRT_FOR(count, i) {{ {_LANE} {_PARALLEL} to[i] = area; }}
-""")
+""",
+)
 def whole_areas(view: AreaView, boxes: wp.array(dtype=float), count: int, areas: wp.array(dtype=float)):
     """`whole_area` of many boxes in vector lanes, with the same bits.
 

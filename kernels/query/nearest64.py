@@ -11,9 +11,9 @@ References:
 import numpy as np
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import as_device, get_num_threads, launch
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -36,9 +36,9 @@ class Nearest:
     """-1: none."""
 
 
-@wp.func_native(
-    FOR_LANES
-    + f"""
+@native.func_native(
+    "lanes.h",
+    f"""
     constexpr int W = {LANES};
     const double far = __builtin_bit_cast(double, 0x7ff0000000000000ull);
     const int x = (z + 1) % 3, y = (z + 2) % 3;
@@ -80,7 +80,7 @@ class Nearest:
             found.t = least[j];
             found.triangle = which[j];
         }}
-"""
+""",
 )
 def test_tile(
     corners: wp.array2d(dtype=wp.float64),

@@ -10,8 +10,9 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.simd.lanes import FOR_LANES, lanes, lowest_bit
+from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.study.dammertz_keller import ScalarTest
 from wrt.kernels.triangle.support.triangle_contract import TestForm, TriangleTest
 
@@ -69,7 +70,7 @@ def make_frusta(test: TestForm, rays: int, width: int) -> wp.Kernel:
     for name, piece in (pieces | {"WRT_INSIDE": form.inside, "WRT_HIT": form.hit}).items():
         body = body.replace(name, piece)
 
-    @wp.func_native(FOR_LANES + constants + "    constexpr bool SHARED = true;\n" + body)
+    @native.func_native("lanes.h", constants + "    constexpr bool SHARED = true;\n" + body)
     def trace_frustum(
         records: wp.array(dtype=float),
         triangles: int,

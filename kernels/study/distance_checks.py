@@ -14,8 +14,9 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES, lane_bits, lanes
+from wrt.kernels.simd.lanes import lanes
 
 exact_module(__name__)
 
@@ -31,9 +32,10 @@ def in_range(width: int, integers: bool) -> wp.Function:
     Lanes = lanes(width)
     constants = f"    constexpr int W = {width};"
 
-    @wp.func_native(
-        f"{FOR_LANES}{constants}{lane_bits()}    int hit[W];\n"
-        f"    WRT_FOR_LANES(i) hit[i] = {_CHECKS[integers]} ? -1 : 0;\n    return wrt_bits(hit) & mask;"
+    @native.func_native(
+        "lanes.h",
+        f"{constants}    int hit[W];\n"
+        f"    WRT_FOR_LANES(i) hit[i] = {_CHECKS[integers]} ? -1 : 0;\n    return wrt::bits<W>(hit) & mask;",
     )
     def check(t: wp.ref[Lanes], mask: wp.uint32, best: float) -> wp.uint32: ...
 

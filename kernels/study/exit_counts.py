@@ -10,8 +10,8 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.triangle.support.lane_form import FAR, LaneForm
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS
 from wrt.kernels.triangle.support.triangle_contract import TestForm
@@ -41,7 +41,7 @@ def exit_of(test: TestForm) -> wp.Function:
 def exit_of_form(form: LaneForm, ray_state: type) -> wp.Function:
     """As `exit_of`, from the steps of a form."""
     RayState, components = ray_state, form.components
-    text = FOR_LANES + f"    constexpr int COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)}, i = 0;\n"
+    text = f"    constexpr int COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)}, i = 0;\n"
     text += "    const float* r = &records.data[(size_t)(slot / width) * (COMPONENTS * width) + slot % width];\n"
     scalars = {value.name: "far_of.data[ray_number]" if value == FAR else value.scalar for value in form.ray}
     text += "".join(f"    const float {name} = {scalar};\n" for name, scalar in scalars.items())
@@ -53,7 +53,7 @@ def exit_of_form(form: LaneForm, ray_state: type) -> wp.Function:
         text += f"    {{\n{code}\n        if (!({step.passes})) return {number};\n    }}\n"
     text += f"    {'far_of.data[ray_number] = kept_t[0];' if FAR in form.ray else ''}\n    return {len(form.steps)};\n"
 
-    @wp.func_native(text)
+    @native.func_native("lanes.h", text)
     def end(
         records: wp.array(dtype=float), slot: int, width: int, ray: RayState, far_of: wp.array(dtype=float), ray_number: int
     ) -> int: ...

@@ -8,9 +8,10 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, store_hit
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, slab_interval
-from wrt.kernels.simd.lanes import FOR_LANES, lane_bits, lanes, lowest_bit
+from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import (
@@ -141,7 +142,7 @@ _CLAMP = """
         t.c[i] = at;
         hit[i] = ((enter <= leave) & (at >= t_min) & (at <= t_max)) ? -1 : 0;
     }
-    unsigned kept = wrt_bits(hit) & mask;
+    unsigned kept = wrt::bits<W>(hit) & mask;
     if (CULLING) for (int i = 0; i < W; ++i) {
         if (!(kept >> i & 1u)) continue;
         double normal[3];
@@ -169,11 +170,14 @@ FRONT = """
 direction is derived from its inverse, which every traversal has."""
 
 
-@wp.func_native(f"""{FRONT}
+@native.func_native(
+    "lanes.h",
+    f"""{FRONT}
     double normal[3];
     wrt_normal((const float*)&corners, 1, normal);
     return wrt_front(normal, slabs.inverse.c[0], slabs.inverse.c[1], slabs.inverse.c[2]);
-""")
+""",
+)
 def comes_from_front(slabs: wp.ref[RaySlabs], corners: wp.ref[Corners]) -> bool:
     """Whether a ray comes from the side from which a triangle is wound counter-clockwise; false if it is seen edge-on."""
     ...
@@ -192,7 +196,7 @@ def clamp_block(record: Record, width: int, cull_backfaces: bool = False) -> wp.
     )
     code = _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")).replace("BOX_INTERVAL", BOX_INTERVAL)
 
-    @wp.func_native(FOR_LANES + constants + lane_bits() + FRONT + code)
+    @native.func_native("lanes.h", constants + FRONT + code)
     def clamp_block_native(
         records: wp.array(dtype=float),
         block: int,

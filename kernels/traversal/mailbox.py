@@ -39,8 +39,8 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -98,14 +98,14 @@ _INVERSE = """
 
 
 def _lanes(width: int) -> str:
-    return f"{FOR_LANES}    constexpr int W = {width}, RING = {RING}, SLOTS = {SLOTS}, PLACES = {PLACES};"
+    return f"    constexpr int W = {width}, RING = {RING}, SLOTS = {SLOTS}, PLACES = {PLACES};"
 
 
 @cache
 def plain_filter(width: int) -> wp.Function:
     """An array of `PLACES` ids, followed by their number."""
 
-    @wp.func_native(_lanes(width) + _PLAIN)
+    @native.func_native("lanes.h", _lanes(width) + _PLAIN)
     def plain(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
 
     return plain
@@ -115,7 +115,7 @@ def plain_filter(width: int) -> wp.Function:
 def hashed_filter(width: int) -> wp.Function:
     """A hash table of `SLOTS` ids."""
 
-    @wp.func_native(_lanes(width) + _HASHED)
+    @native.func_native("lanes.h", _lanes(width) + _HASHED)
     def hashed(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
 
     return hashed
@@ -125,7 +125,7 @@ def hashed_filter(width: int) -> wp.Function:
 def inverse_filter(width: int) -> wp.Function:
     """A ring of `RING` ids, followed by the position of the next entry."""
 
-    @wp.func_native(_lanes(width) + _INVERSE)
+    @native.func_native("lanes.h", _lanes(width) + _INVERSE)
     def inverse(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
 
     return inverse

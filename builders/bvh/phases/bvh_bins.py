@@ -24,9 +24,9 @@ import warp as wp
 from wrt.builders.bvh.bvh_config import MAX_BINS, BuildRules
 from wrt.builders.cost import LEAF_COST, SplitCost
 from wrt.kernels.layout.unchecked import load_float
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -41,7 +41,7 @@ FEW = wp.constant(64)
 FEW_BINS = wp.constant(8)
 """A node of at most FEW triangles gets FEW_BINS bins, because clearing and sweeping more would cost more than they improve."""
 
-_HEAD = f"""{FOR_LANES}
+_HEAD = f"""
     constexpr int W = 8;
     constexpr int SLOT_BINS = {SLOT_BINS};
     constexpr int PIECE = 1 << 23;
@@ -124,7 +124,8 @@ def make_binning(domain: wp.array(dtype=float), at: int, bins: int):
     return binning
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _HEAD
     + """
     const float* __restrict__ from = references.data + (size_t)begin * 8;
@@ -136,14 +137,15 @@ def make_binning(domain: wp.array(dtype=float), at: int, bins: int):
         WRT_FOR_LANES(j) grown[j] = centroid[j] < grown[j] ? centroid[j] : grown[j];
     }
     WRT_FOR_LANES(j) domain.data[(size_t)at * 8 + j] = grown[j];
-"""
+""",
 )
 def centroid_domain(references: wp.array(dtype=float), begin: int, count: int, domain: wp.array(dtype=float), at: int):
     """Writes the box of the doubled centroids of a range."""
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _HEAD
     + """
     const float* __restrict__ from = references.data + (size_t)begin * 8;
@@ -153,14 +155,15 @@ def centroid_domain(references: wp.array(dtype=float), begin: int, count: int, d
         WRT_FOR_LANES(j) grown[j] = from[j] < grown[j] ? from[j] : grown[j];
     }
     WRT_FOR_LANES(j) boxes.data[(size_t)node * 8 + j] = grown[j];
-"""
+""",
 )
 def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: wp.array(dtype=float), node: int):
     """Writes the box of a range of triangles."""
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _HEAD
     + """
     const int bins = binning.bins;
@@ -220,7 +223,7 @@ def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: 
     struct Four { enum { count = 4 }; };
     if (binning.axes == 4) add_all(Four{});
     else add_all(Three{});
-"""
+""",
 )
 def bin_range(references: wp.array(dtype=float), begin: int, count: int, binning: Binning, scratch: Scratch, slot: int):
     """Bins a range of triangles along all axes.
@@ -232,7 +235,8 @@ def bin_range(references: wp.array(dtype=float), begin: int, count: int, binning
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _HEAD
     + """
     float* to = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
@@ -244,14 +248,15 @@ def bin_range(references: wp.array(dtype=float), begin: int, count: int, binning
         for (int i = 0; i < axes * bins * 8; ++i) to[i] = from[i] < to[i] ? from[i] : to[i];
         for (int i = 0; i < axes * bins; ++i) count[i] += scratch.count.data[(size_t)other * SLOT_BINS + i];
     }
-"""
+""",
 )
 def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int, axes: int):
     """Replaces the bins of a slot by the union of those of the slots first .. end - 1."""
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _HEAD
     + LEAF_COST
     + f"""
@@ -297,7 +302,7 @@ def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int, axe
     plane.bin = where[lane] % MOST;
     plane.left = 0;
     for (int b = 0; b < plane.bin; ++b) plane.left += (counts - axes * bins)[plane.axis * bins + b];
-"""
+""",
 )
 def find_best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, axes: int, count: int, plane: wp.ref[Plane]):
     """Sweeps the bins of a slot from both ends, and finds the plane of least cost.
@@ -314,7 +319,8 @@ def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, axes: in
     return plane
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _HEAD
     + """
     const float* grid = scratch.box.data + ((size_t)slot * SLOT_BINS + axis * bins) * 8;
@@ -327,14 +333,15 @@ def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, axes: in
         }
         WRT_FOR_LANES(j) boxes.data[((size_t)pair * 2 + side) * 8 + j] = grown[j];
     }
-"""
+""",
 )
 def write_child_boxes(scratch: Scratch, slot: int, bins: int, axis: int, plane: int, boxes: wp.array(dtype=float), pair: int):
     """Writes the boxes of the bins on both sides of a plane."""
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _HEAD
     + """
     const float low = binning.low.c[axis], scale = binning.scale.c[axis], last = (float)(binning.bins - 1);
@@ -371,7 +378,7 @@ def write_child_boxes(scratch: Scratch, slot: int, bins: int, axis: int, plane: 
         domain.data[(size_t)left_at * 8 + j] = low_side[j];
         domain.data[(size_t)right_at * 8 + j] = high_side[j];
     }
-"""
+""",
 )
 def partition_range(
     references: wp.array(dtype=float),

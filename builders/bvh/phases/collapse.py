@@ -43,10 +43,10 @@ from wrt.builders.cost import leaf_cost
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_BLOCKS, leaf_child
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.runtime.workspace import read_ints, write
 from wrt.kernels.simd.boxes import INFINITY
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -66,8 +66,9 @@ class WideLevels:
     """(nodes,) its first inner child and its first block; before the scan, the numbers of both."""
 
 
-@wp.func_native(
-    f"""{FOR_LANES}
+@native.func_native(
+    "lanes.h",
+    f"""
     constexpr int W = {MAX_WIDTH};
     const float* a = costs.data + (size_t)left * W;
     float* to = costs.data + (size_t)pair * W;
@@ -86,7 +87,7 @@ class WideLevels:
     const float one = leaf < node ? leaf : node;
     WRT_FOR_LANES(i) to[i] = best[i] < one ? best[i] : one;
     to[W - 1] = holds_large ? 1.0f : 0.0f;
-"""
+""",
 )
 def combine(
     costs: wp.array(dtype=float),

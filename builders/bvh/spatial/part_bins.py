@@ -18,8 +18,8 @@ from wrt.builders.bvh.phases.bvh_bins import SLOT_BINS, Scratch
 from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh
 from wrt.builders.kdtree.scan.split_clipping import CLIP
 from wrt.builders.triangle_references import ID_OFFSET
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -52,7 +52,7 @@ def make_slabs(axis: int, low: float, high: float, count: int, pad: float):
 
 
 _HEAD = (
-    f"""{FOR_LANES}
+    """
     constexpr int W = 8;
     const auto& lists = mesh;
     const float pad = mesh.pad;
@@ -80,7 +80,8 @@ _HEAD = (
 """slab_of: see `Slabs`. part_between: shrinks the box of a reference to its part between two planes; false if it has none."""
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _HEAD
     + f"""
     const size_t first = (size_t)slot * {SLOT_BINS} + axis * slabs.count;
@@ -107,7 +108,7 @@ _HEAD = (
             WRT_FOR_LANES(j) box[j] = part[j] < box[j] ? part[j] : box[j];
         }}
     }}
-"""
+""",
 )
 def bin_parts(
     mesh: ClippedMesh,
@@ -124,7 +125,8 @@ def bin_parts(
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     _HEAD
     + """
     const float at = slabs.low + (float)plane / slabs.scale;
@@ -148,7 +150,7 @@ def bin_parts(
         if (second) memcpy(right + (size_t)rights++ * 8, b, sizeof(b));
     }
     return wp::vec2i(lefts, rights);
-"""
+""",
 )
 def divide_parts(
     mesh: ClippedMesh,

@@ -15,8 +15,8 @@ import warp as wp
 
 from wrt.builders.cost import PLANE_COST, AxisFrame, SplitCost
 from wrt.builders.kdtree.events.event_sort import END, START
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -35,9 +35,9 @@ class LeastPlane:
     """Triangles that have not ended before that event."""
 
 
-@wp.func_native(
-    FOR_LANES
-    + PLANE_COST
+@native.func_native(
+    "lanes.h",
+    PLANE_COST
     + f"""
     constexpr int W = 16;
     float least[W];
@@ -76,7 +76,7 @@ class LeastPlane:
     found.event = begin + block[best];
     found.left = blocks_left[best];
     found.right = blocks_right[best];
-"""
+""",
 )
 def find_least_plane(
     cost: SplitCost,

@@ -16,6 +16,7 @@ from wrt.builders.kdtree.scan.reference_levels import TopLevels
 from wrt.builders.kdtree.scan.reference_lists import HEAD
 from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import ID_OFFSET
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 
@@ -74,7 +75,8 @@ def fill_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.a
     choose_triangles(boxes, order, pairs[first + wp.tid()], True, ids)
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     HEAD
     + f"""
     const size_t n = boxes.low.shape[1];
@@ -97,7 +99,7 @@ def fill_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.a
         frame.inner_low.c[axis] = low > frame.low.c[axis] ? low : frame.low.c[axis];
         frame.inner_high.c[axis] = high < frame.high.c[axis] ? high : frame.high.c[axis];
     }}
-"""
+""",
 )
 def gather_references(boxes: Boxes, ids: wp.array(dtype=int), references: wp.array(dtype=float), frame: wp.ref[Frame]):
     """Writes the references of a node's ids, and computes their box."""

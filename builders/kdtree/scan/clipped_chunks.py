@@ -17,6 +17,7 @@ from wrt.builders.kdtree.scan.reference_lists import CLASSIFY, GROW, HEAD, SIDES
 from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import ID_OFFSET, copy_references
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -34,7 +35,8 @@ class ClippedMesh:
     """Whether clipped triangles get the boxes of their parts."""
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     HEAD
     + SIDES_START
     + """
@@ -89,7 +91,7 @@ class ClippedMesh:
         write(reference, left, right);
     }
 """
-    + SIDES_END
+    + SIDES_END,
 )
 def clip_range(
     lists: ClippedMesh,

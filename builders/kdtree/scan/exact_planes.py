@@ -16,8 +16,8 @@ import warp as wp
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, planar_comparison
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -44,8 +44,9 @@ def gather_axis(lists: ReferenceLists, number: int, first: int, count: int, axis
     ...
 
 
-@wp.func_native(
-    f"""{FOR_LANES}
+@native.func_native(
+    "lanes.h",
+    f"""
     constexpr int W = {LANES};
     const float* __restrict__ low = lists.value.data + (size_t)number * lists.value.shape[1];
     const float* __restrict__ high = low + padded;
@@ -61,7 +62,7 @@ def gather_axis(lists: ReferenceLists, number: int, first: int, count: int, axis
     wp::vec_t<3, wp::int32> sum;
     for (int j = 0; j < W; ++j) {{ sum[0] += left[j]; sum[1] += planar[j]; sum[2] += right[j]; }}
     return sum;
-"""
+""",
 )
 def count_sides(lists: ReferenceLists, number: int, padded: int, position: float) -> wp.vec3i:
     """Numbers of triangles to the left of a plane, in it, and to the right. Straddlers count on both sides."""

@@ -21,6 +21,7 @@ import warp as wp
 from wrt.builders.cost import SplitCost, axis_frame, no_split, split_comparison
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.reference_lists import HEAD
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -56,7 +57,8 @@ def make_binning(frame: Frame, bins: int):
     return binning
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     HEAD
     + """
     const int bins = binning.bins;
@@ -84,7 +86,7 @@ def make_binning(frame: Frame, bins: int):
             ++to[(3 + j) * bins + bin[4 + j]];
         }
     }
-"""
+""",
 )
 def bin_range(
     references: wp.array(dtype=float),

@@ -12,12 +12,12 @@ from wrt.builders.cost import Split
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Parts, Task
 from wrt.builders.triangle_references import write_order
 from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
-HEAD = f"""{FOR_LANES}
+HEAD = """
     constexpr int W = 8;
     (void)W;
 """
@@ -109,7 +109,8 @@ SIDES_END = """
 """C++: stores the boxes of both sides."""
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     HEAD
     + SIDES_START
     + """
@@ -128,7 +129,7 @@ SIDES_END = """
         sides.right += right;
     }
 """
-    + SIDES_END
+    + SIDES_END,
 )
 def measure_sides(
     references: wp.array(dtype=float),
@@ -143,7 +144,8 @@ def measure_sides(
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     HEAD
     + SIDES_START
     + """
@@ -167,7 +169,7 @@ def measure_sides(
     sides.left = (int)((low_end - target.data) / 8 - to_left);
     sides.right = (int)((high_end - target.data) / 8 - to_right);
 """
-    + SIDES_END
+    + SIDES_END,
 )
 def move_range(
     references: wp.array(dtype=float),

@@ -41,6 +41,7 @@ from wrt.builders.cost import Split
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
 from wrt.builders.kdtree.scan.reference_lists import HEAD, ReferenceLists, Sides, move_range, set_list
 from wrt.builders.triangle_references import ID_OFFSET
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -95,7 +96,8 @@ CLIP = """
 of a triangle is in the cell (low, high); otherwise, and if `shrinks`, it shrinks the box of the reference to that part."""
 
 
-@wp.func_native(
+@native.func_native(
+    "lanes.h",
     HEAD
     + CLIP
     + f"""
@@ -118,7 +120,7 @@ of a triangle is in the cell (low, high); otherwise, and if `shrinks`, it shrink
         inner_high.c[j] = -least[4 + j];
     }}
     return (int)((to - lists.reference.data) / 8) - begin;
-"""
+""",
 )
 def clip_range(
     lists: ReferenceLists,

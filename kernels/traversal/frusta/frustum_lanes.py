@@ -30,9 +30,9 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
 from wrt.kernels.layout.unchecked import CACHE_LINE
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
-from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits
 from wrt.kernels.traversal.packet.rays.lane_intervals import LANE_ENDS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
@@ -92,9 +92,9 @@ def gather_directions(layout: PacketLayout) -> wp.Function:
 
     No ray is made. An interval of no active ray is inf .. -inf.
     """
-    head = f"{FOR_LANES}    constexpr int W = {layout.width}, P = {layout.rays};\n{DIRECTION_LANES}"
+    head = f"    constexpr int W = {layout.width}, P = {layout.rays};\n{DIRECTION_LANES}"
 
-    @wp.func_native(head + _ROWS + NUMBERS + FETCH + LANE_ENDS + _GATHER)
+    @native.func_native("lanes.h", head + _ROWS + NUMBERS + FETCH + LANE_ENDS + _GATHER)
     def gather_directions_native(rays: RayBatch, first: int, lanes: wp.array(dtype=float), f: int): ...
 
     return gather_directions_native
@@ -145,14 +145,16 @@ _BOUND = """
 """
 
 
-@wp.func_native(f"{FOR_LANES}    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}{_ROWS}{_BOUND}")
+@native.func_native("lanes.h", f"    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}{_ROWS}{_BOUND}")
 def bound_block(rays: RayBatch, low: wp.vec3, high: wp.vec3, lanes: wp.array(dtype=float), count: int):
     """Derives the factors of a block from the ends of the directions of its first `count` frusta; low, high: bounds of the
     scene."""
     ...
 
 
-@wp.func_native(f"""{FOR_LANES}{DIRECTION_LANES}{_ROWS}
+@native.func_native(
+    "lanes.h",
+    f"""{DIRECTION_LANES}{_ROWS}
     bounds.t_min = t_min[f]; bounds.t_max = t_max[f]; bounds.slack = origin[9];
     bounds.frame = -1;
     bounds.mixed_axes = 0;
@@ -165,7 +167,8 @@ def bound_block(rays: RayBatch, low: wp.vec3, high: wp.vec3, lanes: wp.array(dty
         bounds.inverse_small.c[a] = mixed ? none : backward ? -back : forth;
         bounds.origin_in.c[a] = origin[backward ? 3 + a : a]; bounds.origin_out.c[a] = origin[backward ? a : 3 + a];
     }}
-""")
+""",
+)
 def frustum_bounds(lanes: wp.array(dtype=float), f: int, bounds: wp.ref[PacketBounds]):
     """Sets what `wrt.kernels.traversal.packet.culling.interval_culling` reads to the bounds of lane f."""
     ...
@@ -201,8 +204,8 @@ _STEP = f"""
         meets[i] = enter <= leave ? -1 : 0;
     }}
     int sorted[W], count = 0;  // the farthest first
-    for (unsigned bits = wrt_bits(meets); bits; bits &= bits - 1u) {{
-        const int k = key[wrt_lowest_bit(bits)];
+    for (unsigned bits = wrt::bits<W>(meets); bits; bits &= bits - 1u) {{
+        const int k = key[wrt::lowest_bit(bits)];
         int at = count++;
         for (; at > 0 && sorted[at - 1] < k; --at) sorted[at] = sorted[at - 1];
         sorted[at] = k;
@@ -232,9 +235,9 @@ def push_children(width: int) -> wp.Function:
     Only those that the block meets as a whole are tested against each frustum. top: children that wait so far. A child is given
     by its slot, node * W + lane.
     """
-    head = f"{FOR_LANES}    constexpr int W = {width};\n{lane_bits()}{BITS}"
+    head = f"    constexpr int W = {width};\n"
 
-    @wp.func_native(head + _ROWS + _STEP)
+    @native.func_native("lanes.h", head + _ROWS + _STEP)
     def push_children_native(
         boxes: wp.array(dtype=float), node: int, lanes: wp.array(dtype=float), slots: wp.array(dtype=int), top: int
     ) -> int: ...
@@ -242,18 +245,21 @@ def push_children(width: int) -> wp.Function:
     return push_children_native
 
 
-@wp.func_native(f"""{FOR_LANES}{_ROWS}{lane_bits("F")}
+@native.func_native(
+    "lanes.h",
+    f"""{_ROWS}
     const float* entry = rows + (STACK + place) * F;
     int waits[F];
     WRT_FOR(F, f) waits[f] = entry[f] <= t_max[f] ? -1 : 0;
-    return wrt_bits(waits);
-""")
+    return wrt::bits<F>(waits);
+""",
+)
 def frusta_waiting(lanes: wp.array(dtype=float), place: int) -> wp.uint32:
     """The frusta that enter a waiting child before their best hits, one bit each."""
     ...
 
 
-@wp.func_native(f"{FOR_LANES}{_ROWS}    t_max[f] = end;\n")
+@native.func_native("lanes.h", f"{_ROWS}    t_max[f] = end;\n")
 def shorten_frustum(lanes: wp.array(dtype=float), f: int, end: float):
     """Sets the end of a frustum's range; -inf if all of its rays are done."""
     ...

@@ -17,9 +17,10 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
-from wrt.kernels.simd.lanes import FOR_LANES, lanes
+from wrt.kernels.simd.lanes import lanes
 
 exact_module(__name__)
 
@@ -90,7 +91,7 @@ def lane_start(count: int) -> wp.Function:
     """`func(walks, lane, slabs, interval, t_max)`: places a ray at the root; `interval` is its interval in the scene's box."""
     Walks = walks(count)
 
-    @wp.func_native(_START)
+    @native.func_native("lanes.h", _START)
     def start_lane(walks: wp.ref[Walks], lane: int, slabs: RaySlabs, interval: wp.vec2, t_max: float): ...
 
     return start_lane
@@ -170,8 +171,8 @@ def advance(count: int, counting: bool) -> wp.Function:
     """
     Walks = walks(count)
 
-    @wp.func_native(
-        f"{FOR_LANES}    constexpr int W = {count}, ROWS = {ROWS}; constexpr bool COUNTING = {int(counting)};{_ADVANCE}"
+    @native.func_native(
+        "lanes.h", f"    constexpr int W = {count}, ROWS = {ROWS}; constexpr bool COUNTING = {int(counting)};{_ADVANCE}"
     )
     def advance_lanes(
         nodes: wp.array(dtype=wp.vec2i), walks: wp.ref[Walks], log: wp.array(dtype=int), row: wp.ref[int], least: int
@@ -200,7 +201,7 @@ def skip_blocks(count: int, width: int) -> wp.Function:
     """
     Walks = walks(count)
 
-    @wp.func_native(f"{FOR_LANES}    constexpr int W = {count}, TRIANGLES = {width};{_SKIP_BLOCKS}")
+    @native.func_native("lanes.h", f"    constexpr int W = {count}, TRIANGLES = {width};{_SKIP_BLOCKS}")
     def skip_leaf_blocks(walks: wp.ref[Walks], blocks: int) -> wp.uint32: ...
 
     return skip_leaf_blocks
@@ -263,7 +264,7 @@ def pop(count: int) -> wp.Function:
     """
     Walks = walks(count)
 
-    @wp.func_native(f"{FOR_LANES}    constexpr int W = {count};{_POP}")
+    @native.func_native("lanes.h", f"    constexpr int W = {count};{_POP}")
     def pop_lanes(walks: wp.ref[Walks], log: wp.array(dtype=int), at_leaf: wp.uint32) -> wp.uint32: ...
 
     return pop_lanes
@@ -294,7 +295,7 @@ def compact(count: int) -> wp.Function:
     """
     Walks = walks(count)
 
-    @wp.func_native(f"    constexpr int W = {count}, DEPTH = {MAX_TREE_DEPTH};{_COMPACT}")
+    @native.func_native("lanes.h", f"    constexpr int W = {count}, DEPTH = {MAX_TREE_DEPTH};{_COMPACT}")
     def compact_log(walks: wp.ref[Walks], log: wp.array(dtype=int)) -> int: ...
 
     return compact_log

@@ -18,10 +18,9 @@ import warp as wp
 
 from wrt.kernels.layout.light_cells import CELL_WORDS, DEPTH_SLACK, LightCells
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import SLACK
-from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits
-from wrt.kernels.simd.transpose import TRANSPOSE
 from wrt.kernels.traversal.leaf import BOX_INTERVAL
 from wrt.kernels.traversal.shadows.light_rays import LIT, OCCLUDED, UNDECIDED
 from wrt.kernels.traversal.stream.stream_load import VALID_LANE
@@ -115,8 +114,8 @@ WRT_REACH            const float slack = SLACK * far, jx = 1.0f / dx[k], jy = 1.
             words[11][k] = 0.0f; words[12][k] = 0.0f; words[13][k] = 0.0f;
         }
         WRT_PREPARE
-        wrt_write(words[0], rays_words + from * STRIDE, STRIDE, (1u << here) - 1u);
-        wrt_write(words[WORDS - 16], rays_words + from * STRIDE + WORDS - 16, STRIDE, (1u << here) - 1u);
+        wrt::write_records(words[0], rays_words + from * STRIDE, STRIDE, (1u << here) - 1u);
+        wrt::write_records(words[WORDS - 16], rays_words + from * STRIDE + WORDS - 16, STRIDE, (1u << here) - 1u);
     }
 """
 """C++: what box and triangle tests read of the rays that wait."""
@@ -174,9 +173,9 @@ _ROUNDS = """
                 from[i] = rays_words + slot[pair_ray[first + i]] * STRIDE;
                 line[i] = records.data + RECORD * (size_t)pair_triangle[first + i];
             }
-            wrt_read(line, 0, corner[0]);
-            wrt_read(from, 0, words[0]);
-            wrt_read(from, WORDS - 16, words[WORDS - 16]);
+            wrt::read_records(line, 0, corner[0]);
+            wrt::read_records(from, 0, words[0]);
+            wrt::read_records(from, WORDS - 16, words[WORDS - 16]);
             CANDIDATE_LANES
             WRT_FOR_LANES(i) {
                 float low[3], high[3];
@@ -189,7 +188,8 @@ _ROUNDS = """
                 BOX_INTERVAL
                 near[i] = (meets & (enter <= leave) & (at >= words[9][i]) & (at <= words[10][i])) ? -1 : 0;
             }
-            for (unsigned hit = wrt_bits(near); hit; hit &= hit - 1u) state[pair_ray[first + wrt_lowest_bit(hit)]] = OCCLUDED;
+            for (unsigned hit = wrt::bits<W>(near); hit; hit &= hit - 1u)
+                state[pair_ray[first + wrt::lowest_bit(hit)]] = OCCLUDED;
         }
         int left = 0;
         for (int n = 0; n < waiting; ++n) {
@@ -216,11 +216,11 @@ WORDS = 23
 def make_answer(triangle_test: str) -> wp.Function:
     """`wp.func(cells, records, batch, target, skipped, skip_stride, begin, count, answers, undecided)`: the rays of an item."""
     test = TRIANGLE_TESTS[triangle_test]
-    constants = f"""{FOR_LANES}{TRANSPOSE}
+    constants = f"""
     constexpr int L = 16, W = 16, RUN = {RUN}, WORDS = {WORDS}, STRIDE = {WORDS + 1}, RECORD = {RECORD_FLOATS};
     constexpr int CELL_WORDS = {CELL_WORDS}, LIT = {LIT}, OCCLUDED = {OCCLUDED}, UNDECIDED = {UNDECIDED}, WAITING = 3;
     constexpr float SLACK = {SLACK!r}f, DEPTH_SLACK = {DEPTH_SLACK!r}f;
-    {DIRECTION_LANES}{lane_bits("16")}{BITS}
+    {DIRECTION_LANES}
     """
     pieces = {"WRT_REACH": _REACH, "WRT_VALID": VALID_LANE}
     find = _FIND.replace("WRT_LOAD", _LOAD.replace("WRT_NUMBER", "from + (k < here ? k : 0)"))
@@ -231,7 +231,7 @@ def make_answer(triangle_test: str) -> wp.Function:
     rounds = _ROUNDS.replace("CANDIDATE_LANES", test.candidate_lanes).replace("VERTEX_BOX", vertex_box("corner[0]", "i"))
     rounds = rounds.replace("BOX_INTERVAL", BOX_INTERVAL)
 
-    @wp.func_native(constants + find + _CELLS + prepare + rounds)
+    @native.func_native("lanes.h", constants + find + _CELLS + prepare + rounds)
     def answer_native(
         cells: LightCells,
         records: wp.array(dtype=float),

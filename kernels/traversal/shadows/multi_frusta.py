@@ -38,6 +38,7 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.light_samples import GROUP, PATTERN_OF, LightSamples
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.boxes import SLACK
@@ -246,7 +247,7 @@ _CORNERS = """
                 | (beyond_v1 > cap * steep_v) | (front < -cap);
             stays[i] = outside ? 0 : -1;
         }
-        return wrt_bits(stays) & kept;
+        return wrt::bits<W>(stays) & kept;
     };
 """
 """C++: the side planes of a frustum against the triangles of a block."""
@@ -265,7 +266,7 @@ _WALK = """
         alignas(64) int met[W], first[W], key[W];
         WRT_FOR_LANES(i) { met[i] = 0; first[i] = NO_CHILD; }
         for (unsigned left = mask; left; left &= left - 1u) {
-            const int f = wrt_lowest_bit(left), bit = 1 << f;
+            const int f = wrt::lowest_bit(left), bit = 1 << f;
             const Frustum& b = frusta[f];
             cull_boxes(b, top.node, key);
             if (b.mixed_axes) {
@@ -287,8 +288,8 @@ _WALK = """
         alignas(64) int some[W];
         WRT_FOR_LANES(i) some[i] = met[i] ? -1 : 0;
         int begin_inner = waiting;
-        for (unsigned lanes = wrt_bits(some); lanes; lanes &= lanes - 1u) {
-            const int i = wrt_lowest_bit(lanes), word = child[i];
+        for (unsigned lanes = wrt::bits<W>(some); lanes; lanes &= lanes - 1u) {
+            const int i = wrt::lowest_bit(lanes), word = child[i];
             if (word >= 0) {  // the nearest on top
                 int at = waiting++;
                 for (; at > begin_inner && stack[at - 1].order < first[i]; --at) stack[at] = stack[at - 1];
@@ -299,7 +300,7 @@ _WALK = """
             int block = ~word >> 6;
             for (int left = triangles_left; left > 0; left -= W, ++block) {
                 for (unsigned here = (unsigned)met[i] & alive; here; here &= here - 1u) {
-                    const int f = wrt_lowest_bit(here);
+                    const int f = wrt::lowest_bit(here);
                     unsigned kept = cull_triangles(frusta[f], block);
                     if (CORNERS && kept) kept = cull_corners(frusta[f], block, kept);
                     if (!kept) continue;
@@ -352,7 +353,7 @@ def make_trace(config: TraversalConfig, each: bool) -> wp.Function:
     make = make.replace("WRT_BOXES", BOXES).replace("WRT_TRIANGLES", TRIANGLES).replace("POINTERS", pointers)
     corners = _CORNERS if test.accurate else _NO_CORNERS
 
-    @wp.func_native(constants + _FRUSTA + make + corners + _WALK + _STORE)
+    @native.func_native("lanes.h", constants + _FRUSTA + make + corners + _WALK + _STORE)
     def trace_native(
         tree: WideNodes,
         boxes: wp.array(dtype=float),

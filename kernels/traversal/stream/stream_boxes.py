@@ -137,7 +137,7 @@ BOXES = """
         wrt_cells apart = (wrt_cells)-1;
         for (unsigned left = state.used; left; left &= left - 1u) {
             wrt_cells plane[6];
-            __builtin_memcpy(plane, planes + wrt_lowest_bit(left) * 3 * L, sizeof(plane));
+            __builtin_memcpy(plane, planes + wrt::lowest_bit(left) * 3 * L, sizeof(plane));
             wrt_cells own = (wrt_cells)0;
             WRT_UNROLLED for (int a = 0; a < 3; ++a) {
                 own |= __builtin_elementwise_sub_sat(to[a], plane[a]) | __builtin_elementwise_sub_sat(plane[3 + a], from[a]);
@@ -150,12 +150,12 @@ BOXES = """
         unsigned short meeting, leaving;
         __builtin_memcpy(&meeting, &meet, sizeof(meeting)); __builtin_memcpy(&leaving, &beyond, sizeof(leaving));
         const unsigned reach = meeting | leaving;
-        if (wrt_count_bits(reach) > MANY) state.unboxed = PAUSE;
+        if (wrt::count_bits(reach) > MANY) state.unboxed = PAUSE;
         bits &= reach;
 #endif
         int* const to_row = (int*)waiting + state.waiting;
-        WRT_UNROLLED for (int row = 0; row < ROWS; ++row) wrt_append(to_row + row * ROOM, (const int*)lanes_of[row], bits);
-        state.waiting += wrt_count_bits(bits);
+        WRT_UNROLLED for (int row = 0; row < ROWS; ++row) wrt::append<L>(to_row + row * ROOM, (const int*)lanes_of[row], bits);
+        state.waiting += wrt::count_bits(bits);
         waits = true;
     }
     if (waits) {

@@ -6,7 +6,7 @@ have a better hit, are there more candidates). One at a time, this is a large pa
 latency.
 
 **Idea.** Candidates are independent until the last step, so 16 of them, of any rays and triangles, are evaluated at a time, one
-per lane. Rays are loaded by vector loads and a transposition (`wrt.kernels.simd.transpose`), triangles word by word, which is
+per lane. Rays are loaded by vector loads and a transposition (`kernels/native/lanes.h`), triangles word by word, which is
 faster than gathers. Candidates within the range of their rays are then merged one after the other, so that a ray with several
 of them keeps the best. Figures: notebooks/records/2026-11-22-stream-candidates.md.
 
@@ -20,9 +20,9 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
-from wrt.kernels.simd.transpose import TRANSPOSE
 from wrt.kernels.traversal.crossings import record_crossing
 from wrt.kernels.traversal.leaf import BOX_INTERVAL, Candidate, triangle_step
 from wrt.kernels.traversal.stream.stream_kernel import get_ray, ray_number, ray_words, stream_ray
@@ -48,8 +48,8 @@ _EVALUATE = """
             t[i] = at;
             near[i] = (hit & (enter <= leave) & (at >= words[9][i]) & (at <= words[10][i]) & (first + i < count)) ? -1 : 0;
         }
-        for (unsigned mask = wrt_bits(near); mask; mask &= mask - 1u) {
-            const int i = wrt_lowest_bit(mask);
+        for (unsigned mask = wrt::bits<L>(near); mask; mask &= mask - 1u) {
+            const int i = wrt::lowest_bit(mask);
             auto& best = rays.data[owner[first + i]].best;
             TAKE
         }
@@ -73,8 +73,8 @@ _TEST = """
             const float* r = &records.data[(size_t)(slot / WIDTH) * (COMPONENTS * WIDTH) + slot % WIDTH];
             WRT_UNROLLED for (int c = 0; c < 9; ++c) corner[c][i] = r[c * WIDTH];
         }
-        wrt_read(from, 0, words[0]);
-        wrt_read(from, WORDS - 16, words[WORDS - 16]);
+        wrt::read_records(from, 0, words[0]);
+        wrt::read_records(from, WORDS - 16, words[WORDS - 16]);
         EVALUATE
     }
 """
@@ -112,7 +112,7 @@ def evaluation(config: TraversalConfig) -> str:
 
 def lane_constants(config: TraversalConfig) -> str:
     """C++ of what `evaluation` needs: constants, and how lists and transpositions work."""
-    return f"""{LISTS}{TRANSPOSE}
+    return f"""{LISTS}
     constexpr int W = L, WIDTH = {config.width}, WORDS = {ray_words(config.triangle_test)};
     constexpr int COMPONENTS = {TRIANGLE_TESTS[config.triangle_test].record.components};
     constexpr bool ANY = {int(config.query == ANY)};
@@ -124,7 +124,7 @@ def test_in_lanes(config: TraversalConfig) -> wp.Function:
     """`func(records, primitives, rays, pairs, count)`: evaluates the first `count` candidates and merges their hits."""
     StreamRay, code = stream_ray(config.triangle_test), _TEST.replace("EVALUATE", evaluation(config))
 
-    @wp.func_native(lane_constants(config) + code)
+    @native.func_native("lanes.h", lane_constants(config) + code)
     def test_in_lanes_native(
         records: wp.array(dtype=float),
         primitives: wp.array(dtype=int),
@@ -165,10 +165,13 @@ def scalar_test_step(config: TraversalConfig) -> wp.Function:
     get, candidate = get_ray(config.triangle_test), triangle_step(config)
     any_hit, crossing, record = config.query == ANY, config.crossing, record_crossing(config)
 
-    @wp.func_native(f"""
+    @native.func_native(
+        "lanes.h",
+        f"""
         rays.data[k].best = best;
         if ({int(any_hit)} && best.primitive >= 0) rays.data[k].best.t = __builtin_bit_cast(float, 0xff800000u);  // -inf
-    """)
+    """,
+    )
     def put_best(rays: wp.array(dtype=StreamRay), k: int, best: Candidate): ...
 
     @wp.func

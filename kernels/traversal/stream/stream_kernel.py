@@ -42,9 +42,9 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
-from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.leaf import Candidate, store_best
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -171,16 +171,19 @@ def store_stream(config: TraversalConfig) -> wp.Function:
     StreamRay, number_of = stream_ray(config.triangle_test), ray_number(config.triangle_test)
     store_one = store_best(config)
 
-    @wp.func_native(_MISS_ANY if config.query == ANY else _MISS_ALL if config.crossing else _MISS_CLOSEST)
+    @native.func_native("lanes.h", _MISS_ANY if config.query == ANY else _MISS_ALL if config.crossing else _MISS_CLOSEST)
     def store_misses(begin: int, count: int, hits: HitBatch): ...
 
     if config.query == ANY:
 
-        @wp.func_native(f"""{FOR_LANES}
-            WRT_SCALAR for (int k = 0; k < size; ++k) {{
+        @native.func_native(
+            "lanes.h",
+            """
+            WRT_SCALAR for (int k = 0; k < size; ++k) {
                 occluded.data[begin + rays.data[k].number] = rays.data[k].best.primitive >= 0;
-            }}
-        """)
+            }
+        """,
+        )
         def store_any(rays: wp.array(dtype=StreamRay), size: int, begin: int, occluded: wp.array(dtype=wp.bool)): ...
 
         @wp.func

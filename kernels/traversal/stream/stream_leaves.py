@@ -14,6 +14,7 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import WideNodes, leaf_triangles
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lowest_bit
 from wrt.kernels.traversal.stream.stream_candidates import evaluates_in_lanes, evaluation, lane_constants
@@ -44,8 +45,8 @@ _TEST_LEAF = """
         int primitive[L], near[L];
         const float* from[L];
         WRT_SCALAR for (int i = 0; i < L; ++i) from[i] = (const float*)(rays.data + owner[first + i]);
-        wrt_read(from, 0, words[0]);
-        wrt_read(from, WORDS - 16, words[WORDS - 16]);
+        wrt::read_records(from, 0, words[0]);
+        wrt::read_records(from, WORDS - 16, words[WORDS - 16]);
         for (int k = 0; k < triangles; ++k) {
             const int id = primitives.data[block * WIDTH + k];
             const float* record = &records.data[(size_t)block * (COMPONENTS * WIDTH) + k];
@@ -64,7 +65,7 @@ def leaf_in_lanes(config: TraversalConfig) -> wp.Function:
     word of `wrt.kernels.layout.bvh_nodes`."""
     StreamRay, code = stream_ray(config.triangle_test), _TEST_LEAF.replace("EVALUATE", evaluation(config))
 
-    @wp.func_native(lane_constants(config) + code)
+    @native.func_native("lanes.h", lane_constants(config) + code)
     def test_leaf_native(
         records: wp.array(dtype=float),
         primitives: wp.array(dtype=int),

@@ -11,8 +11,8 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS
 
 exact_module(__name__)
@@ -82,73 +82,8 @@ def kept_lanes(mask: int) -> int:
 KEPT_LANES = ", ".join(f"{kept_lanes(mask):#x}ull" for mask in range(256))
 """The table of `kept_lanes`, as C++."""
 
-APPEND = f"""#if defined(__AVX512F__) && defined(__clang__) && !defined(__CUDA_ARCH__)
-    auto wrt_append = [](int* to, const int* from, unsigned mask) {{
-        wrt_ints v;
-        __builtin_memcpy(&v, from, sizeof(v));
-        v = __builtin_ia32_compresssi512_mask(v, v, (unsigned short)mask);
-        __builtin_memcpy(to, &v, sizeof(v));
-        return (int)__builtin_popcount(mask);
-    }};
-#elif defined(__AVX2__) && defined(__clang__) && !defined(__CUDA_ARCH__)
-    static const unsigned long long WRT_KEPT_LANES[256] = {{{KEPT_LANES}}};
-    auto wrt_append = [](int* to, const int* from, unsigned mask) {{
-        typedef int ints __attribute__((ext_vector_type(8)));
-        typedef unsigned char bytes __attribute__((ext_vector_type(8)));
-        int size = 0;
-        for (int i = 0; i < L; i += 8) {{
-            const unsigned own = mask >> i & 255u;
-            ints v; __builtin_memcpy(&v, from + i, sizeof(v));
-            bytes lane; __builtin_memcpy(&lane, WRT_KEPT_LANES + own, sizeof(lane));
-            v = __builtin_ia32_permvarsi256(v, __builtin_convertvector(lane, ints));
-            __builtin_memcpy(to + size, &v, sizeof(v));
-            size += __builtin_popcount(own);
-        }}
-        return size;
-    }};
-#else
-    auto wrt_append = [](int* to, const int* from, unsigned mask) {{
-        int size = 0;
-        for (int i = 0; i < L; ++i) {{ const int value = from[i]; to[size] = value; size += mask >> i & 1u; }}
-        return size;
-    }};
-#endif
-"""
-"""C++ of `wrt_append(to, from, mask)`: appends those of L numbers that the mask selects, in order, and returns how many. L is a
-constant of the snippet: a multiple of 8, and 16 with AVX-512. It writes L numbers."""
-
-LISTS = f"""{FOR_LANES}
-    constexpr int L = {LIST_LANES}, RAY_BITS = {RAY_BITS}, RAY = (1 << RAY_BITS) - 1;
-{lane_bits("L")}{BITS}{APPEND}"""
-"""Head of a list snippet. `wrt_bits(flags)`: one bit for each of L flags that is not 0. `wrt_append`: see `APPEND`."""
-
-
-BLOCK_LANES = f"""
-#if defined(__AVX512F__) && !defined(__CUDA_ARCH__)
-    enum {{ L = 16 }};
-#else
-    enum {{ L = (W + 7) / 8 * 8 }};
-#endif
-{lane_bits("L")}{BITS}{APPEND}"""
-"""C++ of `wrt_bits` and `wrt_append` for the W lanes of a node or a block, in vectors of L. Without AVX-512, 8 of them
-need half of the lanes of `LISTS`. L is an enumerator, so that a lambda without captures may use it."""
-
-
-_APPEND_CANDIDATES = """
-    if (FETCHING) WRT_FETCH(primitives.data + (size_t)block * W);
-    int slot[L];
-    WRT_FOR(L, i) { pairs.candidate_rays.c[count + i] = ray; }
-#if defined(__AVX2__) && !defined(__AVX512F__) && defined(__clang__) && !defined(__CUDA_ARCH__)
-    if (L == 8) {
-        const unsigned char* const kept = (const unsigned char*)(WRT_KEPT_LANES + (mask & 255u));
-        WRT_FOR(8, i) { slot[i] = block * W + kept[i]; }
-        __builtin_memcpy(pairs.candidates.c + count, slot, sizeof(slot));
-        return count + (int)wrt_count_bits(mask);
-    }
-#endif
-    WRT_FOR(L, i) { slot[i] = block * W + i; }
-    return count + wrt_append(pairs.candidates.c + count, slot, mask);
-"""
+LISTS = f"    constexpr int L = {LIST_LANES}, RAY_BITS = {RAY_BITS}, RAY = (1 << RAY_BITS) - 1;\n"
+"""C++ constants of lists: elements that are filtered at a time, and the bits of a word that are the ray's number."""
 
 
 @cache
@@ -159,10 +94,9 @@ def append_candidates(width: int, fetching: bool = True) -> wp.Function:
     Returns the new number of candidates. If `fetching`, the ids of the triangles are prefetched, because they are not in a
     cache when the candidates are evaluated (notebooks/records/2026-11-22-stream-candidates.md).
     """
+    call = f"wrt::append_candidates<{width}, {int(fetching)}>(primitives.data, pairs, count, ray, block, mask)"
 
-    constants = f"    constexpr int W = {width}; constexpr bool FETCHING = {int(fetching)};\n"
-
-    @wp.func_native(f"{FOR_LANES}{constants}{BLOCK_LANES}{_APPEND_CANDIDATES}")
+    @native.func_native("stream.h", f"return {call};")
     def append_native(
         primitives: wp.array(dtype=int),
         pairs: wp.ref[Pairs],

@@ -1,10 +1,10 @@
 """Loads rays of a batch into a stream, 16 at a time.
 
 The rays of a stream are stored one after the other, each with all its numbers, because filters and tests read them like that.
-Here they are computed component by component, 16 rays to a vector, and then transposed (`TRANSPOSE`), so that a ray is written
-by one or two vector stores. The per-ray data of the triangle test is included if the test supplies `TestForm.prepare_lanes`;
-other tests prepare one ray after the other. The arithmetic is that of `load_ray`, `ray_slabs` and `prepare`, to the bit.
-Figures: notebooks/records/2026-11-21-streams.md.
+Here they are computed component by component, 16 rays to a vector, and then transposed (`kernels/native/lanes.h`), so that a
+ray is written by one or two vector stores. The per-ray data of the triangle test is included if the test supplies
+`TestForm.prepare_lanes`; other tests prepare one ray after the other. The arithmetic is that of `load_ray`, `ray_slabs` and
+`prepare`, to the bit. Figures: notebooks/records/2026-11-21-streams.md.
 
 Invalid rays are not stored, so a stream is loaded from as many rays as fill it. For a wide BVH, neither are rays that meet no
 child of the root (`wrt.kernels.traversal.stream.stream_root`).
@@ -17,10 +17,10 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
 from wrt.kernels.layout.unchecked import load_float
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.simd.lanes import count_bits, lowest_bit
-from wrt.kernels.simd.transpose import TRANSPOSE
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, ray_words, stream_ray
 from wrt.kernels.traversal.stream.stream_lists import LISTS
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -163,21 +163,21 @@ _WRITE = """
         words[12][k] = 0.0f; words[13][k] = 0.0f;
     }
     WRT_ROOT
-    const unsigned kept = wrt_bits(stored) & ((1u << here) - 1u);
+    const unsigned kept = wrt::bits<L>(stored) & ((1u << here) - 1u);
     if (kept == 0) return 0;
     WRT_LIST
     WRT_PREPARE
     if (WORDS > COMMON) { WRT_FOR(L, k) ((int*)words[WORDS - 1])[k] = WRT_NUMBER; }
     float* to = (float*)(stream.data + size);
-    if (wrt_count_bits(kept) <= FEW) {
+    if (wrt::count_bits(kept) <= FEW) {
         for (unsigned left = kept; left; left &= left - 1u, to += RAY_WORDS) {
-            const float* own_word = words[0] + wrt_lowest_bit(left);
+            const float* own_word = words[0] + wrt::lowest_bit(left);
             WRT_UNROLLED for (int c = 0; c < WORDS; ++c) to[c] = own_word[c * L];
         }
         return kept;
     }
-    wrt_write(words[0], to, RAY_WORDS, kept);
-    if (WORDS > 16) wrt_write(words[WORDS - 16], to + WORDS - 16, RAY_WORDS, kept);
+    wrt::write_records(words[0], to, RAY_WORDS, kept);
+    if (WORDS > 16) wrt::write_records(words[WORDS - 16], to + WORDS - 16, RAY_WORDS, kept);
     return kept;
 """
 
@@ -201,7 +201,7 @@ def constants(triangle_test: str) -> str:
     words, prepared = ray_words(triangle_test), bool(TRIANGLE_TESTS[triangle_test].prepare_lanes)
     if not 16 <= words <= (32 if prepared else words):
         raise ValueError(f"triangle test {triangle_test!r} needs {words} words per ray; streams store 16 to 32 words per ray")
-    return f"""{LISTS}{TRANSPOSE}
+    return f"""{LISTS}
     constexpr int COMMON = {COMMON_WORDS}, FEW = {FEW}, RAY_WORDS = {words}, WORDS = {words if prepared else COMMON_WORDS};
     constexpr float SLACK = {SLACK!r}f;
     """
@@ -232,7 +232,7 @@ def load_lanes(triangle_test: str) -> wp.Function:
     Those that are valid are appended to the `size` rays of the stream; their bits are returned. own: see `written`.
     """
 
-    @wp.func_native(constants(triangle_test) + FETCH + written(triangle_test))
+    @native.func_native("lanes.h", constants(triangle_test) + FETCH + written(triangle_test))
     def load_lanes_native(
         batch: RayBatch,
         first: int,
@@ -258,7 +258,7 @@ def prepare_one_by_one(triangle_test: str) -> wp.Function:
     @wp.func_native("stream.data[k].state = state; stream.data[k].number = number;")
     def put_state(stream: wp.array(dtype=StreamRay), k: int, state: RayState, number: int): ...
 
-    @wp.func_native(f"return ((const int*)own.data)[{6 * LIST_LANES} + k];")
+    @native.func_native("lanes.h", f"return ((const int*)own.data)[{6 * LIST_LANES} + k];")
     def number_of(own: wp.array(dtype=float), k: int) -> int: ...
 
     @wp.func

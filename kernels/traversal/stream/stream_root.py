@@ -20,6 +20,7 @@ import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, WideNodes
 from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.lanes import count_bits
@@ -44,7 +45,7 @@ exact_module(__name__)
 _TEST = """
     int met[L] = {};
     for (unsigned left = state.used; left; left &= left - 1u) {
-        const int c = wrt_lowest_bit(left);
+        const int c = wrt::lowest_bit(left);
         const float low_x = bounds.data[c], low_y = bounds.data[W + c], low_z = bounds.data[2 * W + c];
         const float high_x = bounds.data[3 * W + c], high_y = bounds.data[4 * W + c], high_z = bounds.data[5 * W + c];
         WRT_FOR(L, k) {
@@ -70,7 +71,7 @@ _LIST = """
     int word[L];
     WRT_FOR(L, k) word[k] = (int)((unsigned)met[k] << RAY_BITS);
     int* listed = list.data + size;
-    wrt_append(listed, word, kept);
+    wrt::append<L>(listed, word, kept);
     WRT_FOR(L, k) listed[k] |= size + k;
 """
 
@@ -113,7 +114,7 @@ def begin_root(width: int, order: int, boxes: bool) -> wp.Function:
     root's children."""
     head = LISTS + _head(width, order) + (BOX_CONSTANTS if boxes else "")
 
-    @wp.func_native(head + _BEGIN + (BEGIN_BOXES if boxes else "") + "    return used;\n")
+    @native.func_native("lanes.h", head + _BEGIN + (BEGIN_BOXES if boxes else "") + "    return used;\n")
     def begin_native(
         children: wp.array(dtype=int),
         bounds: wp.array(dtype=float),
@@ -133,7 +134,7 @@ def end_root(width: int, order: int) -> wp.Function:
     rows = [f"(last + {c * LIST_LANES})" for c in range(width)]
     code = _END.replace("MAXIMA", "" if order == NONE else row_maxima(rows, LIST_LANES, "greatest"))
 
-    @wp.func_native(LISTS + _head(width, order) + code)
+    @native.func_native("lanes.h", LISTS + _head(width, order) + code)
     def end_native(children: wp.array(dtype=int), lanes: wp.array(dtype=float), keys: wp.array(dtype=int)) -> wp.uint32: ...
 
     return end_native
@@ -173,7 +174,7 @@ def load_lanes(triangle_test: str, width: int, order: int, boxes: bool) -> wp.Fu
     else:
         code = "    if (count == 0) return 0;\n" + FETCH + written(triangle_test, _TEST, _LIST)
 
-    @wp.func_native(head + code)
+    @native.func_native("lanes.h", head + code)
     def load_native(
         batch: RayBatch,
         first: int,

@@ -2,8 +2,8 @@
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -35,9 +35,9 @@ class BoundedInstances:
     """(N,) product of the norms of the map and of its inverse, each the greatest row sum of absolute values."""
 
 
-@wp.func_native(
-    FOR_LANES
-    + f"""
+@native.func_native(
+    "lanes.h",
+    f"""
     constexpr int W = {LANES};
     const double far = __builtin_bit_cast(double, 0x7ff0000000000000ull);
     const int row = points.shape[0] / 3, count = corners.shape[0] / 6;
@@ -61,7 +61,7 @@ class BoundedInstances:
         corners.data[axis * count + i] = low[0] + origin.c[axis];
         corners.data[(axis + 3) * count + i] = high[0] + origin.c[axis];
     }}
-"""
+""",
 )
 def bound_points(
     points: wp.array(dtype=wp.float64),

@@ -14,6 +14,7 @@ import warp as wp
 
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, HitBatch, RayBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Candidate
 from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet
@@ -51,7 +52,7 @@ class PacketMemory:
 _SET = "".join(f"memory.{name} = {name}; " for name in ("number", "bound", "waiting", "scene", "origin", "packet", "walk"))
 
 
-@wp.func_native(_SET)
+@native.func_native("lanes.h", _SET)
 def set_arrays(
     memory: wp.ref[PacketMemory],
     number: wp.array(dtype=int),
@@ -118,7 +119,7 @@ def keep_rays(layout: PacketLayout) -> wp.Function:
     Returns the greatest absolute value of a coordinate of their origins.
     """
 
-    @wp.func_native(memory_head(layout) + DIRECTION_LANES + NUMBERS + _KEEP)
+    @native.func_native("lanes.h", memory_head(layout) + DIRECTION_LANES + NUMBERS + _KEEP)
     def keep_rays_native(rays: RayBatch, first: int, memory: wp.ref[PacketMemory]) -> float: ...
 
     return keep_rays_native
@@ -128,7 +129,7 @@ def keep_rays(layout: PacketLayout) -> wp.Function:
 def keep_ranges(layout: PacketLayout) -> wp.Function:
     """`wp.func(memory)`: `bound` becomes the t of the packet that was loaded: t_max, or -inf for invalid rays."""
 
-    @wp.func_native(memory_head(layout) + "    WRT_FOR(P, k) { bound[k] = t[k]; }\n")
+    @native.func_native("lanes.h", memory_head(layout) + "    WRT_FOR(P, k) { bound[k] = t[k]; }\n")
     def keep_ranges_native(memory: wp.ref[PacketMemory]): ...
 
     return keep_ranges_native
@@ -168,8 +169,9 @@ def load_instance(layout: PacketLayout, slopes: bool) -> wp.Function:
     `load_packet`.
     """
 
-    @wp.func_native(
-        memory_head(layout) + fill_head(layout, slopes) + _TRANSFORM + fill_packet(layout) + bound_packet(layout, slopes)
+    @native.func_native(
+        "lanes.h",
+        memory_head(layout) + fill_head(layout, slopes) + _TRANSFORM + fill_packet(layout) + bound_packet(layout, slopes),
     )
     def load_instance_native(
         memory: wp.ref[PacketMemory],
@@ -210,7 +212,7 @@ def merge_hits(layout: PacketLayout, any_hit: bool) -> wp.Function:
     """
     constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
-    @wp.func_native(memory_head(layout) + constant + _MERGE)
+    @native.func_native("lanes.h", memory_head(layout) + constant + _MERGE)
     def merge_hits_native(memory: wp.ref[PacketMemory], first: int) -> float: ...
 
     return merge_hits_native
@@ -235,7 +237,7 @@ def store_rays(layout: PacketLayout, any_hit: bool) -> wp.Function:
     """`wp.func(memory, rays, first, hits)`: writes the hits of the rays that `keep_rays` fetched."""
     constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
-    @wp.func_native(memory_head(layout) + constant + NUMBERS + _STORE)
+    @native.func_native("lanes.h", memory_head(layout) + constant + NUMBERS + _STORE)
     def store_rays_native(memory: wp.ref[PacketMemory], rays: RayBatch, first: int, hits: HitBatch): ...
 
     return store_rays_native
@@ -247,7 +249,7 @@ def store_candidate(layout: PacketLayout, any_hit: bool) -> wp.Function:
     t = "best_of_ray.primitive >= 0 ? -INF : best_of_ray.t" if any_hit else "best_of_ray.t"
     body = f"    t[k] = {t}; ((int*)primitive)[k] = best_of_ray.primitive; u[k] = best_of_ray.u; v[k] = best_of_ray.v;\n"
 
-    @wp.func_native(memory_head(layout) + body)
+    @native.func_native("lanes.h", memory_head(layout) + body)
     def store_candidate_native(memory: wp.ref[PacketMemory], k: int, best_of_ray: wp.ref[Candidate]): ...
 
     return store_candidate_native
@@ -257,7 +259,7 @@ def store_candidate(layout: PacketLayout, any_hit: bool) -> wp.Function:
 def is_active(layout: PacketLayout) -> wp.Function:
     """`wp.func(memory, k) -> bool`: whether ray k of the packet still looks for hits."""
 
-    @wp.func_native(memory_head(layout) + "    return t[k] >= -0.0f;\n")
+    @native.func_native("lanes.h", memory_head(layout) + "    return t[k] >= -0.0f;\n")
     def is_active_native(memory: wp.ref[PacketMemory], k: int) -> bool: ...
 
     return is_active_native

@@ -18,8 +18,9 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES, lane_bits, lanes
+from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.triangle.support.operation_counts import Operations, count_operations
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record
 
@@ -301,7 +302,7 @@ def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
     def declare(step: Step) -> list[str]:
         return [f"const float {name} = r[{components[name]} * W + i];" for name in step.reads(components)]
 
-    text = f"    constexpr int W = {width}, COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)};\n{lane_bits()}"
+    text = f"    constexpr int W = {width}, COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)};\n"
     text += "    const float* r = &records.data[(size_t)block * (COMPONENTS * W)];\n    unsigned mask = ~0u;\n"
     text += "".join(f"    const float {value.name} = {value.scalar};\n" for value in form.ray)
     text += "".join(f"    float kept_{name}[W];\n" for name in form.kept())
@@ -313,7 +314,7 @@ def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
                     {form.lane_code(number, declare)}
                     passed[i] = ({step.passes}) ? -1 : 0;
                 }}
-                mask &= wrt_bits(passed);
+                mask &= wrt::bits<W>(passed);
                 if (!mask) return mask;
             }}
         """
@@ -321,7 +322,7 @@ def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
         "    WRT_FOR_LANES(i) { out_t.c[i] = kept_t[i]; out_u.c[i] = kept_u[i]; out_v.c[i] = kept_v[i]; }\n    return mask;\n"
     )
 
-    @wp.func_native(FOR_LANES + text)
+    @native.func_native("lanes.h", text)
     def block_test(
         records: wp.array(dtype=float),
         block: int,

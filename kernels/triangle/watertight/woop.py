@@ -37,8 +37,9 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits, lanes
+from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.triangle.support.lane_form import HandWritten
 from wrt.kernels.triangle.support.operation_counts import Operations
 from wrt.kernels.triangle.support.record_blocks import Corners
@@ -202,7 +203,7 @@ _BLOCK = """
         within[i] = inside ? -1 : 0;
         edge[i] = on_edge ? -1 : 0;
     }
-    unsigned mask = wrt_bits(within), edges = wrt_bits(edge);
+    unsigned mask = wrt::bits<W>(within), edges = wrt::bits<W>(edge);
     if (edges) {
         for (int i = 0; i < W; ++i) {
             if (!(edges >> i & 1u)) continue;
@@ -237,7 +238,7 @@ _LINES = """
         least = least < c ? least : c; most = most > c ? most : c;
         met[i] = (((least < 0.0f) & (most > 0.0f)) | (pz != pz)) ? 0 : -1;  // z is a NaN in unused lanes
     }
-    return wrt_bits(met);
+    return wrt::bits<W>(met);
 """
 """C++: the lanes in which no two areas have opposite signs. An area of zero has either sign: recomputed in float64, it may
 have any, but the others keep theirs, because rounding is monotone. So these are all lanes that are hit, and few others. An
@@ -267,8 +268,8 @@ _WEIGHTS = """
             float a = area_a[i], b = area_b[i], c = area_c[i], size = sizes[i];
             thin[i] = ((IS_THIN) & (edge[i] == 0)) ? -1 : 0;
         }
-        for (unsigned left = wrt_bits(thin) & mask; left; left &= left - 1u) {
-            const int i = wrt_lowest_bit(left);
+        for (unsigned left = wrt::bits<W>(thin) & mask; left; left &= left - 1u) {
+            const int i = wrt::lowest_bit(left);
             float areas[3] = {area_a[i], area_b[i], area_c[i]};
             wrt_precise_lane(x + i, y + i, z + i, ox, oy, oz, sx, sy, areas);
             area_a[i] = areas[0]; area_b[i] = areas[1]; area_c[i] = areas[2];
@@ -310,15 +311,15 @@ def _block(width: int, rule: dict[str, str], weights: bool) -> str:
     body = _BLOCK.replace("WRT_WEIGHTS", _WEIGHTS if weights else "")
     for name, piece in rule.items():
         body = body.replace(name, piece)
-    head = f"{FOR_LANES}    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n"
-    return f"{head}{lane_bits()}{BITS}{_PRECISE_LANE if weights else ''}{body}"
+    head = f"    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n"
+    return f"{head}{_PRECISE_LANE if weights else ''}{body}"
 
 
 def make_block_test(width: int, crossing: bool, weights: bool = True) -> wp.Function:
     """The block test by one of the two rules for a ray on an edge. `weights`: whether t, u and v are computed."""
     Lanes = lanes(width)
 
-    @wp.func_native(_block(width, _CROSSING if crossing else _INCLUSIVE, weights))
+    @native.func_native("lanes.h", _block(width, _CROSSING if crossing else _INCLUSIVE, weights))
     def woop_block(
         records: wp.array(dtype=float),
         block: int,
@@ -342,7 +343,7 @@ def line_test(width: int) -> wp.Function:
     """`block_test` without t, u and v; some of the lanes whose triangle the ray's line just misses are returned, too."""
     Lanes = lanes(width)
 
-    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width};\n{lane_bits()}{_LINES}")
+    @native.func_native("lanes.h", f"    constexpr int W = {width};\n{_LINES}")
     def woop_lines(
         records: wp.array(dtype=float),
         block: int,

@@ -21,7 +21,7 @@ _SHEARED = """
 _EXACT = """
                 if (bits_of(on_edge)) {
                     for (unsigned bits = bits_of(on_edge); bits; bits &= bits - 1u) {
-                        const int i = wrt_lowest_bit(bits);
+                        const int i = wrt::lowest_bit(bits);
                         const float exact_a = (float)((double)rx[i] * qy[i] - (double)ry[i] * qx[i]);
                         const float exact_b = (float)((double)px[i] * ry[i] - (double)py[i] * rx[i]);
                         const float exact_c = (float)((double)qx[i] * py[i] - (double)qy[i] * px[i]);
@@ -37,7 +37,7 @@ _THIN = f"""
                 const vf size = (wrt_abs(rx * qy) + wrt_abs(px * ry)) + wrt_abs(qx * py);
                 const vi thin = inside & (wrt_abs((a + b) + c) < {float(THIN)!r}f * size);
                 for (unsigned bits = bits_of(thin); bits; bits &= bits - 1u) {{
-                    const int i = wrt_lowest_bit(bits);
+                    const int i = wrt::lowest_bit(bits);
                     float fine_a = a[i], fine_b = b[i], fine_c = c[i];
                     wrt_precise_areas(px[i], py[i], qx[i], qy[i], rx[i], ry[i], fine_a, fine_b, fine_c);
                     a[i] = fine_a; b[i] = fine_b; c[i] = fine_c;

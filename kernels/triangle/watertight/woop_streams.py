@@ -62,8 +62,8 @@ CANDIDATE_LANES = f"""{PRECISE_AREAS}
             const float size = (WRT_ABS(x2 * y1) + WRT_ABS(x0 * y2)) + WRT_ABS(x1 * y0);
             edges[i] = ((a == 0.0f) | (b == 0.0f) | (c == 0.0f) | ((hits[i] != 0) & ({IS_THIN}))) ? -1 : 0;
         }}
-        for (unsigned left = wrt_bits(edges); left; left &= left - 1u) {{
-            const int i = wrt_lowest_bit(left);
+        for (unsigned left = wrt::bits<L>(edges); left; left &= left - 1u) {{
+            const int i = wrt::lowest_bit(left);
             if (area[0][i] != 0.0f && area[1][i] != 0.0f && area[2][i] != 0.0f) {{
                 wrt_precise_areas(x[0][i], y[0][i], x[1][i], y[1][i], x[2][i], y[2][i], area[0][i], area[1][i], area[2][i]);
                 continue;

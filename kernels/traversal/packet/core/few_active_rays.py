@@ -13,6 +13,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step
@@ -60,7 +61,7 @@ def extract_ray(layout: PacketLayout) -> wp.Function:
     test = TRIANGLE_TESTS[layout.triangle_test]
     RayState = test.ray_state
 
-    @wp.func_native(layout.head + SHARED_ORIGIN + _EXTRACT.replace("WRT_RAY", test.packet_form.ray))
+    @native.func_native("lanes.h", layout.head + SHARED_ORIGIN + _EXTRACT.replace("WRT_RAY", test.packet_form.ray))
     def extract_ray_native(
         packet: wp.array(dtype=float),
         bounds: wp.ref[PacketBounds],
@@ -78,7 +79,7 @@ def store_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
     """`wp.func(packet, bounds, place, best)`: stores the hit of a ray of `bounds.few` in the packet."""
     constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
-    @wp.func_native(layout.head + constant + _STORE + SHORTEN)
+    @native.func_native("lanes.h", layout.head + constant + _STORE + SHORTEN)
     def store_ray_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], place: int, best: wp.ref[Candidate]): ...
 
     return store_ray_native

@@ -8,6 +8,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
@@ -79,7 +80,7 @@ def enter_cell(layout: PacketLayout) -> wp.Function:
     The intervals are clipped to the rays' ranges and best hits.
     """
 
-    @wp.func_native(layout.head + _ENTER)
+    @native.func_native("lanes.h", layout.head + _ENTER)
     def enter_cell_native(
         packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], low: wp.vec3, high: wp.vec3, cells: wp.array(dtype=float)
     ) -> int: ...
@@ -95,7 +96,7 @@ def split_cell(layout: PacketLayout) -> wp.Function:
     of the rays that visit both.
     """
 
-    @wp.func_native(layout.head + _SPLIT)
+    @native.func_native("lanes.h", layout.head + _SPLIT)
     def split_cell_native(
         packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], axis: int, position: float, cells: wp.array(dtype=float)
     ) -> int: ...

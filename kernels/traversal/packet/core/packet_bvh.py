@@ -36,9 +36,9 @@ import warp as wp
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.unchecked import CACHE_LINE, first_line, load_int, store_int
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD, NO_CHILD_CONSTANT, entry_of, nearest_child
-from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
@@ -76,8 +76,8 @@ _FETCH = """
 #if !defined(__CUDA_ARCH__)
     int kept[W];
     WRT_FOR_LANES(i) kept[i] = keys.data[first + i] != NO_CHILD ? -1 : 0;
-    for (unsigned bits = wrt_bits(kept); bits; bits &= bits - 1u) {
-        const int child = tree.child.data[node * W + wrt_lowest_bit(bits)], block = ~child >> 6;
+    for (unsigned bits = wrt::bits<W>(kept); bits; bits &= bits - 1u) {
+        const int child = tree.child.data[node * W + wrt::lowest_bit(bits)], block = ~child >> 6;
         if (child < 0) {
             const char* record = (const char*)(triangles.records.data + (size_t)block * (RECORD * W));
             WRT_UNROLLED for (int b = 0; b < 4 * RECORD * W; b += 64) WRT_FETCH(record + b);
@@ -109,7 +109,7 @@ def fetch_kept(layout: PacketLayout) -> wp.Function:
     """`wp.func(tree, triangles, node, keys, first)`: fetches the children of a node that culling has kept into the caches, of
     leaves the first block; `keys`, from `first` on, are those of `Culling.boxes`."""
 
-    @wp.func_native(f"{layout.constants}{BITS}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{_FETCH}")
+    @native.func_native("lanes.h", f"{layout.constants}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{_FETCH}")
     def fetch(tree: wp.ref[WideNodes], triangles: wp.ref[TriangleBlocks], node: int, keys: wp.array(dtype=int), first: int): ...
 
     return fetch

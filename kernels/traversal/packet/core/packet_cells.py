@@ -15,16 +15,16 @@ plane.
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 
 exact_module(__name__)
 
 
-@wp.func_native(
-    FOR_LANES
-    + """
+@native.func_native(
+    "lanes.h",
+    """
     const float INF = WRT_INFINITY;
     const float large = bounds.inverse_large.c[axis], small = bounds.inverse_small.c[axis];
     if (large == large) {
@@ -43,7 +43,7 @@ exact_module(__name__)
     const bool right_first = -backward < forward;
     return wp::vec3(right_first ? -1.0f : 1.0f, (right_first ? no_right : no_left) ? -INF : leave,
                     (right_first ? no_left : no_right) ? INF : entry);
-"""
+""",
 )
 def cross_plane(bounds: wp.ref[PacketBounds], axis: int, position: float, entry: float, leave: float) -> wp.vec3:
     """`wrt.kernels.simd.boxes.cross_plane` for all rays of a packet that is in a cell from `entry` to `leave`.

@@ -11,6 +11,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import count_bits
 from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, improves, start, store_best
@@ -101,7 +102,7 @@ def load_hit(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet, k, best)`: the best hit so far of an active ray of a packet."""
     body = "    best.t = t[k]; best.primitive = ((const int*)primitive)[k]; best.u = u[k]; best.v = v[k];\n"
 
-    @wp.func_native(layout.head + body)
+    @native.func_native("lanes.h", layout.head + body)
     def load_hit_native(packet: wp.array(dtype=float), k: int, best: wp.ref[Candidate]): ...
 
     return load_hit_native

@@ -25,6 +25,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
@@ -105,7 +106,7 @@ def is_wide(layout: PacketLayout) -> wp.Function:
     """
     constants = f"    constexpr float WIDE = {WIDE!r}f, LEAST_WIDE = {LEAST_WIDE!r}f, ADAPTION = {ADAPTION!r}f;\n"
 
-    @wp.func_native(f"{constants}    constexpr int USUAL = {layout.usual_extent};\n{_IS_WIDE}")
+    @native.func_native("lanes.h", f"{constants}    constexpr int USUAL = {layout.usual_extent};\n{_IS_WIDE}")
     def is_wide_native(
         packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], low: wp.vec3, high: wp.vec3, first: bool
     ) -> bool: ...
@@ -117,7 +118,7 @@ def is_wide(layout: PacketLayout) -> wp.Function:
 def forget_extent(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet)`: nothing is usual any more, as the next origins are in another space."""
 
-    @wp.func_native(f"packet.data[{layout.usual_extent}] = 0.0f;")
+    @native.func_native("lanes.h", f"packet.data[{layout.usual_extent}] = 0.0f;")
     def forget_extent_native(packet: wp.array(dtype=float)): ...
 
     return forget_extent_native
@@ -129,7 +130,7 @@ def activate_part(layout: PacketLayout, slopes: bool = True, ends: bool = False)
     `load_packet`."""
     bound = bound_packet(layout, slopes, ends=ends, loading=False)
 
-    @wp.func_native(layout.head + _CONSTANTS + bounding_head(layout, slopes) + _ACTIVATE + bound)
+    @native.func_native("lanes.h", layout.head + _CONSTANTS + bounding_head(layout, slopes) + _ACTIVATE + bound)
     def activate_part_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int): ...
 
     return activate_part_native
@@ -145,7 +146,7 @@ def finish_part(layout: PacketLayout) -> wp.Function:
     marked `SINGLE_RAY`. The t of all other rays is restored.
     """
 
-    @wp.func_native(layout.head + _CONSTANTS + _FINISH)
+    @native.func_native("lanes.h", layout.head + _CONSTANTS + _FINISH)
     def finish_part_native(
         packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int, parts: int, completed: bool
     ) -> int: ...
@@ -158,7 +159,7 @@ def count_single_rays(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet) -> int`: number of rays of a split packet that are to be traced one by one."""
     count = "    int rays = 0;\n    WRT_FOR(P, k) { rays += of[k] == SINGLE_RAY ? 1 : 0; }\n    return rays;\n"
 
-    @wp.func_native(layout.head + _CONSTANTS + count)
+    @native.func_native("lanes.h", layout.head + _CONSTANTS + count)
     def count_single_rays_native(packet: wp.array(dtype=float)) -> int: ...
 
     return count_single_rays_native
@@ -172,7 +173,7 @@ def needs_single_ray(layout: PacketLayout) -> wp.Function:
     """
     body = "    return true;\n" if layout.shared_origin else layout.head + _CONSTANTS + "    return of[k] == SINGLE_RAY;\n"
 
-    @wp.func_native(body)
+    @native.func_native("lanes.h", body)
     def needs_single_ray_native(packet: wp.array(dtype=float), k: int) -> bool: ...
 
     return needs_single_ray_native

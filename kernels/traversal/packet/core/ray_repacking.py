@@ -15,8 +15,8 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.unchecked import CACHE_LINE
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.packet.leaves.packet_block import SHORTEN
 from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
@@ -48,14 +48,14 @@ _SLABS = f"""
             begin[k] = enter; end[k] = leave;
             meets[k] = ((enter <= leave) & (t[k] > -INF)) ? -1 : 0;
         }}
-        vector[f / W] = wrt_bits(meets + f);
-        met += wrt_count_bits(vector[f / W]);
+        vector[f / W] = wrt::bits<W>(meets + f);
+        met += wrt::count_bits(vector[f / W]);
     }}
 """
 
 _LIST = f"""
     if (met <= {MAX_FEW_RAYS}) for (int f = 0, place = 0; f < P; f += W) {{
-        for (unsigned bits = vector[f / W]; bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt_lowest_bit(bits);
+        for (unsigned bits = vector[f / W]; bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt::lowest_bit(bits);
     }}
     return met;
 """
@@ -65,7 +65,7 @@ _GATHER = """
     int* from = &numbers.data[first];
     int n = 0;
     for (int f = 0; f < P; f += W) {
-        for (unsigned bits = vector[f / W]; bits; bits &= bits - 1u) from[n++] = f + wrt_lowest_bit(bits);
+        for (unsigned bits = vector[f / W]; bits; bits &= bits - 1u) from[n++] = f + wrt::lowest_bit(bits);
     }
     for (int k = n; k < Q; ++k) from[k] = from[0];  // places without a ray hold another's numbers
     for (int c = 0; c < COMPONENTS; ++c) {
@@ -142,7 +142,7 @@ def list_rays(layout: PacketLayout) -> wp.Function:
     They are listed in `bounds.few` if they are at most `MAX_FEW_RAYS`.
     """
 
-    @wp.func_native(layout.head + BITS + _SLABS + _LIST)
+    @native.func_native("lanes.h", layout.head + _SLABS + _LIST)
     def list_meeting_rays(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...
@@ -155,7 +155,7 @@ def gather_rays(layout: PacketLayout, inner: PacketLayout, moved: bool) -> wp.Fu
     """`wp.func(boxes, node, lane, packet, bounds, inner, numbers, first)`: copies the rays that meet a box to the packet
     `inner`, clipped to the box; `numbers` gets their numbers, from `first` on."""
 
-    @wp.func_native(layout.head + _constants(layout, inner, moved) + BITS + _SLABS + _GATHER)
+    @native.func_native("lanes.h", layout.head + _constants(layout, inner, moved) + _SLABS + _GATHER)
     def gather_meeting_rays(
         boxes: wp.array(dtype=float),
         node: int,
@@ -183,7 +183,9 @@ def bound_entries(layout: PacketLayout, slopes: bool, moved: bool) -> wp.Functio
         shared += "    const float slack0 = outer.slack;\n"
     move = _MOVE + _SHORTEN_MOVED if moved else ""
 
-    @wp.func_native(layout.head + bounding_head(layout, slopes) + shared + bound_packet(layout, slopes, loading=False) + move)
+    @native.func_native(
+        "lanes.h", layout.head + bounding_head(layout, slopes) + shared + bound_packet(layout, slopes, loading=False) + move
+    )
     def bound_moved_rays(
         boxes: wp.array(dtype=float),
         node: int,
@@ -201,7 +203,7 @@ def shorten_rays(layout: PacketLayout, moved: bool, any_hit: bool) -> wp.Functio
     """`wp.func(packet, bounds)`: sets `bounds.t_max` after rays have found hits."""
     any_hit_constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
-    @wp.func_native(layout.head + any_hit_constant + (_SHORTEN_MOVED if moved else SHORTEN))
+    @native.func_native("lanes.h", layout.head + any_hit_constant + (_SHORTEN_MOVED if moved else SHORTEN))
     def shorten_moved_rays(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
 
     return shorten_moved_rays
@@ -211,7 +213,7 @@ def shorten_rays(layout: PacketLayout, moved: bool, any_hit: bool) -> wp.Functio
 def scatter_rays(layout: PacketLayout, inner: PacketLayout) -> wp.Function:
     """`wp.func(packet, inner, numbers, first, count)`: copies the hits that the `count` rays of `inner` have found back."""
 
-    @wp.func_native(layout.head + _constants(layout, inner) + _SCATTER)
+    @native.func_native("lanes.h", layout.head + _constants(layout, inner) + _SCATTER)
     def scatter_found_hits(
         packet: wp.array(dtype=float), inner: wp.array(dtype=float), numbers: wp.array(dtype=int), first: int, count: int
     ): ...

@@ -14,6 +14,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import FRONT
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
@@ -40,7 +41,7 @@ _FRONTS = """
         }
         faces[i] = (least[0] + least[1]) + least[2] < 0.0 ? -1 : 0;
     }
-    return wrt_bits(faces);
+    return wrt::bits<W>(faces);
 """
 
 
@@ -48,7 +49,7 @@ _FRONTS = """
 def keep_front_faces(layout: PacketLayout) -> wp.Function:
     """`wp.func(records, block, bounds) -> mask` of the triangles of a block whose front some ray may see."""
 
-    @wp.func_native(f"{layout.constants}{FRONT}{_FRONTS}")
+    @native.func_native("lanes.h", f"{layout.constants}{FRONT}{_FRONTS}")
     def keep_front_faces_native(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return keep_front_faces_native

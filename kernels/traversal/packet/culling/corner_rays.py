@@ -35,6 +35,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import TINY
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.culling import interval_culling as interval
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
@@ -77,7 +78,7 @@ _TRIANGLES = f"""
         }}
         kept[i] = (front | back) ? -1 : 0;
     }}
-    return wrt_bits(kept) & met;
+    return wrt::bits<W>(kept) & met;
 """
 
 
@@ -85,7 +86,7 @@ _TRIANGLES = f"""
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: four corner rays x the edges of the W triangles of a block."""
 
-    @wp.func_native(f"{layout.constants}{_TRIANGLES}")
+    @native.func_native("lanes.h", f"{layout.constants}{_TRIANGLES}")
     def corner_rays(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return corner_rays

@@ -20,6 +20,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
@@ -58,7 +59,7 @@ _SEPARATED = f"""
 def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: 0 if the rays as a whole pass beside a leaf's box, else more than `MAX_FEW_RAYS`."""
 
-    @wp.func_native(layout.head + INTERVALS + _SEPARATED)
+    @native.func_native("lanes.h", layout.head + INTERVALS + _SEPARATED)
     def entry_behind_exit(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...

@@ -14,6 +14,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
@@ -50,7 +51,7 @@ _TRIANGLES = """
     const float* r = &records.data[(size_t)block * (RECORD * W)];
     int kept[W];
     WRT_FOR_LANES(i) { kept[i] = r[i] == r[i] ? -1 : 0; }
-    return wrt_bits(kept);
+    return wrt::bits<W>(kept);
 """
 
 
@@ -59,7 +60,7 @@ def cull_boxes(layout: PacketLayout) -> wp.Function:
     """`Culling.boxes`: P rays x W child boxes; keys as in `wrt.kernels.simd.box_lanes.ray_boxes`, from the least entry of all
     rays."""
 
-    @wp.func_native(f"{layout.head}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{SHARED_ORIGIN}{_BOXES}")
+    @native.func_native("lanes.h", f"{layout.head}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{SHARED_ORIGIN}{_BOXES}")
     def every_ray_boxes(
         boxes: wp.array(dtype=float),
         node: int,
@@ -76,7 +77,7 @@ def cull_boxes(layout: PacketLayout) -> wp.Function:
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: keeps all triangles of a block; unused lanes hold NaN and are dropped."""
 
-    @wp.func_native(f"{layout.constants}{_TRIANGLES}")
+    @native.func_native("lanes.h", f"{layout.constants}{_TRIANGLES}")
     def every_triangle(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return every_triangle

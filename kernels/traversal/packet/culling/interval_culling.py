@@ -20,6 +20,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
@@ -100,7 +101,7 @@ TRIANGLES = f"""
         // an unused lane holds NaN, which bounds nothing: it is told by its first vertex
         kept[i] = ((enter <= leave) & (r[i] == r[i])) ? -1 : 0;
     }}
-    return wrt_bits(kept);
+    return wrt::bits<W>(kept);
 """
 """C++ of `cull_triangles`."""
 
@@ -109,7 +110,7 @@ TRIANGLES = f"""
 def cull_boxes(layout: PacketLayout) -> wp.Function:
     """`Culling.boxes`: packet x W child boxes; keys as in `wrt.kernels.simd.box_lanes.ray_boxes`."""
 
-    @wp.func_native(f"{layout.constants}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{BOXES}")
+    @native.func_native("lanes.h", f"{layout.constants}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{BOXES}")
     def interval_boxes(
         boxes: wp.array(dtype=float),
         node: int,
@@ -126,7 +127,7 @@ def cull_boxes(layout: PacketLayout) -> wp.Function:
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: packet x the boxes of the W triangles of a block."""
 
-    @wp.func_native(f"{layout.constants}{TRIANGLES}")
+    @native.func_native("lanes.h", f"{layout.constants}{TRIANGLES}")
     def interval_triangles(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return interval_triangles

@@ -35,6 +35,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.traversal.packet.culling import interval_culling as interval
@@ -144,7 +145,7 @@ _TRIANGLES = f"""
         {_SEPARATE}
         kept[i] = beside ? 0 : -1;
     }}
-    return wrt_bits(kept) & met;
+    return wrt::bits<W>(kept) & met;
 """
 
 
@@ -152,7 +153,7 @@ _TRIANGLES = f"""
 def start(layout: PacketLayout) -> wp.Function:
     """`Culling.start`: sets up the frustum from the packet's origins and slopes."""
 
-    @wp.func_native(layout.constants + FRAME + _START)
+    @native.func_native("lanes.h", layout.constants + FRAME + _START)
     def slope_frustum(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
 
     return slope_frustum
@@ -162,7 +163,7 @@ def start(layout: PacketLayout) -> wp.Function:
 def cull_boxes(layout: PacketLayout) -> wp.Function:
     """`Culling.boxes`: frustum of the packet x W child boxes; keys as in `wrt.kernels.simd.box_lanes.ray_boxes`."""
 
-    @wp.func_native(f"{layout.constants}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{_BOXES}")
+    @native.func_native("lanes.h", f"{layout.constants}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{_BOXES}")
     def frustum_boxes(
         boxes: wp.array(dtype=float),
         node: int,
@@ -179,7 +180,7 @@ def cull_boxes(layout: PacketLayout) -> wp.Function:
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: frustum of the packet x the boxes of the W triangles of a block."""
 
-    @wp.func_native(f"{layout.constants}{_TRIANGLES}")
+    @native.func_native("lanes.h", f"{layout.constants}{_TRIANGLES}")
     def frustum_triangles(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return frustum_triangles

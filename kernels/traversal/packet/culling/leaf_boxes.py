@@ -19,15 +19,15 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
 
 exact_module(__name__)
 
-MEETING_HEAD = f"    constexpr int MAX_FEW_RAYS = {MAX_FEW_RAYS};\n{BITS}"
+MEETING_HEAD = f"    constexpr int MAX_FEW_RAYS = {MAX_FEW_RAYS};\n"
 """C++ for the head of a function that contains `MEETING`, after `PacketLayout.head`."""
 
 MEETING = f"""
@@ -42,13 +42,13 @@ MEETING = f"""
 {SLABS}
             meets[k] = ((enter <= leave) & (t[k] > -INF)) ? -1 : 0;
         }}
-        vector[f / W] = wrt_bits(meets + f);
-        met += wrt_count_bits(vector[f / W]);
+        vector[f / W] = wrt::bits<W>(meets + f);
+        met += wrt::count_bits(vector[f / W]);
     }}
     if (!met) return 0;
     if (met <= MAX_FEW_RAYS) {{
         for (int f = 0, place = 0; f < P; f += W) {{
-            for (unsigned bits = vector[f / W]; bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt_lowest_bit(bits);
+            for (unsigned bits = vector[f / W]; bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt::lowest_bit(bits);
         }}
         return met;
     }}
@@ -60,7 +60,7 @@ MEETING = f"""
 def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: counts the rays that meet a leaf's box."""
 
-    @wp.func_native(layout.head + MEETING_HEAD + MEETING + "    return met;\n")
+    @native.func_native("lanes.h", layout.head + MEETING_HEAD + MEETING + "    return met;\n")
     def leaf_rays(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...

@@ -16,6 +16,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.culling import interval_culling as interval
 from wrt.kernels.traversal.packet.culling.inverse_frustum import SIDES
@@ -49,7 +50,7 @@ _TRIANGLES = f"""
         // an unused lane holds NaN, which is beyond nothing: it is told by its first vertex
         kept[i] = (!(left | right | below | above | late | early) & (r[i] == r[i])) ? -1 : 0;
     }}
-    return wrt_bits(kept);
+    return wrt::bits<W>(kept);
 """
 
 
@@ -57,7 +58,7 @@ _TRIANGLES = f"""
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: frustum of the packet x the vertices of the W triangles of a block."""
 
-    @wp.func_native(f"{layout.constants}{_TRIANGLES}")
+    @native.func_native("lanes.h", f"{layout.constants}{_TRIANGLES}")
     def beyond_a_side(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return beyond_a_side

@@ -25,6 +25,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.culling.inverse_frustum import FRAME
 from wrt.kernels.traversal.packet.culling.leaf_boxes import MEETING, MEETING_HEAD
@@ -48,7 +49,7 @@ _FRUSTUM = """
 def start(layout: PacketLayout) -> wp.Function:
     """`Culling.start`: determines the main axis."""
 
-    @wp.func_native(layout.constants + FRAME)
+    @native.func_native("lanes.h", layout.constants + FRAME)
     def transient_start(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
 
     return transient_start
@@ -59,7 +60,7 @@ def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: sets the frustum of the rays that meet a leaf's box; returns 0 if none does."""
     points = POINTS_ON_PLANES.replace("WRT_COUNTS", "meets[k] != 0")
 
-    @wp.func_native(layout.head + MEETING_HEAD + INTERVALS + MEETING + _FRUSTUM + points + "    return met;\n")
+    @native.func_native("lanes.h", layout.head + MEETING_HEAD + INTERVALS + MEETING + _FRUSTUM + points + "    return met;\n")
     def transient_frustum(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...

@@ -28,6 +28,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.culling.inverse_frustum import FRAME
@@ -72,7 +73,7 @@ def start(layout: PacketLayout) -> wp.Function:
     """`Culling.start`: sets up the frustum between the rearmost origin and the end of the scene."""
     points = POINTS_ON_PLANES.replace("WRT_COUNTS", "t[k] > -INF")
 
-    @wp.func_native(layout.head + INTERVALS + FRAME + _START + points)
+    @native.func_native("lanes.h", layout.head + INTERVALS + FRAME + _START + points)
     def two_plane_frustum(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
 
     return two_plane_frustum

@@ -23,6 +23,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
@@ -64,7 +65,7 @@ _TRIANGLES = """
         }
         kept[i] = (left & right & below & above & !late & !early) ? -1 : 0;
     }
-    return wrt_bits(kept);
+    return wrt::bits<W>(kept);
 """
 
 
@@ -72,7 +73,7 @@ _TRIANGLES = """
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: packet x the vertices of the W triangles of a block."""
 
-    @wp.func_native(f"{layout.constants}{_TRIANGLES}")
+    @native.func_native("lanes.h", f"{layout.constants}{_TRIANGLES}")
     def vertex_culling(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return vertex_culling

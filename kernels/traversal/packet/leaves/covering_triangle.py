@@ -32,6 +32,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lane_vectors import vector_words
 from wrt.kernels.simd.triples import triple_extremes
@@ -149,7 +150,7 @@ def covered_packets(layout: PacketLayout) -> wp.Function:
     body = f"{ROWS}    if (packets < 2 || rays.t_min_stride || rays.t_max_stride) return 0;\n{body}"
     body = f"#if defined(__clang__) && !defined(__CUDA_ARCH__)\n{body}#else\n    return 0;\n#endif\n"
 
-    @wp.func_native(layout.constants + constants + body)
+    @native.func_native("lanes.h", layout.constants + constants + body)
     def covered_native(
         rays: RayBatch, first: int, limit: int, records: wp.array(dtype=float), block: int, blocks: int
     ) -> int: ...

@@ -8,8 +8,8 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.leaf import FRONT
 from wrt.kernels.traversal.packet.leaves.edge_functions import MACROS
 from wrt.kernels.traversal.packet.leaves.packet_pairs import pairs_code
@@ -23,7 +23,7 @@ exact_module(__name__)
 
 _BLOCK = """
     for (; mask; mask &= mask - 1u) {
-        const int lane = wrt_lowest_bit(mask), id = ids.data[block * W + lane];
+        const int lane = wrt::lowest_bit(mask), id = ids.data[block * W + lane];
         const float* corner = &records.data[(size_t)block * (RECORD * W) + lane];
         float low[3], high[3];
         WRT_BOX
@@ -82,7 +82,7 @@ _FACES = " & wrt_front(normal, ix, iy, iz)"
 def block_constants(layout: PacketLayout, any_hit: bool, cull_backfaces: bool = False) -> str:
     """C++ for the head of a function that contains `block_code`, after the constants of the layout."""
     passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
-    return f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {passes};\n{BITS}{MACROS}" + (
+    return f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {passes};\n{MACROS}" + (
         FRONT if cull_backfaces else ""
     )
 
@@ -109,7 +109,9 @@ def test_block(layout: PacketLayout, any_hit: bool, cull_backfaces: bool) -> wp.
     In any-hit queries a ray with a hit gets t = -inf. If back faces are culled, triangles are hit only from their front.
     """
 
-    @wp.func_native(layout.head + block_constants(layout, any_hit, cull_backfaces) + block_code(layout, cull_backfaces))
+    @native.func_native(
+        "lanes.h", layout.head + block_constants(layout, any_hit, cull_backfaces) + block_code(layout, cull_backfaces)
+    )
     def packet_block(
         records: wp.array(dtype=float),
         ids: wp.array(dtype=int),

@@ -47,16 +47,16 @@ _LIST = f"""
     alignas(4 * W) int pairs[P];  // of each ray: a bit for each triangle of the block that it may meet
     {{
         vi met[P / W];
-        const bool listed = wrt_count_bits(mask) >= LEAST_LISTED;
+        const bool listed = wrt::count_bits(mask) >= LEAST_LISTED;
         WRT_UNROLLED for (int f = 0; f < P; f += W) met[f / W] = listed ? 0 : (int)mask;
         if (listed) {{{CONVERGING}
             if (converging) {{{EDGES}
                 for (unsigned left = mask; left; left &= left - 1u) {{
-                    const int lane = wrt_lowest_bit(left);{COEFFICIENTS}{_ADD.replace("WRT_MEETS", MEETS)}
+                    const int lane = wrt::lowest_bit(left);{COEFFICIENTS}{_ADD.replace("WRT_MEETS", MEETS)}
                 }}
             }} else {{{_PASSES}WRT_AXES
                 for (unsigned left = mask; left; left &= left - 1u) {{
-                    const int lane = wrt_lowest_bit(left);
+                    const int lane = wrt::lowest_bit(left);
                     const float* corner = &records.data[(size_t)block * (RECORD * W) + lane];{_ADD}
                 }}
             }}}}
@@ -135,7 +135,7 @@ _TEST = """
 
 _FACES = """
                     for (unsigned bits = bits_of(hit); bits; bits &= bits - 1u) {
-                        const int i = wrt_lowest_bit(bits), k = f + i;
+                        const int i = wrt::lowest_bit(bits), k = f + i;
                         double normal[3];
                         wrt_normal(first + which[i], W, normal);
                         if (!wrt_front(normal, inverse_x[k], inverse_y[k], inverse_z[k])) hit[i] = 0;

@@ -22,6 +22,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, HitBatch, RayBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.simd.lane_vectors import vector_words
@@ -130,7 +131,7 @@ def join_packets(layout: PacketLayout, ends: bool) -> wp.Function:
     body = f"{ROWS}    if (packets < 2) return 0;\n{REACH}{body}    return packets;\n"
     body = f"#if defined(__clang__) && !defined(__CUDA_ARCH__)\n{body}#else\n    return 0;\n#endif\n"
 
-    @wp.func_native(layout.constants + constants + body)
+    @native.func_native("lanes.h", layout.constants + constants + body)
     def join_packets_native(
         rays: RayBatch, first: int, limit: int, low: wp.vec3, high: wp.vec3, bounds: wp.ref[PacketBounds]
     ) -> int: ...
@@ -158,7 +159,7 @@ def fetch_ahead(layout: PacketLayout) -> wp.Function:
     """`wp.func(rays, first, limit, hits)`: fetches into the caches where the closest hits of the packets after these will be
     written: without traversals in between, stores would wait for memory."""
 
-    @wp.func_native(layout.constants + ROWS + _FETCH_AHEAD)
+    @native.func_native("lanes.h", layout.constants + ROWS + _FETCH_AHEAD)
     def fetch_ahead_native(rays: RayBatch, first: int, limit: int, hits: HitBatch): ...
 
     return fetch_ahead_native
@@ -201,7 +202,7 @@ def store_together(layout: PacketLayout, any_hit: bool, non_temporal: bool, occl
     constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()}, OCCLUDED = {str(occluded).lower()};\n"
     body = _STORE.replace("WRT_STREAM", _STREAM if non_temporal else "")
 
-    @wp.func_native(layout.constants + constant + ROWS + body)
+    @native.func_native("lanes.h", layout.constants + constant + ROWS + body)
     def store_together_native(rays: RayBatch, first: int, limit: int, hits: HitBatch): ...
 
     return store_together_native

@@ -4,8 +4,8 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
@@ -17,7 +17,7 @@ exact_module(__name__)
 _ACTIVE = f"""
     int active = 0;
     for (; mask; mask &= mask - 1u) {{
-        const float* corner = &records.data[(size_t)block * (RECORD * W)] + wrt_lowest_bit(mask);
+        const float* corner = &records.data[(size_t)block * (RECORD * W)] + wrt::lowest_bit(mask);
         float low[3], high[3];{vertex_box("corner", "0")}
         for (int k = 0; k < P; ++k) {{
             float enter = t_min[k], leave = t[k];
@@ -37,7 +37,7 @@ _LANES = """
 def active_lanes(layout: PacketLayout) -> wp.Function:
     """`wp.func(records, block, mask, packet, bounds) -> int`: pairs of a triangle in `mask` and a ray that meets its box."""
 
-    @wp.func_native(layout.head + SHARED_ORIGIN + BITS + _ACTIVE)
+    @native.func_native("lanes.h", layout.head + SHARED_ORIGIN + _ACTIVE)
     def count_active_lanes(
         records: wp.array(dtype=float),
         block: int,
@@ -54,7 +54,7 @@ def lanes_tested(layout: PacketLayout) -> wp.Function:
     """`wp.func(bounds) -> int`: number of lanes that `test_block` processes per triangle, over all passes."""
     passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
 
-    @wp.func_native(f"{layout.constants}    constexpr int PASSES = {passes};{_LANES}")
+    @native.func_native("lanes.h", f"{layout.constants}    constexpr int PASSES = {passes};{_LANES}")
     def count_lanes(bounds: wp.ref[PacketBounds]) -> int: ...
 
     return count_lanes

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 from wrt.kernels.layout.unchecked import CACHE_LINE
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES, lane_bits
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 exact_module(__name__)
@@ -80,7 +79,7 @@ class PacketLayout:
         record = TRIANGLE_TESTS[self.triangle_test].record.components
         sizes = f"    constexpr int W = {self.width}, P = {self.rays}, RECORD = {record};\n"
         shared = f"    constexpr bool SHARED = {str(self.shared_origin).lower()};\n"
-        return FOR_LANES + sizes + lane_bits() + shared + "    const float INF = __builtin_bit_cast(float, 0x7f800000);\n"
+        return sizes + shared + "    const float INF = __builtin_bit_cast(float, 0x7f800000);\n"
 
     @property
     def head(self) -> str:

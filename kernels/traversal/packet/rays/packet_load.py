@@ -10,6 +10,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
@@ -147,7 +148,9 @@ def load_packet(layout: PacketLayout, slopes: bool = True, later: bool = False, 
     """
     head = layout.head + fill_head(layout, slopes) + NUMBERS
 
-    @wp.func_native(head + FETCH + _CENTRE + fill_packet(layout, later) + bound_packet(layout, slopes, later, ends))
+    @native.func_native(
+        "lanes.h", head + FETCH + _CENTRE + fill_packet(layout, later) + bound_packet(layout, slopes, later, ends)
+    )
     def load_packet_native(
         rays: RayBatch,
         first: int,
@@ -166,7 +169,7 @@ def finish_packet(layout: PacketLayout) -> wp.Function:
     there."""
     passes = f"    constexpr int PASSES = {TRIANGLE_TESTS[layout.triangle_test].packet_form.passes};\n"
 
-    @wp.func_native(layout.head + _constants() + passes + _FINISH.replace("WRT_REST", tested(layout)))
+    @native.func_native("lanes.h", layout.head + _constants() + passes + _FINISH.replace("WRT_REST", tested(layout)))
     def finish_packet_native(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
 
     return finish_packet_native

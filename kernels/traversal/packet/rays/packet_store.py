@@ -10,6 +10,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_numbers import NUMBERS
@@ -84,7 +85,7 @@ def store_packet(layout: PacketLayout, any_hit: bool, non_temporal: bool = False
     else:
         lines = ""
 
-    @wp.func_native(f"{layout.head}    constexpr int LINE = {LINE};\n{constant}{NUMBERS}{lines}{_STORE}")
+    @native.func_native("lanes.h", f"{layout.head}    constexpr int LINE = {LINE};\n{constant}{NUMBERS}{lines}{_STORE}")
     def store_packet_native(packet: wp.array(dtype=float), rays: RayBatch, first: int, hits: HitBatch, untested: bool): ...
 
     return store_packet_native
@@ -108,7 +109,7 @@ def fetch_hits(layout: PacketLayout) -> wp.Function:
     """`wp.func(rays, first, hits)`: fetches into the caches where `store_packet` will write closest hits, so that it does not
     wait for memory."""
 
-    @wp.func_native(layout.constants + NUMBERS + _FETCH_HITS)
+    @native.func_native("lanes.h", layout.constants + NUMBERS + _FETCH_HITS)
     def fetch_hits_native(rays: RayBatch, first: int, hits: HitBatch): ...
 
     return fetch_hits_native
@@ -128,7 +129,9 @@ def finish_stores():
 def clear_packet(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet)`: no ray has a hit."""
 
-    @wp.func_native(layout.head + "    WRT_FOR(P, k) { ((int*)primitive)[k] = -1; t[k] = INF; u[k] = v[k] = 0.0f; }\n")
+    @native.func_native(
+        "lanes.h", layout.head + "    WRT_FOR(P, k) { ((int*)primitive)[k] = -1; t[k] = INF; u[k] = v[k] = 0.0f; }\n"
+    )
     def clear_packet_native(packet: wp.array(dtype=float)): ...
 
     return clear_packet_native

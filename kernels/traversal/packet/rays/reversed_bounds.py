@@ -23,6 +23,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
@@ -73,7 +74,7 @@ def reverse_bounds(layout: PacketLayout) -> wp.Function:
     """
     constants = f"    constexpr float CLOSER = {CLOSER!r}f, SLACK = {SLACK!r}f, ENDS_ERROR = {ENDS_ERROR!r}f;\n"
 
-    @wp.func_native(layout.constants + constants + _REVERSE)
+    @native.func_native("lanes.h", layout.constants + constants + _REVERSE)
     def reverse_bounds_native(low: wp.vec3, high: wp.vec3, bounds: wp.ref[PacketBounds]): ...
 
     return reverse_bounds_native

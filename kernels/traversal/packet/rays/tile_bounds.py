@@ -9,15 +9,15 @@ ray, and no division.
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
-from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 
 exact_module(__name__)
 
-_HEAD = f"{FOR_LANES}    constexpr int RUN = 64;\n    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}"
+_HEAD = f"    constexpr int RUN = 64;\n    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}"
 
 _GATHER = """
     const float INF = WRT_INFINITY;
@@ -121,7 +121,7 @@ _BOUND = """
 """
 
 
-@wp.func_native(_HEAD + INTERVALS + _GATHER + _BOUND)
+@native.func_native("lanes.h", _HEAD + INTERVALS + _GATHER + _BOUND)
 def bound_rays(rays: RayBatch, first: int, count: int, low: wp.vec3, high: wp.vec3, bounds: wp.ref[PacketBounds]):
     """Bounds of the rays first .. first + count - 1 of a batch, clipped to its end; low, high: bounds of the scene.
 

@@ -1,0 +1,235 @@
+// Vectors of lanes: bits of masks, compaction, sorting, transposition.
+#pragma once
+#include "loops.h"
+
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+#define WRT_VECTORS 1
+#else
+#define WRT_VECTORS 0
+#endif
+
+namespace wrt {
+namespace {
+
+inline CUDA_CALLABLE int lowest_bit(unsigned bits)
+{
+#if defined(__CUDA_ARCH__)
+    return __ffs(bits) - 1;
+#else
+    return __builtin_ctz(bits);
+#endif
+}
+
+inline CUDA_CALLABLE int count_bits(unsigned bits)
+{
+#if defined(__CUDA_ARCH__)
+    return __popc(bits);
+#else
+    return __builtin_popcount(bits);
+#endif
+}
+
+/// Elements of the vectors in which lists of W lanes of a node or a block are compacted.
+constexpr CUDA_CALLABLE int block_lanes(int width)
+{
+#if defined(__AVX512F__) && !defined(__CUDA_ARCH__)
+    constexpr int LEAST = 16;
+#else
+    constexpr int LEAST = 8;
+#endif
+    return width > LEAST ? (width + 7) / 8 * 8 : LEAST;
+}
+
+#if WRT_VECTORS
+template <class T, int N> struct VectorOf {
+    typedef T type __attribute__((ext_vector_type(N)));
+};
+template <class T, int N> using Vector = typename VectorOf<T, N>::type;
+
+template <class V> inline V load(const void* from)
+{
+    V v;
+    __builtin_memcpy(&v, from, sizeof(v));
+    return v;
+}
+
+template <class V> inline void save(void* to, V v) { __builtin_memcpy(to, &v, sizeof(v)); }
+#endif
+
+template <class T, int N> inline CUDA_CALLABLE void copy(T* to, const T (&from)[N])
+{
+#if WRT_VECTORS
+    __builtin_memcpy(to, from, sizeof(from));
+#else
+    memcpy(to, from, sizeof(from));
+#endif
+}
+
+/// One bit for each of N flags that is not 0: one comparison; a loop that collects bits by |= becomes a chain of shuffles.
+template <int N> inline CUDA_CALLABLE unsigned bits(const int* flags)
+{
+    unsigned mask = 0;
+#if WRT_VECTORS
+    const auto set = __builtin_convertvector(load<Vector<int, N>>(flags) != 0, Vector<bool, N>);
+    __builtin_memcpy(&mask, &set, sizeof(set));
+    return mask & ((1u << N) - 1u);
+#else
+    for (int i = 0; i < N; ++i) mask |= flags[i] ? 1u << i : 0u;
+    return mask;
+#endif
+}
+
+#if WRT_VECTORS && defined(__AVX2__)
+/// The lanes of each mask of 8, a byte each: the first or the last in the lowest byte, 0 in the bytes left over.
+struct MaskLanes {
+    unsigned long long of[256];
+
+    constexpr explicit MaskLanes(bool reversed)
+        : of()
+    {
+        for (int mask = 0; mask < 256; ++mask)
+            for (int j = 0, place = 0; j < 8; ++j) {
+                const int lane = reversed ? 7 - j : j;
+                if (mask >> lane & 1) of[mask] |= (unsigned long long)lane << 8 * place++;
+            }
+    }
+};
+constexpr MaskLanes FIRST_LANES_FIRST(false), LAST_LANES_FIRST(true);
+
+inline Vector<int, 8> permuted(Vector<int, 8> v, unsigned long long lanes)
+{
+    const auto bytes = load<Vector<unsigned char, 8>>(&lanes);
+    return __builtin_ia32_permvarsi256(v, __builtin_convertvector(bytes, Vector<int, 8>));
+}
+#endif
+
+/// Appends those of L numbers that the mask selects, in order, and returns how many. L is a multiple of 8, and 16 with
+/// AVX-512. Writes L numbers.
+template <int L> inline CUDA_CALLABLE int append(int* to, const int* from, unsigned mask)
+{
+#if WRT_VECTORS && defined(__AVX512F__)
+    static_assert(L == 16, "one register");
+    const auto v = load<Vector<int, 16>>(from);
+    save(to, __builtin_ia32_compresssi512_mask(v, v, (unsigned short)mask));
+    return count_bits(mask);
+#elif WRT_VECTORS && defined(__AVX2__)
+    int size = 0;
+    for (int i = 0; i < L; i += 8) {
+        const unsigned own = mask >> i & 255u;
+        save(to + size, permuted(load<Vector<int, 8>>(from + i), FIRST_LANES_FIRST.of[own]));
+        size += count_bits(own);
+    }
+    return size;
+#else
+    int size = 0;
+    for (int i = 0; i < L; ++i) {
+        const int value = from[i];
+        to[size] = value;
+        size += mask >> i & 1u;
+    }
+    return size;
+#endif
+}
+
+#if WRT_VECTORS
+template <class T, T... I> struct Numbers { };
+template <int N> using Lanes = __make_integer_seq<Numbers, int, N>;
+
+/// A step of Batcher's bitonic sorter: lanes i and i ^ Distance are ordered, descending where i & Block is 0.
+template <int Block, int Distance, class V, int... I> inline V sort_step(V v, Numbers<int, I...>)
+{
+    const V w = __builtin_shufflevector(v, v, (I ^ Distance)...);
+    return __builtin_shufflevector(__builtin_elementwise_min(v, w), __builtin_elementwise_max(v, w),
+        (((I & Block) == 0) == ((I & Distance) == 0) ? I + (int)sizeof...(I) : I)...);
+}
+
+/// The lanes in descending order.
+template <int N, int Block = 2, int Distance = 1> inline Vector<int, N> sort(Vector<int, N> v)
+{
+    v = sort_step<Block, Distance>(v, Lanes<N>());
+    if constexpr (Distance > 1) return sort<N, Block, Distance / 2>(v);
+    else if constexpr (Block < N) return sort<N, 2 * Block, Block>(v);
+    else return v;
+}
+#endif
+
+// Transposes 16 records of floats to lanes and back.
+//
+// A record that is read as a whole has its words in sequence; numbers that are computed 16 at a time have their lanes in
+// sequence. Converting between the two needs one gather or scatter per word, which is slow. 16 records of 16 words are a matrix:
+// 16 vector loads, 64 shuffles (four rounds of exchanges between rows 1, 2, 4 and 8 apart) and 16 stores transpose it.
+//
+// References:
+//     J. O. Eklundh: A fast computer method for matrix transposing. IEEE Transactions on Computers C-21(7), 1972.
+
+#if WRT_VECTORS
+using Row = Vector<float, 16>;
+
+/// Exchanges blocks between two rows that are Distance apart.
+template <int Distance, int... I> inline void exchange(Row& upper, Row& lower, Numbers<int, I...>)
+{
+    const Row a = upper, b = lower;
+    upper = __builtin_shufflevector(a, b, (I & Distance ? I - Distance + 16 : I)...);
+    lower = __builtin_shufflevector(a, b, (I & Distance ? I + 16 : I + Distance)...);
+}
+
+/// One step of Eklundh's transposition.
+template <int Distance> inline void exchange_rows(Row* rows)
+{
+    WRT_UNROLLED
+    for (int i = 0; i < 16; ++i)
+        if (!(i & Distance)) exchange<Distance>(rows[i], rows[i + Distance], Lanes<16>());
+}
+
+inline void transpose(Row* rows)
+{
+    exchange_rows<1>(rows);
+    exchange_rows<2>(rows);
+    exchange_rows<4>(rows);
+    exchange_rows<8>(rows);
+}
+#endif
+
+/// Writes 16 words each of the records whose bits are set in `kept`, one after the other, which begin at `to` and are `words`
+/// apart. columns: 16 columns of 16 lanes, word c of record k in columns[c * 16 + k].
+inline CUDA_CALLABLE void write_records(const float* columns, float* to, int words, unsigned kept)
+{
+#if WRT_VECTORS
+    Row rows[16];
+    for (int c = 0; c < 16; ++c) rows[c] = load<Row>(columns + c * 16);
+    transpose(rows);
+    if (kept == 0xffffu) {
+        WRT_UNROLLED
+        for (int k = 0; k < 16; ++k) save(to + k * words, rows[k]);
+    } else {
+        WRT_UNROLLED
+        for (int k = 0; k < 16; ++k) {
+            if (kept >> k) save(to, rows[k]);  // the next one overwrites what is not kept
+            to += kept >> k & 1u ? words : 0;
+        }
+    }
+#else
+    for (int k = 0; kept >> k; ++k) {
+        for (int c = 0; c < 16; ++c) to[c] = columns[c * 16 + k];
+        to += kept >> k & 1u ? words : 0;
+    }
+#endif
+}
+
+/// Reads words first .. first + 15 of the 16 records at `from` into 16 columns of 16 lanes.
+inline CUDA_CALLABLE void read_records(const float* const* from, int first, float* columns)
+{
+#if WRT_VECTORS
+    Row rows[16];
+    WRT_UNROLLED
+    for (int k = 0; k < 16; ++k) rows[k] = load<Row>(from[k] + first);
+    transpose(rows);
+    for (int c = 0; c < 16; ++c) save(columns + c * 16, rows[c]);
+#else
+    for (int k = 0; k < 16; ++k)
+        for (int c = 0; c < 16; ++c) columns[c * 16 + k] = from[k][first + c];
+#endif
+}
+
+}  // namespace
+}  // namespace wrt
