@@ -68,9 +68,15 @@ def replaced(path: str | Path, *, streams: bool = False) -> Iterator[BinaryIO]:
             shutil.copyfileobj(made, stream)
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Writes a file of text in UTF-8, or replaces it; pipes and open descriptors are written through. Errors as of `replaced`."""
+    with replaced(path, streams=True) as file:
+        file.write(text.encode())
+
+
 @contextmanager
 def new_folder(path: str | Path) -> Iterator[Path]:
-    """A temporary folder of the same name that becomes `path` when the `with` block ends; after an error, nothing is left.
+    """Where to make a folder, which becomes `path` when the `with` block ends; after an error, nothing is left.
 
     Args:
         path: of the folder; nothing may be there.
@@ -85,7 +91,6 @@ def new_folder(path: str | Path) -> Iterator[Path]:
     try:
         with _named(path, around):
             around.mkdir()
-            (around / path.name).mkdir()
             yield around / path.name
             os.rename(around / path.name, path)
     finally:

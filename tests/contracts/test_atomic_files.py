@@ -31,6 +31,12 @@ def _half_written(file, error):
     raise error
 
 
+def _half_made(folder, error):
+    folder.mkdir()
+    with open(folder / "metadata.yaml", "wb") as file:
+        _half_written(file, error)
+
+
 def test_errors_name_the_file_of_the_caller(tmp_path, monkeypatch):
     """Not the temporary one, and also where NumPy and Pillow say nothing of a disk."""
     path = tmp_path / "folder" / "new.bin"
@@ -141,11 +147,12 @@ def test_standard_output_is_not_replaced(tmp_path):
 
 def test_folders_appear_whole_or_not_at_all(tmp_path):
     for error in (KeyboardInterrupt, OSError):
-        with pytest.raises(error), new_folder(tmp_path / "bag") as folder, open(folder / "metadata.yaml", "wb") as file:
-            _half_written(file, error)
+        with pytest.raises(error), new_folder(tmp_path / "bag") as folder:
+            _half_made(folder, error)
     assert not os.listdir(tmp_path)
     with new_folder(tmp_path / "bag") as folder:
         assert folder.name == "bag"
+        folder.mkdir()
         (folder / "metadata.yaml").write_text("whole")
     assert (tmp_path / "bag" / "metadata.yaml").read_text() == "whole"
     with pytest.raises(FileExistsError, match="bag"), new_folder(tmp_path / "bag"):

@@ -93,7 +93,9 @@ def test_ros_bag(scan, table, tmp_path):
 
 def test_frames(scan):
     """The world's and the sensor's coordinates; unknown names are refused."""
-    np.testing.assert_array_equal(scan.to_structured("world"), scan.to_structured())  # a sensor at the origin
+    world = scan.to_structured("world")
+    np.testing.assert_array_equal(world.astype(POINT_TYPE), scan.to_structured())  # a sensor at the origin
+    assert {str(world.dtype[axis]) for axis in "xyz"} == {"float64"}
     with pytest.raises(ValueError, match="sensor, world, start"):
         scan.to_structured("map")
 

@@ -24,6 +24,8 @@ from wrt.meshes.mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from wrt.scene.scene import Scene
+FAR_CAMERA = 2.0**14
+"""Coordinate beyond which rays of a camera are float64: float32 is spaced by more than 1/1024 there."""
 
 
 class RaycastingScene:
@@ -169,7 +171,8 @@ class RaycastingScene:
 
     @staticmethod
     def create_rays_pinhole(*args: Any, **kwargs: Any) -> np.ndarray:
-        """Rays through the pixel centres of a pinhole camera: (height_px, width_px, 6) float32.
+        """Rays through the pixel centres of a pinhole camera: (height_px, width_px, 6) float32, or float64 if a coordinate of
+        the camera's position is beyond 16,384, where float32 would move it by half a millimetre, and in UTM by 0.25 m.
 
         Either `create_rays_pinhole(intrinsic_matrix, extrinsic_matrix, width_px, height_px)` or
         `create_rays_pinhole(fov_deg, center, eye, up, width_px, height_px)`, as in Open3D. Directions have length 1 along
@@ -254,7 +257,7 @@ def _rays_of_matrices(intrinsic_matrix: Any, extrinsic_matrix: Any, width_px: in
     to_camera, to_world = inverses
     x, y = np.arange(width_px) + 0.5, np.arange(height_px) + 0.5
     across, down, corner = (to_world[:3, :3] @ to_camera).T
-    rays = np.empty((height_px, width_px, 6), dtype=np.float32)
+    rays = np.empty((height_px, width_px, 6), dtype=np.float64 if np.abs(to_world[:3, 3]).max() > FAR_CAMERA else np.float32)
     rays[..., :3] = to_world[:3, 3]
     rays[..., 3:] = x[None, :, None] * across + (y[:, None, None] * down + corner)
     return rays

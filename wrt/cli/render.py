@@ -182,9 +182,9 @@ def _by_integrator(
         rendering.save_samples(kept)
         text = f"interrupted: the picture has {rendering.done} of {rendering.samples} samples; --resume adds the others"
         click.echo(text, err=True)
-    else:
-        kept.unlink(missing_ok=True)
     rendering.save(output)
+    if rendering.done == rendering.samples:  # not before the picture is there
+        kept.unlink(missing_ok=True)
     return f"{rendering.done} samples, "
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrt.atomic_files import replaced
 from wrt.builders.triangle_fans import TriangleFans
 from wrt.meshes.mesh import TriangleMesh
 
@@ -19,14 +20,19 @@ def save_fans(path: str | Path, fans: TriangleFans, positions: np.ndarray) -> No
     """Writes fans.
 
     Args:
-        path: of the file, which gets the suffix .npz if it has none.
+        path: of the file, which gets the suffix .npz if it has another. An old file is replaced when the new one is complete.
         fans: the fans.
         positions: (V, 3) of the vertices that the fans number.
+
+    Raises:
+        OSError: the file cannot be written.
     """
     positions = np.asarray(positions)
     starts = fans.first[:-1]
     vertices = np.insert(positions[fans.rim], starts, positions[fans.centre], axis=0)
-    np.savez(path, vertices=vertices, rims=np.diff(fans.first).astype(np.int32))
+    path = Path(path)
+    with replaced(path if path.suffix == ".npz" else path.with_name(f"{path.name}.npz")) as file:
+        np.savez(file, vertices=vertices, rims=np.diff(fans.first).astype(np.int32))
 
 
 def load_fans(path: str | Path) -> TriangleMesh:

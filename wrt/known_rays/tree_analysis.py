@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.atomic_files import write_text
 from wrt.execution.area_trees import assign
 from wrt.execution.executor import trace
 from wrt.kernels.runtime.launch import use_threads
@@ -162,16 +164,16 @@ class TreeAnalysis:
         return {"tree": self.summary(), "levels": self.levels, "boxes": self.rows()}
 
     def save_json(self, path: str | Path) -> None:
-        """Writes `to_dict` to a file at `path`."""
-        Path(path).write_text(json.dumps(self.to_dict(), indent=1) + "\n")
+        """Writes `to_dict` to a file at `path`, whole or not at all."""
+        write_text(path, json.dumps(self.to_dict(), indent=1) + "\n")
 
     def save_csv(self, path: str | Path) -> None:
-        """Writes `rows` to a CSV file at `path`, with a header; None becomes an empty field."""
-        rows = self.rows()
-        with Path(path).open("w", newline="") as file:
-            writer = csv.DictWriter(file, rows[0])
-            writer.writeheader()
-            writer.writerows(rows)
+        """Writes `rows` to a CSV file at `path`, whole or not at all, with a header; None becomes an empty field."""
+        rows, text = self.rows(), io.StringIO(newline="")
+        writer = csv.DictWriter(text, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(path, text.getvalue())
 
 
 def analyse(

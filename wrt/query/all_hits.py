@@ -59,8 +59,9 @@ class AllHits:
         instance_id: (M,) int32, index of the instance, or of the mesh in a scene without instances.
         uv: (M, 2) float32, weights of the triangle's second and third vertex.
         ray_id: (M,) int32, index of the ray in the flattened batch.
-        position: (M, 3), in the scene's coordinates, float64 if the rays were, else float32.
-        normal: (M, 3), unit vectors of the same type, from the triangle's winding; 0 for a triangle without area.
+        position: (M, 3), in the scene's coordinates, of the type of `Hits.position`.
+        normal: (M, 3), unit vectors, float64 if the rays were, else float32, from the triangle's winding; 0 for a triangle
+            without area.
         plan: how the query was answered (`wrt.Plan`).
     """
 

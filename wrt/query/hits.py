@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
+from struct import unpack
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,10 +15,28 @@ from wrt.memory import empty
 from wrt.state.device_hits import shaped
 
 if TYPE_CHECKING:
+    from wrt.kernels.query.hit_attributes import SceneMesh
     from wrt.planning.plan import Plan
     from wrt.rays.rays import ResultForm
     from wrt.state.device_hits import DeviceHits
     from wrt.state.scene_state import SceneState
+
+
+FAR = 8.0
+"""Extents of a scene between 0 and its furthest coordinate up to which float32 holds its positions: rounding then moves them by
+at most 8 * 2^-24 of the extent, as far as `Hits.spawn` does."""
+
+
+def rounds_positions(mesh: SceneMesh) -> bool:
+    """Whether float32 would move positions noticeably: a scene of 100 m that is 5 * 10^6 m from 0, as in UTM coordinates, has
+    positions in float32 every 0.5 m. Its own triangles are held relative to its centre and lose nothing.
+
+    Args:
+        mesh: of a scene, with its centre and the box around it (float32, relative to the centre).
+    """
+    center, low, high = unpack("3d", mesh.center), unpack("3f", mesh.low), unpack("3f", mesh.high)
+    reach = max(abs(middle + end) for corner in (low, high) for middle, end in zip(center, corner, strict=True))
+    return reach > FAR * math.dist(low, high)
 
 
 class Hits:
@@ -32,9 +52,10 @@ class Hits:
         instance_id: (...) int32, index of the instance, or of the mesh in a scene without instances; -1 for a miss.
         uv: (..., 2) float32, weights of the triangle's second and third vertex; 0 for a miss.
         is_hit: (...) bool.
-        position: (..., 3), in the scene's coordinates, float64 if the rays were, else float32; NaN for a miss.
-        normal: (..., 3), unit vectors of the same type, from the triangle's winding (counter-clockwise seen from the
-            front); 0 for a miss and for a triangle without area.
+        position: (..., 3), in the scene's coordinates, computed in float64; NaN for a miss. float64 if the rays were, or if the
+            scene is so far from 0 that float32 would move points (`rounds_positions`), else float32.
+        normal: (..., 3), unit vectors, float64 if the rays were, else float32, from the triangle's winding (counter-clockwise
+            seen from the front); 0 for a miss and for a triangle without area.
         plan: how the query was answered (`wrt.Plan`).
         counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work for each ray, if requested
             (`wrt.kernels.traversal.leaf.Counters` explains each). The work of a packet or a stream is stored at its first
@@ -126,7 +147,7 @@ class Hits:
 
         out = self._empty(wp.vec3d)
         self._launch(hit_positions, self._mesh, self._triangles, self.batch.uv, out)
-        return self._as_dtype(out)
+        return self._out(out) if rounds_positions(self._mesh) else self._as_dtype(out)
 
     @cached_property
     def normal(self) -> Any:

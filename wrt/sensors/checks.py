@@ -71,3 +71,27 @@ def check_matrix(name: str, matrix: np.ndarray) -> None:
         raise ValueError(f"{name} holds a matrix with the last row {matrix[3].tolist()}; it must be (0, 0, 0, 1)")
     if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise ValueError(f"{name} holds a singular matrix: {matrix.tolist()}")
+
+
+def as_integers(name: str, values: np.ndarray, dtype: Any, holder: str = "") -> np.ndarray:
+    """Numbers as integers of a type, none of them changed.
+
+    Args:
+        name: of the values.
+        values: integers, booleans, or floats that are whole numbers.
+        dtype: of the result.
+        holder: what has this type, as " in LAS files", for errors.
+
+    Raises:
+        ValueError: a number is not whole, or beyond the range of the type; the message names it.
+    """
+    values, limits = np.asarray(values), np.iinfo(dtype)
+    if values.dtype.kind == "f":
+        wide = values.astype(np.float64)  # of which the ends of a range are exact
+        fits = (wide >= limits.min) & (wide < float(limits.max) + 1.0) & (wide == np.floor(wide))
+    else:
+        fits = (values >= limits.min) & (values <= limits.max)
+    if not fits.all():
+        wrong = values[~fits].flat[0]
+        raise ValueError(f"{name} holds {wrong}; it must hold whole numbers from {limits.min} to {limits.max}{holder}")
+    return values.astype(dtype)

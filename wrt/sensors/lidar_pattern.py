@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.sensors.checks import check_at_least, check_real
+from wrt.sensors.checks import as_integers, check_at_least, check_real
 
 if TYPE_CHECKING:
     from wrt.kernels.sensors.lidar_beams import Beams
@@ -30,7 +30,7 @@ class LidarPattern:
         directions: (..., 3) unit vectors. A leading shape (rings, columns) makes range images of the results, and lets rays be
             traced in packets.
         times: (...) firing time of each beam after the start of the scan, in seconds; broadcasts. None: all at the start.
-        rings: (...) integers, the laser or row of each beam; broadcasts. None: the index along the first axis.
+        rings: (...) integers of 32 bits, the laser or row of each beam; broadcasts. None: the index along the first axis.
         offsets: (..., 3) start of each beam relative to the sensor's origin; broadcasts. None: at the origin.
 
     Directions and offsets may be Warp arrays of vec3 on the scene's device; results are then Warp arrays.
@@ -44,7 +44,8 @@ class LidarPattern:
 
     Raises:
         TypeError: an argument of a wrong type.
-        ValueError: wrong shapes, numbers that are not finite, directions that are not unit vectors.
+        ValueError: wrong shapes, numbers that are not finite, rings that are not whole numbers of 32 bits, directions that are
+            not unit vectors.
     """
 
     def __init__(self, directions: Any, times: Any = None, rings: Any = None, offsets: Any = None) -> None:
@@ -240,6 +241,7 @@ class LidarPattern:
     def _spread(self, name: str, values: Any, dtype: type) -> np.ndarray:
         values = values.numpy() if isinstance(values, wp.array) else values
         array = check_real(name, values)
+        array = as_integers(name, array, dtype) if dtype is np.int32 else array
         try:
             array = np.array(np.broadcast_to(array, self.shape), dtype=dtype)
         except ValueError:

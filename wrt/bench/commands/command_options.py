@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from wrt.atomic_files import write_text
 from wrt.kernels.runtime.launch import MAX_THREADS
 from wrt.meshes.mesh import TriangleMesh
 
@@ -62,7 +63,7 @@ def write_json(path: Path | None, figures: dict[str, Any]) -> None:
     """Writes plain data to a file, if one was asked for."""
     if path is not None:
         with usage_errors():
-            path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+            write_text(path, json.dumps(figures, indent=1) + "\n")
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from wrt.bench.commands.command_options import (
     usage_errors,
     write_json,
 )
+from wrt.bench.core.benchmark_plot import save_figure
 from wrt.bench.core.benchmark_results import machine
 from wrt.bench.peers.embree import Embree
 from wrt.bench.peers.embree_library import EMBREES
@@ -121,7 +122,7 @@ def save_scaling_plot(figures: Sequence[JobFigures], path: Path) -> None:
     axes.set_xlabel("threads")
     axes.set_ylabel("speed, one thread = 1")
     axes.legend()
-    figure.savefig(path, dpi=150)
+    save_figure(figure, path)
 
 
 @click.command("build-sizes")

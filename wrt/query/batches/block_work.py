@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.atomic_files import replaced
 from wrt.query.batches.array_files import SMALL, opened, opened_by_workers
 from wrt.query.batches.block_rows import GeneratedRays, SkippedTriangles, cut_rows, is_cut
 from wrt.query.batches.reductions import BlockReduction
@@ -145,7 +146,8 @@ class PickledWork:
         path = Path(shared.path).with_name(f"work-{hash}.pickle")
         if len(data) <= SMALL or not is_seen:
             return PickledWork(data, path, hash)
-        path.write_bytes(data)
+        with replaced(path) as file:
+            file.write(data)
         return PickledWork(None, path, hash)
 
     def get(self) -> BlockWork:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wrt.atomic_files import replaced
 from wrt.query.batches.workers import WarpSettings, Workers, process_device
 
 KEPT = 4
@@ -122,7 +123,8 @@ def share_scene(scene: Any, folder: str | Path | None) -> SharedScene:
         except ValueError:
             path, load = path.with_suffix(".pickle"), None
             function, arguments = scene.__reduce__()[:2]
-            path.write_bytes(pickle.dumps((function, arguments)))
+            with replaced(path) as file:
+                file.write(pickle.dumps((function, arguments)))
         _written[key] = SharedScene(str(path.absolute()), file_hash(path), load, str(scene.device), WarpSettings.here())
         return _written[key]
 
@@ -189,7 +191,8 @@ def scene_plugin(shared: SharedScene) -> Any:
             from wrt.query.batches import shared_files
 
             path = Path(worker.local_directory) / f"wrt-scene-{self.hash}{self.suffix}"
-            path.write_bytes(self.data)
+            with replaced(path) as file:
+                file.write(self.data)
             shared_files.received[self.hash] = str(path)
 
     return BringScene()
