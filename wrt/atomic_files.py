@@ -69,7 +69,7 @@ def replaced(path: str | Path, *, streams: bool = False) -> Iterator[BinaryIO]:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Writes a file of text in UTF-8, or replaces it; pipes and open descriptors are written through. Errors as of `replaced`."""
+    """Writes a file of text in UTF-8, or replaces it; pipes and open descriptors are written through. Raises as `replaced`."""
     with replaced(path, streams=True) as file:
         file.write(text.encode())
 

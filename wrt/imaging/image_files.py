@@ -79,12 +79,12 @@ def save_exr(path: str | Path, channels: dict[str, np.ndarray]) -> None:
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}) as picture:
-        with replaced(path, streams=True) as file:
-            try:
-                picture.write(file.name)
-            except RuntimeError as error:
-                raise OSError(str(error)) from error
+    arrays = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    with replaced(path, streams=True) as file, OpenEXR.File(header, arrays) as picture:
+        try:
+            picture.write(file.name)
+        except RuntimeError as error:
+            raise OSError(str(error)) from error
 
 
 def check_path(path: str | Path) -> Path:

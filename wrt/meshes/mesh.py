@@ -21,8 +21,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.atomic_files import replaced
 from wrt.materials.material import Material
 from wrt.materials.mesh_materials import MeshMaterials, joined_materials, make_mesh_materials
+from wrt.meshes.exact_encoding import encode_mesh
 from wrt.meshes.mesh_arrays import checked_faces, checked_vertices, frozen
 from wrt.meshes.mesh_measures import extremes, first_of_equal_points, normals_and_areas
 from wrt.meshes.plain_ply import read_plain_ply
@@ -144,14 +146,22 @@ class TriangleMesh:
     def save(self, path: str | Path) -> None:
         """Writes a file in the format of the extension of `path` (.ply .obj .stl .glb .off ...).
 
+        PLY, OBJ and OFF files hold the vertices exactly. An old file is replaced when the new one is complete.
+
         Raises:
-            ValueError: trimesh cannot write that format.
+            ValueError: trimesh cannot write that format into one file.
+            OSError: the file cannot be written.
+
+        Warns:
+            UserWarning: the format (STL, glTF) holds float32, which moves the vertices.
         """
         suffix = Path(path).suffix.lower().lstrip(".")
         try:
-            self.to_trimesh().export(str(path), file_type=suffix)
+            data = encode_mesh(self.to_trimesh(), suffix)
         except ValueError as error:
             raise ValueError(f"cannot write '{path}' as '.{suffix}' ({error}); use .ply, .obj, .stl or .glb") from error
+        with replaced(path, streams=True) as file:
+            file.write(data)
 
     # -- properties --------------------------------------------------------------------------------------------------------
 

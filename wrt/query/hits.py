@@ -53,7 +53,7 @@ class Hits:
         uv: (..., 2) float32, weights of the triangle's second and third vertex; 0 for a miss.
         is_hit: (...) bool.
         position: (..., 3), in the scene's coordinates, computed in float64; NaN for a miss. float64 if the rays were, or if the
-            scene is so far from 0 that float32 would move points (`rounds_positions`), else float32.
+            scene is so far from 0 that float32 would move points (`is_far`), else float32.
         normal: (..., 3), unit vectors, float64 if the rays were, else float32, from the triangle's winding (counter-clockwise
             seen from the front); 0 for a miss and for a triangle without area.
         plan: how the query was answered (`wrt.Plan`).
@@ -93,6 +93,11 @@ class Hits:
     def shape(self) -> tuple[int, ...]:
         """The leading shape."""
         return self._form.shape
+
+    @property
+    def is_far(self) -> bool:
+        """Whether the scene is so far from 0 that positions in float32 would be moved."""
+        return rounds_positions(self._mesh)
 
     def is_of(self, scene: SceneState) -> bool:
         """Whether these are hits of this scene, perhaps before an update, or of another scene with the same triangles."""
@@ -147,7 +152,7 @@ class Hits:
 
         out = self._empty(wp.vec3d)
         self._launch(hit_positions, self._mesh, self._triangles, self.batch.uv, out)
-        return self._out(out) if rounds_positions(self._mesh) else self._as_dtype(out)
+        return self._out(out) if self.is_far else self._as_dtype(out)
 
     @cached_property
     def normal(self) -> Any:

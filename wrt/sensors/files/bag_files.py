@@ -1,7 +1,7 @@
 """ROS 2 bags of scans and images, by rosbags (`pip install "wrt[sensors]"`).
 
-A bag appears whole or not at all. Points are in the frame of the sensor, in which float32 is enough wherever the sensor is. A bag
-holds no poses: publish them as transforms (tf), which are float64, from `scan.trajectory`.
+A bag appears whole or not at all. Points are in the frame of the sensor, in which float32 is enough wherever the sensor is. A
+bag holds no poses: publish them as transforms (tf), which are float64, from `scan.trajectory`.
 """
 
 from __future__ import annotations
