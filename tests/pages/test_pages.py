@@ -265,6 +265,7 @@ DRAWN = {"drawn/rooms.svg": "draw_rooms", "drawn/query.svg": "draw_query", "draw
 @pytest.mark.parametrize("picture", DRAWN)
 def test_pictures_are_drawn(picture, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(DOCS)
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'wrt[test-all]'")
     import drawings
 
     path = tmp_path / Path(picture).name

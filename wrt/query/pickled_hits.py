@@ -98,6 +98,11 @@ class PickledHits(Hits):
         )
 
     @property
+    def is_far(self) -> bool:
+        """Whether positions are float64 though the rays were not."""
+        return not self._state.is_float64 and self._state.values["position"].dtype == np.float64
+
+    @property
     def _meshes(self) -> NoReturn:
         """Not available, and so neither are the attributes that are interpolated.
 

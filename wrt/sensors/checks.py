@@ -90,6 +90,7 @@ def as_integers(name: str, values: np.ndarray, dtype: Any, holder: str = "") -> 
         wide = values.astype(np.float64)  # of which the ends of a range are exact
         fits = (wide >= limits.min) & (wide < float(limits.max) + 1.0) & (wide == np.floor(wide))
     else:
+        values = values.astype(np.uint8) if values.dtype.kind == "b" else values
         fits = (values >= limits.min) & (values <= limits.max)
     if not fits.all():
         wrong = values[~fits].flat[0]
