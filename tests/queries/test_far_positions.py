@@ -18,6 +18,7 @@ import wrt
 
 UTM = np.array([500_000.123, 5_400_000.456, 200.789])
 SIZE = 50.0
+AHEAD = UTM + np.array([1.0, 0.0, 0.0])
 EXACT = 2.0**-22 * SIZE
 """What rounding relative to the scene's centre may cost, about 0.01 mm."""
 
@@ -63,9 +64,7 @@ def test_rays_in_float32_find_points_that_are_on_the_surface(scene):
     for hits in (scene.intersect(origins, directions), scene.intersect_all(origins, directions)):
         assert error_of(hits.position, expected) < EXACT
         assert hits.normal.dtype == hits.t.dtype == np.float32
-    on_device = scene.intersect(
-        wp.array(origins, dtype=wp.vec3, device="cpu"), wp.array(directions, dtype=wp.vec3, device="cpu")
-    )
+    on_device = scene.intersect(*(wp.array(values, dtype=wp.vec3, device="cpu") for values in (origins, directions)))
     assert on_device.position.dtype is wp.vec3d
     assert error_of(on_device.position, expected) < EXACT
 
@@ -77,7 +76,7 @@ def test_where_float32_holds_positions_they_are_float32(extents, dtype):
     place = np.array([0.1, 0.1, extents - 0.05])
     far = wrt.Scene(wrt.TriangleMesh(mesh.vertices + place, mesh.faces), device="cpu")
     direction = np.array([0.0, 0.0, -1.0], dtype=np.float32)
-    hits = far.intersect((place + [0.1, 1e-4, 1.0]).astype(np.float32), direction)
+    hits = far.intersect((place + np.array([0.1, 1e-4, 1.0])).astype(np.float32), direction)
     assert hits.position.dtype == dtype
     assert hits.is_far == (dtype is np.float64)
 
@@ -96,13 +95,13 @@ def test_instances_and_their_transforms():
 
 
 def test_cameras_and_adapters(scene):
-    camera = wrt.PinholeCamera(8, 6, position=UTM, look_at=UTM + [1, 0, 0], fov=30.0)
+    camera = wrt.PinholeCamera(8, 6, position=UTM, look_at=AHEAD, fov=30.0)
     np.testing.assert_array_equal(camera.rays().origins[0, 0], UTM)
     assert np.abs(scene.intersect(camera.rays()).position[..., 0] - UTM[0] - 10.0).max() < EXACT
     origins, directions, expected = rays()
     found, ray, _ = wrt.RayMeshIntersector(house().to_trimesh()).intersects_location(origins, directions)
     assert error_of(found[np.argsort(ray)], expected) < EXACT
-    pinhole = wrt.RaycastingScene.create_rays_pinhole(30.0, UTM + [1, 0, 0], UTM, [0, 0, 1], 8, 6)
+    pinhole = wrt.RaycastingScene.create_rays_pinhole(30.0, AHEAD, UTM, [0, 0, 1], 8, 6)
     assert error_of(pinhole[..., :3], UTM) < 1e-8
     assert wrt.RaycastingScene.create_rays_pinhole(30.0, [1, 0, 0], [0, 0, 0], [0, 0, 1], 8, 6).dtype == np.float32
 
@@ -133,9 +132,7 @@ def test_mesh_files_keep_vertices_or_warn(tmp_path, suffix, scale):
         assert warned[0].filename == __file__
     else:
         mesh.save(path)
-    assert [one.name for one in tmp_path.iterdir()] == [
-        f"mesh.{suffix}"
-    ]  # .gltf had buffers beside it, of the same name for all
+    assert [one.name for one in tmp_path.iterdir()] == [f"mesh.{suffix}"]  # all .gltf files of a folder had the same buffers
 
 
 def test_the_ten_lines_of_the_readme(tmp_path, monkeypatch):
@@ -147,10 +144,11 @@ def test_the_ten_lines_of_the_readme(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict = {"__name__": "readme"}
     exec(code.replace("1_000_000", "1_000").replace("640, 480", "64, 48"), names)
-    hits, facets = names["hits"], 20.0 * (1.0 - np.cos(0.18))
+    hits, inner = names["hits"], np.linalg.norm(ball.triangles_center, axis=1).min()
     assert names["origins"].dtype == hits.position.dtype == np.float64
     away = np.linalg.norm(hits.position[hits.is_hit] - UTM, axis=1)
     assert (away < 20.001).all()
-    assert (away > 20.0 - facets).all()
-    top = hits.is_hit & (hits.position[..., 1] > UTM[1] + 8.0)
-    assert names["dark"][top].all()  # of the upper half from inside, all have the ball above them, or are beneath it
+    assert (away > inner - 0.001).all()
+    height = hits.position[..., 1] - UTM[1]
+    assert not names["dark"][height > 8.0].any()  # spawned above the ball
+    assert names["dark"][height < -8.0].all()  # and inside

@@ -9,6 +9,7 @@ References:
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from math import floor, log10
 from typing import BinaryIO
@@ -66,7 +67,11 @@ def las_writer(points: np.ndarray, is_compressed: bool) -> Callable[[BinaryIO], 
             table[name] = fitting(header.point_format.dimension_by_name(name), points[name])
         elif name in others:
             table[name] = points[name]
-    return lambda file: table.write(file, do_compress=is_compressed)
+    if not is_compressed:
+        return lambda file: table.write(file, do_compress=False)
+    content = io.BytesIO()  # lazrs does not tell why a file cannot be written
+    table.write(content, do_compress=True)
+    return lambda file: file.write(content.getbuffer())
 
 
 def offsets_and_step(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
