@@ -159,7 +159,8 @@ class AreaLightVisibility:
         A point with a NaN or an infinity sees all samples, as its rays hit nothing.
 
         Args:
-            points: (..., 3). float64 points are rounded to float32 relative to the scene's centre.
+            points: (..., 3). float64 points are rounded to float32 relative to the scene's centre; for float32 points, which
+                lose more where the scene is far from 0, the samples are rounded to float32, too.
             t_min, t_max: scalars or (...) arrays, from the point at 0 to the sample at 1: hits count if t_min <= t <= t_max.
 
         Raises:
