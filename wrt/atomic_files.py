@@ -47,7 +47,8 @@ def replaced(path: str | Path, *, streams: bool = False) -> Iterator[BinaryIO]:
 
     Args:
         path: of the file.
-        streams: whether `path` may be a pipe, a device or an open descriptor, which then gets the contents at the end.
+        streams: whether `path` may be a pipe, a device or an open descriptor, which then gets the contents at the end;
+            opening a pipe waits for its reader.
 
     Raises:
         OSError: the file cannot be written; the error names `path`.
