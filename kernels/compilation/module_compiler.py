@@ -41,6 +41,7 @@ _lock = threading.RLock()
 _threads: list[threading.Thread] = []
 _queue: SimpleQueue[tuple[Key, Future[None]] | None] = SimpleQueue()
 _pending: dict[Key, Future[None]] = {}
+_is_exiting = False
 
 
 def compile_jobs() -> int:
@@ -87,6 +88,7 @@ def load_modules(modules: Iterable[wp.Module], device: wp.Device, block_dim: int
 
     Raises:
         Exception: whatever Warp raises for a module that cannot be compiled.
+        RuntimeError: the interpreter is exiting, and this is not its main thread.
     """
     modules = list(dict.fromkeys(modules))
     try:
@@ -96,6 +98,8 @@ def load_modules(modules: Iterable[wp.Module], device: wp.Device, block_dim: int
     except KeyboardInterrupt:
         _drop()
         raise
+    if _is_exiting and threading.current_thread() is not threading.main_thread():
+        raise RuntimeError("no kernel is compiled any more: the interpreter is exiting")
     with _lock:
         for module in modules:
             if is_compiled(module, device, block_dim) or not shipped_kernels.load(module, device, block_dim):
@@ -106,6 +110,11 @@ def _begin(key: Key) -> None:
     """Gives a module to the threads that compile; if there can be none, the caller compiles it later."""
     with _lock:
         job = _pending[key]
+        if (
+            _is_exiting
+        ):  # a new thread would take what ends an old one out of the queue, and `_close` wait for that one for ever
+            _end(key, job)
+            return
         if len(_threads) < compile_jobs():
             if not _threads:
                 _close_at_exit()
@@ -141,10 +150,12 @@ def _close_at_exit() -> None:
 
 def _close() -> None:
     """Drops what nobody waits for any more, and waits for the modules under way, as their threads must not outlive Warp."""
-    _drop()
+    global _is_exiting
     with _lock:
+        _is_exiting = True
         threads = [*_threads]
         _threads.clear()
+    _drop()
     for _ in threads:
         _queue.put(None)
     for thread in threads:
@@ -170,8 +181,8 @@ def _drop() -> None:
 
 def _forget() -> None:
     """A forked child has none of the threads."""
-    global _lock, _queue
-    _lock, _queue = threading.RLock(), SimpleQueue()
+    global _lock, _queue, _is_exiting
+    _lock, _queue, _is_exiting = threading.RLock(), SimpleQueue(), False
     _threads.clear()
     _pending.clear()
 

@@ -36,6 +36,7 @@ Camera = PinholeCamera | OrthographicCamera
 TILE_PIXELS = 1 << 16
 """Camera rays traced at once; bounds the memory, and the time between two calls of `progress`."""
 
+MOST_RADIUS = 8
 BACKGROUND = ((0.90, 0.91, 0.92), (0.72, 0.79, 0.87))
 LIGHT_COLOR = (0.80, 0.77, 0.71)
 AMBIENT_COLOR = (0.36, 0.39, 0.43)
@@ -57,6 +58,8 @@ class AmbientRendering:
         shadows: whether the light casts shadows.
         ambient_samples: ambient rays per camera ray; 0 for no ambient occlusion.
         ambient_distance: length of ambient rays in scene units: geometry beyond it does not occlude; None for no limit.
+        ambient_radius: pixels share their ambient rays with those up to so many rows and columns away, if these see the same
+            smooth surface: less noise, blurred small shadows; 0 to 8, 0 for none. The picture then depends on `tile_pixels`.
         albedo: share of light that is reflected, linear, in [0, 1]: a number, (3,), or (F, 3) for all triangles of the
             scene in the order of `scene.meshes`; instances of a mesh share its albedo.
         background: colour of pixels without a hit, as displayed (sRGB, [0, 1]): a number, (3,), or a pair of these for the
@@ -88,6 +91,7 @@ class AmbientRendering:
         shadows: bool = True,
         ambient_samples: int = 16,
         ambient_distance: float | None = None,
+        ambient_radius: int = 0,
         ambient_color: Any = AMBIENT_COLOR,
         albedo: Any = 0.8,
         background: Any = BACKGROUND,
@@ -112,15 +116,18 @@ class AmbientRendering:
             shadows=bool(shadows),
             ambient_samples=check_whole("ambient_samples", ambient_samples, 0),
             ambient_distance=_check_distance(ambient_distance),
+            ambient_radius=check_whole("ambient_radius", ambient_radius, 0),
             seed=(seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
             query={"traversal": traversal, "triangle_test": triangle_test},
         )
+        if self._settings.ambient_radius > MOST_RADIUS:
+            raise ValueError(f"ambient_radius is {ambient_radius}; it must be at most {MOST_RADIUS}")
         self.pixels = camera.width * camera.height
         tiles = -(-self.pixels // check_whole("tile_pixels", TILE_PIXELS if tile_pixels is None else tile_pixels, 1))
         self._tile = -(-self.pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each
         with use_threads(scene.num_threads):
             expect(_kernels(scene, camera, self._tile, self._settings, smooth), scene.device)
-            self._ambient = _ambient_rays(scene, self._tile, self._settings)
+            self._ambient = _ambient_rays(scene, self._tile, camera.width, self._settings)
             self._look = _appearance(scene, albedo, crease_angle if smooth else None)
             self._film = self._black()
 
@@ -265,6 +272,7 @@ class _Settings:
     shadows: bool
     ambient_samples: int
     ambient_distance: float
+    ambient_radius: int
     seed: int
     query: dict[str, str]
 
@@ -296,6 +304,7 @@ class _Tile:
             received.in_shadow = self.scene.occluded(self.surface.shadow_origin, toward, 0.0, 1.0, **self.settings.query)
         if ambient_rays is not None:
             received.open_rays = ambient_rays.count_open(self.surface, primitive, self.first, sample)
+            received.ambient_samples *= ambient_rays.scale
         self._run(film.expose, self.surface, received, self.settings.lighting, self.first, picture)
 
     def _empty(self, dtype: type) -> wp.array:
@@ -305,10 +314,11 @@ class _Tile:
         launch(kernel, self.count, inputs, device=self.scene.device, chunk=1024)
 
 
-def _ambient_rays(scene: Scene, tile: int, settings: _Settings) -> AmbientRays | None:
+def _ambient_rays(scene: Scene, tile: int, width: int, settings: _Settings) -> AmbientRays | None:
     if settings.ambient_samples == 0:
         return None
-    return AmbientRays(scene, tile, settings.ambient_samples, settings.ambient_distance, settings.seed, settings.query)
+    rays = settings.ambient_samples, settings.ambient_distance, settings.seed, settings.query
+    return AmbientRays(scene, tile, *rays, width, settings.ambient_radius)
 
 
 def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surface.Appearance:
