@@ -362,3 +362,46 @@ def test_expecting_kernels_that_are_loaded_does_nothing(monkeypatch):
     load([kernel], CPU)
     monkeypatch.setattr(module_compiler, "expect", lambda *arguments: pytest.fail("asked again"))
     expect([kernel], CPU)
+
+
+def test_a_thread_that_asks_for_kernels_at_the_exit(monkeypatch):
+    """While the exit waited for the threads that compile, another thread asked for a kernel: a new thread took from the queue
+    what was to end an old one, and the process never ended."""
+    begun, go = threading.Event(), threading.Event()
+
+    class Module:
+        """A module that is compiled until `go` is set."""
+
+        def load(self, device, block_dim):
+            begun.set()
+            go.wait(30.0)
+
+    for name, value in {"_threads": [], "_queue": module_compiler.SimpleQueue(), "_pending": {}, "_is_exiting": False}.items():
+        monkeypatch.setattr(module_compiler, name, value)
+    monkeypatch.setattr(module_compiler, "is_compiled", lambda *_: False)
+    monkeypatch.setattr(module_compiler, "_close_at_exit", lambda: None)
+    monkeypatch.setattr(shipped_kernels, "find", lambda *_: None)
+    monkeypatch.setenv("WRT_COMPILE_JOBS", "1")
+    cpu, refused = wp.get_device("cpu"), []
+
+    def ask():
+        try:
+            module_compiler.load_modules([Module()], cpu, 1)
+        except RuntimeError as error:
+            refused.append(str(error))
+
+    module_compiler.expect([Module()], cpu, 1)
+    assert begun.wait(10.0)
+    (compiling,) = module_compiler._threads
+    close = threading.Thread(target=module_compiler._close, daemon=True)
+    close.start()
+    while not module_compiler._is_exiting:
+        time.sleep(0.001)
+    asking = threading.Thread(target=ask, daemon=True)
+    asking.start()
+    asking.join(10.0)
+    go.set()
+    close.join(10.0)
+    assert not close.is_alive()
+    assert not compiling.is_alive()
+    assert refused == ["no kernel is compiled any more: the interpreter is exiting"]

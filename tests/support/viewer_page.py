@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import socket
 import threading
 import time
 from collections import Counter
@@ -18,6 +20,23 @@ import wrt
 
 PROTOCOL = f"viser-v{viser.__version__}"
 
+STAGES = (
+    "before the handshake",
+    "within the handshake",
+    "without waiting for its end",
+    "before the first camera",
+    "with the first camera",
+    "while pictures are made",
+    "without an answer for a picture",
+    "without a word",
+)
+"""At which browsers leave, in the order in which they come to them."""
+
+REQUEST = (
+    "GET / HTTP/1.1\r\nHost: localhost:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+    "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Protocol: {protocol}\r\n\r\n"
+)
+
 
 class Page:
     """A client that moves its camera, counts the messages that come, and answers for each picture as a browser does.
@@ -29,7 +48,10 @@ class Page:
     """
 
     def __init__(self, address: str, answers: bool = True, reads: bool = True) -> None:
-        self.socket = client.connect(address, subprotocols=[PROTOCOL], max_size=None, origin=address.replace("ws", "http", 1))
+        quiet = logging.getLogger("viewer_page")
+        quiet.setLevel(logging.CRITICAL)  # websockets writes a traceback when `drop` closes a connection under it
+        options = {"subprotocols": [PROTOCOL], "max_size": None, "logger": quiet}
+        self.socket = client.connect(address, origin=address.replace("ws", "http", 1), **options)
         self.seen: Counter[str] = Counter()
         self.texts: list[Any] = []
         self.answers, self.pictures, self.asked = answers, 0, 0
@@ -72,7 +94,7 @@ class Page:
 
     def drop(self) -> None:
         """Leaves without a word, as a browser that is killed."""
-        self.socket.socket.close()
+        self.socket.socket.shutdown(socket.SHUT_RDWR)
 
 
 def camera_fields(camera: wrt.PinholeCamera) -> dict[str, Any]:
@@ -91,6 +113,45 @@ def camera_fields(camera: wrt.PinholeCamera) -> dict[str, Any]:
         "image_height": 60,
         "image_width": 80,
     }
+
+
+def left_over(viewer: wrt.Viewer) -> dict[str, int]:
+    """How much of browsers is still there, by where."""
+    web, server = viewer._web, viewer._server
+    held: dict[str, Any] = {
+        "sessions": viewer.sessions,
+        "panels": viewer.panels,
+        "browsers that wait": viewer._waiting,
+        "sessions that end": viewer._leaving,
+        "listeners of the scene": viewer.shared._listeners,
+        "browsers": web.browsers,
+        "connections": web._connections.open,
+        "clients of viser": server.get_clients(),
+        "connections of viser": server._websock_server._client_state_from_id,
+        "threads": [one for one in threading.enumerate() if one.name in ("wrt-frames", "wrt-panels")],
+    }
+    return {name: len(what) for name, what in held.items() if len(what)}
+
+
+def leave_at(viewer: wrt.Viewer, camera: wrt.PinholeCamera, stage: int, pause: float = 0.0) -> None:
+    """Comes as far as a stage, stays there for `pause` seconds, and leaves."""
+    port = viewer._web.port
+    if stage < 3:
+        with socket.create_connection(("127.0.0.1", port), timeout=30.0) as opened:
+            opened.sendall(("", REQUEST[:60], REQUEST)[stage].format(port=port, protocol=PROTOCOL).encode())
+        return
+    page = Page(viewer.url.replace("http", "ws"), answers=stage != 6)
+    if stage >= 4:
+        page.look(camera)
+    if stage >= 5:
+        end = time.monotonic() + 60.0
+        while not page.pictures and page.reader.is_alive() and time.monotonic() < end:
+            time.sleep(0.002)
+    if stage >= 4:
+        time.sleep(pause)
+    if stage == 7:
+        page.drop()
+    page.close()
 
 
 def until(true: Callable[[], Any], seconds: float = 60.0) -> None:

@@ -64,7 +64,7 @@ def refused(address, **options):
             "/",
             {"Host": "elsewhere.org:8080", "Origin": "http://elsewhere.org:8080"},
             None,
-        ),  # a name for 192.168.0.7
+        ),  # by DNS
     ],
 )
 def test_gate(token, only_here, path, headers, expected):
@@ -170,8 +170,8 @@ def test_addresses():
 
 
 def test_ports():
-    """If the port is taken, the next free one is, and the address says so; what cannot be had is an error at once. viser tried a
-    thousand ports and then waited for ever."""
+    """If the port is taken, the next free one is, and the address says so; what cannot be had is an error at once. viser tried
+    a thousand ports and then waited for ever."""
     with pytest.raises(TypeError, match="port must be a whole number"):
         WebServer("127.0.0.1", "8080")
     for port in (-1, 65536, True):
@@ -201,7 +201,7 @@ def test_no_port_is_free(monkeypatch):
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(web_server, "_probe", refuse)
-    with pytest.raises(PermissionError, match="port 80 of '127.0.0.1' cannot be listened on"):
+    with pytest.raises(PermissionError, match=r"port 80 of '127\.0\.0\.1' cannot be listened on"):
         WebServer("127.0.0.1", 80)
 
 
@@ -221,5 +221,5 @@ def test_a_scene_that_cannot_be_shown_leaves_no_server(monkeypatch):
     monkeypatch.setattr("wrt.viewer.live_view.ScenePanel", fail)
     with pytest.raises(MemoryError):
         wrt.view(scenes.build("teapot", level=4), block=False, port=0)
-    with pytest.raises(OSError, match=".*"):
+    with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", started[0].port), timeout=1.0)

@@ -28,7 +28,16 @@ MESSAGE_BYTES = 1 << 20
 MOST_CONNECTIONS = 64
 """At a time, with those that get no pictures."""
 
-OPTIONS = {"open_timeout": HANDSHAKE_SECONDS, "close_timeout": GOODBYE_SECONDS, "max_size": MESSAGE_BYTES}
+QUIET = logging.getLogger(f"{__name__}.protocol")
+"""Of the websocket server, which writes a traceback for every handshake that somebody breaks off."""
+QUIET.setLevel(logging.CRITICAL)
+
+OPTIONS = {
+    "open_timeout": HANDSHAKE_SECONDS,
+    "close_timeout": GOODBYE_SECONDS,
+    "max_size": MESSAGE_BYTES,
+    "logger": QUIET,
+}
 """Of the websocket server."""
 
 TRY_AGAIN, UNREADABLE, TOO_LATE = 1013, 1007, 1008
