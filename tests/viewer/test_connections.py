@@ -271,7 +271,7 @@ def test_the_scene_changes_while_it_is_shown(camera):
         with viewer.shared._lock:  # as while a tree is built
             count = one.pictures
             one.look(camera, image_width=88)
-            until(lambda: one.pictures > count)
+            until(lambda: one.pictures > count, 20.0)
         for step in range(10):
             scene.update(0, vertices=np.add(vertices, (0.0, 0.0, 0.1 * step)))
             viewer.refresh()

@@ -230,8 +230,6 @@ class Viewer:
 
     def _welcome(self, browser: Browser) -> None:
         """A browser has come. Called on the server's event loop, as `_leave` is, so none leaves before it is here."""
-        if not browser.is_connected:
-            return
         browser.at_end(lambda: self._leave(browser.number))
         self._admit(browser)
 
