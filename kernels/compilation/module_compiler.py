@@ -110,9 +110,7 @@ def _begin(key: Key) -> None:
     """Gives a module to the threads that compile; if there can be none, the caller compiles it later."""
     with _lock:
         job = _pending[key]
-        if (
-            _is_exiting
-        ):  # a new thread would take what ends an old one out of the queue, and `_close` wait for that one for ever
+        if _is_exiting:  # a new thread would take what ends an old one, for which `_close` would wait for ever
             _end(key, job)
             return
         if len(_threads) < compile_jobs():

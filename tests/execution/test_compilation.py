@@ -395,7 +395,8 @@ def test_a_thread_that_asks_for_kernels_at_the_exit(monkeypatch):
     (compiling,) = module_compiler._threads
     close = threading.Thread(target=module_compiler._close, daemon=True)
     close.start()
-    while not module_compiler._is_exiting:
+    end = time.monotonic() + 10.0
+    while not module_compiler._is_exiting and time.monotonic() < end:
         time.sleep(0.001)
     asking = threading.Thread(target=ask, daemon=True)
     asking.start()
