@@ -41,13 +41,13 @@ from typing import Any
 
 import numpy as np
 
+from wrt.atomic_files import replaced
 from wrt.cluster.job import Job
 from wrt.cluster.parquet_files import ParquetColumns
 from wrt.kernels.compilation.cores import available_cores
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.batches.block_rows import GeneratedRays
 from wrt.query.batches.workers import ProcessPool, Workers
-from wrt.scene.archives import replaced
 from wrt.scene.scene import Scene
 from wrt.tables import lookup
 

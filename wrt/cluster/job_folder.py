@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from wrt.scene.archives import read_archive, replaced, write_archive
+from wrt.atomic_files import replaced
+from wrt.scene.archives import read_archive, write_archive
 from wrt.scene.storage import UNREADABLE
 
 FORMAT = 1

@@ -164,7 +164,7 @@ class WriteTable:
         import pyarrow as pa
         from pyarrow.parquet import write_table
 
-        from wrt.scene.archives import replaced
+        from wrt.atomic_files import replaced
 
         table = pa.table({name: np.ascontiguousarray(array) for name, array in self.columns(answer).items()})
         with replaced(Path(self.folder) / f"part-{rows.start:015d}.parquet") as file:

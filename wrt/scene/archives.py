@@ -12,17 +12,16 @@ import io
 import json
 import math
 import os
-import secrets
-import stat
 import struct
 import threading
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
+
+from wrt.atomic_files import replaced
 
 CHECKSUM = "checksum"
 """Name of the array that holds the checksum."""
@@ -165,29 +164,3 @@ def array_places(path: Path) -> dict[str, ArrayPlace]:
             shape, _, dtype = read_header(file)
             places[member.filename.removesuffix(".npy")] = ArrayPlace(file.tell(), shape, dtype)
     return places
-
-
-@contextmanager
-def replaced(path: Path) -> Iterator[BinaryIO]:
-    """Opens a temporary file that replaces `path` when the `with` block ends; after an error, nothing is left.
-
-    If `path` is a symbolic link, its target is replaced. The new file has the permissions of the old one.
-
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: `path` exists and is not a regular file.
-    """
-    target = Path(os.path.realpath(path))
-    mode = target.stat().st_mode if target.exists() else None
-    if mode is not None and not stat.S_ISREG(mode):
-        raise ValueError(f"'{path}' is not a regular file, and only such files are replaced; choose another path")
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}")
-    try:
-        with open(temporary, "xb") as file:
-            yield file
-        if mode is not None:
-            os.chmod(temporary, stat.S_IMODE(mode))
-        os.replace(temporary, target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
