@@ -42,6 +42,7 @@ class WriteChunk:
         label: of the block.
         hash: of its rays; empty if the batch is not hashed whole.
         attributes: of closest hits, those to keep; None for answers of another kind.
+        rays, columns: of the block; they are compared again, because another thread may write to them.
     """
 
     folder: str
@@ -50,8 +51,11 @@ class WriteChunk:
     label: str
     hash: str
     attributes: tuple[str, ...] | None
+    rays: Rays
+    columns: Mapping[str, Any]
 
     def __call__(self, rows: slice, answer: Any) -> dict[str, np.ndarray] | None:
+        refuse_other_rays(rows, self.rays, self.columns, self.hash)
         values = answer if self.attributes is None else {name: value_of(answer, name) for name in self.attributes}
         arrays, folder = {**pack_answer(values), BLOCK_HASH: np.array(self.hash)}, JobFolder(self.folder)
         if not folder.has_manifest() or folder.manifest()["id"] != self.id:
@@ -100,12 +104,22 @@ class ExamineBlock:
         if is_elsewhere and kept((id, self.generated), lambda: generated_hash(work.rays)) != self.generated:
             raise ValueError("the function makes other rays on a worker than here; give both the same code and data")
         expected = sent.get(BLOCK_HASH, "")
-        if expected and block_hash(rays, columns) != expected:
-            raise ValueError(
-                f"the rays of rows {rows.start} to {rows.stop - 1} have changed since the job was made; change them back, or "
-                "make another job in another folder"
-            )
-        return WriteChunk(self.folder, id, number, chunk_label(self.manifest, number), expected, self.attributes)
+        refuse_other_rays(rows, rays, columns, expected)
+        label = chunk_label(self.manifest, number)
+        return WriteChunk(self.folder, id, number, label, expected, self.attributes, rays, columns)
+
+
+def refuse_other_rays(rows: slice, rays: Rays, columns: Mapping[str, Any], expected: str) -> None:
+    """Refuses rays of a block with another hash than expected; any, if that is empty.
+
+    Raises:
+        ValueError: the hash differs.
+    """
+    if expected and block_hash(rays, columns) != expected:
+        raise ValueError(
+            f"the rays of rows {rows.start} to {rows.stop - 1} have changed since the job was made; change them back, or make "
+            "another job in another folder"
+        )
 
 
 def block_count(manifest: Mapping[str, Any]) -> int:

@@ -134,12 +134,12 @@ def described_class(cls: type, inside: Inside) -> Any:
     if package in BY_NAME or inside.package not in (None, package):
         return ["class", cls.__module__, cls.__qualname__]
     inside, found = inside._replace(package=package), {}
-    for one in cls.__mro__:
+    for depth, one in enumerate(cls.__mro__):
         for name, value in vars(one).items() if one.__module__.partition(".")[0] == package else ():
             value = getattr(value, "__func__", getattr(value, "fget", value))  # static methods and properties
             is_plain = not name.startswith("__") and isinstance(value, (bool, int, float, str, tuple, np.ndarray))
             if isinstance(value, FunctionType) or is_plain:
-                found[f"{one.__qualname__}.{name}"] = value
+                found[f"{depth} {name}"] = value
     return ["class", cls.__qualname__, described(found, inside)]
 
 
@@ -168,8 +168,8 @@ def code_of(function: Any) -> str:
     if isinstance(function, FunctionType):
         return code_hash(function.__code__)
     codes = {
-        f"{one.__qualname__}.{name}": code_hash(value.__code__)
-        for one in type(function).__mro__
+        f"{depth} {name}": code_hash(value.__code__)
+        for depth, one in enumerate(type(function).__mro__)
         for name, value in vars(one).items()
         if isinstance(value, FunctionType)
     }
