@@ -138,8 +138,8 @@ def test_rays_that_all_blocks_share_are_compared(scene, rays, tmp_path):
 
 
 def test_generated_rays_that_changed(scene, rays, tmp_path):
-    """3,999 rows that changed between those that were sampled were accepted: up to a million rays are all compared, when the job
-    is made, before each run, and after it, when what it has computed is removed again."""
+    """3,999 rows that changed between those that were sampled were accepted. Up to a million rays are all compared: when the job
+    is made, before each run, and after it; what a run has computed meanwhile is removed."""
     table, expected = rays[0].copy(), scene.occluded(*rays)
     spoil_at: list[int] = []
 
@@ -264,7 +264,7 @@ def test_options_of_rays_are_part_of_a_job(scene, rays, tmp_path):
         {"triangle_test": "moeller_trumbore"},
         {"skip": 5},
     ):
-        with pytest.raises(ValueError, match="begun with other (rays|options)"):
+        with pytest.raises(ValueError, match=r"begun with other (rays|options)"):
             wrt.cluster.Job(tmp_path / "job", scene.intersect_blocks(*rays, **{**wanted, **changed}))
     with pytest.raises(ValueError, match="begun with other options"):
         wrt.cluster.Job(tmp_path / "job", scene.intersect_blocks(*rays, **wanted), attributes=["t"])
@@ -370,8 +370,8 @@ def test_a_worker_with_other_things_is_refused(scene, rays, tmp_path, monkeypatc
     moved = wrt.Scene(wrt.TriangleMesh(scene.meshes[0].vertices * np.float32(2), scene.meshes[0].faces), device="cpu")
     with pytest.raises(ValueError, match="a worker has another scene"):
         run(moved, generated)
+    monkeypatch.setattr(job_blocks, "kept", lambda key, make: make())
     with pytest.raises(ValueError, match="makes other rays on a worker"):
-        monkeypatch.setattr(job_blocks, "kept", lambda key, make: make())
         run(scene, turned)
     assert job.status.done == 0
     run(scene, generated)

@@ -163,7 +163,7 @@ class PartLoader:
             raise ValueError(f"it has {mesh.triangle_count} triangles and {ids.shape} numbers, not {count}")
         if mesh.vertex_count != self.parts.vertices[number]:
             raise ValueError(f"it has {mesh.vertex_count} vertices, not {self.parts.vertices[number]}")
-        if ids[0] < 0 or ids[-1] >= self.parts.first[-1] or (np.diff(ids) <= 0).any():
+        if ids[0] < 0 or ids[-1] >= self.parts.first[-1] or (ids[1:] <= ids[:-1]).any():  # differences of int32 may wrap around
             raise ValueError("the numbers of its triangles do not ascend, or are not those of the scene")
         vertices, width = shifted(self.parts.center, mesh.vertices), native_width(self.settings.device)
         low, high = (wp.vec3(*corner.tolist()) for corner in self.parts.bounds)
