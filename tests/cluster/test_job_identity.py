@@ -138,7 +138,7 @@ def test_rays_that_all_blocks_share_are_compared(scene, rays, tmp_path):
 
 
 def test_generated_rays_that_changed(scene, rays, tmp_path):
-    """3,999 rows that changed between those that were sampled were accepted. Up to a million rays are all compared: when the job
+    """3,999 rows that changed between those that were sampled were accepted. Up to a million are all compared: when the job
     is made, before each run, and after it; what a run has computed meanwhile is removed."""
     table, expected = rays[0].copy(), scene.occluded(*rays)
     spoil_at: list[int] = []
@@ -249,9 +249,9 @@ def test_scenes_are_hashed_whole(monkeypatch):
     assert fingerprints.mesh_hash(wrt.TriangleMesh(mesh.vertices, mesh.faces)) in hashes
 
 
-def test_options_of_rays_are_part_of_a_job(scene, rays, tmp_path):
+def test_options_of_rays_are_part_of_a_job(rays, tmp_path):
     """Masks, environments, bounds and engines; numbers and arrays."""
-    wanted = {"mask": 3, "t_min": 0.5, "t_max": 9.0}
+    scene, wanted = instances(), {"mask": 3, "t_min": 0.5, "t_max": 9.0}
     wrt.cluster.Job(tmp_path / "job", scene.intersect_blocks(*rays, **wanted))
     wrt.cluster.Job(tmp_path / "job", scene.intersect_blocks(*rays, **wanted))
     for changed in (

@@ -25,6 +25,7 @@ from wrt.query.batches.block_limits import finished_before_interrupt, progress_b
 from wrt.query.batches.block_outputs import ATTRIBUTES, check_out, store
 from wrt.query.batches.block_work import BlockQuery
 from wrt.query.blocks import Blocks, Piece, joined
+from wrt.rays.rays import Rays
 from wrt.scene.storage import UNREADABLE
 
 OTHER = {
@@ -107,6 +108,7 @@ class Job:
         elif attributes is not None:
             raise ValueError("attributes is for closest hits without reduce; leave it out")
         if not self.folder.has_manifest():
+            self._try_query()
             rows = blocks.ranges(blocks.shape).step
             wanted = self._wanted(query, rows)
             with self.folder.locked():
@@ -114,6 +116,12 @@ class Job:
                     self.folder.create({**wanted, "rows": rows})
         self.manifest = self.folder.manifest()
         self._refuse_other(self._wanted(query, self.manifest["rows"]))
+
+    def _try_query(self) -> None:
+        """Asks the query with no rays, so that options which it refuses leave no folder behind. Functions are not called."""
+        work = self.blocks.work
+        if isinstance(work.rays, Rays):
+            replace(work, query=replace(work.query, reduction=None)).run(slice(0, 0), {})
 
     def _wanted(self, query: BlockQuery, rows: int) -> dict[str, Any]:
         """What the manifest says of a job, but its rows; notes the hashes of the blocks, if the rays are hashed whole."""
