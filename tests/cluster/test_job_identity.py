@@ -12,8 +12,9 @@ from conftest import mixed_rays
 import wrt
 from wrt.cluster import job_blocks
 from wrt.cluster.file_functions import FileFunction
-from wrt.cluster.identity import fingerprints
+from wrt.cluster.identity import array_hashes, ray_hashes
 from wrt.cluster.identity.described import code_of, options_text
+from wrt.cluster.identity.scene_hashes import mesh_hash, scene_hash
 from wrt.query.batches.block_work import BlockWork
 from wrt.query.batches.shared_files import share_scene
 from wrt.query.blocks import BYTES_PER_RAY
@@ -168,9 +169,9 @@ def test_generated_rays_that_changed(scene, rays, tmp_path):
 def test_large_batches_are_compared_in_pieces(scene, rays, tmp_path, monkeypatch):
     """Of arrays beyond 256 MB and of functions beyond a million rays, 64 pieces: the first and the last row are always among
     them, and a change of all rows is noticed."""
-    monkeypatch.setattr(fingerprints, "WHOLE", 1000)
-    monkeypatch.setattr(fingerprints, "PIECE", 240)
-    monkeypatch.setattr(fingerprints, "MADE", 640)
+    monkeypatch.setattr(ray_hashes, "WHOLE", 1000)
+    monkeypatch.setattr(array_hashes, "PIECE", 240)
+    monkeypatch.setattr(ray_hashes, "MADE", 640)
     for name in ("arrays", "function"):
         table = rays[0].copy()
 
@@ -225,28 +226,27 @@ def test_frames_are_scenes_of_their_own(rays, tmp_path):
         ("fuzzy", fuzzy, lambda: fuzzy.show(1), lambda: fuzzy.show(0)),
         ("groups", groups, lambda: groups.move({1: frames[1]}), lambda: groups.move({1: frames[0]})),
     ):
-        before = fingerprints.scene_hash(scene)
+        before = scene_hash(scene)
         job = wrt.cluster.Job(tmp_path / name, scene.occluded_blocks(*rays, memory=MEMORY))
         change()
-        assert fingerprints.scene_hash(scene) != before
+        assert scene_hash(scene) != before
         with pytest.raises(ValueError, match="the scene has changed since the job"):
             job.run(most=1)
         back()
-        assert fingerprints.scene_hash(scene) == before
+        assert scene_hash(scene) == before
 
 
 def test_scenes_are_hashed_whole(monkeypatch):
     """Arrays of vertices beyond 256 MB were sampled, as rays are."""
-    monkeypatch.setattr(fingerprints, "WHOLE", 1000)
-    monkeypatch.setattr(fingerprints, "PIECE", 100)
+    monkeypatch.setattr(array_hashes, "PIECE", 100)
     mesh = wrt.scenes.build("teapot", level=4)
     vertices, faces = mesh.vertices.copy(), mesh.faces.copy()
     vertices[577, 2] += 1e-3
     faces[[1300, 1301]] = faces[[1301, 1300]]
-    hashes = {fingerprints.mesh_hash(one) for one in (mesh, wrt.TriangleMesh(vertices, mesh.faces))}
-    hashes.add(fingerprints.mesh_hash(wrt.TriangleMesh(mesh.vertices, faces)))
+    hashes = {mesh_hash(one) for one in (mesh, wrt.TriangleMesh(vertices, mesh.faces))}
+    hashes.add(mesh_hash(wrt.TriangleMesh(mesh.vertices, faces)))
     assert len(hashes) == 3
-    assert fingerprints.mesh_hash(wrt.TriangleMesh(mesh.vertices, mesh.faces)) in hashes
+    assert mesh_hash(wrt.TriangleMesh(mesh.vertices, mesh.faces)) in hashes
 
 
 def test_options_of_rays_are_part_of_a_job(rays, tmp_path):
@@ -361,7 +361,7 @@ def test_a_worker_with_other_things_is_refused(scene, rays, tmp_path, monkeypatc
     generated = wrt.GeneratedRays(lambda first, count: (rays[0][first : first + count], rays[1][first : first + count]), COUNT)
     turned = wrt.GeneratedRays(lambda first, count: (rays[0][first : first + count], -rays[1][first : first + count]), COUNT)
     job = wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(generated, memory=MEMORY))
-    hash = fingerprints.generated_hash(generated)
+    hash = ray_hashes.generated_hash(generated)
     examine = job_blocks.ExamineBlock(str(tmp_path / "job"), job.manifest, None, hash, "another process")
 
     def run(scene: wrt.Scene, source: wrt.GeneratedRays) -> None:

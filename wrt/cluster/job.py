@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from wrt.cluster.identity.described import options_text
-from wrt.cluster.identity.fingerprints import hashes_of_blocks, is_whole, rays_hash, scene_hash
+from wrt.cluster.identity.ray_hashes import hashes_of_blocks, is_whole, rays_hash
+from wrt.cluster.identity.scene_hashes import scene_hash
 from wrt.cluster.job_blocks import BLOCK_HASH, ExamineBlock, block_count, chunk_label, has_rows, rows_of_block
 from wrt.cluster.job_folder import JobFolder
 from wrt.cluster.stored_answers import unpack_answer

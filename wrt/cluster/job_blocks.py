@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from wrt.cluster.identity.fingerprints import block_hash, generated_hash, scene_hash
+from wrt.cluster.identity.ray_hashes import block_hash, generated_hash
+from wrt.cluster.identity.scene_hashes import scene_hash
 from wrt.cluster.job_folder import JobFolder
 from wrt.cluster.stored_answers import pack_answer
 from wrt.query.batches.block_outputs import value_of

@@ -20,6 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
+from wrt.cluster.identity.scene_hashes import scene_hash
+
 ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
 """Where an object is in memory, as Python shows it."""
 
@@ -146,8 +148,6 @@ def described_class(cls: type, inside: Inside) -> Any:
 def described_object(value: Any, inside: Inside) -> Any:
     """Class and attributes of an object, or what it shows itself as if it has none; of a scene, the hash of its geometry."""
     if hasattr(getattr(value, "state", None), "device_mesh"):
-        from wrt.cluster.identity.fingerprints import scene_hash
-
         return ["scene", scene_hash(value)]
     if is_dataclass(value):
         attributes = {field.name: getattr(value, field.name) for field in fields(value)}
