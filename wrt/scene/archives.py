@@ -92,6 +92,8 @@ def read_archive(source: Path | BinaryIO) -> dict[str, np.ndarray]:
         OSError: the file cannot be read.
         ValueError: the file is not an archive of plain arrays, or it has changed since it was written.
     """
+    if isinstance(source, Path) and source.exists() and not source.is_file():
+        raise ValueError("it is not a regular file")  # a pipe would be waited for
     if not zipfile.is_zipfile(source):
         raise ValueError("it is not a complete archive")
     size = source.stat().st_size if isinstance(source, Path) else os.fstat(source.fileno()).st_size

@@ -1,9 +1,9 @@
 """Hashes of rays, by which a job notices that it is not the one that its folder began with.
 
-Batches of arrays of up to 256 MB each are hashed whole, block by block, so that every block can be compared when it is computed.
-Of larger arrays, 64 pieces of 1 MB that are spread evenly over them are hashed, and of files the size and the time of the last
-change. Of rays that a function makes, up to a million (2^20) are made and hashed, in up to 64 pieces that are spread evenly over
-the batch, and its code. What differs between these pieces only is not noticed.
+Batches of arrays of up to 256 MB each are hashed whole, block by block, so that every block can be compared when it is
+computed. Of larger arrays, 64 pieces of 1 MB that are spread evenly over them are hashed, and of files the size and the time of
+the last change. Of rays that a function makes, up to a million (2^20) are made and hashed, in up to 64 pieces that are spread
+evenly over the batch, and its code. What differs between these pieces only is not noticed.
 """
 
 from __future__ import annotations
