@@ -313,6 +313,10 @@ def test_functions_are_part_of_a_job(monkeypatch):
 
     other.__qualname__ = nested.__qualname__
 
+    plus, minus = (lambda values, axes: values + 1), (lambda values, axes: values - 1)
+    assert code_of(plus) != code_of(minus), "the same names and constants, another instruction"
+    assert options_text(plus) != options_text(minus)
+
     def reads(values, axes):
         return values[:LIMIT]
 

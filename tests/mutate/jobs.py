@@ -224,7 +224,7 @@ MUTATIONS = [
         path="builders/tree_check.py",
         old="return bool((numbers[1:] > numbers[:-1]).all())",
         new="return bool((np.diff(numbers) > 0).all())",
-        tests=f"{PARTS}::test_levels_of_a_tree_are_checked",
+        tests=f"{PARTS}::test_levels_that_wrap_around_are_refused",
         promise="Levels of a tree ascend",
     ),
     Mutation(
