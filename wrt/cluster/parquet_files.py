@@ -52,7 +52,7 @@ class ParquetColumns:
     def __init__(self, path: str | Path, columns: str | Sequence[str]) -> None:
         self.path = Path(path).absolute()
         self.paths = sorted(self.path.glob("*.parquet")) if self.path.is_dir() else [self.path]
-        if not self.paths or not self.paths[0].is_file():
+        if not self.paths or not all(one.is_file() for one in self.paths):  # a pipe would be waited for
             raise FileNotFoundError(f"there is no parquet file at '{path}'")
         self.columns = [columns] if isinstance(columns, str) else list(columns)
         self._sizes = [(os.stat(one).st_size, os.stat(one).st_mtime_ns) for one in self.paths]

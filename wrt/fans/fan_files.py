@@ -47,7 +47,13 @@ def load_fans(path: str | Path) -> TriangleMesh:
         if set(file.files) != {"vertices", "rims"}:
             raise ValueError(f"{path} does not hold fans; wrt.fans.fan_files.save_fans writes such files")
         vertices, rims = file["vertices"], file["rims"].astype(np.int64)
-    if not (rims.ndim == 1 and len(rims) and (rims >= 2).all() and vertices.shape == (int((rims + 1).sum()), 3)):
+    if not (
+        rims.ndim == 1
+        and len(rims)
+        and (rims >= 2).all()
+        and (rims <= len(vertices)).all()
+        and vertices.shape == (int((rims + 1).sum()), 3)
+    ):
         raise ValueError(f"{path} is damaged: its vertices are not those of its fans")
     first = np.cumsum(rims + 1) - (rims + 1)
     centre = np.repeat(first, rims - 1)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from copy import copy
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ import numpy as np
 from wrt.query.batches.block_limits import finished_before_interrupt, parse_memory, progress_bar
 from wrt.query.batches.block_outputs import TakeAttributes, check_out, for_workers, rows_together, store
 from wrt.query.batches.block_rows import GeneratedRays, Source, as_column, rows_of, rows_shape
-from wrt.query.batches.block_work import BlockQuery, BlockWork, Deliver, Submitter
+from wrt.query.batches.block_work import BlockQuery, BlockWork, Deliver, Examine, Submitter
 from wrt.query.batches.reductions import as_array, as_block_reduction
 from wrt.query.batches.task_window import run_tasks
 from wrt.query.batches.workers import Workers, as_workers
@@ -54,6 +55,8 @@ class Block(NamedTuple):
 
 class Blocks:
     """The answer to a large batch, computed block by block during iteration, written to arrays, or reduced.
+
+    All blocks of an iteration are answered by the scene as it was when the iteration began: an update meanwhile changes none.
 
         for rows, hits in scene.intersect_blocks(origins, directions):
             nearest[rows] = hits.t
@@ -196,18 +199,21 @@ class Blocks:
             return self.run_pieces(self._pieces(1), TakeAttributes.of(out))
         return self.run_pieces(self._pieces(rows_together(out)), for_workers(out))
 
-    def run_pieces(self, pieces: Iterator[Piece], deliver: Deliver | None, ordered: bool = True) -> Iterator[tuple[Piece, Any]]:
-        """Some blocks with their answers, or with what `deliver` returned of them.
+    def run_pieces(
+        self, pieces: Iterator[Piece], deliver: Deliver | None, ordered: bool = True, examine: Examine | None = None
+    ) -> Iterator[tuple[Piece, Any]]:
+        """Some blocks with their answers, or with what `deliver` returned of them. The scene is as it was at the first block.
 
         Args:
             pieces: the blocks.
             deliver: called with the rows and the answer of each block, by the worker that has computed it.
             ordered: whether answers come in the order of the pieces.
+            examine: as of `BlockWork`.
 
         Raises:
             RuntimeError: the workers that took a block died each time.
         """
-        work = replace(self.work, deliver=deliver)
+        work = replace(self.work, scene=copy(self.work.scene), deliver=deliver, examine=examine)
         if self.workers is not None:
             yield from run_tasks(pieces, Submitter(work, self.workers).submit, self.workers, ordered)
             return
