@@ -8,7 +8,7 @@ MUTATIONS = [
         path="wrt/imaging/image_files.py",
         old="np.rint(np.clip(image, 0.0, 1.0) * 255.0)",
         new="(np.clip(image, 0.0, 1.0) * 255.0)",
-        tests="tests/interfaces/test_image.py::test_png_round_trip",
+        tests="tests/interfaces/test_image.py::test_floats_are_rounded_to_the_nearest_byte",
         promise="a picture of bytes comes back as it was saved",
     ),
     Mutation(

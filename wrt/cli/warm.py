@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from wrt.cli.arguments import busy, start_warp, target_options
+from wrt.cli.number_types import Whole
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -35,7 +36,7 @@ GRID = 128
 
 @click.command()
 @target_options
-@click.option("--jobs", type=click.IntRange(1, 64), help="Modules that are compiled at a time. [all cores]")
+@click.option("--jobs", type=Whole(1, 64), help="Modules that are compiled at a time. [all cores]")
 @click.option("--export", type=click.Path(path_type=Path, file_okay=False), help="Folder to copy the kernels to.")
 @click.option("--first-hit", is_flag=True, help="Only what builds a scene and traces few rays.")
 def warm(jobs: int | None, export: Path | None, first_hit: bool) -> None:

@@ -14,6 +14,7 @@ from wrt.bench.core.benchmark_results import ModelResult, Report, machine
 from wrt.bench.core.workloads import ORDERS, WORKLOADS, WorkloadMaker
 from wrt.bench.peers.peer_table import DEFAULT_PEERS, PEERS, make_peers
 from wrt.cli.arguments import start_warp, target_options
+from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import MAX_THREADS, get_num_threads
 from wrt.meshes.mesh import TriangleMesh
 
@@ -70,10 +71,10 @@ class BenchCommand(click.Command):
 @click.option(
     "--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; may be repeated. [all but flat]"
 )
-@click.option("--size", default=1024, show_default=True, type=click.IntRange(1), help="Views have SIZE x SIZE pixels.")
+@click.option("--size", default=1024, show_default=True, type=Whole(1), help="Views have SIZE x SIZE pixels.")
 @click.option("--order", default="tiles", show_default=True, type=click.Choice(ORDERS), help="Order of a view's pixels.")
-@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each contender.")
-@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads of each contender. [all cores]")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each contender.")
+@click.option("--threads", type=Whole(1, MAX_THREADS), help="CPU threads of each contender. [all cores]")
 @click.option("--device", default="cpu", show_default=True, help="Where wrt and wp.Mesh run, such as cuda:0.")
 @click.option("--builders/--no-builders", default=True, show_default=True, help="Compare builds.")
 @click.option("--startup/--no-startup", default=True, show_default=True, help="Compare start-up in fresh processes.")

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from wrt.cli.arguments import check_file
+from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import MAX_THREADS
 from wrt.meshes.mesh import TriangleMesh
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 SCENE_OPTIONS = {"teapot": {"level": 32, "ground": False}}
 """Where a scene's defaults do not suit: the teapot's ground would fill every view."""
 
-threads_option = click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
+threads_option = click.option("--threads", type=Whole(1, MAX_THREADS), help="CPU threads. [all cores]")
 json_option = click.option(
     "--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures."
 )
@@ -34,6 +36,7 @@ def load_model(name: str) -> TriangleMesh:
         if name in scenes.BUILTIN_SCENES and not Path(name).is_file():
             mesh = scenes.build(name, **SCENE_OPTIONS.get(name, {}))
             return TriangleMesh(mesh.vertices, mesh.faces, name=name)
+        check_file(Path(name))
         return TriangleMesh.load(name)
     except (FileNotFoundError, ValueError) as error:
         raise click.BadParameter(
