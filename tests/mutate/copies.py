@@ -122,14 +122,23 @@ def module_of(path: str) -> str:
 
 
 def link_kernels(source: Path, folder: Path) -> None:
-    """Puts the kernels of a kernel cache into another folder, as hard links where the file system has them."""
+    """Puts the kernels of a kernel cache into another folder, as hard links where the file system has them.
 
-    def link(of: str, to: str) -> None:
-        try:
-            os.link(of, to)
-        except OSError:
-            with suppress(FileNotFoundError):  # a process that compiles has just renamed it
-                shutil.copy2(of, to)
+    Other processes may use the cache: what they rename meanwhile is left out.
+    """
+    for place, _, files in os.walk(source):  # skips folders that are gone
+        target = folder / Path(place).relative_to(source)
+        target.mkdir(parents=True, exist_ok=True)
+        for name in files:
+            with suppress(FileNotFoundError):
+                link(os.path.join(place, name), target / name)
 
-    if source.is_dir():
-        shutil.copytree(source, folder, copy_function=link, dirs_exist_ok=True, ignore_dangling_symlinks=True)
+
+def link(source: str, target: Path) -> None:
+    """Links a file, or copies it to another file system."""
+    try:
+        os.link(source, target)
+    except FileNotFoundError:
+        raise
+    except OSError:
+        shutil.copy2(source, target)

@@ -60,8 +60,8 @@ def _kernels() -> dict[str, Any]:
 def list_tables(words: tuple[str, ...], as_json: bool) -> None:
     """Lists every algorithm with its paper, and the built-in scenes.
 
-    With WORDs only those that have all of them in their names, papers, authors, years or the titles of their tables, in capitals
-    or not, with accents or without. The exit status is 1 if there are none.
+    With WORDs, only those that have all of them in their names, papers, authors, years or the titles of their tables. Capitals
+    and accents do not matter. The exit status is 1 if there are none.
     """
     from wrt.cli.catalogue import all_tables, with_words
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +20,10 @@ from wrt.meshes.mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.status import Status
+
+LINE_SECONDS = 10.0
+"""Seconds between lines about progress where stderr is no terminal."""
 
 SCENE_OPTIONS = {"teapot": {"level": 32, "ground": False}}
 """Where a scene's defaults do not suit: the teapot's ground would fill every view."""
@@ -68,17 +74,48 @@ def write_json(path: Path | None, figures: dict[str, Any]) -> None:
             path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
 
 
+class Steps:
+    """Says on stderr what is under way: the latest step at a terminal, and elsewhere a line every `LINE_SECONDS`.
+
+    Args:
+        status: what shows it at a terminal; None elsewhere.
+    """
+
+    def __init__(self, status: Status | None = None) -> None:
+        self._status, self._said = status, -inf
+
+    def __call__(self, name: str) -> None:
+        """Begins a step."""
+        text = f"bench: {name}"
+        if self._status is not None:
+            self._status.update(text)
+        elif time.monotonic() - self._said >= LINE_SECONDS:
+            self._said = time.monotonic()
+            click.echo(text, err=True)
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Shows nothing inside the `with` block, in which tables are printed."""
+        if self._status is not None:
+            self._status.stop()
+        try:
+            yield
+        finally:
+            if self._status is not None:
+                self._status.start()
+
+
 @contextmanager
-def progress() -> Iterator[Callable[[str], None]]:
-    """What to call with the name of each step: shown on stderr if that is a terminal."""
+def progress() -> Iterator[Steps]:
+    """What to call with the name of each step."""
     from rich.console import Console
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield lambda name: None
+        yield Steps()
         return
     with console.status("bench") as status:
-        yield lambda name: status.update(f"bench: {name}")
+        yield Steps(status)
 
 
 @contextmanager
@@ -89,7 +126,7 @@ def progress_bar(steps: int) -> Iterator[Callable[[str], None]]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield lambda name: None
+        yield Steps()
         return
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("bench", total=steps)
