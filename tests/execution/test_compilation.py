@@ -301,7 +301,9 @@ def test_a_program_that_ends_does_not_wait_for_what_it_expected(tmp_path):
 # -- kernels that lie ready --------------------------------------------------------------------------------------------
 
 EXPORT = (
-    "load(kernels, cpu)\nprint(json.dumps(shipped_kernels.export(kernels, __import__('pathlib').Path(sys.path[0], 'ship'))))\n"
+    "load(kernels, cpu)\n"
+    "from pathlib import Path\n"
+    "print(json.dumps(shipped_kernels.export([kernel.module for kernel in kernels], Path(sys.path[0], 'ship'))))\n"
 )
 USE = (
     "answers = [run(k) for k in kernels]\n"
