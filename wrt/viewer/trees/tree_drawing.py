@@ -1,8 +1,8 @@
 """A tree as a drawing: the boxes of its nodes in a plane, level by level, and what each level costs.
 
 The cost is what the surface area heuristic expects: a ray that meets the root's box meets a box within it with the ratio of
-their surface areas as probability. Summed over a level, that is the number of its nodes that such a ray visits, and of the blocks
-of its leaves whose triangles are tested, if nothing ends the ray before.
+their surface areas as probability. Summed over a level, that is the number of its nodes that such a ray visits, and of the
+blocks of its leaves whose triangles are tested, if nothing ends the ray before.
 
 References:
     J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE Computer Graphics and
