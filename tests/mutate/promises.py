@@ -50,7 +50,7 @@ MUTATIONS = [
         path="kernels/layout/ray_batch.py",
         old="ray.t_max = wp.where(t_max > FARTHEST, FARTHEST, t_max)",
         new="ray.t_max = t_max",
-        tests="tests/triangles/test_short_directions.py::test_no_hit_at_infinity",
+        tests="tests/triangles/test_short_directions.py::test_a_hit_beyond_float32_is_none",
         promise="no hit is at infinity",
     ),
     Mutation(
@@ -72,7 +72,7 @@ MUTATIONS = [
         path="kernels/layout/instance_maps.py",
         old="mask = rays.mask[i * rays.mask_stride]",
         new="mask = rays.mask[0]",
-        tests="tests/scenes/test_instances.py::test_masks",
+        tests="tests/scenes/test_instances.py::test_masks[bvh]",
         promise="rays meet the instances of their own masks",
     ),
     Mutation(
@@ -147,14 +147,14 @@ MUTATIONS = [
         path="wrt/tapes.py",
         old="if tape_records() and any(",
         new="if not tape_records() and any(",
-        tests="tests/queries/test_gradients.py::test_queries_do_not_lose_gradients_in_silence",
+        tests="tests/queries/test_gradients.py::test_queries_do_not_lose_gradients_in_silence[cpu-origins-intersect]",
         promise="inside a `wp.Tape` no gradient is lost without an error",
     ),
     Mutation(
         path="kernels/query/hit_gradients.py",
         old="exact_module(__name__, gradients=True)",
         new="exact_module(__name__)",
-        tests="tests/queries/test_gradients.py::test_finite_differences",
+        tests="tests/queries/test_gradients.py::test_finite_differences[cpu-t]",
         promise="gradients of hits are those of finite differences",
     ),
     # -- threads and interrupts ----------------------------------------------------------------------------------------

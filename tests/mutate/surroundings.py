@@ -36,8 +36,8 @@ MUTATIONS = [
         path="kernels/shading/film.py",
         old="openness = float(received.open_rays[i]) / float(received.ambient_samples)",
         new="openness = float(received.open_rays[i]) / float(received.ambient_samples + 1)",
-        tests="tests/interfaces/test_render.py::test_openness_in_front_of_a_wall",
-        promise="ambient light in front of a wall is that of its closed form",
+        tests="tests/interfaces/test_render.py::test_ambient_distance_limits_what_darkens",
+        promise="where no ambient ray is occluded, all of the sky arrives",
     ),
     # -- sensors -------------------------------------------------------------------------------------------------------
     Mutation(
@@ -66,7 +66,7 @@ MUTATIONS = [
         path="wrt/adapters/trimesh_rays.py",
         old="index_ray = np.flatnonzero(hits.is_hit)",
         new="index_ray = np.arange(len(origins))",
-        tests="tests/interfaces/test_trimesh_rays.py::test_bad_rays_miss",
+        tests="tests/interfaces/test_trimesh_rays.py::test_first_hits_and_bounds",
         promise="the shape of trimesh holds our answers: rays that miss have no row",
     ),
     # -- processes and targets -----------------------------------------------------------------------------------------
