@@ -126,7 +126,7 @@ def test_a_feature_compiles_what_its_first_call_needs(needed_modules):
     camera = wrt.PinholeCamera.framing(scene, 150, 130)
     hits = scene.intersect(camera.rays())
     assert hits.normal.shape == (130, 150, 3)
-    scene.occluded(hits.spawn(-camera.rays().directions))
+    scene.occluded(hits.spawn(-camera.rays().directions), -camera.rays().directions)
     assert not {module.name for module in needed_modules - modules}
 
 

@@ -129,7 +129,7 @@ def _visible(samples: Samples) -> None:
 
 def _spawn(samples: Samples) -> None:
     rays = samples.camera.rays()
-    samples.scene.occluded(samples.scene.intersect(rays).spawn(-rays.directions))
+    samples.scene.occluded(samples.scene.intersect(rays).spawn(-rays.directions), -rays.directions)
 
 
 def _precise(samples: Samples) -> None:
