@@ -121,6 +121,12 @@ def test_pictures_that_cannot_be_written(tmp_path, monkeypatch):
 
 def test_values_of_scenes(tmp_path):
     """Literals nested without end are none of Python's, and long ones are not repeated in full."""
+    too_many = run("info", "--scene", "atrium", "--option", "bays=(100000000,100000000)")
+    assert_one_line(too_many, 2)
+    assert "bays must be at most 10000, got 100000000" in too_many.stderr
+    assert_one_line(run("info", "--scene", ""), 2)
+    assert "size must be positive" in run("info", "--scene", "random_triangles", "--option", "size=nan").stderr
+    assert_one_line(run("render", "-o", "a.png", "--camera", "1e300,0,0"), 2)
     for value in ("(" * 3000, "[" * 100_000, "-" * 50_000 + "1", "9" * 5000, "nan", "(1,", "{}"):
         result = run("info", "--option", f"level={value}")
         assert_one_line(result, 1, 2)

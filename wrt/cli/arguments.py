@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from wrt.cli.number_types import Whole
+from wrt.cli.number_types import LARGEST, Whole
 
 if TYPE_CHECKING:
     from wrt.meshes.mesh import TriangleMesh
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from wrt.scenes import BuiltinScene
 
 DEFAULT_SCENE = "teapot"
+WORDS = {"true": True, "false": False, "nan": float("nan"), "inf": float("inf"), "-inf": float("-inf")}
+"""Values of options of scenes that are no literals of Python; scenes refuse those that they cannot be made with."""
+
 UP_NAMES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -35,7 +38,7 @@ class Vector(click.ParamType):
             numbers = tuple(float(part) for part in value.split(","))
         except ValueError:
             numbers = ()
-        if len(numbers) != 3 or not all(abs(x) < float("inf") for x in numbers):
+        if len(numbers) != 3 or not all(abs(x) <= LARGEST for x in numbers):
             self.fail(f"{value!r} is not three numbers x,y,z", param, ctx)
         return numbers
 
@@ -107,7 +110,7 @@ def load_mesh(given: Mapping[str, Any], materials: bool = False) -> tuple[Triang
         check_file(given["model"])
         with busy(f"reading {given['model']}"):
             return TriangleMesh.load(given["model"], materials=materials), None
-    name = given["scene"] or DEFAULT_SCENE
+    name = DEFAULT_SCENE if given["scene"] is None else given["scene"]
     if name not in BUILTIN_SCENES:
         raise click.BadParameter(f"{name!r} is unknown; choose from {', '.join(BUILTIN_SCENES)}", param_hint="--scene")
     try:
@@ -128,14 +131,14 @@ def check_file(path: Path) -> None:
 
 
 def _scene_options(pairs: tuple[str, ...], level: int | None) -> dict[str, Any]:
-    """Parses options KEY=VALUE; values are Python literals (16, 0.5, (6, 3)), true, false, or else strings."""
+    """Parses options KEY=VALUE; values are Python literals (16, 0.5, (6, 3)), `WORDS`, or else strings."""
     options: dict[str, Any] = {} if level is None else {"level": level}
     for pair in pairs:
         key, equals, text = pair.partition("=")
         if not equals or not key.isidentifier():
             raise click.BadParameter(f"{pair!r} is not KEY=VALUE", param_hint="--option")
         try:
-            options[key] = {"true": True, "false": False}[text] if text in ("true", "false") else ast.literal_eval(text)
+            options[key] = WORDS[text] if text in WORDS else ast.literal_eval(text)
         except (ValueError, SyntaxError):
             options[key] = text
         except (RecursionError, MemoryError, TypeError):
