@@ -15,7 +15,7 @@ MUTATIONS = [
         path="wrt/query/skip.py",
         old="if not skip.is_of(scene):",
         new="if skip is None:",
-        tests="tests/queries/test_skip.py::test_other_scenes",
+        tests="tests/contracts/test_misuse.py::test_hits_of_another_scene_are_refused",
         promise="hits of another scene are refused",
     ),
     Mutation(
@@ -115,7 +115,7 @@ MUTATIONS = [
         path="wrt/meshes/mesh_arrays.py",
         old="array = frozen(array)  # copied before the check: the caller could change the original",
         new="pass",
-        tests="tests/scenes/test_mesh.py::test_right_arrays_are_copied_once",
+        tests="tests/scenes/test_mesh.py::test_indices_are_checked_in_the_copy",
         promise="indices are checked in the copy that kernels read",
     ),
     Mutation(
