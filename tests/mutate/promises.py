@@ -181,8 +181,8 @@ MUTATIONS = [
     ),
     Mutation(
         path="kernels/runtime/pool.py",
-        old="                    self._finish(slot)\n",
-        new="                    slot.stop()\n",
+        old="self._interrupted.append((slot, (job, used)))",
+        new="self._interrupted.append((slot, None))",
         tests="tests/execution/test_pool.py::test_an_interrupted_wait_frees_nothing_that_helpers_use",
         promise="after Ctrl-C, nothing that helpers still use is freed",
     ),
