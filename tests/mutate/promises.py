@@ -100,7 +100,7 @@ MUTATIONS = [
         path="wrt/scene/archives.py",
         old="if CHECKSUM not in arrays or str(arrays.pop(CHECKSUM)) != checksum(arrays):",
         new="if CHECKSUM not in arrays or not arrays.pop(CHECKSUM):",
-        tests="tests/scenes/test_storage.py::test_damaged_and_foreign_files",
+        tests="tests/contracts/test_misuse.py::test_a_forged_scene_is_refused",
         promise="damaged files are refused",
     ),
     # -- arrays and memory ---------------------------------------------------------------------------------------------
