@@ -42,6 +42,7 @@ _threads: list[threading.Thread] = []
 _queue: SimpleQueue[tuple[Key, Future[None]] | None] = SimpleQueue()
 _pending: dict[Key, Future[None]] = {}
 _is_exiting = False
+_loaded: dict[tuple[wp.Module, str], None] = {}
 
 
 def compile_jobs() -> int:
@@ -104,6 +105,13 @@ def load_modules(modules: Iterable[wp.Module], device: wp.Device, block_dim: int
         for module in modules:
             if is_compiled(module, device, block_dim) or not shipped_kernels.load(module, device, block_dim):
                 load_module(module, device, block_dim)
+            _loaded[module, device.alias] = None
+
+
+def loaded_modules(device: wp.Device) -> list[wp.Module]:
+    """The modules that this process has loaded on a device by `load_modules`, in the order of their first use."""
+    with _lock:
+        return [module for module, alias in _loaded if alias == device.alias]
 
 
 def _begin(key: Key) -> None:

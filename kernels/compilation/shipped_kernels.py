@@ -109,8 +109,8 @@ def key_of(module: wp.Module) -> str:
     return content.hexdigest()
 
 
-def export(kernels: Iterable[wp.Kernel], destination: Path) -> int:
-    """Copies the compiled modules of kernels from the kernel cache, for the current target; returns how many.
+def export(modules: Iterable[wp.Module], destination: Path) -> int:
+    """Copies compiled modules from the kernel cache, for the current target; returns how many.
 
     Raises:
         ValueError: the target is "native": code for this CPU alone.
@@ -119,7 +119,7 @@ def export(kernels: Iterable[wp.Kernel], destination: Path) -> int:
     name, device = target_name(), wp.get_device("cpu")
     if name == "native":
         raise ValueError("kernels for the target 'native' are for this CPU alone; choose x86-64-v3 or x86-64-v4")
-    modules = {kernel.module for kernel in kernels}
+    modules = set(modules)
     place = destination / name
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)

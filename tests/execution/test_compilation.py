@@ -183,11 +183,13 @@ def test_a_number_of_jobs_that_is_none(monkeypatch, text):
 
 def test_progress_is_for_a_terminal(cache, monkeypatch, capfd):
     """It counts, on stderr alone, before the first module is compiled; and says nothing of modules that are cached."""
+    monkeypatch.delenv("WRT_SHOW_COMPILING", raising=False)
+    monkeypatch.setattr(compile_progress, "_noticed", True)
     monkeypatch.setenv("WRT_COMPILE_JOBS", "1")  # so that the first to be compiled is the first to read
     monkeypatch.setattr(compile_progress, "_expected", 0)
     monkeypatch.setattr(compile_progress, "_done", 0)
     module_compiler.load_modules([Module(cache, "unseen")], CPU, 1)
-    assert capfd.readouterr() == ("", ""), "no terminal"
+    assert capfd.readouterr() == ("", ""), "no terminal, and the notice has been given"
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     seen = []
     modules = [Module(cache, f"m{i}", lambda: seen.append(capfd.readouterr().err)) for i in range(3)]
@@ -198,6 +200,28 @@ def test_progress_is_for_a_terminal(cache, monkeypatch, capfd):
     assert err.endswith("wrt: compiling kernels for this CPU, once: 4 of 4\n")
     module_compiler.load_modules(modules, CPU, 1)
     assert capfd.readouterr() == ("", ""), "cached"
+
+
+def test_a_process_says_once_that_it_compiles(cache, monkeypatch, capfd):
+    """Into a file or a pipe: a first call was silent for a minute there. Nothing is said where all is cached."""
+    monkeypatch.delenv("WRT_SHOW_COMPILING", raising=False)
+    monkeypatch.setenv("WRT_COMPILE_JOBS", "1")  # so that the first to be compiled is the first to read
+    monkeypatch.setattr(compile_progress, "_noticed", False)
+    cached = Module(cache, "cached")
+    compile_progress.show_compiling(False)
+    module_compiler.load_modules([cached], CPU, 1)
+    compile_progress.show_compiling(None)
+    module_compiler.load_modules([cached], CPU, 1)
+    assert capfd.readouterr() == ("", ""), "silenced, then cached"
+    seen = []
+    modules = [Module(cache, f"m{i}", lambda: seen.append(capfd.readouterr().err)) for i in range(3)]
+    module_compiler.load_modules(modules, CPU, 1)
+    assert "".join(seen) == f"{compile_progress.NOTICE}\n", "said before it compiles, once"
+    module_compiler.load_modules([Module(cache, "later")], CPU, 1)
+    assert capfd.readouterr() == ("", "")
+    monkeypatch.setattr(compile_progress, "_noticed", False)
+    monkeypatch.setattr("sys.stderr", None)
+    module_compiler.load_modules([Module(cache, "closed")], CPU, 1)
 
 
 def test_progress_can_be_silenced_or_asked_for(cache, monkeypatch, capfd):
@@ -277,7 +301,9 @@ def test_a_program_that_ends_does_not_wait_for_what_it_expected(tmp_path):
 # -- kernels that lie ready --------------------------------------------------------------------------------------------
 
 EXPORT = (
-    "load(kernels, cpu)\nprint(json.dumps(shipped_kernels.export(kernels, __import__('pathlib').Path(sys.path[0], 'ship'))))\n"
+    "load(kernels, cpu)\n"
+    "from pathlib import Path\n"
+    "print(json.dumps(shipped_kernels.export([kernel.module for kernel in kernels], Path(sys.path[0], 'ship'))))\n"
 )
 USE = (
     "answers = [run(k) for k in kernels]\n"

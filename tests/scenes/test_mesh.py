@@ -9,6 +9,7 @@ import trimesh
 
 import wrt
 from wrt.meshes.mesh import TriangleMesh
+from wrt.meshes.mesh_arrays import checked_faces
 from wrt.meshes.plain_ply import read_plain_ply
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
@@ -37,6 +38,7 @@ def with_vertex(index, value):
         (SQUARE, [], ValueError, r"faces is empty"),
         (np.empty((0, 3)), TWO, ValueError, r"there are 0 vertices"),
         (SQUARE, [[0, 1, 2], [0, 2, 4], [9, 0, 1]], ValueError, r"faces\[1\] refers to vertex 4, but there are 4"),
+        (SQUARE, [[0, 1, 4]], ValueError, r"faces\[0\] refers to vertex 4, but there are 4"),  # the first that is none
         (SQUARE, [[0, 1, 2], [0, -1, 2]], ValueError, r"faces\[1\] refers to vertex -1"),
         (SQUARE, np.array([[0, 1, 2**40]]), ValueError, r"faces\[0\] refers to vertex 1099511627776"),
         (SQUARE, np.array([[0, 1, 2**32 + 2]], dtype=np.uint64), ValueError, r"refers to vertex 4294967298"),
@@ -106,6 +108,23 @@ def test_right_arrays_are_copied_once(dtype):
     again = TriangleMesh(mesh.vertices, mesh.faces)
     assert np.shares_memory(again.vertices, mesh.vertices)
     assert np.shares_memory(again.faces, mesh.faces)
+
+
+def test_indices_are_checked_in_the_copy():
+    """Between the check and the copy, another thread could write to the caller's array."""
+    faces = TWO.astype(np.int32)
+
+    class Count:
+        """Compares as the number of vertices, and writes to the array then."""
+
+        __array_ufunc__ = None
+
+        def __le__(self, largest):
+            faces[:] = 1 << 30
+            return len(SQUARE) <= largest
+
+    np.testing.assert_array_equal(checked_faces(faces, Count()), TWO)
+    assert (faces == 1 << 30).all()
 
 
 @pytest.mark.parametrize("dtype", [np.int8, np.uint16, np.int64, np.float16, ">f8", np.longdouble])

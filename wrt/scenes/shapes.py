@@ -16,12 +16,14 @@ from wrt.meshes.mesh import TriangleMesh
 __all__ = ["boxes", "check_count", "check_positive", "copies", "lathe", "plane", "sheets", "without_collapsed"]
 
 
-def check_count(name: str, value: Any, minimum: int = 1) -> int:
-    """Returns a whole number of at least `minimum`, or raises a TypeError or ValueError that names the argument."""
+def check_count(name: str, value: Any, minimum: int = 1, maximum: int = 2**31 - 1) -> int:
+    """Returns a whole number from `minimum` to `maximum`, or raises a TypeError or ValueError that names the argument."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise TypeError(f"{name} must be a whole number, got {value!r}")
     if value < minimum:
         raise ValueError(f"{name} must be at least {minimum}, got {value}")
+    if value > maximum:
+        raise ValueError(f"{name} must be at most {maximum}, got {value}")
     return int(value)
 
 
