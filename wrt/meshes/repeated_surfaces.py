@@ -78,7 +78,7 @@ def needed_twice(corners: np.ndarray, repeated: np.ndarray) -> np.ndarray:
     rows = np.flatnonzero(repeated)
     count, extra = np.bincount(edge.ravel()), np.bincount(edge[rows].ravel(), minlength=edge.max() + 1)
     others = count - 2 * extra
-    # where an odd number of repetitions ends, an odd number of others says that they are too many, an even one that they are not
+    # where an odd number of repetitions ends, an odd number of others says that they are too many, an even one that not
     at_end = (extra % 2 == 1) & (others > 0)
     votes = np.where(at_end, np.where(others % 2 == 1, 1, -1), 0)
     patch = connected(edge[rows])
