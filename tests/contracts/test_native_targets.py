@@ -1,62 +1,31 @@
-"""Native snippets compile for every CPU: instructions are builtins, those of one CPU are guarded, and width and target differ.
+"""Native snippets compile for every CPU and every width; for snippets as they are, see `test_native_snippets.py`.
 
-Warp's Clang has no assembler, so an instruction in assembly ended the process on ARM. The packing of paths chose its instruction
-by the target alone, so a width other than the target's was an error of Clang.
+Warp's Clang has no assembler, so an instruction in assembly ended the process on ARM. The packing of paths chose its
+instruction by the target alone, so a width other than the target's was an error of Clang.
 """
 
 from __future__ import annotations
 
 import ctypes
 import platform
-import re
 
 import numpy as np
 import pytest
 import warp as wp
-from test_native_snippets import snippets  # noqa: F401
+from native_guards import has_assembly, x86_without_guard
 
 from wrt.kernels.compilation.target import AVX2, AVX512, TARGETS, WIDTHS, cpu_features
-from wrt.kernels.runtime.board import LEAD, NATIVE, SERVE
+from wrt.kernels.runtime.board import NATIVE
 from wrt.kernels.shading.paths.plain_paths import pack_words
 from wrt.kernels.simd.lane_vectors import vector_words
 from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.interleaved.child_order import push_reversed, push_sorted
 from wrt.kernels.traversal.stream.stream_lists import BLOCK_LANES
 
-FOR_X86 = re.compile(r"(?<!!)defined\((__x86_64__|__AVX\w*__|__SSE\w*__)\)")
-ASSEMBLY = re.compile(r"\basm\b|__asm__|__asm\b")
-SYMBOL = re.compile(r"\)\s*__asm__\(\"\w+\"\)")
-"""The name of a function in the library, behind its declaration."""
-
-
-def x86_without_guard(snippet: str) -> list[str]:
-    """Lines with builtins of x86 that are compiled for other CPUs, too."""
-    found: list[str] = []
-    conditions: list[str] = []
-    for line in snippet.splitlines():
-        word = line.strip()
-        if word.startswith("#if"):
-            conditions.append(word)
-        elif word.startswith("#el"):
-            conditions[-1] = word
-        elif word.startswith("#endif"):
-            conditions.pop()
-        elif "__builtin_ia32_" in line and not any(FOR_X86.search(condition) for condition in conditions):
-            found.append(word)
-    return found
-
-
-def test_snippets_are_for_every_cpu(snippets):  # noqa: F811
-    codes = {name: function.native_snippet for name, functions in snippets.items() for function in functions}
-    for name, code in {**codes, "serve": SERVE, "lead": LEAD}.items():
-        assert not ASSEMBLY.search(SYMBOL.sub(")", code)), f"{name} has an instruction in assembly"
-        assert not x86_without_guard(code), f"{name}: {x86_without_guard(code)}"
-        assert "#include" not in code, name
-
 
 def test_what_is_no_snippet_for_every_cpu():
-    assert ASSEMBLY.search(SYMBOL.sub(")", '__asm__ volatile("yield");'))
-    assert not ASSEMBLY.search(SYMBOL.sub(")", 'int wrt_yield(void) __asm__("sched_yield");'))
+    assert has_assembly('__asm__ volatile("yield");')
+    assert not has_assembly('int wrt_yield(void) __asm__("sched_yield");')
     call = "__builtin_ia32_pause();\n"
     assert not x86_without_guard(f"#if defined(__x86_64__)\n{call}#endif")
     for other in (f"#if defined(__x86_64__)\n#else\n{call}#endif", f"#if !defined(__AVX2__)\n{call}#endif", call):
@@ -83,7 +52,7 @@ WORDS = {
         + "const int n = wrt_push(key, mask, from, to); for (int i = 0; i < n; ++i) to[i] = to[DEPTH + i]; return n;"
     ),
 }
-"""C++ that moves those of W numbers together that a mask selects: forwards, or backwards ("reversed": the lowest comes last)."""
+"""C++ that moves those of W numbers together that a mask selects; "reversed" puts the lowest last."""
 
 LEVELS = {"any": ("-target-cpu x86-64", frozenset()), "x86-64-v3": (None, AVX2), "x86-64-v4": (None, AVX512)}
 

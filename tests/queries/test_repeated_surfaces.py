@@ -79,9 +79,9 @@ def test_a_surface_that_is_written_twice_is_there_once(name, tree):
 def test_as_the_body_without_repetitions(device):
     """To the bit, near edges and corners too, for every fifth triangle of a sphere in whatever order, and in another mesh."""
     body = trimesh.creation.icosphere(3)
-    vertices, faces = np.asarray(body.vertices) + [3.0, 1.0, -2.0], np.asarray(body.faces)
+    vertices, faces = np.add(body.vertices, (3.0, 1.0, -2.0)), np.asarray(body.faces)
     way = np.array(inside.DIRECTIONS[0])
-    points = np.concatenate([body.vertices, body.triangles_center, body.vertices[body.edges].mean(axis=1)]) + [3.0, 1.0, -2.0]
+    points = np.concatenate([vertices, vertices[faces].mean(axis=1), vertices[np.asarray(body.edges)].mean(axis=1)])
     points = np.concatenate([points - 0.3 * way, points - 3.0 * way, points + 0.001 * way])
     plain = wrt.Scene(wrt.TriangleMesh(vertices, faces), device=device)
     twice = wrt.TriangleMesh(vertices, np.concatenate([faces, np.roll(faces[::5], 2, axis=1)]))

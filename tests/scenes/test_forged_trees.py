@@ -50,7 +50,7 @@ def inner_pair(tree) -> int:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda pairs, at: pairs[:-1], "does not exist"),
+        (lambda pairs, at: pairs[: len(pairs) // 2], "does not exist"),
         (lambda pairs, at: np.where(np.arange(len(pairs))[:, None] == [-1, 0], -5 << 2, pairs), "does not exist"),
         (lambda pairs, at: put(pairs, at, 0, 7), "not those of the tree"),
         (lambda pairs, at: put(pairs, at, 1, LEAF), "not those of the tree"),

@@ -48,11 +48,11 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
     """Whether points are inside the scene's meshes; see `wrt.Scene.contains`."""
     from wrt.kernels.query.ordering.ray_order import sort_rays, unsort_hits
 
-    scene = scene.distinct()
     with use_threads(scene.num_threads):
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         aim(buffers.batch, DIRECTIONS[0], scene.device)
         buffers.scattered = detect_coherence(buffers.batch, scene.device).scattered
+        scene = scene.distinct()  # has the same centre
         plan = make_plan(scene, buffers, traversal, AUTO, COUNT)
         inside = odd_crossings(scene, plan, buffers)
         if not scene.is_closed:
