@@ -10,7 +10,7 @@ FORGED = "tests/scenes/test_forged_trees.py"
 MUTATIONS = [
     Mutation(
         path="wrt/query/inside.py",
-        old="        scene = scene.distinct()  # has the same centre\n",
+        old="        scene = scene.distinct()\n",
         new="",
         tests=f"{REPEATED}::test_a_surface_that_is_written_twice_is_there_once[all twice-bvh]",
         promise="A triangle that repeats an earlier one does not change `contains`",

@@ -49,10 +49,10 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
     from wrt.kernels.query.ordering.ray_order import sort_rays, unsort_hits
 
     with use_threads(scene.num_threads):
+        scene = scene.distinct()
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         aim(buffers.batch, DIRECTIONS[0], scene.device)
         buffers.scattered = detect_coherence(buffers.batch, scene.device).scattered
-        scene = scene.distinct()  # has the same centre
         plan = make_plan(scene, buffers, traversal, AUTO, COUNT)
         inside = odd_crossings(scene, plan, buffers)
         if not scene.is_closed:
