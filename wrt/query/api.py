@@ -230,8 +230,10 @@ class Queries:
         A triangle that repeats an earlier one exactly, with the same side in front, is left out, unless another body is
         closed by it; so is an instance of an equal mesh with equal transform and environment. If there are any, the first
         call builds a second tree. A triangle that is there with both sides in front counts twice, as the common wall of
-        two bodies that touch. `verify` says what a parity cannot answer on a mesh. Points whose distance to the surface is within float32 rounding,
-        relative to the scene's centre, may count as inside or outside. A point with a NaN or an infinity is outside.
+        two bodies that touch. `verify` says what a parity cannot answer on a mesh.
+
+        Points whose distance to the surface is within float32 rounding, relative to the scene's centre, may count as inside
+        or outside. A point with a NaN or an infinity is outside.
 
         Args:
             points: (..., 3).
