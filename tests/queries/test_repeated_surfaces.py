@@ -54,6 +54,7 @@ BODIES = {
     "one twice": (box(FACES[:1]), in_box(0)),
     "one three times": (box(FACES[3:4], FACES[3:4]), in_box(0)),
     "a side twice, and one across": (box(FACES[2:4], FACES[7:8]), in_box(0)),
+    "both sides of every face": (box(TURNED), np.zeros(len(POINTS), dtype=bool)),
     "minus zero": (
         wrt.TriangleMesh(np.concatenate([VERTICES, -0.0 - -VERTICES]), np.concatenate([FACES, FACES + 8])),
         in_box(0),
