@@ -24,7 +24,7 @@ import warp as wp
 
 from wrt.kernels.compilation import compile_progress, shipped_kernels
 from wrt.kernels.compilation.cores import available_cores
-from wrt.kernels.compilation.kernel_cache import is_compiled, load_module
+from wrt.kernels.compilation.kernel_cache import is_compiled, load_compiled, load_module
 
 VARIABLE = "WRT_COMPILE_JOBS"
 
@@ -103,7 +103,9 @@ def load_modules(modules: Iterable[wp.Module], device: wp.Device, block_dim: int
         raise RuntimeError("no kernel is compiled any more: the interpreter is exiting")
     with _lock:
         for module in modules:
-            if is_compiled(module, device, block_dim) or not shipped_kernels.load(module, device, block_dim):
+            if is_compiled(module, device, block_dim) and load_compiled(module, device, block_dim):
+                continue
+            if not shipped_kernels.load(module, device, block_dim):
                 load_module(module, device, block_dim)
             _loaded[module, device.alias] = None
 

@@ -225,8 +225,15 @@ class Queries:
         Decided by parity: a point is inside if a ray from it crosses the surface an odd number of times. If every mesh is
         closed (`TriangleMesh.is_closed`), the direction of the ray does not matter. Otherwise the majority of three
         directions decides, which is unreliable near holes. With several meshes, or shells within each other, a point is
-        inside if an odd number of them contain it. Points whose distance to the surface is within float32 rounding,
-        relative to the scene's centre, may count as inside or outside. A point with a NaN or an infinity is outside.
+        inside if an odd number of them contain it.
+
+        A triangle that repeats an earlier one exactly, with the same side in front, is left out, unless another body is
+        closed by it; so is an instance of an equal mesh with equal transform and environment. If there are any, the first
+        call builds a second tree. A triangle that is there with both sides in front counts twice, as the common wall of
+        two bodies that touch. `verify` says what a parity cannot answer on a mesh.
+
+        Points whose distance to the surface is within float32 rounding, relative to the scene's centre, may count as inside
+        or outside. A point with a NaN or an infinity is outside.
 
         Args:
             points: (..., 3).
@@ -263,7 +270,7 @@ class Queries:
         return visible(self.state, points_a, points_b)
 
     def verify(self, samples: int = 1000, seed: int = 0) -> Verification:
-        """Compares `intersect` and `occluded` with brute force in float64, on this scene and this machine.
+        """Compares `intersect`, `occluded` and `contains` with brute force in float64, on this scene and this machine.
 
         Uses the scene's triangle test: `wrt.Scene(mesh, triangle_test="moeller_trumbore").verify()` checks another one.
 
@@ -273,6 +280,7 @@ class Queries:
 
         A quarter of the rays is random, a quarter is aimed at vertices, a quarter at edges, and a quarter grazes triangles.
         The reference tests every triangle against every ray, so the time grows with the number of triangles and of samples.
+        `contains` is compared with winding numbers at as many points, at fewer if there are more than 20,000 triangles.
 
         Args:
             samples: number of rays, at least 4.

@@ -9,6 +9,9 @@ then tested, and where the first two disagree, a third decides.
 
 With several meshes, or shells within each other, a point is inside if an odd number of them contain it.
 
+A triangle that repeats an earlier one, the same side in front, is left out (`SceneState.distinct`): the surface is there once.
+One that is turned over counts, so that bodies may touch: see `wrt.meshes.repeated_surfaces`.
+
 References:
     M. Shimrat: Algorithm 112: Position of point relative to polygon. Communications of the ACM 5(8), 1962 (parity).
 """
@@ -46,6 +49,7 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
     from wrt.kernels.query.ordering.ray_order import sort_rays, unsort_hits
 
     with use_threads(scene.num_threads):
+        scene = scene.distinct()
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         aim(buffers.batch, DIRECTIONS[0], scene.device)
         buffers.scattered = detect_coherence(buffers.batch, scene.device).scattered

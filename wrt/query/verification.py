@@ -15,7 +15,8 @@ length is L and height h as seen along the ray (see `wrt.kernels.query.spawn`):
   tolerance, all hit something nearer. If they do not (at silhouettes and at the rims of holes), rounding may decide either
   way; these rays are counted as undecided.
 
-If `occluded` contradicts `intersect`, that is a miss or a false hit, too.
+If `occluded` contradicts `intersect`, that is a miss or a false hit, too. `contains` is compared with winding numbers
+(`wrt.query.checks.inside_check`).
 
 References:
     S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
@@ -32,6 +33,7 @@ from wrt.kernels.query.nearest64 import nearest_hits, vertex_rows
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.answers import closest_hits, ray_values
+from wrt.query.checks.inside_check import InsideCheck, check_inside
 from wrt.rays.rays import Rays
 from wrt.state.query_kinds import ANY, CLOSEST, Query
 
@@ -112,6 +114,7 @@ class Verification:
             "vertices that no triangle uses" (which affect no answer).
         explained: number of faults at triangles with each defect.
         faults: the first few wrong answers.
+        inside: of `Scene.contains`, with what that cannot answer on this mesh.
     """
 
     rays: dict[str, int]
@@ -123,11 +126,12 @@ class Verification:
     mesh: dict[str, int]
     explained: dict[str, int]
     faults: tuple[Fault, ...]
+    inside: InsideCheck
 
     @property
     def ok(self) -> bool:
         """Whether no answer was wrong."""
-        return not any((*self.misses.values(), *self.false_hits.values()))
+        return not any((*self.misses.values(), *self.false_hits.values(), self.inside.wrong))
 
     def __str__(self) -> str:
         from io import StringIO
@@ -159,7 +163,10 @@ class Verification:
         console.print(found)
         for fault in self.faults:
             console.print(str(fault), highlight=False, markup=False)
-        console.print("no answer is wrong" if self.ok else "answers are WRONG", highlight=False)
+        for line in self.inside.lines():
+            console.print(line, highlight=False, markup=False)
+        right = "no answer of intersect and occluded is wrong" if self.inside.doubts else "no answer is wrong"
+        console.print(right if self.ok else "answers are WRONG", highlight=False)
 
 
 def verify(scene: SceneState, samples: int, seed: int) -> Verification:
@@ -178,6 +185,7 @@ def verify(scene: SceneState, samples: int, seed: int) -> Verification:
     origins, directions = origins.astype(np.float64), directions.astype(np.float64)
     with use_threads(scene.num_threads):
         check = Check(scene, vertices, faces, origins, directions)
+        inside = check_inside(scene, joined, rng, samples, TOLERANCE)
     kind_of = np.repeat(np.arange(len(KINDS)), sizes)
 
     def by_kind(marked: np.ndarray) -> dict[str, int]:
@@ -196,6 +204,7 @@ def verify(scene: SceneState, samples: int, seed: int) -> Verification:
         mesh={defect: number for defect, (number, _) in defects.items()},
         explained={defect: int(marked[triangle[triangle >= 0]].sum()) for defect, (_, marked) in defects.items()},
         faults=tuple(check.fault(ray) for ray in wrong[:EXAMPLES]),
+        inside=inside,
     )
 
 
