@@ -68,19 +68,20 @@ class FileImages:
         """(H, W, 3) uint8."""
         from PIL import Image
 
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the limit below stands in place of Pillow's warning
-            try:
-                with Image.open(io.BytesIO(data)) as image:
-                    width, height = image.size
-                    if width * height <= MAX_PIXELS:
-                        return np.array(image.convert("RGB"))
-            except Image.DecompressionBombError:
-                width = height = 0
-            except Exception as error:  # decoders of thirty formats raise many types of error
-                self._source.warn(f"{what} cannot be read ({type(error).__name__}: {error}); the surface is plain")
-                return None
-        size = f"{width} x {height} pixels" if width else "more pixels than can be read"
+        size = "more pixels than can be read"
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit below stands in its place
+                image = Image.open(io.BytesIO(data))
+            with image:
+                if image.width * image.height <= MAX_PIXELS:
+                    return np.array(image.convert("RGB"))
+                size = f"{image.width} x {image.height} pixels"
+        except Image.DecompressionBombError:
+            pass
+        except Exception as error:  # decoders of thirty formats raise many types of error
+            self._source.warn(f"{what} cannot be read ({type(error).__name__}: {error}); the surface is plain")
+            return None
         raise ValueError(
             f"{what} has {size}, and those of more than {MAX_PIXELS:,} are not read; make it smaller, or load the mesh with "
             "materials=False and map the image from a file: wrt.Texture(np.load(..., mmap_mode='r'))"

@@ -20,6 +20,9 @@ __all__ = ["Triangles", "triangulate"]
 MAX_CONCAVE = 10_000
 """Corners of a concave polygon; cutting ears takes time in proportion to their square."""
 
+MANY_REFLEX = 48
+"""Inward corners from which on they are compared by NumPy."""
+
 CHUNK = 1 << 18
 """Corners that are looked at together."""
 
@@ -119,6 +122,7 @@ class EarClipping:
         self.points = points
         self.left = list(range(len(points)))
         self.x, self.y = points[:, 0].tolist(), points[:, 1].tolist()
+        self.x_all, self.y_all = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
         self.reflex = {k for k in self.left if self._turn(k - 1, k, (k + 1) % len(self.left)) <= 0.0}
 
     def run(self) -> list[tuple[int, int, int]]:
@@ -155,6 +159,8 @@ class EarClipping:
         turn = self._turn(a, b, c)
         if turn < 0.0 or (turn == 0.0 and strict):
             return False
+        if len(self.reflex) > MANY_REFLEX:
+            return not self._holds_any(a, b, c, strict)
         own = {(self.x[k], self.y[k]) for k in (a, b, c)}
         for other in self.reflex:
             if other in (a, b, c) or (self.x[other], self.y[other]) in own:
@@ -164,3 +170,15 @@ class EarClipping:
             if least > 0.0 or (strict and least == 0.0):
                 return False
         return True
+
+    def _holds_any(self, a: int, b: int, c: int, strict: bool) -> bool:
+        """The same for many corners at once."""
+        others = np.fromiter(self.reflex, dtype=np.int64, count=len(self.reflex))
+        px, py = self.x_all[others], self.y_all[others]
+        inside = np.ones(len(others), dtype=bool)
+        for i, j in ((a, b), (b, c), (c, a)):
+            side = (self.x[j] - self.x[i]) * (py - self.y[j]) - (self.y[j] - self.y[i]) * (px - self.x[j])
+            inside &= side >= 0.0 if strict else side > 0.0
+        for k in (a, b, c):
+            inside &= (px != self.x[k]) | (py != self.y[k])
+        return bool(inside.any())

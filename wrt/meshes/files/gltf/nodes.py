@@ -53,11 +53,12 @@ def placed_meshes(document: Document) -> list[PlacedMesh]:
     children = [_children(document, number) for number in range(count)]
     below = {child for some in children for child in some}
     tops = [number for number in range(count) if number not in below]
-    order, worlds = _walk(document, tops, children)
+    local = local_matrices([document.item("nodes", number) for number in range(count)])
+    order, worlds = _walk(document, tops, children, local)
     scenes = document.list_of("scenes")
     if scenes:
         roots = document.item("scenes", document.json.get("scene", 0)).get("nodes", [])
-        inside, _ = _walk(document, roots, children)
+        inside, _ = _walk(document, roots, children, local)
     else:
         inside = order
     placed = []
@@ -75,33 +76,50 @@ def _children(document: Document, number: int) -> list[int]:
     return list(given)
 
 
-def _walk(document: Document, roots: list[Any], children: list[list[int]]) -> tuple[list[int], dict[int, np.ndarray]]:
+def _walk(
+    document: Document, roots: list[Any], children: list[list[int]], local: np.ndarray
+) -> tuple[list[int], dict[int, np.ndarray]]:
     """Nodes below some roots, each before its children, and their maps to the scene."""
     order: list[int] = []
     worlds: dict[int, np.ndarray] = {}
     waiting = [(root, np.eye(4)) for root in reversed(roots)]
     while waiting:
         number, above = waiting.pop()
-        node = document.item("nodes", number)
+        document.item("nodes", number)
         if number in worlds:
             raise ValueError(f"nodes[{number}] has two parents, or is below itself; those of glTF are trees")
-        worlds[number] = above @ local_matrix(node, f"nodes[{number}]")
+        worlds[number] = above @ local[number]
         order.append(number)
         waiting += [(child, worlds[number]) for child in reversed(children[number])]
     return order, worlds
 
 
-def local_matrix(node: dict[str, Any], what: str) -> np.ndarray:
-    """(4, 4) float64, from a node to its parent: its matrix, by columns, or translation x rotation x scale."""
-    if node.get("matrix") is not None:
-        matrix = _array(node["matrix"], 16, f"the matrix of {what}").reshape(4, 4).T
-        if (np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)) > 1e-6).any():
-            raise ValueError(f"the matrix of {what} is not affine: its last row is {matrix[3].tolist()}")
-        return np.concatenate([matrix[:3], [[0.0, 0.0, 0.0, 1.0]]])
-    translation = _array(node.get("translation", (0, 0, 0)), 3, f"the translation of {what}")
-    rotation = _array(node.get("rotation", (0, 0, 0, 1)), 4, f"the rotation of {what}")
-    scale = _array(node.get("scale", (1, 1, 1)), 3, f"the scale of {what}")
-    return matrices_of(translation[None], rotation[None], scale[None])[0]
+def local_matrices(nodes: list[dict[str, Any]]) -> np.ndarray:
+    """(N, 4, 4) float64, from each node to its parent: its matrix, by columns, or translation x rotation x scale."""
+    found = matrices_of(
+        _table(nodes, "translation", (0.0, 0.0, 0.0)),
+        _table(nodes, "rotation", (0.0, 0.0, 0.0, 1.0)),
+        _table(nodes, "scale", (1.0, 1.0, 1.0)),
+    )
+    for number, node in enumerate(nodes):
+        if node.get("matrix") is not None:
+            matrix = _array(node["matrix"], 16, f"the matrix of nodes[{number}]").reshape(4, 4).T
+            if (np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)) > 1e-6).any():
+                raise ValueError(f"the matrix of nodes[{number}] is not affine: its last row is {matrix[3].tolist()}")
+            found[number, :3] = matrix[:3]
+    return found
+
+
+def _table(nodes: list[dict[str, Any]], name: str, default: tuple[float, ...]) -> np.ndarray:
+    """(N, k) float64: a value of all nodes."""
+    values = [default if node.get(name) is None else node[name] for node in nodes]
+    try:
+        table = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        table = np.zeros(0)
+    if table.shape != (len(nodes), len(default)) or not np.isfinite(table).all():
+        table = np.array([_array(one, len(default), f"the {name} of nodes[{n}]") for n, one in enumerate(values)])
+    return table
 
 
 def matrices_of(translation: np.ndarray, rotation: np.ndarray, scale: np.ndarray) -> np.ndarray:
