@@ -11,7 +11,7 @@ from wrt.meshes.files.mesh_source import FileMesh, MeshSource, read_regular_file
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["OWN_FORMATS", "read_by_trimesh", "read_own_format"]
+__all__ = ["OWN_FORMATS", "parse_mesh", "read_by_trimesh", "read_own_format"]
 
 OWN_FORMATS = ("glb", "gltf", "obj", "off", "ply", "stl")
 
@@ -32,9 +32,14 @@ def _reader(suffix: str) -> Callable[[bytes, MeshSource], FileMesh]:
 
 def read_own_format(path: Path, suffix: str, materials: bool | None, outside: bool) -> FileMesh:
     """What a file of one of `OWN_FORMATS` holds. Errors as of `wrt.TriangleMesh.load`."""
-    data = read_regular_file(path, "a mesh file")
+    return parse_mesh(read_regular_file(path, "a mesh file"), suffix, MeshSource(path, materials, outside))
+
+
+def parse_mesh(data: bytes, suffix: str, source: MeshSource) -> FileMesh:
+    """What the bytes of a file of one of `OWN_FORMATS` are. Errors as of `wrt.TriangleMesh.load`."""
+    path = source.path
     try:
-        return _reader(suffix)(data, MeshSource(path, materials, outside))
+        return _reader(suffix)(data, source)
     except (ValueError, FileNotFoundError) as error:
         raise ValueError(f"cannot read '{path}' as .{suffix}: {error}") from error
     except (TypeError, KeyError, AttributeError, IndexError, OverflowError) as error:  # JSON of another structure
