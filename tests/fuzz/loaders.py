@@ -2,8 +2,8 @@
 
 What is mutated are the valid files of `tests/support` (`hostile_files`, `hostile_gltf`) and some with materials and images.
 Bytes and numbers are changed as in `files`; the JSON of glTF is also changed as a tree: values, keys and members of lists are
-replaced, removed or repeated. A file is refused with a ValueError that says why, or what was read is a mesh: finite points, valid
-indices, materials that fit the triangles. Reading takes no file system: what a file refers to is in the case.
+replaced, removed or repeated. A file is refused with a ValueError that says why, or what was read is a mesh: finite points,
+valid indices, materials that fit the triangles. Reading takes no file system: what a file refers to is in the case.
 """
 
 from __future__ import annotations
@@ -148,8 +148,8 @@ def make_case(rng: np.random.Generator) -> Case:
 def changed_json(rng: np.random.Generator, data: bytes) -> bytes:
     """A file of glTF in which a value, or some bytes of a buffer, are others."""
     if data[:4] == b"glTF":
-        size = int.from_bytes(data[12:16], "little")
-        text, rest = changed_json(rng, data[20 : 20 + size]), data[20 + size :]
+        end, size = (int.from_bytes(data[at : at + 4], "little") for at in (8, 12))
+        text, rest = changed_json(rng, data[20 : 20 + size]), data[20 + size : end]
         text += b" " * (-len(text) % 4)
         length = 20 + len(text) + len(rest)
         return data[:8] + length.to_bytes(4, "little") + len(text).to_bytes(4, "little") + data[16:20] + text + rest
