@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 import wrt
+from wrt.meshes.files.mesh_reading import parse_mesh
 from wrt.meshes.files.mesh_source import FileMesh, MeshSource
-from wrt.meshes.mesh_reading import parse_mesh
 
 from .cases import Case, WrongAnswer
 from .files import MUTATIONS

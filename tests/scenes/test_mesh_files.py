@@ -17,6 +17,7 @@ from written_gltf import GltfWriter
 
 import wrt
 from wrt import TriangleMesh
+from wrt.meshes.instance import as_instances
 
 ALL = [*FILES, *GLTF_FILES]
 
@@ -302,6 +303,18 @@ def test_wrapping_and_transform_of_images(tmp_path):
     path.write_text(json.dumps(document))
     with pytest.raises(ValueError, match="material 'wood' has wrapS, wrapT = 4711"):
         TriangleMesh.load(path)
+
+
+def test_deep_graphs_of_trimesh(tmp_path):
+    """trimesh orders the products of a path of 3,000 nodes for hours; `wrt.Scene(trimesh.load(...))` did not return."""
+    import trimesh
+
+    file = next(one for one in GLTF_FILES if one.name == "chain_of_3000_nodes.gltf")
+    file.write(tmp_path / file.name)
+    graph = trimesh.load(tmp_path / file.name, process=False)
+    np.testing.assert_allclose(TriangleMesh.from_trimesh(graph).bounds, file.bounds)
+    (instance,) = as_instances(graph)
+    np.testing.assert_allclose(instance.transform[:3, 3], file.bounds[0])
 
 
 # -- up ----------------------------------------------------------------------------------------------------------------

@@ -21,10 +21,11 @@ import numpy as np
 
 from wrt.materials.material import Material
 from wrt.materials.mesh_materials import MeshMaterials, joined_materials, make_mesh_materials
+from wrt.meshes.files.mesh_reading import OWN_FORMATS, read_by_trimesh, read_own_format
+from wrt.meshes.files.up_in_files import with_stated_up
+from wrt.meshes.graph_transforms import graph_transform
 from wrt.meshes.mesh_arrays import checked_faces, checked_vertices, frozen
 from wrt.meshes.mesh_measures import extremes, first_of_equal_points, normals_and_areas
-from wrt.meshes.mesh_reading import OWN_FORMATS, read_by_trimesh, read_own_format
-from wrt.meshes.mesh_writing import write_mesh
 from wrt.meshes.up_axis import Direction, checked_up, common_up, mapped_up, up_of_format
 
 if TYPE_CHECKING:
@@ -138,10 +139,10 @@ class TriangleMesh:
                 f"expected a trimesh.Trimesh or trimesh.Scene, got {type(source).__name__}; "
                 "give arrays to TriangleMesh(vertices, faces) and paths to TriangleMesh.load(path)"
             )
-        parts = []
+        parts, known = [], {}
         for node in source.graph.nodes_geometry:
-            matrix, geometry_name = source.graph[node]
-            geometry = source.geometry[geometry_name]
+            matrix, data = graph_transform(source, node, known), source.graph.transforms.node_data
+            geometry = source.geometry[data[node]["geometry"]]
             if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
                 parts.append(cls.from_trimesh(geometry, materials=materials).transformed(matrix))
         if not parts:
@@ -158,13 +159,20 @@ class TriangleMesh:
         """Writes a file in the format of the extension of `path` (.ply .obj .stl .glb .off ...), without materials.
 
         An upward direction that is not the format's own (y in glTF, OBJ, OFF and PLY files) is kept. PLY, OBJ, OFF and STL have
-        no place for it: it is a comment, which `load` reads and other programs skip. In .glb files, where y is up by standard,
+        no place for it: it is a comment, which `load` reads and other programs skip. In glTF files, where y is up by standard,
         a node turns the mesh, so that it stands upright in other programs; `load` undoes that.
 
         Raises:
             ValueError: trimesh cannot write that format.
         """
-        write_mesh(self.to_trimesh(), Path(path), self._up)
+        suffix = Path(path).suffix.lower().lstrip(".")
+        options = {"embed_buffers": True} if suffix == "gltf" else {}
+        try:
+            data = self.to_trimesh().export(file_type=suffix, **options)
+        except ValueError as error:
+            raise ValueError(f"cannot write '{path}' as '.{suffix}' ({error}); use .ply, .obj, .stl or .glb") from error
+        data = data["model.gltf"] if isinstance(data, dict) else data
+        Path(path).write_bytes(with_stated_up(data.encode() if isinstance(data, str) else data, suffix, self._up))
 
     # -- properties --------------------------------------------------------------------------------------------------------
 

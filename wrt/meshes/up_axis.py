@@ -36,7 +36,7 @@ def stated_up(remarks: Iterable[str]) -> Direction | None:
         if len(words) == 4 and words[0] == "up":
             try:
                 return checked_up([float(word) for word in words[1:]])
-            except ValueError:
+            except (TypeError, ValueError):
                 continue
     return None
 

@@ -1,35 +1,27 @@
-"""Writes mesh files by trimesh, and the upward direction into them (`wrt.TriangleMesh.save`)."""
+"""The upward direction in mesh files: as a comment, or, in glTF, where y is up by standard, as a node that turns the mesh."""
 
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wrt.meshes.up_axis import Y_UP, Z_UP, Direction, up_of_format, up_remark
 
-if TYPE_CHECKING:
-    import trimesh
-
-__all__ = ["write_mesh"]
+__all__ = ["with_stated_up"]
 
 
-def write_mesh(mesh: trimesh.Trimesh, path: Path, up: Direction | None) -> None:
-    """Writes a file. Errors as of `wrt.TriangleMesh.save`."""
-    suffix = path.suffix.lower().lstrip(".")
-    stated = up is not None and up != (up_of_format(suffix) or Z_UP) and suffix in REMARKS
-    try:
-        if not stated or suffix == "gltf":
-            mesh.export(str(path), file_type=suffix)  # a .gltf file has others beside it
-            data = path.read_bytes() if stated else b""
-        else:
-            data = mesh.export(file_type=suffix)
-    except ValueError as error:
-        raise ValueError(f"cannot write '{path}' as '.{suffix}' ({error}); use .ply, .obj, .stl or .glb") from error
-    if stated:
-        path.write_bytes(REMARKS[suffix](data.encode() if isinstance(data, str) else data, up))
+def with_stated_up(data: bytes, suffix: str, up: Direction | None) -> bytes:
+    """The contents of a file that state an upward direction, if it is known and not that of the format.
+
+    Args:
+        data: of the file.
+        suffix: of the format, without the dot; formats other than `REMARKS` are left as they are.
+        up: a unit vector, or None.
+    """
+    if up is None or suffix not in REMARKS or up == (up_of_format(suffix) or Z_UP):
+        return data
+    return REMARKS[suffix](data, up)
 
 
 def _in_ply(data: bytes, up: Direction) -> bytes:
