@@ -143,7 +143,7 @@ def test_compressed_primitives_without_a_fallback_are_refused(tmp_path):
 
 def test_concave_polygons_of_any_size():
     """A star of 4,000 corners is cut; one of more than 10,000 is refused before it takes minutes."""
-    from wrt.meshes.files.polygons import triangulate
+    from wrt.meshes.files.triangulation import triangulate
 
     for count, fits in ((4000, True), (10_002, False)):
         angle = 2 * np.pi * np.arange(count) / count

@@ -20,8 +20,8 @@ from wrt.materials.trimesh_materials import to_linear
 from wrt.meshes.files.corner_values import checked_colors, checked_uv
 from wrt.meshes.files.mesh_source import FileMesh, MeshSource
 from wrt.meshes.files.mtl_file import UvMap, read_materials_of
-from wrt.meshes.files.polygons import triangulate
 from wrt.meshes.files.text_lines import TextLines, parse_numbers, plain_text, words_per_line
+from wrt.meshes.files.triangulation import triangulate
 from wrt.meshes.up_axis import stated_up
 
 __all__ = ["read_obj"]

@@ -15,7 +15,7 @@ from wrt.meshes.files.corner_values import checked_colors, checked_uv
 from wrt.meshes.files.file_images import FileImages
 from wrt.meshes.files.mesh_source import FileMesh, MeshSource
 from wrt.meshes.files.ply_rows import Element, Header, List, Rows, read_elements, read_header
-from wrt.meshes.files.polygons import check_corners, triangulate
+from wrt.meshes.files.triangulation import check_corners, triangulate
 from wrt.meshes.up_axis import stated_up
 
 __all__ = ["read_ply"]
