@@ -33,7 +33,8 @@ class UvMap:
     offset: tuple[float, float] = (0.0, 0.0)
 
     def __call__(self, uv: np.ndarray) -> np.ndarray:
-        return (uv * np.float32(self.scale) + np.float32(self.offset)).astype(np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return (uv * np.float32(self.scale) + np.float32(self.offset)).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -174,4 +174,5 @@ def _materials(
     if uv is not None and any(one != UvMap() for one in maps):
         for number, one in enumerate(maps):
             uv[of_face == number] = one(uv[of_face == number])
+        uv = checked_uv(uv, source)  # a scale may lead out of float32
     return MeshMaterials(tuple(found[name][0] if name else Material() for name in unique), of_face, uv)
