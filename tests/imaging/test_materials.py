@@ -11,6 +11,8 @@ import trimesh
 from PIL import Image
 
 import wrt
+from wrt.kernels.shading.bsdf import material_table
+from wrt.materials.material import WRAPS
 from wrt.scenes.shapes import boxes, plane
 
 RED, BLUE = wrt.Material(color=(0.9, 0.1, 0.1)), wrt.Material("glossy", color=(0.1, 0.1, 0.9), roughness=0.3)
@@ -106,6 +108,19 @@ def test_textures_that_do_not_repeat(memory):
     corner = [linear[np.ix_(rows[i], columns[j])] for i in (0, 1) for j in (0, 1)]
     expected = (1 - g) * ((1 - f) * corner[0] + f * corner[1]) + g * ((1 - f) * corner[2] + f * corner[3])
     np.testing.assert_allclose(found, 0.5 * expected, atol=2e-3)
+
+
+def test_coordinates_beyond_an_image():
+    """What the kernels' functions make of them, called from Python: nothing is compiled."""
+    coordinates = [-1.25, -0.25, 0.0, 0.25, 1.0, 1.25, 2.75]
+    expected = {
+        "repeat": [0.75, 0.75, 0.0, 0.25, 0.0, 0.25, 0.75],
+        "clamp": [0.0, 0.0, 0.0, 0.25, 1.0, 1.0, 1.0],
+        "mirror": [0.75, 0.25, 0.0, 0.25, 1.0, 0.75, 0.75],
+    }
+    for number, wrap in enumerate(WRAPS):
+        found = [material_table.folded.func(coordinate, number) for coordinate in coordinates]
+        assert found == pytest.approx(expected[wrap]), wrap
 
 
 @pytest.mark.parametrize("wrap", ["tile", ("repeat",), ("clamp", 1), 3, None])

@@ -156,7 +156,7 @@ MUTATIONS = [
         path="kernels/shading/bsdf/material_table.py",
         old="        found = wp.clamp(coordinate, 0.0, 1.0)",
         new="        found = wp.clamp(coordinate, -1.0, 1.0)",
-        tests="tests/imaging/test_materials.py::test_textures_that_do_not_repeat",
+        tests="tests/imaging/test_materials.py::test_coordinates_beyond_an_image",
         promise="Images go on beyond their edges as their `wrap` says.",
     ),
 ]
