@@ -140,6 +140,11 @@ def check_shadows(names):
     np.testing.assert_array_equal(names["fraction"][:100], np.float32(1.0) - names["hidden"].mean(axis=1, dtype=np.float32))
 
 
+def check_mesh_files(names):
+    assert names["mesh"].triangle_count == 4
+    assert names["mesh"].surface_area == 3.0
+
+
 def check_moving(names):
     assert set(names["met"].instance_id) >= {-1, 0, 1, 100}
     assert names["shade"].mean() <= names["forest"].occluded(names["origins"], names["directions"]).mean() < 1
@@ -224,6 +229,7 @@ CHECKS = {
     "guides/sensors.md": check_sensors,
     "guides/shadows.md": check_shadows,
     "guides/sun_hours.md": check_sun_hours,
+    "guides/mesh_files.md": check_mesh_files,
     "guides/moving.md": check_moving,
     "guides/large_batches.md": check_large_batches,
     "guides/clusters.md": check_clusters,

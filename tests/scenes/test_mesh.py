@@ -10,7 +10,6 @@ import trimesh
 import wrt
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.mesh_arrays import checked_faces
-from wrt.meshes.plain_ply import read_plain_ply
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
@@ -264,23 +263,36 @@ def test_plain_ply_files_are_read_as_by_trimesh(tmp_path, monkeypatch, order, re
     assert (mesh.name, mesh.up, mesh.materials) == ("mesh", (0.0, 1.0, 0.0), expected.materials)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        ply_file()[:-1],
-        ply_file() + b"more",
-        ply_file(more="property float weight\n") + bytes(8),
-        ply_file(corners=2),
-        ply_file().replace(b"element vertex 4", b"element vertex 9999999999"),
-        ply_file().replace(b"element face 2", b"element face 0"),
-        b"ply\nformat ascii 1.0\n",
-    ],
-    ids=["cut", "longer", "property", "corners", "vertices", "faces", "ascii"],
-)
-def test_other_ply_files_are_left_to_trimesh(tmp_path, content):
+def loaded_with(tmp_path, content):
     path = tmp_path / "mesh.ply"
     path.write_bytes(content)
-    assert read_plain_ply(path) is None
+    return TriangleMesh.load(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (ply_file()[:-1], "ends before the last of 2 rows of the element 'face'"),
+        (ply_file().replace(b"element vertex 4", b"element vertex 9999999999"), "rows of the element 'vertex'"),
+        (ply_file().replace(b"element face 2", b"element face 0"), "no triangles"),
+        (b"ply\nformat ascii 1.0\n", "no line 'end_header'"),
+    ],
+    ids=["cut", "vertices", "faces", "header"],
+)
+def test_ply_files_that_are_cut_off_are_refused(tmp_path, content, message):
+    with pytest.raises(ValueError, match=message):
+        loaded_with(tmp_path, content)
+
+
+def test_ply_files_with_more_in_them(tmp_path):
+    """Bytes behind the last row are named; other properties are skipped."""
+    with pytest.warns(UserWarning, match=r"mesh\.ply': 4 bytes behind the last"):
+        np.testing.assert_array_equal(loaded_with(tmp_path, ply_file() + b"more").faces, TWO)
+    rows = np.zeros(len(TWO), dtype=[("corners", "u1"), ("vertex", "<i4", 3), ("weight", "<f4")])
+    rows["corners"], rows["vertex"] = 3, TWO
+    plain = ply_file(more="property float weight\n")
+    content = plain[: -len(TWO) * 13] + rows.tobytes()
+    np.testing.assert_array_equal(loaded_with(tmp_path, content).faces, TWO)
 
 
 @pytest.mark.parametrize("suffix", ["ply", "obj", "stl", "off", "glb"])

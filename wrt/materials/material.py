@@ -13,25 +13,32 @@ __all__ = ["KINDS", "Material", "Texture"]
 KINDS = ("diffuse", "mirror", "dielectric", "glossy")
 """In the order of their numbers in `wrt.kernels.shading.bsdf.material_table`."""
 
+WRAPS = ("repeat", "clamp", "mirror")
+"""How images go on beyond their edges, in the order of their numbers there."""
+
 Color = tuple[float, float, float]
 
 
 class Texture:
-    """An image that varies a material over a surface. It repeats outside [0, 1), and is interpolated bilinearly.
+    """An image that varies a material over a surface, interpolated bilinearly.
 
     Args:
         image: (H, W), (H, W, 3) or (H, W, 4), uint8 or floats in [0, 1]; or an image of Pillow. Row 0 is at the top, where v
             is 1. Stored with 8 bits a channel. Alpha is ignored.
+        wrap: how it goes on outside [0, 1]: "repeat", "clamp" (its edge) or "mirror" (repeated, every other time mirrored); one
+            for both directions, or a pair for u and v.
 
     Attributes:
         pixels: (H, W, 3) uint8.
+        wrap: (2,) str, of u and of v.
 
     Raises:
         TypeError: not an image.
-        ValueError: a wrong shape, or values that are not in [0, 1].
+        ValueError: a wrong shape, values that are not in [0, 1], or an unknown `wrap`.
     """
 
-    def __init__(self, image: Any) -> None:
+    def __init__(self, image: Any, *, wrap: str | tuple[str, str] = "repeat") -> None:
+        self.wrap = _wrap(wrap)
         if hasattr(image, "convert"):
             image = image.convert("RGB")
         array = np.asarray(image)
@@ -50,7 +57,12 @@ class Texture:
         self.pixels.flags.writeable = False
 
     def __repr__(self) -> str:
-        return f"Texture({self.pixels.shape[1]} x {self.pixels.shape[0]})"
+        wrap = "" if self.wrap == ("repeat", "repeat") else f", wrap={self.wrap}"
+        return f"Texture({self.pixels.shape[1]} x {self.pixels.shape[0]}{wrap})"
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Pickles of earlier versions have no `wrap`."""
+        self.__dict__.update({"wrap": ("repeat", "repeat")} | state)
 
 
 @dataclass(frozen=True)
@@ -144,6 +156,13 @@ def as_color(name: str, value: Any, maximum: float = np.inf) -> Color:
         limit = f"from 0 to {maximum:g}" if np.isfinite(maximum) else "finite and not negative"
         raise ValueError(f"{name} must be a number or three numbers (red, green, blue), {limit}, not {value!r}")
     return tuple(np.broadcast_to(color, 3).tolist())
+
+
+def _wrap(wrap: Any) -> tuple[str, str]:
+    pair = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap) if isinstance(wrap, tuple | list) else (wrap,)
+    if len(pair) != 2 or not all(isinstance(one, str) and one in WRAPS for one in pair):
+        raise ValueError(f"wrap must be one of {', '.join(map(repr, WRAPS))}, or a pair of them for u and v, not {wrap!r}")
+    return pair
 
 
 def _share(name: str, value: Any) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.meshes.graph_transforms import graph_transform
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, members_of
 
@@ -290,8 +291,10 @@ def is_graph(geometry: Any) -> bool:
 
 def graph_instances(scene: Any) -> list[Instance]:
     """The nodes of a trimesh.Scene that hold triangles, in the order of its graph."""
-    placed = [scene.graph[node] for node in graph_nodes(scene)]
-    instances = [Instance(scene.geometry[name], matrix) for matrix, name in placed]
+    names, known = scene.graph.transforms.node_data, {}
+    instances = [
+        Instance(scene.geometry[names[node]["geometry"]], graph_transform(scene, node, known)) for node in graph_nodes(scene)
+    ]
     if not instances:
         raise ValueError("no triangles in the trimesh.Scene: it needs a mesh (point clouds and paths do not count)")
     return instances
@@ -300,4 +303,5 @@ def graph_instances(scene: Any) -> list[Instance]:
 def graph_nodes(scene: Any) -> list[str]:
     """Names of the nodes of a trimesh.Scene that hold triangles, in the order of its graph."""
     filled = {name for name, mesh in scene.geometry.items() if len(getattr(mesh, "faces", ()))}
-    return [node for node in scene.graph.nodes_geometry if scene.graph[node][1] in filled]
+    names = scene.graph.transforms.node_data
+    return [node for node in scene.graph.nodes_geometry if names[node]["geometry"] in filled]

@@ -21,6 +21,26 @@ def up_of_format(suffix: str) -> Direction | None:
     return Y_UP if suffix.lower() in Y_UP_FORMATS else None
 
 
+def up_remark(up: Direction) -> str:
+    """What `wrt.TriangleMesh.save` writes into a file as a comment, and `stated_up` reads.
+
+    Formats have no other place for it.
+    """
+    return "up " + " ".join(f"{x!r}" for x in up)
+
+
+def stated_up(remarks: Iterable[str]) -> Direction | None:
+    """The upward direction in comments of a file; None if none states it."""
+    for remark in remarks:
+        words = remark.split()
+        if len(words) == 4 and words[0] == "up":
+            try:
+                return checked_up([float(word) for word in words[1:]])
+            except (TypeError, ValueError):
+                continue
+    return None
+
+
 def checked_up(up: Any) -> Direction | None:
     """Returns a unit vector, or None for None.
 
