@@ -20,6 +20,7 @@ import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator
 from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.validation import as_bool, host_array
 from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
@@ -119,6 +120,8 @@ class RayMeshIntersector:
         """
         from wrt.query.all_hits import check_max_hits
 
+        multiple_hits = as_bool("multiple_hits", multiple_hits)
+        return_locations = as_bool("return_locations", return_locations)
         check_max_hits(max_hits)
         origins, directions = _checked_rays(ray_origins, ray_directions)
         scene = self.scene
@@ -210,7 +213,7 @@ def _checked_rays(origins: Any, directions: Any) -> tuple[np.ndarray, np.ndarray
 def _as_rows(values: Any, name: str) -> np.ndarray:
     """`values` as (n, 3) float32 or float64."""
     try:
-        array = np.asarray(values)
+        array = host_array(name, values)
     except ValueError as error:
         raise ValueError(f"{name} must be an array of shape (n, 3): {error}") from error
     if array.ndim != 2 or array.shape[1] != 3:

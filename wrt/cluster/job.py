@@ -17,6 +17,7 @@ import numpy as np
 from wrt.cluster.fingerprints import options_text, rays_hash, scene_hash
 from wrt.cluster.job_folder import JobFolder
 from wrt.cluster.stored_answers import pack_answer, unpack_answer
+from wrt.kernels.validation import as_int
 from wrt.query.batches.block_limits import finished_before_interrupt, progress_bar
 from wrt.query.batches.block_outputs import ATTRIBUTES, check_out, store, value_of
 from wrt.query.batches.block_work import BlockQuery
@@ -151,9 +152,11 @@ class Job:
             most: largest number of blocks to compute in this run, for a machine that is there for some time only; None for all.
 
         Raises:
+            TypeError, ValueError: `most` is no whole number, or negative.
             RuntimeError: another client runs the job, or the workers that took a block died each time.
             OSError: an answer cannot be written.
         """
+        most = None if most is None else as_int("most", most, 0)
         with self.folder.locked():
             self.folder.remove_leftovers()
             done = self.folder.done()

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.kernels.validation import as_numbers
 from wrt.materials.material import Material
 from wrt.materials.mesh_materials import MeshMaterials, joined_materials, make_mesh_materials
 from wrt.meshes.mesh_arrays import checked_faces, checked_vertices, frozen
@@ -289,7 +290,7 @@ class TriangleMesh:
         Raises:
             ValueError: wrong shape, not finite, or a perspective last row.
         """
-        matrix = np.asarray(matrix, dtype=np.float64)
+        matrix = as_numbers("matrix", matrix, finite=False)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise ValueError(f"matrix must be a finite 4 x 4 array, got shape {matrix.shape}: {matrix.tolist()}")
         if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-12):

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
+from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_real_array, convert_fields
 from wrt.memory import ArraysOfBlock, empty, outputs_of
 from wrt.sensors.checks import as_time, check_at_least, check_matrix, check_real
 from wrt.sensors.hit_outputs import HitOutputs
@@ -21,6 +22,7 @@ from wrt.sensors.time_slices import (
     Bodies,
     SensorRays,
     as_motions,
+    check_slices,
     cut_slices,
     for_each_ray,
     no_order,
@@ -79,10 +81,9 @@ class Camera:
     line_delay: float = 0.0
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in ("width", "height"):
-            if not isinstance(getattr(self, name), (int, np.integer)):
-                raise TypeError(f"{name} must be a whole number, not {getattr(self, name)!r}")
-            check_at_least(name, getattr(self, name), 1)
+            as_int(name, getattr(self, name), 1)
         if self.width * self.height > MAX_PIXELS:
             raise ValueError(f"width x height is {self.width * self.height}; an image has at most {MAX_PIXELS} pixels")
         if not isinstance(self.lens, LensModel):
@@ -135,7 +136,9 @@ class Camera:
 
         if materials is not None and not albedo:
             raise ValueError("materials are those of the colours; pass albedo=True, or leave materials out")
-        path, time = as_poses(pose), as_time(time)
+        path, time, slices = as_poses(pose), as_time(time), check_slices(slices)
+        miss, albedo, to_warp = as_miss(miss), as_bool("albedo", albedo), as_bool("to_warp", to_warp)
+        flow = None if flow is None else as_float("flow", flow, finite=True)
         rows = np.repeat(self.line_delay * np.arange(self.height), self.width).reshape(self.height, self.width)
         begin, end = time, time + float(rows[-1, 0])
         path.check_covers(begin, end, "the times of the image")
@@ -155,7 +158,7 @@ class Camera:
             fired = _fire(beams, path, self, times.size, device)
             rays = SensorRays(*fired, 1, times.shape, np.inf, traversal, each)
             for found in trace_slices(copy(scene), rays, Bodies(motions, parts), parts):
-                inputs = [beams, path.path(device), found.traced, found.origins, found.mesh, labels, float(miss), images]
+                inputs = [beams, path.path(device), found.traced, found.origins, found.mesh, labels, miss, images]
                 launch(fill_images, found.part.end - found.part.begin, inputs, device=device, chunk=1024)
                 for layer in extra.values():
                     layer.fill(beams, images, found)
@@ -322,6 +325,15 @@ def _fire(
     return origins, directions
 
 
+def as_miss(miss: Any) -> float:
+    """The distance of a pixel without a hit: any number, NaN included.
+
+    Raises:
+        TypeError: not a number.
+    """
+    return miss if type(miss) is float else float(as_numbers("miss", miss, (), finite=False))
+
+
 def as_labels(labels: Any, scene: Queries) -> np.ndarray:
     """(I,) int32, or (0,) for none.
 
@@ -331,7 +343,7 @@ def as_labels(labels: Any, scene: Queries) -> np.ndarray:
     """
     if labels is None:
         return np.zeros(0, dtype=np.int32)
-    values, count = np.asarray(labels), len(scene.instances) or len(scene.meshes)
+    values, count = as_real_array("labels", labels), len(scene.instances) or len(scene.meshes)
     if values.dtype.kind not in "iu":
         raise TypeError(f"labels must hold integers, not {values.dtype}")
     if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:

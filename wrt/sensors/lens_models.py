@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, launch
+from wrt.kernels.validation import as_int, as_real_array, convert_fields
 from wrt.sensors.checks import check_at_least, check_real
 
 if TYPE_CHECKING:
@@ -103,6 +104,7 @@ class _FocalLens(LensModel):
     cy: float
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in ("fx", "fy"):
             check_at_least(name, getattr(self, name), np.finfo(np.float64).tiny)
         check_real("cx and cy", [self.cx, self.cy])
@@ -209,6 +211,7 @@ class FTheta(LensModel):
     max_angle: float = np.pi
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_real("cx and cy", [self.cx, self.cy])
         values = check_real("coefficients", self.coefficients).ravel()
         if not 1 <= len(values) <= 12 or values[0] <= 0.0:
@@ -264,8 +267,9 @@ class Equirectangular(LensModel):
     height: int
 
     def __post_init__(self) -> None:
-        check_at_least("width", self.width, 1)
-        check_at_least("height", self.height, 1)
+        convert_fields(self)
+        as_int("width", self.width, 1)
+        as_int("height", self.height, 1)
 
     def _numbers(self) -> tuple[float, float, float, float, tuple[float, ...], float]:
         return self.width / (2 * np.pi), self.height / np.pi, (self.width - 1) / 2, (self.height - 1) / 2, (), np.pi
@@ -317,9 +321,7 @@ def _flat(name: str, values: Any, dtype: type) -> tuple[wp.array, wp.Device, tup
         if values.dtype is not dtype:
             raise TypeError(f"{name} must be a Warp array of vec{size}d, not of {values.dtype.__name__}")
         return values.contiguous().flatten(), values.device, values.shape
-    values = np.asarray(values)
-    if values.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must hold real numbers, not {values.dtype}")
+    values = as_real_array(name, values)
     if values.shape[-1:] != (size,):
         raise ValueError(f"{name} must have shape (..., {size}), not {values.shape}")
     device = as_device("cpu")

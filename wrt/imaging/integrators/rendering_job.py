@@ -25,6 +25,7 @@ from wrt.kernels.shading.wavefront import picture, ray_queue
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS, CameraModel
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.shading.wavefront.scene_light import LitScene
+from wrt.kernels.validation import as_float
 from wrt.materials.material import Material
 from wrt.memory import empty
 from wrt.scene.scene import Scene
@@ -262,7 +263,7 @@ class Rendering:
         mapping = self.settings.tone_mapping if tone_mapping is None else tone_mapping
         if mapping not in picture.TONE_MAPPINGS:
             raise ValueError(f"unknown tone_mapping {mapping!r}; choose from {', '.join(picture.TONE_MAPPINGS)}")
-        factor = self.settings.exposure if exposure is None else exposure
+        factor = self.settings.exposure if exposure is None else as_float("exposure", exposure)
         number = picture.TONE_MAPPINGS.index(mapping)
         return self._shaped(self._of_pixels(picture.map_tones, wp.vec3, self._film, self.done, float(factor), number))
 
