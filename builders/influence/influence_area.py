@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.influence.view import AreaView, mark_affine_rays
-from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.validation import as_float, as_numbers, as_real_array, convert_fields
 
 Point = tuple[float, float, float]
@@ -178,6 +178,7 @@ def affine_rays(area: InfluenceArea, origins: np.ndarray, directions: np.ndarray
     if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
         raise ValueError(f"origins {origins.shape} and directions {directions.shape} must both be (N, 3)")
     center, device = np.array(area.position), wp.get_device("cpu")
+    refuse_capture("affine", device)
     with np.errstate(over="ignore"):
         near = np.ascontiguousarray((origins - center).astype(np.float32))
     rays = [wp.array(a, dtype=wp.vec3, device=device) for a in (near, np.ascontiguousarray(directions))]

@@ -283,6 +283,23 @@ def kept(device: wp.Device) -> Iterator[None]:
         wp.synchronize_stream(device.stream)
 
 
+def refuse_capture(what: str, device: wp.Device) -> None:
+    """Refuses what reads on the host what kernels compute: while a graph is captured, kernels are recorded and do not run.
+
+    Args:
+        what: the subject of the message, such as "update".
+        device: where the kernels would run; trees are built on the CPU as well.
+
+    Raises:
+        RuntimeError: a graph is being captured there.
+    """
+    if device.is_capturing or (device.is_cuda and wp.get_device("cpu").is_capturing):
+        raise RuntimeError(
+            f"{what} cannot be part of a graph: kernels do not run while it is captured, and their results are needed at once; "
+            "call it before or after the capture"
+        )
+
+
 def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:
     """Reloads the module of a kernel if it has gained specialisations.
 

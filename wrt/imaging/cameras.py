@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.shading.pixel_rays import View, orthographic_origins, pinhole_directions
 from wrt.kernels.validation import as_float, as_int, as_numbers
 from wrt.meshes.up_axis import default_up
@@ -63,6 +63,7 @@ class _Camera:
             ValueError: a value out of range.
         """
         device = wp.get_device("cpu")
+        refuse_capture("rays in NumPy arrays", device)
         rays = self.rays_on(device, 0, self.width * self.height, pixel_offset(sample, samples, seed))
         arrays = (rays.origins.numpy(), rays.directions.numpy())
         shape = (self.height, self.width, 3)

@@ -22,7 +22,7 @@ from wrt.execution.expected_kernels import picture_rays, query_kernels
 from wrt.imaging.ambient_rays import AmbientRays, expected_rays
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_point, check_whole, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
-from wrt.kernels.runtime.launch import expect, launch, use_threads
+from wrt.kernels.runtime.launch import expect, launch, refuse_capture, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.kernels.shading.pixel_rays import pinhole_directions
 from wrt.kernels.validation import as_bool, as_float, as_numbers
@@ -100,6 +100,7 @@ class AmbientRendering:
         tile_pixels: int | None = None,
     ) -> None:
         check_types(scene, camera)
+        refuse_capture("rendering", scene.device)
         shadows, smooth = as_bool("shadows", shadows), as_bool("smooth", smooth)
         if not 0.0 < (crease_angle := as_float("crease_angle", crease_angle)) < 90.0:
             raise ValueError(
@@ -142,6 +143,7 @@ class AmbientRendering:
         Raises:
             TypeError, ValueError: `samples` is not a whole number of at least 1.
         """
+        refuse_capture("rendering", self._scene.device)
         goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
         with use_threads(self._scene.num_threads):
             while self.done < goal:

@@ -25,7 +25,7 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.influence.influence_area import Point, check_numbers, check_positive, frame_of
-from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.validation import as_int, convert_fields
 from wrt.rays.rays import Rays
 
@@ -233,4 +233,5 @@ def _rise(angle: float) -> float:
 
 
 def _check_batch(count: int, seed: int) -> tuple[int, int]:
+    refuse_capture("rays in NumPy arrays", wp.get_device("cpu"))
     return as_int("count", count, 0), as_int("seed", seed, 0, (1 << 32) - 1)

@@ -14,7 +14,7 @@ from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders.triangle_boxes import boxes_of
 from wrt.execution.instance_rounds import clear
 from wrt.kernels.layout import bvh_nodes
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.validation import as_bool, as_int
@@ -308,6 +308,7 @@ class PartitionedScene:
         run, query = lookup(MODES, mode, "mode"), new_query(kind, options)
         check_traversal(query)
         settings = self._cache.settings
+        refuse_capture("a query of parts", settings.device)
         if query.triangle_test != AUTO:
             check_test(lookup(TRIANGLE_TESTS, query.triangle_test, "triangle_test").name)
         needed = self._check_budget(settings.triangle_test if query.triangle_test == AUTO else query.triangle_test)

@@ -21,7 +21,7 @@ from wrt.execution.batch import run
 from wrt.execution.executor import on_device
 from wrt.execution.traversal_launch import no_work
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_int
 from wrt.memory import empty
 from wrt.planning.plan import Plan, traversal_of
@@ -159,6 +159,8 @@ def check_max_hits(max_hits: int | None) -> int:
 
 def list_hits(scene: SceneState, rays: Rays, query: Query) -> AllHits:
     """All hits of rays; see `wrt.Scene.intersect_all`."""
+    refuse_capture("intersect_all", scene.device)
+    scene.require("count")
     bound = check_max_hits(query.max_hits)
     with use_threads(scene.num_threads):
         buffers = on_device(scene, rays, query)

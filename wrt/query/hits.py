@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_float
 from wrt.memory import empty
 from wrt.state.device_hits import shaped
@@ -288,6 +288,8 @@ class Hits:
             launch(kernel, self.batch.count, inputs, device=self._device, chunk=4096)
 
     def _out(self, values: wp.array) -> Any:
+        if not self._form.is_warp:
+            refuse_capture("an attribute of hits in NumPy arrays", self._device)
         return shaped(values, self._form)
 
     def _as_dtype(self, values: wp.array) -> Any:

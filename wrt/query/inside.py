@@ -23,7 +23,7 @@ import warp as wp
 
 from wrt.execution.executor import trace
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.memory import empty
 from wrt.planning.plan import Plan
 from wrt.planning.planner import make_plan
@@ -45,6 +45,8 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
     """Whether points are inside the scene's meshes; see `wrt.Scene.contains`."""
     from wrt.kernels.query.ordering.ray_order import sort_rays, unsort_hits
 
+    refuse_capture("contains", scene.device)
+    scene.require("count")
     with use_threads(scene.num_threads):
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         aim(buffers.batch, DIRECTIONS[0], scene.device)

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wrt.kernels.query.nearest64 import nearest_hits, vertex_rows
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.validation import as_int
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.answers import closest_hits, ray_values
@@ -165,6 +165,7 @@ class Verification:
 
 def verify(scene: SceneState, samples: int, seed: int) -> Verification:
     """Verifies a scene; see `wrt.Scene.verify`."""
+    refuse_capture("verify", scene.device)
     samples, seed = as_int("samples", samples, len(KINDS)), as_int("seed", seed, 0)
     joined = scene.flattened()
     vertices, faces = joined.vertices.astype(np.float64) - scene.center, joined.faces

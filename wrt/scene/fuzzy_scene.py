@@ -13,7 +13,7 @@ import warp as wp
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders import tree as common
 from wrt.kernels.layout.mesh_placement import relative_to
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.validation import as_int, as_numbers, host_array
 from wrt.meshes.mesh import TriangleMesh
@@ -111,6 +111,7 @@ class FuzzyScene(Scene):
             TypeError: not an int.
             ValueError: no such frame.
         """
+        refuse_capture("showing another frame", self.device)
         with use_threads(self.num_threads):
             self._show(check_index(frame, len(self._meshes), "frame"), self.state.settings, self.state.mark)
 

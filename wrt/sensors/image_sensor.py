@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
+from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_real_array, convert_fields
 from wrt.memory import ArraysOfBlock, empty, outputs_of
 from wrt.sensors.checks import as_time, check_at_least, check_matrix, check_real
@@ -131,9 +131,11 @@ class Camera:
             TypeError: an argument of a wrong type.
             ValueError: an argument out of range, a trajectory that does not cover the exposure, or motions in a scene without
                 instances.
+            RuntimeError: a graph is being captured.
         """
         from wrt.kernels.sensors.camera_images import fill_images
 
+        refuse_capture("capture", scene.device)
         if materials is not None and not albedo:
             raise ValueError("materials are those of the colours; pass albedo=True, or leave materials out")
         path, time, slices = as_poses(pose), as_time(time), check_slices(slices)
@@ -370,12 +372,23 @@ def pose_from_extrinsics(extrinsics: Any) -> np.ndarray:
     return np.linalg.inv(matrix)
 
 
+def _no_view(forward: np.ndarray, up: np.ndarray) -> str:
+    """Why there is no pose, and what to do."""
+    if not forward.any():
+        return "there is no view: position and target are the same point; move one of them"
+    if not up.any():
+        return "up is zero; pass the direction that points up in the image, such as up=(0, 0, 1)"
+    other = "(0, 1, 0)" if abs(forward[1]) < 0.9 * np.linalg.norm(forward) else "(1, 0, 0)"
+    return f"up is parallel to the view, as for a camera that looks straight down; pass another direction, such as up={other}"
+
+
 def look_at(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> np.ndarray:
     """The pose of a camera's optical frame at a position, with the target on its axis.
 
     Args:
         position, target: (3,) points in the world.
-        up: (3,) the direction that points up in the image.
+        up: (3,) the direction that points up in the image. A camera that looks straight down or up needs another one than z,
+            such as (0, 1, 0), for north at the top of a map.
 
     Returns:
         (4, 4) float64.
@@ -387,7 +400,7 @@ def look_at(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> np.ndarray
     forward = target - position
     right = np.cross(forward, up)
     if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
-        raise ValueError("there is no view: position and target are the same point, or up is zero or parallel to the view")
+        raise ValueError(_no_view(forward, up))
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
     pose = np.eye(4)
     pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, position

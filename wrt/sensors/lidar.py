@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
+from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_int, convert_fields
 from wrt.memory import outputs_of
 from wrt.sensors.checks import as_time, check_at_least, check_real
@@ -185,9 +185,11 @@ class Lidar:
             TypeError: an argument of a wrong type.
             ValueError: an argument out of range, a trajectory that does not cover the scan, motions in a scene without
                 instances, or arrays on another device.
+            RuntimeError: a graph is being captured.
         """
         from wrt.query.api import Queries
 
+        refuse_capture("a scan", scene.device)
         path = as_poses(pose)
         time = as_time(time)
         span = self.pattern.span

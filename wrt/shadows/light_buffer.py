@@ -10,7 +10,7 @@ import warp as wp
 
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.layout.light_cells import CELL_BYTES, ENTRY_BYTES, FACES, MAX_RESOLUTION
-from wrt.kernels.runtime.launch import launch, specialise, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
 from wrt.kernels.validation import as_bool, as_int, as_numbers, as_real_array
 from wrt.memory import empty
 from wrt.planning.plan import plan_for_query, traversal_config
@@ -235,6 +235,7 @@ class LightBuffer:
 
         state = self.scene.state
         check_scene(state)
+        refuse_capture("building a light buffer", state.device)
         with use_threads(state.num_threads):
             ray = lay_out(Rays(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)), state.device, state.center)
             plan = plan_for_query(find_plan(state, buffers_of(ray), self._query).plan, ANY)

@@ -20,7 +20,7 @@ from wrt.imaging.integrators.wavefront import SQUARE, Wave, pixel_samples, squar
 from wrt.imaging.lights.device_lights import check_lights, device_lights
 from wrt.imaging.lights.sky_image import Sky
 from wrt.imaging.rendering import Camera, check_types, default_light
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.shading.wavefront import picture, ray_queue
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS, CameraModel
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
@@ -86,6 +86,7 @@ class Rendering:
         **options: Any,
     ) -> None:
         check_types(scene, camera)
+        refuse_capture("rendering", scene.device)
         if integrator not in INTEGRATORS[1:]:
             raise ValueError(f"unknown integrator {integrator!r}; choose from {', '.join(INTEGRATORS[1:])}")
         settings = RenderSettings() if settings is None else settings
@@ -163,6 +164,7 @@ class Rendering:
         Raises:
             TypeError, ValueError: `samples` is not a whole number of at least 1.
         """
+        refuse_capture("rendering", self._scene.device)
         goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
         with use_threads(self._scene.num_threads):
             while self.done < goal:

@@ -24,7 +24,7 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.validation import as_int, as_numbers, as_real_array
 from wrt.meshes.mesh import TriangleMesh
@@ -106,6 +106,7 @@ class SkinnedScene(Scene):
         Raises:
             ValueError: a wrong shape, or maps that `wrt.Instance` refuses.
         """
+        refuse_capture("showing another pose", self.device)
         matrices, origins = as_maps(as_real_array("maps", maps)[None], 1)
         if matrices.shape[1] != len(self._skeleton):
             raise ValueError(f"maps has {matrices.shape[1]} bones, but the skeleton has {len(self._skeleton)}")
