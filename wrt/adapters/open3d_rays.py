@@ -31,7 +31,7 @@ MISSING = {
     "compute_closest_points": "wrt has no queries for closest points yet; trimesh.proximity.closest_point(mesh, points) is one",
     "compute_distance": "wrt has no distances of points yet; trimesh.proximity.closest_point(mesh, points) gives them",
     "compute_signed_distance": (
-        "wrt has no distances of points yet; scene.contains(points) of a wrt.Scene, or of this object's attribute `scene`, says "
+        "wrt has no distances of points yet; scene.contains(points) of a wrt.Scene, or of this object's `scene`, tells "
         "which points are inside, where the sign is negative; trimesh.proximity.closest_point(mesh, points) gives distances"
     ),
     "compute_occupancy": (
@@ -50,7 +50,7 @@ class RaycastingScene:
     tree is built by the first query after triangles were added. Open3D's distance queries are not implemented.
 
     Args:
-        nthreads: CPU threads, 0 for `wrt.get_num_threads()`; every query may pass its own number.
+        nthreads: CPU threads, 0 or None for `wrt.get_num_threads()`; every query may pass its own number.
         device: a Warp device, or its name as Warp or Open3D writes it, such as "cpu" or "CPU:0", or an
             `open3d.core.Device`; None for Warp's default device.
 
@@ -62,7 +62,7 @@ class RaycastingScene:
     INVALID_ID = 0xFFFFFFFF
     """Geometry and primitive id of a miss."""
 
-    def __init__(self, nthreads: int = 0, device: Any = None) -> None:
+    def __init__(self, nthreads: int | None = 0, device: Any = None) -> None:
         self._nthreads = _as_threads(nthreads)
         self._device = None if device is None else as_device(device).alias
         self._meshes: list[TriangleMesh] = []
@@ -110,7 +110,7 @@ class RaycastingScene:
         self.__dict__.pop("scene", None)
         return len(self._meshes) - 1
 
-    def cast_rays(self, rays: Any, nthreads: int = 0) -> dict[str, np.ndarray]:
+    def cast_rays(self, rays: Any, nthreads: int | None = 0) -> dict[str, np.ndarray]:
         """Closest hits.
 
         Args:
@@ -146,17 +146,20 @@ class RaycastingScene:
                 "primitive_normals": hits.normal.astype(np.float32, copy=False),
             }
 
-    def test_occlusions(self, rays: Any, tnear: float = 0.0, tfar: float = float("inf"), nthreads: int = 0) -> np.ndarray:
+    def test_occlusions(
+        self, rays: Any, tnear: float = 0.0, tfar: float = float("inf"), nthreads: int | None = 0
+    ) -> np.ndarray:
         """Whether anything is hit at tnear <= t <= tfar: (...) bool. Errors as in `cast_rays`, and for a negative or NaN
         range.
         """
         origins, directions = _split(rays)
+        tnear, tfar = as_float("tnear", tnear), as_float("tfar", tfar)
         with self._threads(nthreads):
             if self.scene is None:
                 return np.zeros(origins.shape[:-1], dtype=bool)
             return self.scene.occluded(origins, directions, t_min=tnear, t_max=tfar)
 
-    def count_intersections(self, rays: Any, nthreads: int = 0) -> np.ndarray:
+    def count_intersections(self, rays: Any, nthreads: int | None = 0) -> np.ndarray:
         """Number of hits of each ray: (...) int32. Errors as in `cast_rays`."""
         origins, directions = _split(rays)
         with self._threads(nthreads):
@@ -164,7 +167,7 @@ class RaycastingScene:
                 return np.zeros(origins.shape[:-1], dtype=np.int32)
             return self.scene.count(origins, directions)
 
-    def list_intersections(self, rays: Any, nthreads: int = 0) -> dict[str, np.ndarray]:
+    def list_intersections(self, rays: Any, nthreads: int | None = 0) -> dict[str, np.ndarray]:
         """All M hits of N rays, ray after ray, sorted by t for each ray.
 
         Returns:
@@ -218,11 +221,11 @@ class RaycastingScene:
             "create_rays_pinhole(fov_deg, center, eye, up, width_px, height_px)"
         )
 
-    def _threads(self, nthreads: int) -> Any:
+    def _threads(self, nthreads: int | None) -> Any:
         return use_threads(_as_threads(nthreads) or self._nthreads or None)
 
 
-def _as_threads(nthreads: int) -> int:
+def _as_threads(nthreads: int | None) -> int:
     return 0 if nthreads is None else as_int("nthreads", nthreads, 0, MAX_THREADS)
 
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.kernels.validation import as_numbers
+from wrt.kernels.validation import as_bool, as_numbers
 from wrt.materials.material import Material
 from wrt.materials.mesh_materials import MeshMaterials, joined_materials, make_mesh_materials
 from wrt.meshes.mesh_arrays import checked_faces, checked_vertices, frozen
@@ -88,6 +88,7 @@ class TriangleMesh:
             raise FileNotFoundError(f"no mesh file at '{path}': check the path (now in '{Path.cwd()}')")
         suffix = path.suffix.lower().lstrip(".")
         plain = read_plain_ply(path) if suffix == "ply" else None
+        materials = None if materials is None else as_bool("materials", materials)
         loaded = _read_by_trimesh(path, suffix, bool(materials)) if plain is None else None
         try:
             if plain is not None:
@@ -116,7 +117,7 @@ class TriangleMesh:
 
         if isinstance(source, trimesh.Trimesh):
             mesh = cls(source.vertices, source.faces, name=name)
-            if materials:
+            if as_bool("materials", materials):
                 from wrt.materials.trimesh_materials import read_materials
 
                 mesh._materials = read_materials(source)

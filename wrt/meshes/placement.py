@@ -219,16 +219,16 @@ def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
     )
 
 
-def check_index(index: Any, count: int, what: str) -> int:
-    """Checks an index of a mesh or instance, 0 to count - 1.
+def check_index(index: Any, count: int, what: str, name: str = "index") -> int:
+    """Checks an index of a mesh or instance, 0 to count - 1; name: of the argument.
 
     Raises:
         TypeError: not an int.
         ValueError: out of range.
     """
-    index = as_int("index", index)
+    index = as_int(name, index)
     if not 0 <= index < count:
-        raise ValueError(f"index is {index}, but the scene's {what} indices go from 0 to {count - 1}")
+        raise ValueError(f"{name} is {index}, but the scene's {what} indices go from 0 to {count - 1}")
     return index
 
 

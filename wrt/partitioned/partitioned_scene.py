@@ -170,7 +170,7 @@ class PartitionedScene:
             raise ValueError(f"accelerator is {accelerator!r}; the parts of a scene have a BVH: choose 'bvh' or a wrt.Bvh")
         check_test(settings.triangle_test)
         parse_memory(memory)
-        with use_threads(num_threads), progress_bar(progress, None) as advance:
+        with use_threads(settings.num_threads), progress_bar(progress, None) as advance:
             stores = store_records and settings.device.is_cpu
             build_parts(geometry, as_folder(folder), settings, size, stores, lambda count, phase: advance(int(count)))
         return cls(folder, memory=memory, triangle_test=triangle_test, device=device, num_threads=num_threads)

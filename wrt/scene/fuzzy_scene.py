@@ -113,7 +113,7 @@ class FuzzyScene(Scene):
         """
         refuse_capture("showing another frame", self.device)
         with use_threads(self.num_threads):
-            self._show(check_index(frame, len(self._meshes), "frame"), self.state.settings, self.state.mark)
+            self._show(check_index(frame, len(self._meshes), "frame", "frame"), self.state.settings, self.state.mark)
 
     def _show(self, frame: int, settings: Settings, mark: str) -> None:
         placed, shown = place_meshes((self._meshes[frame],), settings.device), self._fuzzy.at(frame)
