@@ -30,6 +30,7 @@ __all__ = [
     "as_real_array",
     "convert_fields",
     "host_array",
+    "resolved",
     "unreadable",
 ]
 
@@ -146,11 +147,19 @@ def host_array(name: str, values: Any) -> np.ndarray:
             raise ValueError(f"{name} has {count} masked values; replace them with .filled(value), or leave them out")
         return np.asarray(values.data)
     try:
-        return np.asarray(values)
+        return np.asarray(resolved(values))
     except MemoryError:
         raise
     except Exception as error:  # each library has its own
         raise TypeError(unreadable(name, values, error)) from error
+
+
+def resolved(values: Any) -> Any:
+    """A tensor whose memory holds its own numbers, not their negatives, as PyTorch's do in a view such as `z.conj().imag`: a
+    reader of the memory would not notice. Anything else as it is.
+    """
+    is_negative = getattr(values, "is_neg", None)
+    return values.resolve_neg() if callable(is_negative) and is_negative() else values
 
 
 def unreadable(name: str, values: Any, error: Exception) -> str:

@@ -230,8 +230,8 @@ def _as_threads(nthreads: int | None) -> int:
 
 
 def _as_numpy(name: str, values: Any) -> Any:
-    """An Open3D tensor, or any object with a method `numpy`, as a NumPy array; everything else unchanged."""
-    if not callable(getattr(values, "numpy", None)):
+    """An Open3D tensor, or any object with a method `numpy`, as a NumPy array; what NumPy converts itself, unchanged."""
+    if not callable(getattr(values, "numpy", None)) or hasattr(values, "__array__"):
         return values
     try:
         return values.numpy()

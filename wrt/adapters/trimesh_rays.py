@@ -19,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import as_device, check_num_threads, launch, use_threads
 from wrt.kernels.validation import as_bool, host_array
 from wrt.state.query_kinds import AUTO
 
@@ -63,7 +63,9 @@ class RayMeshIntersector:
                 f"mesh must be a trimesh.Trimesh, not {type(mesh).__name__}; convert a trimesh.Scene with to_mesh()"
             )
         self.mesh = mesh
-        self._options = {"accelerator": accelerator, "device": device, "num_threads": num_threads}
+        device = None if device is None else as_device(device).alias
+        threads = None if num_threads is None else check_num_threads(num_threads, "num_threads")
+        self._options = {"accelerator": accelerator, "device": device, "num_threads": threads}
         self._built: tuple[int, Scene | None] | None = None
 
     def __repr__(self) -> str:

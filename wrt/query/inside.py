@@ -29,7 +29,7 @@ from wrt.planning.plan import Plan
 from wrt.planning.planner import make_plan
 from wrt.rays.coherence import detect_coherence
 from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
+from wrt.rays.rays import Rays, as_vectors
 from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import ANY, AUTO, COUNT
 
@@ -47,6 +47,7 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
 
     refuse_capture("contains", scene.device)
     scene.require("count")
+    points = as_vectors(points, "points", scene.device)
     with use_threads(scene.num_threads):
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         aim(buffers.batch, DIRECTIONS[0], scene.device)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.kernels.validation import as_real_array, unreadable
+from wrt.kernels.validation import as_real_array, resolved, unreadable
 
 MAX_RAYS = (1 << 31) - 1
 """Largest number of rays of one call: kernels number them with 32 bits."""
@@ -122,11 +122,11 @@ def _from_dlpack(values: Any, name: str) -> wp.array:
     """A Warp array in the memory of another library's array.
 
     Raises:
-        TypeError: the library does not hand it out: a tensor that records gradients, is sparse, or is a conjugate or negative
-            view; or a type that Warp does not have.
+        TypeError: the library does not hand it out, such as a tensor that records gradients or is sparse; or a type that Warp
+            does not have.
     """
     try:
-        return wp.from_dlpack(values)
+        return wp.from_dlpack(resolved(values))
     except MemoryError:
         raise
     except Exception as error:  # each library has its own

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, launch, refuse_capture
+from wrt.kernels.validation import host_array
 from wrt.memory import keep_alive
 from wrt.rays.rays import as_vectors
 from wrt.sensors.checks import as_time, check_matrix, check_real
@@ -273,7 +274,10 @@ def as_poses(pose: Any) -> Trajectory | StillPoses:
     Raises:
         TypeError, ValueError: as `as_trajectory` and `StillPoses`.
     """
-    return StillPoses(pose) if not isinstance(pose, Trajectory) and np.ndim(pose) > 2 else as_trajectory(pose)
+    if isinstance(pose, Trajectory):
+        return as_trajectory(pose)
+    pose = host_array("pose", pose)
+    return StillPoses(pose) if pose.ndim > 2 else as_trajectory(pose)
 
 
 def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:
