@@ -51,7 +51,7 @@ def as_int(name: str, value: Any, least: int | None = None, most: int | None = N
         scalar = _scalar(name, value)
         if isinstance(scalar, _NO_NUMBERS) or not isinstance(scalar, Integral):
             whole = isinstance(scalar, (float, np.floating)) and float(scalar).is_integer()
-            raise TypeError(f"{name} must be a whole number, not {value!r:.80}" + (f"; pass {int(scalar)}" if whole else ""))
+            raise TypeError(f"{name} must be an int, not {_shown(value)}" + (f"; pass {int(scalar)}" if whole else ""))
         value = int(scalar)
     if (least is not None and value < least) or (most is not None and value > most):
         raise ValueError(f"{name} is {value}; it must be {_bounds(least, most)}")
@@ -73,7 +73,7 @@ def as_float(name: str, value: Any, *, finite: bool = False) -> float:
     if type(value) is not float:
         scalar = _scalar(name, value)
         if isinstance(scalar, _NO_NUMBERS) or not isinstance(scalar, Real):
-            raise TypeError(f"{name} must be a number, not {value!r:.80}")
+            raise TypeError(f"{name} must be a number, not {_shown(value)}")
         try:
             value = float(scalar)
         except OverflowError:
@@ -94,7 +94,7 @@ def as_bool(name: str, value: Any) -> bool:
     if type(value) is not bool:
         scalar = _scalar(name, value)
         if not isinstance(scalar, (bool, np.bool_)):
-            raise TypeError(f"{name} must be True or False, not {value!r:.80}")
+            raise TypeError(f"{name} must be True or False, not {_shown(value)}")
         value = bool(scalar)
     return value
 
@@ -208,6 +208,12 @@ def _scalar(name: str, value: Any) -> Any:
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
     return len(shape) == len(wanted) and all(n in (None, own) for n, own in zip(wanted, shape, strict=True))
+
+
+def _shown(value: Any) -> str:
+    """The type of a value, and the value if that is short."""
+    text = repr(value)
+    return type(value).__name__ + (f" {text}" if value is not None and len(text) <= 60 else "")
 
 
 def _bounds(least: int | None, most: int | None) -> str:

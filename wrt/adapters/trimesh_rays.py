@@ -216,8 +216,10 @@ def _as_rows(values: Any, name: str) -> np.ndarray:
     """`values` as (n, 3) float32 or float64."""
     try:
         array = host_array(name, values)
-    except ValueError as error:
-        raise ValueError(f"{name} must be an array of shape (n, 3): {error}") from error
+    except TypeError as error:
+        if not isinstance(error.__cause__, ValueError):
+            raise
+        raise ValueError(f"{name} must be an array of shape (n, 3): {error}") from error  # rows of different lengths
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name} must have shape (n, 3), not {array.shape}; reshape it to one row each")
     if array.dtype.kind not in "fiu":
