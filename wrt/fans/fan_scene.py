@@ -119,7 +119,8 @@ class FanState(MeshState):
         "statistics": "statistics are those of triangles; use wrt.Scene(scene.meshes).statistics()",
         "float64 vertices": "precise=True and gradients need a tree of triangles; use wrt.Scene(scene.meshes)",
         "count": (
-            "fans answer closest-hit and any-hit queries; for contains, count, intersect_all and visible use wrt.Scene(scene.meshes)"
+            "fans answer closest-hit and any-hit queries; for contains, count, intersect_all and visible "
+            "use wrt.Scene(scene.meshes)"
         ),
         "save": "trees of fans cannot be saved; save the fans (wrt.fans.fan_files), or the meshes",
         "pickle": "trees of fans cannot be pickled; pickle the meshes",
