@@ -195,7 +195,7 @@ def _numeric_fields(kind: type) -> tuple[tuple[str, Callable[[str, Any], Any], b
 
 _CONVERSIONS: dict[str, Callable[[str, Any], Any]] = {"int": as_int, "float": as_float, "bool": as_bool}
 
-_NO_NUMBERS = (bool, np.bool_, np.timedelta64)
+_NO_NUMBERS = (bool, np.timedelta64)
 """Types that Python or NumPy count among the integers."""
 
 
