@@ -49,7 +49,7 @@ MUTATIONS = [
         path="kernels/validation.py",
         old="    if value != value:\n",
         new="    if False:\n",
-        tests=f"{NUMBERS}[UpdatePolicy]",
+        tests=f"{NUMBERS}[LidarPattern.raster]",
         promise=SAME,
     ),
     Mutation(
