@@ -62,6 +62,7 @@ from wrt.kernels.query.device_functions import (
     spawn,
 )
 from wrt.kernels.runtime import launch as launching
+from wrt.kernels.validation import as_int
 from wrt.meshes.instance import EVERY, MAX_MASK, check_environment, check_mask
 from wrt.planning.plan import Plan, stack_levels
 from wrt.tapes import takes_gradients, tape_records
@@ -127,8 +128,9 @@ def launch(
         raise TypeError(f"kernel must be made by wrt.device.kernel or wp.kernel, not {type(kernel).__name__}")
     if not kernel.adj.args or kernel.adj.args[0].label != "first":
         raise TypeError(f"kernel {kernel.key!r} needs `first: int` as its first parameter, the first item of a chunk")
+    count, chunk = as_int("count", count, 0), as_int("chunk", chunk, 1)
     if num_threads is not None:
-        launching.check_num_threads(num_threads, "num_threads")
+        num_threads = launching.check_num_threads(num_threads, "num_threads")
     target = launching.as_device(device)
     differentiable = has_backward(kernel)
     if any(map(is_handle, inputs)):

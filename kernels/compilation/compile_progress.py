@@ -13,6 +13,8 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
+from wrt.kernels.validation import as_bool
+
 VARIABLE = "WRT_SHOW_COMPILING"
 
 TITLE = "compiling kernels for this CPU, once"
@@ -38,9 +40,7 @@ def show_compiling(show: bool | None = None) -> None:
         TypeError: `show` is not a bool or None.
     """
     global _show
-    if show is not None and not isinstance(show, bool):
-        raise TypeError(f"show must be True, False or None, not {type(show).__name__}")
-    _show = show
+    _show = None if show is None else as_bool("show", show)
 
 
 def chosen() -> bool | None:

@@ -235,7 +235,7 @@ def test_bench_is_imported_when_called():
         (["render", "-o", "a.png", "--scene", "nowhere"], "'nowhere' is unknown; choose from teapot,"),
         (["render", "-o", "a.png", "--option", "level"], "'level' is not KEY=VALUE"),
         (["render", "-o", "a.png", "--option", "size=3"], "no option 'size'; its options are level, ground"),
-        (["render", "-o", "a.png", "--option", "level=0"], "level must be at least 1"),
+        (["render", "-o", "a.png", "--option", "level=0"], "level is 0; it must be at least 1"),
         (["render", "-o", "a.png", "--accelerator", "octree"], "'octree' is unknown; choose from auto"),
         (["render", "-o", "a.png", "--traversal", "walk"], "'walk' is unknown; choose from auto, brute"),
         (["render", "-o", "a.png", "--triangle-test", "t"], "'t' is unknown; choose from auto, woop"),

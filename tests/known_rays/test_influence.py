@@ -212,11 +212,11 @@ POINT = {"position": (0, 0, 0), "direction": (0, 0, 1), "fov": (60, 60), "near":
     [
         ({"position": (0, 0)}, "position must be 3 finite numbers"),
         ({"position": (0, 0, np.nan)}, "position must be 3 finite numbers"),
-        ({"direction": "down"}, "direction must be 3 finite numbers"),
+        ({"direction": (0, 1)}, "direction must be 3 finite numbers"),
         ({"direction": (0, 0, 0)}, "direction is zero"),
         ({"up": (0, 0, -2)}, "up is .* parallel to the direction"),
         ({"up": (0, 0, 0)}, "up is .* zero"),
-        ({"width": 0}, "width is 0; it must be above 0 and finite"),
+        ({"width": 0}, "width is 0.0; it must be above 0 and finite"),
         ({"height": np.inf}, "height is inf"),
         ({"depth": -1}, "depth is -1"),
         ({"fov": 60}, "fov must be 2 finite numbers"),

@@ -22,6 +22,7 @@ from wrt.cluster.identity.scene_hashes import scene_hash
 from wrt.cluster.job_blocks import BLOCK_HASH, ExamineBlock, block_count, chunk_label, has_rows, rows_of_block
 from wrt.cluster.job_folder import JobFolder
 from wrt.cluster.stored_answers import unpack_answer
+from wrt.kernels.validation import as_int
 from wrt.query.batches.block_limits import finished_before_interrupt, progress_bar
 from wrt.query.batches.block_outputs import ATTRIBUTES, check_out, store
 from wrt.query.batches.block_work import BlockQuery
@@ -158,9 +159,11 @@ class Job:
         Raises:
             OSError: an answer cannot be written.
             RuntimeError: another client runs the job, or the workers that took a block died each time.
-            ValueError: the scene, the rays or the manifest have changed since the job was made, on a worker or here, or the
-                folder holds an archive that is not the answer of a block. What was computed before stays as it is.
+            TypeError: `most` is no whole number.
+            ValueError: `most` is negative; the scene, the rays or the manifest have changed since the job was made, on a worker or
+                here; or the folder holds an archive that is not the answer of a block. What was computed before stays as it is.
         """
+        most = None if most is None else as_int("most", most, 0)
         with self.folder.locked():
             self.folder.remove_leftovers()
             blocks = block_count(self.manifest)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from wrt.atomic_files import replaced
+from wrt.kernels.validation import host_array
 
 __all__ = ["check_path", "save_exr", "save_image", "to_bytes"]
 
@@ -112,12 +113,7 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
 
 
 def _checked(image: Any, any_number: bool) -> np.ndarray:
-    if hasattr(image, "numpy") and not isinstance(image, np.ndarray):
-        image = image.numpy()
-    try:
-        array = np.asarray(image)
-    except ValueError as error:
-        raise TypeError(f"image is not an array: {error}") from error
+    array = host_array("image", image)
     if array.dtype != np.uint8 and array.dtype.kind not in ("fiub" if any_number else "f"):
         remedies = {
             "b": "multiply by np.uint8(255)",

@@ -22,9 +22,10 @@ from wrt.execution.expected_kernels import picture_rays, query_kernels
 from wrt.imaging.ambient_rays import AmbientRays, expected_rays
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_point, check_whole, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
-from wrt.kernels.runtime.launch import expect, launch, use_threads
+from wrt.kernels.runtime.launch import expect, launch, refuse_capture, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.kernels.shading.pixel_rays import pinhole_directions
+from wrt.kernels.validation import as_bool, as_float, as_numbers
 from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.state.query_kinds import AUTO
@@ -103,7 +104,9 @@ class AmbientRendering:
         tile_pixels: int | None = None,
     ) -> None:
         check_types(scene, camera)
-        if not 0.0 < crease_angle < 90.0:
+        refuse_capture("rendering", scene.device)
+        shadows, smooth = as_bool("shadows", shadows), as_bool("smooth", smooth)
+        if not 0.0 < (crease_angle := as_float("crease_angle", crease_angle)) < 90.0:
             raise ValueError(
                 f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)"
             )
@@ -113,11 +116,11 @@ class AmbientRendering:
         self._settings = _Settings(
             light=default_light(camera) if light is None else check_point("light", light),
             lighting=_lighting(light_color, ambient_color, background),
-            shadows=bool(shadows),
+            shadows=shadows,
             ambient_samples=check_whole("ambient_samples", ambient_samples, 0),
             ambient_distance=_check_distance(ambient_distance),
             ambient_radius=check_whole("ambient_radius", ambient_radius, 0),
-            seed=(seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
+            seed=(self._seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
             query={"traversal": traversal, "triangle_test": triangle_test},
         )
         if self._settings.ambient_radius > MOST_RADIUS:
@@ -147,6 +150,7 @@ class AmbientRendering:
         Raises:
             TypeError, ValueError: `samples` is not a whole number of at least 1.
         """
+        refuse_capture("rendering", self._scene.device)
         goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
         with use_threads(self._scene.num_threads):
             while self.done < goal:
@@ -346,7 +350,7 @@ def check_types(scene: Any, camera: Any) -> None:
 
 
 def _check_distance(ambient_distance: float | None) -> float:
-    distance = np.inf if ambient_distance is None else float(ambient_distance)
+    distance = np.inf if ambient_distance is None else as_float("ambient_distance", ambient_distance)
     if not distance > 0.0:
         raise ValueError(f"ambient_distance is {ambient_distance}; it must be above 0, or None for no limit")
     return distance
@@ -365,7 +369,7 @@ def _lighting(light_color: Any, ambient_color: Any, background: Any) -> film.Lig
 def _colors(name: str, value: Any, counts: tuple[int, ...], maximum: float) -> np.ndarray:
     """(N, 3) float32 for one of the allowed counts N; a number becomes a grey."""
     try:
-        colors = np.array(value, dtype=np.float32)
+        colors = as_numbers(name, value, finite=False).astype(np.float32)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be a number or an array of colours (3,), not {value!r}") from None
     if colors.ndim == 0 or (colors.ndim == 1 and colors.shape == (2,) and 2 in counts):

@@ -17,6 +17,7 @@ from wrt.atomic_files import write_text
 from wrt.execution.area_trees import assign
 from wrt.execution.executor import trace
 from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.validation import as_float
 from wrt.planning.planner import make_plan
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
@@ -214,8 +215,8 @@ def analyse(
     if area is not None and not isinstance(area, InfluenceArea):
         kind = type(area).__name__
         raise TypeError(f"area must be a wrt.PlaneInfluenceArea, a wrt.PointInfluenceArea or None, not {kind}")
-    _check(rays, box_cost, triangle_cost)
-    return _measure(scene.state, scene.num_threads, area, rays, (box_cost, triangle_cost), statistics or {})
+    costs = _check(rays, box_cost, triangle_cost)
+    return _measure(scene.state, scene.num_threads, area, rays, costs, statistics or {})
 
 
 def analyse_areas(
@@ -242,8 +243,7 @@ def analyse_areas(
     """
     if scene.area_trees is None:
         raise ValueError("the scene has no influence areas with triangles; make it with accelerator=wrt.RayAwareBvh(areas=...)")
-    _check(rays, box_cost, triangle_cost)
-    trees, costs = scene.area_trees, (box_cost, triangle_cost)
+    trees, costs = scene.area_trees, _check(rays, box_cost, triangle_cost)
     parts = [None] * len(trees) if rays is None else _rays_by_area(scene, rays)
     return tuple(
         _measure(state, scene.num_threads, area, part, costs, statistics or {})
@@ -251,14 +251,17 @@ def analyse_areas(
     )
 
 
-def _check(rays: Rays | None, box_cost: float, triangle_cost: float) -> None:
+def _check(rays: Rays | None, box_cost: float, triangle_cost: float) -> tuple[float, float]:
+    """The costs as numbers."""
     if rays is not None and not isinstance(rays, Rays):
         raise TypeError(f"rays must be a wrt.Rays, not {type(rays).__name__}; make one with wrt.Rays(origins, directions)")
     if rays is not None and not len(rays):
         raise ValueError("rays is empty and has no average work; pass None to trace no rays")
-    for name, cost in (("box_cost", box_cost), ("triangle_cost", triangle_cost)):
+    costs = as_float("box_cost", box_cost), as_float("triangle_cost", triangle_cost)
+    for name, cost in zip(("box_cost", "triangle_cost"), costs, strict=True):
         if not 0.0 <= cost < float("inf"):
             raise ValueError(f"{name} is {cost}; it must be finite and not negative")
+    return costs
 
 
 def _measure(

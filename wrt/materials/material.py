@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from wrt.kernels.validation import as_numbers, convert_fields, host_array
+
 __all__ = ["KINDS", "Material", "Texture"]
 
 KINDS = ("diffuse", "mirror", "dielectric", "glossy")
@@ -41,7 +43,7 @@ class Texture:
         self.wrap = _wrap(wrap)
         if hasattr(image, "convert"):
             image = image.convert("RGB")
-        array = np.asarray(image)
+        array = host_array("image", image)
         if array.dtype.kind not in "fu" or (array.dtype.kind == "u" and array.dtype != np.uint8):
             raise TypeError(f"image must hold uint8, or floats in [0, 1], not {array.dtype}")
         if array.ndim == 2:
@@ -117,6 +119,7 @@ class Material:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ValueError(f"unknown kind {self.kind!r} of material; choose from {', '.join(KINDS)}")
+        convert_fields(self)
         kept: dict[str, Any] = {
             "color": as_color("color", self.color, 1.0),
             "absorption": as_color("absorption", self.absorption),
@@ -124,12 +127,9 @@ class Material:
             "roughness": _share("roughness", {"glossy": 0.5}.get(self.kind, 0.0) if self.roughness is None else self.roughness),
             "metallic": _share("metallic", self.metallic),
             "translucency": _share("translucency", self.translucency),
-            "two_sided": bool(self.two_sided),
         }
-        if not (np.isscalar(self.index) and np.isfinite(self.index) and self.index > 0.0):
+        if not 0.0 < self.index < np.inf:
             raise ValueError(f"index is {self.index!r}; an index of refraction is a number above 0, such as 1.5 for glass")
-        if isinstance(self.priority, bool) or not isinstance(self.priority, int | np.integer):
-            raise TypeError(f"priority must be a whole number, not {self.priority!r}")
         for name in ("color_texture", "surface_texture"):
             if not isinstance(getattr(self, name), Texture | None):
                 raise TypeError(f"{name} must be a wrt.Texture or None, not {type(getattr(self, name)).__name__}")
@@ -146,12 +146,10 @@ def as_color(name: str, value: Any, maximum: float = np.inf) -> Color:
     """Three finite numbers from 0 to `maximum`; a number becomes a grey.
 
     Raises:
-        ValueError: it is no such colour.
+        TypeError: not real numbers.
+        ValueError: other numbers, or another shape.
     """
-    try:
-        color = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        color = np.array(np.nan)
+    color = as_numbers(name, value, finite=False)
     if color.shape not in ((), (3,)) or not (np.isfinite(color).all() and (color >= 0.0).all() and (color <= maximum).all()):
         limit = f"from 0 to {maximum:g}" if np.isfinite(maximum) else "finite and not negative"
         raise ValueError(f"{name} must be a number or three numbers (red, green, blue), {limit}, not {value!r}")
@@ -165,10 +163,10 @@ def _wrap(wrap: Any) -> tuple[str, str]:
     return pair
 
 
-def _share(name: str, value: Any) -> float:
-    if not (np.isscalar(value) and not isinstance(value, str) and 0.0 <= value <= 1.0):
+def _share(name: str, value: float) -> float:
+    if not 0.0 <= value <= 1.0:
         raise ValueError(f"{name} is {value!r}; it must be from 0 to 1")
-    return float(value)
+    return value
 
 
 def check_materials(materials: Any, count: int, what: str) -> tuple[Material, ...]:

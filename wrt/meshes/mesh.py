@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wrt.atomic_files import replaced
+from wrt.kernels.validation import as_bool, as_numbers
 from wrt.materials.material import Material
 from wrt.materials.mesh_materials import MeshMaterials, joined_materials, make_mesh_materials
 from wrt.meshes.exact_encoding import encode_mesh
@@ -97,6 +98,8 @@ class TriangleMesh:
         if not path.exists() or path.is_dir():
             raise FileNotFoundError(f"no mesh file at '{path}': check the path (now in '{Path.cwd()}')")
         suffix = path.suffix.lower().lstrip(".")
+        materials = None if materials is None else as_bool("materials", materials)
+        outside = as_bool("outside", outside)
         if suffix in OWN_FORMATS:
             found = read_own_format(path, suffix, materials, outside)
         elif not path.is_file():
@@ -131,7 +134,7 @@ class TriangleMesh:
 
         if isinstance(source, trimesh.Trimesh):
             mesh = cls(source.vertices, source.faces, name=name)
-            if materials:
+            if as_bool("materials", materials):
                 from wrt.materials.trimesh_materials import read_materials
 
                 mesh._materials = read_materials(source)
@@ -317,7 +320,7 @@ class TriangleMesh:
         Raises:
             ValueError: wrong shape, not finite, or a perspective last row.
         """
-        matrix = np.asarray(matrix, dtype=np.float64)
+        matrix = as_numbers("matrix", matrix, finite=False)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise ValueError(f"matrix must be a finite 4 x 4 array, got shape {matrix.shape}: {matrix.tolist()}")
         if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-12):

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from wrt.kernels.validation import as_numbers
+
 Direction = tuple[float, float, float]
 
 Y_UP: Direction = (0.0, 1.0, 0.0)
@@ -45,14 +47,12 @@ def checked_up(up: Any) -> Direction | None:
     """Returns a unit vector, or None for None.
 
     Raises:
-        ValueError: `up` is not three finite numbers, or is zero.
+        TypeError: `up` does not hold numbers.
+        ValueError: it is not three finite numbers, or is zero.
     """
     if up is None:
         return None
-    try:
-        vector = np.array(up, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"up must be three numbers x, y, z, or None, not {up!r}") from None
+    vector = as_numbers("up", up, finite=False)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise ValueError(f"up must be three finite numbers x, y, z that are not all zero, or None, not {up!r}")
     vector /= np.abs(vector).max()  # so that squares neither overflow nor vanish

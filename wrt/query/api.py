@@ -20,10 +20,11 @@ from wrt.query.query_options import (
     ValueOptions,
     as_query,
     check_options,
+    new_query,
     takes,
 )
 from wrt.rays.rays import as_rays
-from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
+from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES
 from wrt.tables import lookup
 from wrt.tapes import refuse_tape
 
@@ -309,6 +310,6 @@ class Queries:
         """
         check_options(Queries.explain, options)
         rays, scene = as_rays(origins, directions, t_min, t_max), self.state
-        query = Query(lookup(QUERIES, options.pop("query", CLOSEST), "query").kind, **options)
+        query = new_query(lookup(QUERIES, options.pop("query", CLOSEST), "query").kind, options)
         with use_threads(scene.num_threads):
             return find_plan(scene, on_device(scene, rays, query), query).plan

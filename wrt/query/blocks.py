@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from wrt.kernels.validation import as_bool
 from wrt.query.batches.block_limits import finished_before_interrupt, parse_memory, progress_bar
 from wrt.query.batches.block_outputs import TakeAttributes, check_out, for_workers, rows_together, store
 from wrt.query.batches.block_rows import GeneratedRays, Source, as_column, rows_of, rows_shape
@@ -299,5 +300,8 @@ def blocks_of(
     """
     given = {"mask": mask, "environment": environment, "skip": skip}
     columns = {name: as_column(values, name, scene, source) for name, values in given.items() if values is not None}
+    progress = as_bool("progress", progress)
+    if "precise" in options:
+        options["precise"] = as_bool("precise", options["precise"])
     query = BlockQuery(method, options, as_block_reduction(reduce, axis, method == "intersect"))
     return Blocks(BlockWork(scene, query, None, columns, 0), source, memory, progress, as_workers(executor))

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
+from wrt.kernels.validation import as_float
 from wrt.memory import empty
 from wrt.state.device_hits import shaped
 
@@ -215,16 +216,18 @@ class Hits:
             crease_angle: edges between triangles whose planes differ by more stay sharp; in degrees, in (0, 90).
 
         Raises:
+            TypeError: the angle is no number.
             ValueError: an angle out of range, or hits from a pickle.
         """
         from wrt.kernels.query.hit_interpolation import smooth_normals_at_hits
         from wrt.meshes.vertex_values import corner_normals_of
 
+        crease_angle = as_float("crease_angle", crease_angle)
         if not 0.0 < crease_angle < 90.0:
             raise ValueError(f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees")
         out = self._empty(wp.vec3)
         with use_threads(self._num_threads):
-            corners = corner_normals_of(self._meshes, float(crease_angle), self._device)
+            corners = corner_normals_of(self._meshes, crease_angle, self._device)
         self._launch(smooth_normals_at_hits, self._mesh, self.batch.primitive, self.batch.uv, corners, out)
         return self._out(out)
 
@@ -311,6 +314,8 @@ class Hits:
             launch(kernel, self.batch.count, inputs, device=self._device, chunk=4096)
 
     def _out(self, values: wp.array) -> Any:
+        if not self._form.is_warp:
+            refuse_capture("an attribute of hits in NumPy arrays", self._device)
         return shaped(values, self._form)
 
     def _as_dtype(self, values: wp.array) -> Any:

@@ -26,13 +26,13 @@ import warp as wp
 
 from wrt.execution.executor import trace
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.memory import empty
 from wrt.planning.plan import Plan
 from wrt.planning.planner import make_plan
 from wrt.rays.coherence import detect_coherence
 from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
+from wrt.rays.rays import Rays, as_vectors
 from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import ANY, AUTO, COUNT
 
@@ -48,6 +48,9 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
     """Whether points are inside the scene's meshes; see `wrt.Scene.contains`."""
     from wrt.kernels.query.ordering.ray_order import sort_rays, unsort_hits
 
+    refuse_capture("contains", scene.device)
+    scene.require("count")
+    points = as_vectors(points, "points", scene.device)
     with use_threads(scene.num_threads):
         scene = scene.distinct()
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)

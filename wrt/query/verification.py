@@ -30,7 +30,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wrt.kernels.query.nearest64 import nearest_hits, vertex_rows
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
+from wrt.kernels.validation import as_int
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.answers import closest_hits, ray_values
 from wrt.query.checks.inside_check import InsideCheck, check_inside
@@ -171,11 +172,8 @@ class Verification:
 
 def verify(scene: SceneState, samples: int, seed: int) -> Verification:
     """Verifies a scene; see `wrt.Scene.verify`."""
-    for name, value, least in (("samples", samples, len(KINDS)), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-            raise TypeError(f"{name} must be an int, not {type(value).__name__}")
-        if value < least:
-            raise ValueError(f"{name} is {value}; it must be at least {least}")
+    refuse_capture("verify", scene.device)
+    samples, seed = as_int("samples", samples, len(KINDS)), as_int("seed", seed, 0)
     joined = scene.flattened()
     vertices, faces = joined.vertices.astype(np.float64) - scene.center, joined.faces
     sizes = [samples // len(KINDS) + (number < samples % len(KINDS)) for number in range(len(KINDS))]

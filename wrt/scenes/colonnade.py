@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wrt.kernels.validation import host_array
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.shapes import boxes, check_count, copies, lathe, plane, sheets
 
@@ -42,7 +43,7 @@ def atrium(bays: tuple[int, int] = (6, 3), storeys: int = 2, detail: int = 4) ->
         TypeError: `bays` is not a pair of whole numbers.
         ValueError: an argument is out of range.
     """
-    if not isinstance(bays, tuple | list) or len(bays) != 2:
+    if host_array("bays", bays).shape != (2,):
         raise TypeError(f"bays must be a pair (along x, along y), got {bays!r}")
     bays_x, bays_y = (check_count("bays", bay, maximum=_MOST) for bay in bays)
     storeys, detail = check_count("storeys", storeys, maximum=_MOST), check_count("detail", detail)

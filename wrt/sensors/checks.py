@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from typing import Any
 
 import numpy as np
+
+from wrt.kernels.validation import as_float, as_numbers
 
 
 def check_real(name: str, values: Any, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
@@ -20,29 +21,17 @@ def check_real(name: str, values: Any, shape: tuple[int | None, ...] | None = No
         TypeError: the values are not real numbers.
         ValueError: another shape, NaN or an infinity.
     """
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise TypeError(f"{name} is not an array: {error}") from None
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must hold real numbers, not {array.dtype}")
-    array = array.astype(np.float64)
-    if shape is not None:
-        wanted = tuple("N" if n is None else str(n) for n in shape)
-        if array.ndim != len(shape) or any(n is not None and n != own for n, own in zip(shape, array.shape, strict=True)):
-            raise ValueError(f"{name} has the shape {array.shape}; it must be ({', '.join(wanted)})")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} holds NaN or infinite numbers; all must be finite")
-    return array
+    return as_numbers(name, values, shape)
 
 
 def as_time(time: Any) -> float:
     """A finite number of seconds.
 
     Raises:
-        TypeError, ValueError: as `check_real`.
+        TypeError: not a number.
+        ValueError: NaN or infinite.
     """
-    return time if type(time) is float and isfinite(time) else float(check_real("time", time, ()))
+    return as_float("time", time, finite=True)
 
 
 def check_at_least(name: str, value: Any, least: float, below: float = np.inf) -> float:
@@ -52,13 +41,12 @@ def check_at_least(name: str, value: Any, least: float, below: float = np.inf) -
         TypeError: not a number.
         ValueError: out of range.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+    value = as_float(name, value)
     if not least <= value < below:
         raise ValueError(
             f"{name} is {value}; it must be at least {least:g}" + ("" if below == np.inf else f" and below {below:g}")
         )
-    return float(value)
+    return value
 
 
 def check_matrix(name: str, matrix: np.ndarray) -> None:

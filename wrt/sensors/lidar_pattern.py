@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.validation import as_bool, as_float, as_int
 from wrt.sensors.checks import as_integers, check_at_least, check_real
 
 if TYPE_CHECKING:
@@ -137,9 +138,9 @@ class LidarPattern:
             TypeError, ValueError: as the class; a number out of range.
         """
         elevations = np.radians(check_real("elevations", elevations, (None,)))[:, None]
-        columns = int(check_at_least("columns", columns, 1))
+        columns, clockwise = as_int("columns", columns, 1), as_bool("clockwise", clockwise)
         rate = check_at_least("rate", rate, 1e-6)
-        check_at_least("radius", radius, 0.0)
+        radius = check_at_least("radius", radius, 0.0)
         times = np.arange(columns) / (columns * rate) + np.reshape(check_real("firing_times", firing_times), (-1, 1))
         times = np.broadcast_to(times, (len(elevations), columns))
         encoder = (-2.0 if clockwise else 2.0) * np.pi * rate * times
@@ -164,10 +165,10 @@ class LidarPattern:
         Raises:
             TypeError, ValueError: a number out of range.
         """
-        rows, columns = int(check_at_least("rows", rows, 1)), int(check_at_least("columns", columns, 1))
+        rows, columns = as_int("rows", rows, 1), as_int("columns", columns, 1)
         horizontal = check_at_least("horizontal", horizontal, 0.0, 360.0)
         vertical = check_at_least("vertical", vertical, 0.0, 180.0)
-        rate = check_at_least("rate", rate, 1e-6)
+        rate, tilt = check_at_least("rate", rate, 1e-6), as_float("tilt", tilt, finite=True)
         azimuth = np.radians(np.linspace(horizontal / 2, -horizontal / 2, columns))
         elevation = np.radians(tilt + np.linspace(vertical / 2, -vertical / 2, rows))[:, None]
         flat = np.cos(elevation)
@@ -193,10 +194,9 @@ class LidarPattern:
         Raises:
             TypeError, ValueError: a number out of range.
         """
-        count = int(check_at_least("count", count, 1))
+        count, first = as_int("count", count, 1), as_int("first", first, 0)
         half_angle = np.radians(check_at_least("half_angle", half_angle, 0.0, 90.0))
         point_rate = check_at_least("point_rate", point_rate, 1e-6)
-        first = int(check_at_least("first", first, 0))
         turns = 2.0 * np.pi / 60.0 * check_real("speeds", speeds, (2,))
         phases = turns[:, None] * (first + np.arange(count)) / point_rate
         left, up = half_angle / 2 * np.cos(phases).sum(axis=0), half_angle / 2 * np.sin(phases).sum(axis=0)

@@ -15,6 +15,7 @@ import numpy as np
 
 from wrt.imaging.cameras import PinholeCamera, check_point
 from wrt.imaging.integrators import INTEGRATORS
+from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.up_axis import default_up
 from wrt.scene.scene import Scene
@@ -50,6 +51,8 @@ ends then."""
 TOO_MANY = "{count} browsers look at this scene. This page shows it as soon as one of them leaves."
 
 NO_THREAD = "The system has no more threads for pictures ({error}). Load this page again later."
+
+MOST_PORT = 65535
 
 MOST_POINTS = 2_000_000
 """Points of a name."""
@@ -119,7 +122,7 @@ class Viewer:
         Raises:
             ValueError: there is no animation, or fps is out of range.
         """
-        if not 0.0 < fps <= 60.0:
+        if not 0.0 < (fps := as_float("fps", fps)) <= 60.0:
             raise ValueError(f"fps is {fps}; it must be above 0 and at most 60")
         self._panel.play(fps)
 
@@ -142,10 +145,10 @@ class Viewer:
         Raises:
             ValueError: wrong shapes, or more than 2 million points.
         """
-        points = np.asarray(points, dtype=np.float64)
+        points, size = as_numbers("points", points, finite=False), as_float("size", size, finite=True)
         if points.ndim < 1 or points.shape[-1] != 3:
             raise ValueError(f"points must have shape (..., 3), not {points.shape}")
-        values = np.zeros(points.shape[:-1]) if values is None else np.asarray(values, dtype=np.float64)
+        values = np.zeros(points.shape[:-1]) if values is None else as_numbers("values", values, finite=False)
         if values.shape != points.shape[:-1]:
             raise ValueError(f"values have shape {values.shape}, but points have shape {points.shape}")
         points, values = points.reshape(-1, 3), values.ravel()
@@ -360,6 +363,8 @@ def view(
     scene = Scene(scene) if isinstance(scene, TriangleMesh) else scene
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a wrt.Scene or a wrt.TriangleMesh, not {type(scene).__name__}")
+    port, samples, frames = as_int("port", port, 0, MOST_PORT), as_int("samples", samples, 1), as_int("frames", frames, 0)
+    block, open_browser = None if block is None else as_bool("block", block), as_bool("open_browser", open_browser)
     if animate is not None and frames < 1:
         raise ValueError(f"frames is {frames}; an animation needs the number of its frames")
     up = tuple(map(float, check_point("up", default_up(scene) if up is None else up)))
