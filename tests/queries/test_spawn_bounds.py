@@ -113,9 +113,9 @@ def test_instances_that_are_stretched():
     turn = trimesh.transformations.rotation_matrix(0.6, [1, 2, 3])
     places = [((1, 1, 1), False), ((1e4, 1e4, 1e4), False), ((1e3, 1, 1e-3), False), ((32, 1, 1 / 32), True)]
     for scales, is_round in places:
-        transform = turn @ np.diag([*scales, 1.0])
-        transform[:3, 3] = [30, -20, 10]
-        vertices = ball.vertices / scales if is_round else ball.vertices
+        transform = np.diag([*scales, 1.0]) @ turn.T
+        transform[:3, 3] = [3, -2, 1]
+        vertices = ball.vertices / scales @ turn[:3, :3].T if is_round else ball.vertices
         scene = wrt.Scene([wrt.Instance(wrt.TriangleMesh(vertices, ball.faces), transform)])
         hits = on_surface(scene, 4000)
         directions = towards(hits, grazing=1e-6)
