@@ -24,7 +24,8 @@ ray at a time, it can call:
 * `first_hit(...)`, then `next_hit(scene, origin, direction, hit, t_max)` until it misses: all hits, as
   `Scene.intersect_all`. Each call is a new search from the previous hit on: nothing is stored, and the number of hits is
   not limited;
-* `position(scene, hit)`, `normal(scene, hit)`, `spawn(scene, hit, direction)`: as in `wrt.Hits`;
+* `position(scene, hit)`, `normal(scene, hit)`, `faces(scene, hit, direction)`, `spawn(scene, hit, direction)`: as in
+  `wrt.Hits`;
 * `seeing(scene, mask, environment)`: in a scene of instances, the handle for rays that see those instances only, as `mask` and
   `environment` of `Scene.intersect`. `Scene.handle(mask=..., environment=...)` chooses for all rays.
 
@@ -51,6 +52,7 @@ from wrt.kernels.query.device_functions import (
     check_options,
     closest_hit,
     count_hits,
+    faces,
     first_hit,
     handle_type,
     instances_handle_type,
@@ -76,6 +78,7 @@ __all__ = [
     "any_hit",
     "closest_hit",
     "count_hits",
+    "faces",
     "first_hit",
     "kernel",
     "launch",

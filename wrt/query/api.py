@@ -220,6 +220,33 @@ class Queries:
         check_options(Queries.count_blocks, options)
         return blocks_of(self, "count", as_source(origins, directions, t_min, t_max), **options)
 
+    def points_on(self, primitive_id: Any, uv: Any = None, *, points: Any = None, instance_id: Any = None) -> Hits:
+        """Points on triangles as hits that no ray made, so that rays can leave them: `Hits.spawn`, `Hits.faces`.
+
+            facade = scene.points_on(triangles, points=samples)           # (N,), (N, 3)
+            lit = facade.faces(sun) & ~scene.occluded(facade.spawn(sun), sun)
+
+        Args:
+            primitive_id: (...) integers, triangles within their mesh; -1 for none, which is a miss.
+            uv: (..., 2) weights of the second and third vertex, each at least 0, and together at most 1.
+            points: (..., 3) points in the scene's coordinates, in place of `uv`. Each is moved to the nearest point of its
+                triangle. Without both, the points are the centroids.
+            instance_id: (...) integers, the instances, or meshes in a scene without instances, that the triangles are of; may
+                be left out if there is only one.
+
+        Returns:
+            Hits of the broadcast leading shape with t = 0, whose `plan` is None and whose positions are float64.
+
+        Raises:
+            TypeError: not numbers, or both `uv` and `points`.
+            ValueError: a triangle or an instance that does not exist, shapes that do not broadcast, weights outside of the
+                triangle, points farther from their triangle than a thousandth of its longest edge, or no `instance_id` in a
+                scene of several.
+        """
+        from wrt.query.points.surface_points import points_on
+
+        return points_on(self.state, primitive_id, uv, points, instance_id)
+
     def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
         """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.
 
@@ -256,8 +283,8 @@ class Queries:
         A pair is visible if no triangle crosses the open segment between its points. Points may lie on surfaces: a triangle
         whose plane contains one of the points up to rounding does not block the segment (rounding of float32 relative to
         the scene's centre, and of the points themselves if they are float32). So two points on one flat wall see each
-        other, and a point on a wall is visible from both sides. A point sees itself. A point with a NaN or an infinity sees
-        nothing. The relation is symmetric: visible(a, b) equals visible(b, a).
+        other, and a point on a wall is visible from both sides; `Hits.faces` tells on which side a direction is. A point sees
+        itself. A point with a NaN or an infinity sees nothing. The relation is symmetric: visible(a, b) equals visible(b, a).
 
         Args:
             points_a, points_b: (..., 3); leading shapes broadcast. Pairs are processed in blocks of bounded memory.
@@ -266,7 +293,7 @@ class Queries:
             TypeError: points are not arrays of real numbers.
             ValueError: wrong shapes, shapes that do not broadcast, or an array on another device.
         """
-        from wrt.query.visibility import visible
+        from wrt.query.points.visibility import visible
 
         return visible(self.state, points_a, points_b)
 

@@ -8,7 +8,7 @@ centre, so that the scene and the reference trace the same rays.
 
 **Faults.** The scene rounds to float32, and may answer as if a ray was shifted sideways by up to `TOLERANCE` of its reach
 in the scene. Along the ray, the error has the same bound, plus `SLIVER_ERROR` L^2 / h, but at most L, on a triangle whose
-length is L and height h as seen along the ray (see `wrt.kernels.query.spawn`):
+length is L and height h as seen along the ray:
 
 * a *false hit* is a hit whose point on the ray is farther than that from its triangle;
 * a *miss* is a ray with no hit, or with one behind the reference's, if eight rays around it, shifted sideways by twice the
