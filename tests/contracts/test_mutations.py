@@ -19,7 +19,7 @@ from tests.mutate.report import record_lines, summary
 from tests.mutate.runner import ERROR, KILLED, SURVIVED, Processes, Runner
 
 ROOT = Path(__file__).resolve().parents[2]
-LEAST = 40
+LEAST = 150
 """Mutations of all tables together."""
 
 

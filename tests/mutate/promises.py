@@ -204,8 +204,8 @@ MUTATIONS = [
     # -- verification --------------------------------------------------------------------------------------------------
     Mutation(
         path="wrt/query/verification.py",
-        old="return not any((*self.misses.values(), *self.false_hits.values()))",
-        new="return not any(self.misses.values())",
+        old="return not any((*self.misses.values(), *self.false_hits.values(), self.inside.wrong))",
+        new="return not any((*self.misses.values(), self.inside.wrong))",
         tests="tests/queries/test_verification.py::test_any_wrong_answer_is_not_ok",
         promise="the answer on your mesh can be checked, and faults are reported",
     ),

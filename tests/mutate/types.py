@@ -116,7 +116,7 @@ MUTATIONS = [
         promise=GRAPHS,
     ),
     Mutation(
-        path="wrt/query/visibility.py",
+        path="wrt/query/points/visibility.py",
         old='    refuse_capture("visible", scene.device)\n',
         new="",
         tests=f"{CAPTURE}[visible]",

@@ -23,6 +23,9 @@ from wrt.known_rays import influence_areas
 
 LEAST = {"t": "min"}
 
+MESH_FILE = {"materials": False, "outside": False}
+"""Options of `TriangleMesh.load`."""
+
 
 class Call(NamedTuple):
     """A public callable.
@@ -279,7 +282,7 @@ def scene_calls() -> Iterator[Call]:
         threads_of(lambda **o: wrt.PartitionedScene(folder() / "parts", **o)),
         {"memory": 1 << 26, "num_threads": 2},
     )
-    yield Call("TriangleMesh.load", lambda **o: wrt.TriangleMesh.load(folder() / "mesh.ply", **o).faces, {"materials": False})
+    yield Call("TriangleMesh.load", lambda **o: wrt.TriangleMesh.load(folder() / "mesh.ply", **o).faces, MESH_FILE)
     yield Call(
         "TriangleMesh.from_trimesh",
         lambda **o: wrt.TriangleMesh.from_trimesh(trimesh_rays().mesh, **o).faces,
@@ -541,6 +544,7 @@ FOR_THE_LIBRARY = {
         "ProcessPool.shutdown"
     ),
     "needs Dask": "map_rays",
+    "needs matplotlib": "draw_tree",
     "needs a browser": "view Viewer.play Viewer.add_points",
     "rows and columns of a finished analysis": "OctreeAnalysis.cut",
 }

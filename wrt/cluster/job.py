@@ -160,8 +160,9 @@ class Job:
             OSError: an answer cannot be written.
             RuntimeError: another client runs the job, or the workers that took a block died each time.
             TypeError: `most` is no whole number.
-            ValueError: `most` is negative; or the scene, the rays or the manifest have changed since the job was made, on a worker
-                or here; or the folder holds an archive that is not the answer of a block. What was computed before stays as it is.
+            ValueError: `most` is negative; or the scene, the rays or the manifest have changed since the job was made, on a
+                worker or here; or the folder holds an archive that is not the answer of a block. What was computed before
+                stays as it is.
         """
         most = None if most is None else as_int("most", most, 0)
         with self.folder.locked():

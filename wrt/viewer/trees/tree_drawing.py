@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wrt.builders.tree import Bvh, KdTree
+from wrt.kernels.validation import as_int
 from wrt.viewer.trees.tree_levels import TreeBoxes, tree_boxes
 
 if TYPE_CHECKING:
@@ -109,11 +110,10 @@ def _deepest(boxes: TreeBoxes, depth: int | None) -> int:
     if depth is None:
         few = np.cumsum(np.bincount(boxes.depth)) <= MOST_BOXES
         return max(int(few.sum()) - 1, 0)
-    if isinstance(depth, bool) or not isinstance(depth, (int, np.integer)):
-        raise TypeError(f"depth must be an int or None, not {type(depth).__name__}")
+    depth = as_int("depth", depth)
     if not 0 <= depth <= last:
         raise ValueError(f"depth is {depth}; the levels of this tree are 0, the root, to {last}")
-    return int(depth)
+    return depth
 
 
 def _axes(axes: Any) -> tuple[Axes, Axes | None]:
