@@ -103,9 +103,8 @@ def load_modules(modules: Iterable[wp.Module], device: wp.Device, block_dim: int
         raise RuntimeError("no kernel is compiled any more: the interpreter is exiting")
     with _lock:
         for module in modules:
-            if is_compiled(module, device, block_dim) and load_compiled(module, device, block_dim):
-                continue
-            if not shipped_kernels.load(module, device, block_dim):
+            is_loaded = is_compiled(module, device, block_dim) and load_compiled(module, device, block_dim)
+            if not is_loaded and not shipped_kernels.load(module, device, block_dim):
                 load_module(module, device, block_dim)
             _loaded[module, device.alias] = None
 

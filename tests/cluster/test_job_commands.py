@@ -85,7 +85,7 @@ WRONG = {
     JOB.replace("scene.npz", "no.ply") + RAYS: "no mesh file at",
     JOB.replace("scene.npz", "origins.npy") + RAYS: "origins.npy",
     JOB.replace("scene.npz", "pipe.npz") + RAYS: "no scene file at",
-    JOB.replace("scene.npz", "pipe.ply") + RAYS: "no mesh file at",
+    JOB.replace("scene.npz", "pipe.ply") + RAYS: "is a pipe, not a regular file",
     JOB: "needs origins and directions",
     JOB + RAYS + "t_min = -1": r"\[rays\] t_min in .* must be a finite number of at least 0",
     JOB + RAYS + "t_min = inf": r"\[rays\] t_min in .* must be a finite number of at least 0",

@@ -102,7 +102,9 @@ class Module:
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setattr(module_compiler, "_is_exiting", False)
     module_compiler._close()  # threads of earlier tests, however many
+    module_compiler._is_exiting = False
     monkeypatch.setenv("WRT_COMPILE_JOBS", "2")
     return tmp_path
 

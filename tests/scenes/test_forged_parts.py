@@ -29,7 +29,8 @@ MESH = wrt.scenes.build("teapot", level=3)
 @pytest.fixture(scope="module")
 def built(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("forged") / "scene"
-    wrt.PartitionedScene.build(MESH, path, part_triangles=400, device="cpu")
+    narrow = wrt.Bvh(width=4)  # so that there are several levels
+    wrt.PartitionedScene.build(MESH, path, part_triangles=400, accelerator=narrow, device="cpu")
     return path
 
 

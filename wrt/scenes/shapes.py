@@ -19,7 +19,10 @@ __all__ = ["boxes", "check_count", "check_positive", "copies", "lathe", "plane",
 
 def check_count(name: str, value: Any, minimum: int = 1, maximum: int = 2**31 - 1) -> int:
     """Returns a whole number from `minimum` to `maximum`, or raises a TypeError or ValueError that names the argument."""
-    return as_int(name, value, minimum, maximum)
+    value = as_int(name, value, minimum)
+    if value > maximum:
+        raise ValueError(f"{name} is {value}; it must be at most {maximum}")
+    return value
 
 
 def check_positive(name: str, value: Any, maximum: float = np.inf) -> float:
