@@ -37,11 +37,11 @@ def check_tree(tree: Bvh | KdTree, triangles: int) -> None:
 
 def check_bvh(tree: Bvh) -> None:
     """Checks that levels are contiguous and that each node's children are in the next level."""
-    child, levels, width = tree.child.numpy(), np.array(tree.level_first), tree.width
+    child, levels, width = tree.child.numpy(), np.array(tree.level_first, dtype=np.int64), tree.width
     nodes = len(child) // width
     if width == 1 or len(child) != nodes * width or len(tree.bounds) != 6 * len(child):
         raise ValueError("the sizes of child and bounds do not match, or the width is 1")
-    if not 2 <= len(levels) <= MAX_WIDE_DEPTH + 1 or levels[0] != 0 or levels[-1] != nodes or (np.diff(levels) <= 0).any():
+    if not 2 <= len(levels) <= MAX_WIDE_DEPTH + 1 or levels[0] != 0 or levels[-1] != nodes or not is_ascending(levels):
         raise ValueError(f"level_first does not divide the {nodes} nodes into 1 to {MAX_WIDE_DEPTH} levels")
     level = np.searchsorted(levels, np.arange(nodes), side="right")
     begins, ends = np.append(levels, nodes)[level], np.append(levels, [nodes, nodes])[level + 1]
@@ -51,6 +51,11 @@ def check_bvh(tree: Bvh) -> None:
         raise ValueError("a child is not in the level below its parent")
     leaf = ~child[~inner]
     check_leaves(leaf >> 6, leaf & 63, tree)
+
+
+def is_ascending(numbers: np.ndarray) -> bool:
+    """Whether each number is above the one before; differences of numbers far apart would wrap around."""
+    return bool((numbers[1:] > numbers[:-1]).all())
 
 
 def check_kdtree(tree: KdTree) -> None:

@@ -1,8 +1,5 @@
 """The code that runs per ray and per triangle: Warp kernels over structure-of-arrays buffers, for CPUs and CUDA.
 
-Importing this package chooses the CPU target before the first kernel is defined (`wrt.kernels.compilation.target`).
+The CPU target is chosen before the first kernel is defined: by `wrt.kernels.runtime.options`, which all device code imports. This
+package itself imports nothing, so that checks of arguments (`wrt.kernels.validation`) do not load Warp.
 """
-
-from wrt.kernels.compilation import target
-
-target.apply_environment()

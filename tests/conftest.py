@@ -16,6 +16,9 @@ wp.config.cpu_compiler_flags = "-march=native -mllvm=-inline-threshold=1000"
 third longer. (By LLVM's own threshold some loops over lanes are not vectorised.) Processes that tests start compile as users
 do."""
 
+os.environ.setdefault("WRT_SHOW_COMPILING", "0")
+"""What processes that tests start say on stderr must not depend on what is in the kernel cache."""
+
 wp.init()
 
 import wrt  # noqa: E402

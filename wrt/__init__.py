@@ -87,6 +87,7 @@ _HOME = {
     "device": "wrt",
     "differentiable_hits": "wrt.query.gradients",
     "directional_shadow_rays": "wrt.known_rays.ray_casters",
+    "draw_tree": "wrt.viewer.trees.tree_drawing",
     "get_num_threads": "wrt.kernels.runtime.launch",
     "nested_meshes": "wrt.meshes.node_graph",
     "point_shadow_rays": "wrt.known_rays.ray_casters",

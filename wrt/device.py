@@ -24,7 +24,8 @@ ray at a time, it can call:
 * `first_hit(...)`, then `next_hit(scene, origin, direction, hit, t_max)` until it misses: all hits, as
   `Scene.intersect_all`. Each call is a new search from the previous hit on: nothing is stored, and the number of hits is
   not limited;
-* `position(scene, hit)`, `normal(scene, hit)`, `spawn(scene, hit, direction)`: as in `wrt.Hits`;
+* `position(scene, hit)`, `normal(scene, hit)`, `faces(scene, hit, direction)`, `spawn(scene, hit, direction)`: as in
+  `wrt.Hits`;
 * `seeing(scene, mask, environment)`: in a scene of instances, the handle for rays that see those instances only, as `mask` and
   `environment` of `Scene.intersect`. `Scene.handle(mask=..., environment=...)` chooses for all rays.
 
@@ -51,6 +52,7 @@ from wrt.kernels.query.device_functions import (
     check_options,
     closest_hit,
     count_hits,
+    faces,
     first_hit,
     handle_type,
     instances_handle_type,
@@ -62,6 +64,7 @@ from wrt.kernels.query.device_functions import (
     spawn,
 )
 from wrt.kernels.runtime import launch as launching
+from wrt.kernels.validation import as_int
 from wrt.meshes.instance import EVERY, MAX_MASK, check_environment, check_mask
 from wrt.planning.plan import Plan, stack_levels
 from wrt.tapes import takes_gradients, tape_records
@@ -75,6 +78,7 @@ __all__ = [
     "any_hit",
     "closest_hit",
     "count_hits",
+    "faces",
     "first_hit",
     "kernel",
     "launch",
@@ -127,8 +131,9 @@ def launch(
         raise TypeError(f"kernel must be made by wrt.device.kernel or wp.kernel, not {type(kernel).__name__}")
     if not kernel.adj.args or kernel.adj.args[0].label != "first":
         raise TypeError(f"kernel {kernel.key!r} needs `first: int` as its first parameter, the first item of a chunk")
+    count, chunk = as_int("count", count, 0), as_int("chunk", chunk, 1)
     if num_threads is not None:
-        launching.check_num_threads(num_threads, "num_threads")
+        num_threads = launching.check_num_threads(num_threads, "num_threads")
     target = launching.as_device(device)
     differentiable = has_backward(kernel)
     if any(map(is_handle, inputs)):

@@ -18,7 +18,8 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.influence.view import AreaView, mark_affine_rays
-from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.launch import launch, refuse_capture
+from wrt.kernels.validation import as_float, as_numbers, as_real_array, convert_fields
 
 Point = tuple[float, float, float]
 
@@ -54,6 +55,7 @@ class PlaneInfluenceArea:
 
     def __post_init__(self) -> None:
         _normalise(self)
+        convert_fields(self)
         for name in ("width", "height"):
             check_positive(name, getattr(self, name))
         check_positive("depth", self.depth, endless=True)
@@ -112,6 +114,7 @@ class PointInfluenceArea:
 
     def __post_init__(self) -> None:
         _normalise(self)
+        convert_fields(self)
         object.__setattr__(self, "fov", check_numbers("fov", self.fov, 2))
         if not all(0.0 < angle < 180.0 for angle in self.fov):
             raise ValueError(f"fov is {self.fov}; both angles must be above 0 and below 180 degrees")
@@ -168,12 +171,14 @@ def affine_rays(area: InfluenceArea, origins: np.ndarray, directions: np.ndarray
     Raises:
         ValueError: origins and directions are not (N, 3), or the tolerance is out of its range.
     """
-    if not 0.0 <= tolerance < 90.0:
+    if not 0.0 <= (tolerance := as_float("tolerance", tolerance)) < 90.0:
         raise ValueError(f"tolerance is {tolerance}; it must be at least 0 and below 90 degrees")
-    origins, directions = np.asarray(origins, dtype=np.float64), np.asarray(directions, dtype=np.float32)
+    origins = as_real_array("origins", origins).astype(np.float64, copy=False)
+    directions = as_real_array("directions", directions).astype(np.float32, copy=False)
     if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
         raise ValueError(f"origins {origins.shape} and directions {directions.shape} must both be (N, 3)")
     center, device = np.array(area.position), wp.get_device("cpu")
+    refuse_capture("affine", device)
     with np.errstate(over="ignore"):
         near = np.ascontiguousarray((origins - center).astype(np.float32))
     rays = [wp.array(a, dtype=wp.vec3, device=device) for a in (near, np.ascontiguousarray(directions))]
@@ -204,20 +209,15 @@ def frame_of(direction: Point, up: Point | None) -> np.ndarray:
 
 
 def check_numbers(name: str, value: object, count: int) -> tuple[float, ...]:
-    """Returns `count` finite numbers; raises a ValueError that names the argument otherwise."""
-    try:
-        numbers = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
+    """Returns `count` finite numbers; raises a TypeError or ValueError that names the argument otherwise."""
+    numbers = as_numbers(name, value, finite=False)
     if numbers.shape != (count,) or not np.isfinite(numbers).all():
         raise ValueError(f"{name} must be {count} finite numbers, not {value!r}")
     return tuple(numbers.tolist())
 
 
 def check_positive(name: str, value: float, endless: bool = False) -> None:
-    """Raises TypeError for a value that is no number, ValueError for one not above 0, or infinite unless `endless`."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+    """Raises ValueError for a number not above 0, or infinite unless `endless`."""
     if not (value > 0.0 and (endless or isfinite(value))):
         raise ValueError(f"{name} is {value}; it must be above 0{'' if endless else ' and finite'}")
 

@@ -34,6 +34,7 @@ from wrt.kernels.influence.view import AreaView, direction_at
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
+from wrt.kernels.validation import as_numbers
 
 exact_module(__name__)
 
@@ -78,7 +79,7 @@ class RayDistribution:
     def __post_init__(self) -> None:
         object.__setattr__(self, "areas", check_areas(self.areas))
         if self.shares is not None:
-            object.__setattr__(self, "shares", tuple(map(float, self.shares)))
+            object.__setattr__(self, "shares", tuple(as_numbers("shares", self.shares, (None,), finite=False).tolist()))
             if len(self.shares) != len(self.areas) or not all(share > 0.0 and isfinite(share) for share in self.shares):
                 raise ValueError(f"shares is {self.shares}; pass {len(self.areas)} numbers above 0, one per area, or None")
         if not 0.0 <= self.others <= 1.0:

@@ -30,6 +30,7 @@ import warp as wp
 from wrt.builders.influence.influence_area import frame_of
 from wrt.kernels.influence import region_tests as kernel
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.validation import convert_fields
 
 Vector = tuple[float, float, float]
 
@@ -215,6 +216,7 @@ class Frustum(Region):
 
     def __post_init__(self) -> None:
         _set_vectors(self, "eye", "forward")
+        convert_fields(self)
         object.__setattr__(self, "up", check_up(self.forward, self.up))
         for name in ("fov_x", "fov_y"):
             if not 0.0 < getattr(self, name) < 180.0:

@@ -4,7 +4,8 @@ Warp keeps compiled kernels in a folder of the user or in the folder that WARP_C
 full disk it fails with the system's error about some file. This module finds the cause, warns on stderr, and continues with a
 temporary folder, which the process removes at exit.
 
-Several processes can share the folder: Warp compiles into a folder of its own and renames it into place.
+Several processes can share the folder: Warp compiles into a folder of its own and renames it into place. What was damaged
+there is removed (`wrt.kernels.compilation.damaged_kernels`), so that it is compiled again.
 """
 
 import atexit
@@ -15,6 +16,8 @@ import tempfile
 from pathlib import Path
 
 import warp as wp
+
+from wrt.kernels.compilation import damaged_kernels
 
 ROOM = 1 << 20
 """Bytes that must fit into the folder: the size of a large kernel."""
@@ -29,8 +32,20 @@ def init_warp() -> None:
         wp.init()
 
 
+def load_compiled(module: wp.Module, device: wp.Device, block_dim: int) -> bool:
+    """Loads a module that the kernel cache has; False if it cannot be loaded, and has been removed."""
+    code, about = cached_files(module, device, block_dim)
+    try:
+        module.load(device, block_dim=block_dim)
+    except Exception as error:
+        _remove(code.parent, error)
+        return False
+    damaged_kernels.seal(code, about)
+    return True
+
+
 def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> None:
-    """Compiles a module, or takes it from the kernel cache, and loads it.
+    """Compiles a module and loads it.
 
     If the kernel cache is not writable, it switches to a temporary folder.
     """
@@ -53,8 +68,30 @@ def cached_files(module: wp.Module, device: wp.Device, block_dim: int) -> tuple[
 
 
 def is_compiled(module: wp.Module, device: wp.Device, block_dim: int) -> bool:
-    """Whether the kernel cache has a module."""
-    return all(path.exists() for path in cached_files(module, device, block_dim))
+    """Whether the kernel cache has a module. One of which there is only a part, or that has changed since it was sealed, is
+    removed."""
+    code, about = cached_files(module, device, block_dim)
+    if os.path.exists(code) and os.path.exists(about):
+        damage = damaged_kernels.damage_of(code, about)
+    elif os.path.lexists(code):
+        damage = f"'{about.name}' is missing"
+    else:
+        is_usable = not os.path.lexists(code.parent) or (code.parent.is_dir() and os.access(code.parent, os.R_OK | os.X_OK))
+        if is_usable:
+            return False
+        damage = "no folder that can be read"
+    if damage is None:
+        return True
+    _remove(code.parent, damage)
+    return False
+
+
+def _remove(folder: Path, reason: object) -> None:
+    """Removes a damaged module; if that is not permitted, this process uses another cache."""
+    try:
+        damaged_kernels.remove(folder, reason)
+    except OSError as error:
+        use_temporary_folder(error)
 
 
 def folder_size() -> tuple[int, int]:

@@ -24,7 +24,7 @@ import warp as wp
 
 from wrt.kernels.compilation import compile_progress, shipped_kernels
 from wrt.kernels.compilation.cores import available_cores
-from wrt.kernels.compilation.kernel_cache import is_compiled, load_module
+from wrt.kernels.compilation.kernel_cache import is_compiled, load_compiled, load_module
 
 VARIABLE = "WRT_COMPILE_JOBS"
 
@@ -41,6 +41,8 @@ _lock = threading.RLock()
 _threads: list[threading.Thread] = []
 _queue: SimpleQueue[tuple[Key, Future[None]] | None] = SimpleQueue()
 _pending: dict[Key, Future[None]] = {}
+_is_exiting = False
+_loaded: dict[tuple[wp.Module, str], None] = {}
 
 
 def compile_jobs() -> int:
@@ -87,6 +89,7 @@ def load_modules(modules: Iterable[wp.Module], device: wp.Device, block_dim: int
 
     Raises:
         Exception: whatever Warp raises for a module that cannot be compiled.
+        RuntimeError: the interpreter is exiting, and this is not its main thread.
     """
     modules = list(dict.fromkeys(modules))
     try:
@@ -96,16 +99,29 @@ def load_modules(modules: Iterable[wp.Module], device: wp.Device, block_dim: int
     except KeyboardInterrupt:
         _drop()
         raise
+    if _is_exiting and threading.current_thread() is not threading.main_thread():
+        raise RuntimeError("no kernel is compiled any more: the interpreter is exiting")
     with _lock:
         for module in modules:
-            if is_compiled(module, device, block_dim) or not shipped_kernels.load(module, device, block_dim):
+            is_loaded = is_compiled(module, device, block_dim) and load_compiled(module, device, block_dim)
+            if not is_loaded and not shipped_kernels.load(module, device, block_dim):
                 load_module(module, device, block_dim)
+            _loaded[module, device.alias] = None
+
+
+def loaded_modules(device: wp.Device) -> list[wp.Module]:
+    """The modules that this process has loaded on a device by `load_modules`, in the order of their first use."""
+    with _lock:
+        return [module for module, alias in _loaded if alias == device.alias]
 
 
 def _begin(key: Key) -> None:
     """Gives a module to the threads that compile; if there can be none, the caller compiles it later."""
     with _lock:
         job = _pending[key]
+        if _is_exiting:  # a new thread would take what ends an old one, for which `_close` would wait for ever
+            _end(key, job)
+            return
         if len(_threads) < compile_jobs():
             if not _threads:
                 _close_at_exit()
@@ -141,10 +157,12 @@ def _close_at_exit() -> None:
 
 def _close() -> None:
     """Drops what nobody waits for any more, and waits for the modules under way, as their threads must not outlive Warp."""
-    _drop()
+    global _is_exiting
     with _lock:
+        _is_exiting = True
         threads = [*_threads]
         _threads.clear()
+    _drop()
     for _ in threads:
         _queue.put(None)
     for thread in threads:
@@ -170,8 +188,8 @@ def _drop() -> None:
 
 def _forget() -> None:
     """A forked child has none of the threads."""
-    global _lock, _queue
-    _lock, _queue = threading.RLock(), SimpleQueue()
+    global _lock, _queue, _is_exiting
+    _lock, _queue, _is_exiting = threading.RLock(), SimpleQueue(), False
     _threads.clear()
     _pending.clear()
 

@@ -2,6 +2,7 @@
 
     FOLDER/x86-64-v3/made_for.txt       Warp's version, system and compiler
     FOLDER/x86-64-v3/KEY.o, KEY.meta    a module's code, and Warp's data about it
+    FOLDER/x86-64-v3/KEY.o.seal         a checksum of both
 
 `wrt warm --export FOLDER` writes them. They are looked for in `wrt.kernels`' own folder `compiled`, or where
 WRT_COMPILED_KERNELS says, when the kernel cache does not have a module.
@@ -25,6 +26,7 @@ from pathlib import Path
 
 import warp as wp
 
+from wrt.kernels.compilation.damaged_kernels import damage_of, seal
 from wrt.kernels.compilation.kernel_cache import cached_files
 from wrt.kernels.compilation.target import (
     TARGET_VARIABLE,
@@ -76,8 +78,17 @@ def find(module: wp.Module, device: wp.Device, block_dim: int) -> tuple[Path, Pa
     for name in able:
         code, about = (folder() / name / f"{key}{ending}" for ending in (".o", ".meta"))
         if key not in _refused and code.exists() and about.exists():
-            return code, about
+            damage = damage_of(code, about)
+            if damage is None:
+                return code, about
+            _refuse(code, damage)
     return None
+
+
+def _refuse(code: Path, reason: object) -> None:
+    """Does without a module's shipped code, and says so on stderr."""
+    _refused.add(code.stem)
+    print(f"wrt: '{code}' cannot be loaded ({reason}); its kernels are compiled instead", file=sys.stderr)
 
 
 def load(module: wp.Module, device: wp.Device, block_dim: int) -> bool:
@@ -89,8 +100,7 @@ def load(module: wp.Module, device: wp.Device, block_dim: int) -> bool:
     try:
         module.load(device, block_dim=block_dim, binary_path=code, meta_path=about)
     except Exception as error:
-        _refused.add(code.stem)
-        print(f"wrt: '{code}' cannot be loaded ({error}); its kernels are compiled instead", file=sys.stderr)
+        _refuse(code, error)
         return False
     _loaded.add(code.stem)
     return True
@@ -109,8 +119,8 @@ def key_of(module: wp.Module) -> str:
     return content.hexdigest()
 
 
-def export(kernels: Iterable[wp.Kernel], destination: Path) -> int:
-    """Copies the compiled modules of kernels from the kernel cache, for the current target; returns how many.
+def export(modules: Iterable[wp.Module], destination: Path) -> int:
+    """Copies compiled modules from the kernel cache, for the current target; returns how many.
 
     Raises:
         ValueError: the target is "native": code for this CPU alone.
@@ -119,7 +129,7 @@ def export(kernels: Iterable[wp.Kernel], destination: Path) -> int:
     name, device = target_name(), wp.get_device("cpu")
     if name == "native":
         raise ValueError("kernels for the target 'native' are for this CPU alone; choose x86-64-v3 or x86-64-v4")
-    modules = {kernel.module for kernel in kernels}
+    modules = set(modules)
     place = destination / name
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
@@ -127,6 +137,7 @@ def export(kernels: Iterable[wp.Kernel], destination: Path) -> int:
         code, about = cached_files(module, device, CPU_BLOCK)
         shutil.copyfile(code, place / f"{key_of(module)}.o")
         shutil.copyfile(about, place / f"{key_of(module)}.meta")
+        seal(*(place / f"{key_of(module)}{ending}" for ending in (".o", ".meta")))
     (place / MADE_FOR).write_text(_made_for(name), encoding="utf-8")
     return len(modules)
 

@@ -26,7 +26,7 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import Ray, checked_ray
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, hit_normal, hit_position
-from wrt.kernels.query.spawn import spawn_origin
+from wrt.kernels.query.spawn import faces_front, spawn_origin
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Candidate, Counters, start
 from wrt.kernels.traversal.search_results import PreviousCrossing, results_of
@@ -372,7 +372,13 @@ def normal(scene: Any, hit: Hit):
 @wp.func
 def spawn(scene: Any, hit: Hit, direction: wp.vec3):
     """(vec3d) origin for a ray of this direction that leaves a hit, as computed by `Hits.spawn`; NaN for a miss."""
-    return spawn_origin(scene.mesh, hit.triangle, hit.uv, direction)
+    return spawn_origin(scene.mesh, hit.triangle, hit.uv, direction, 0)
+
+
+@wp.func
+def faces(scene: Any, hit: Hit, direction: wp.vec3):
+    """(bool) whether a direction points to the front of a hit, as `Hits.faces`; False for a miss."""
+    return faces_front(scene.mesh, hit.triangle, direction)
 
 
 @wp.func

@@ -1,10 +1,12 @@
-"""Nearest hits by brute force in float64: every triangle, by the watertight test's arithmetic (Woop, Benthin, Wald 2013).
+"""Nearest hits by brute force in float64: every triangle, by the watertight test's arithmetic (Woop, Benthin, Wald 2013); and
+winding numbers, by the solid angles of all triangles (van Oosterom, Strackee 1983).
 
 The reference that scenes are checked against (`Scene.verify`). A triangle's corners are sheared so that the ray is the third
 axis; the ray meets the triangle, edges included, if it is on the same side of all three edges. Threads and blocks of rays never
 change an answer.
 
 References:
+    A. van Oosterom, J. Strackee: The solid angle of a plane triangle. IEEE Transactions on Biomedical Engineering 30(2), 1983.
     S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
 """
 
@@ -130,6 +132,22 @@ def find_nearest(
                 hits[ray] = found
 
 
+@wp.kernel
+def sum_angles(
+    first: int, corners: wp.array2d(dtype=wp.float64), points: wp.array(dtype=wp.vec3d), sums: wp.array(dtype=wp.float64)
+):
+    """Item: a point. Half the sum of the solid angles of all triangles, positive where a triangle's back is seen."""
+    i = first + wp.tid()
+    total = wp.float64(0.0)
+    for k in range(corners.shape[1]):
+        a = wp.vec3d(corners[0, k], corners[1, k], corners[2, k]) - points[i]
+        b = wp.vec3d(corners[3, k], corners[4, k], corners[5, k]) - points[i]
+        c = wp.vec3d(corners[6, k], corners[7, k], corners[8, k]) - points[i]
+        la, lb, lc = wp.length(a), wp.length(b), wp.length(c)
+        total += wp.atan2(wp.dot(a, wp.cross(b, c)), la * lb * lc + wp.dot(a, b) * lc + wp.dot(b, c) * la + wp.dot(c, a) * lb)
+    sums[i] = total
+
+
 def vertex_rows(vertices: np.ndarray, faces: np.ndarray) -> wp.array:
     """(9, T) float64: x, y, z of the first corners, of the second and of the third.
 
@@ -157,3 +175,17 @@ def nearest_hits(corners: wp.array, origins: np.ndarray, directions: np.ndarray)
     launch(find_nearest, -(-count // size), [size, corners, *rays, hits], device=device, chunk=1, longest=64)
     found = hits.numpy()
     return found["triangle"].astype(np.int64), found["t"].copy()
+
+
+def winding_numbers(corners: wp.array, points: np.ndarray) -> np.ndarray:
+    """(N,) float64: how often a surface that faces outward surrounds each point; a whole number if the surface is closed.
+
+    Args:
+        corners: as of `vertex_rows`.
+        points: (N, 3) float64.
+    """
+    device = corners.device
+    sums = wp.zeros(len(points), dtype=wp.float64, device=device)
+    places = wp.array(np.ascontiguousarray(points, dtype=np.float64), dtype=wp.vec3d, device=device)
+    launch(sum_angles, len(points), [corners, places, sums], device=device, chunk=1, longest=64)
+    return sums.numpy() / (2.0 * np.pi)

@@ -100,7 +100,7 @@ NATIVE = f"""
 #if defined(__x86_64__)
         __builtin_ia32_pause();
 #elif defined(__aarch64__)
-        __asm__ volatile("yield");
+        __builtin_arm_yield();  // Warp's Clang has no assembler: instructions are builtins
 #endif
     }};
     auto now = [&]() {{

@@ -19,6 +19,7 @@ References:
 """
 
 import os
+import re
 import threading
 from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
@@ -37,6 +38,7 @@ from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.cuda_commands import launch_again
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
+from wrt.kernels.validation import as_int
 
 Config = TypeVar("Config")
 
@@ -113,11 +115,7 @@ class use_threads:  # a class, because a generator would take three times as lon
 
 def check_num_threads(count: int, name: str) -> int:
     """Returns `count` if it is a valid number of threads; raises an error that names `name` otherwise."""
-    if isinstance(count, bool) or not isinstance(count, int):
-        raise TypeError(f"{name} must be an int, not {type(count).__name__}")
-    if not 1 <= count <= MAX_THREADS:
-        raise ValueError(f"{name} is {count}; it must be from 1 to {MAX_THREADS}")
-    return count
+    return as_int(name, count, 1, MAX_THREADS)
 
 
 def launch(
@@ -285,6 +283,23 @@ def kept(device: wp.Device) -> Iterator[None]:
         wp.synchronize_stream(device.stream)
 
 
+def refuse_capture(what: str, device: wp.Device) -> None:
+    """Refuses what reads on the host what kernels compute: while a graph is captured, kernels are recorded and do not run.
+
+    Args:
+        what: the subject of the message, such as "update".
+        device: where the kernels would run; trees are built on the CPU as well.
+
+    Raises:
+        RuntimeError: a graph is being captured there.
+    """
+    if device.is_capturing or (device.is_cuda and wp.get_device("cpu").is_capturing):
+        raise RuntimeError(
+            f"{what} cannot be part of a graph: kernels do not run while it is captured, and their results are needed at once; "
+            "call it before or after the capture"
+        )
+
+
 def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:
     """Reloads the module of a kernel if it has gained specialisations.
 
@@ -382,12 +397,40 @@ if hasattr(os, "register_at_fork"):
 def as_device(device: str | wp.Device | None) -> wp.Device:
     """The device of that name; Warp's default device for None.
 
+    Args:
+        device: a Warp device, or a name as any library writes it, in capitals or not: "cpu", "CPU:0" (Open3D), "cuda",
+            "cuda:1", "GPU:0"; or another library's device whose text is such a name, as those of Open3D and PyTorch.
+
     Raises:
+        TypeError: no name of a device.
         ValueError: the device does not exist.
     """
     init_warp()
+    if device is not None and not isinstance(device, wp.Device):
+        device = _device_name(device)
     try:
         return wp.get_device(device)
     except (ValueError, RuntimeError) as error:
-        names = ", ".join(str(d) for d in wp.get_devices())
-        raise ValueError(f"device {device!r} does not exist ({error}); choose from {names}") from None
+        raise ValueError(f"device {device!r} does not exist ({error}); choose from {_device_names()}") from None
+
+
+def _device_name(device: Any) -> str:
+    """Warp's name of a device."""
+    match = _DEVICE.fullmatch(str(device).strip())
+    if match is None:
+        kind = ValueError if isinstance(device, str) else TypeError
+        raise kind(f"device {device!r} does not exist; choose from {_device_names()}")
+    kind, number = match["kind"].lower(), match["number"]
+    if kind == "cpu":
+        if number is not None and int(number):
+            raise ValueError(f"device {device!r} does not exist: all cores are one device; pass 'cpu'")
+        return kind
+    return "cuda" if number is None else f"cuda:{int(number)}"
+
+
+def _device_names() -> str:
+    return ", ".join(str(one) for one in wp.get_devices())
+
+
+_DEVICE = re.compile(r"(?P<kind>cpu|cuda|gpu)(?::(?P<number>\d{1,4}))?", re.IGNORECASE)
+"""Names of devices."""

@@ -7,11 +7,17 @@ a ray slip between two triangles. Without it, equal expressions give equal bits.
 
 **No gradients** (`enable_backward`). Searches have no useful derivative (`wrt.kernels.query.hit_gradients` says what has one),
 and code for backward passes would only take time to compile.
+
+Importing this module chooses the CPU target (`wrt.kernels.compilation.target`), before the first kernel is defined.
 """
 
 from collections.abc import Callable
 
 import warp as wp
+
+from wrt.kernels.compilation import target
+
+target.apply_environment()
 
 EXACT = {"fuse_fp": False}
 """Module options of all device code, with gradients or without."""

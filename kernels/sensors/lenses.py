@@ -48,6 +48,8 @@ class Lens:
     fy: wp.float64
     cx: wp.float64
     cy: wp.float64
+    skew: wp.float64
+    """Pixels to the right for each unit of y on the image plane; 0 where columns are at right angles to rows."""
     c: Coefficients
     """BROWN_CONRADY: k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4; KANNALA_BRANDT: k1 k2 k3 k4; F_THETA: factors of angle, angle^2 ...;
     DOUBLE_SPHERE: xi, alpha."""
@@ -184,6 +186,15 @@ def limit_of_double_sphere(xi: wp.float64, alpha: wp.float64):
 
 
 @wp.func
+def skewed(lens: Lens, y: wp.float64):
+    """By how many pixels a point at this height on the image plane is moved to the right; 0 without skew, whatever y is."""
+    shift = ZERO
+    if lens.skew != ZERO:
+        shift = lens.skew * y
+    return shift
+
+
+@wp.func
 def project(lens: Lens, p: wp.vec3d):
     """The pixel of a point in the camera's frame; NaN if the lens does not see it."""
     flat = wp.length(wp.vec2d(p[0], p[1]))
@@ -207,14 +218,15 @@ def project(lens: Lens, p: wp.vec3d):
         image = wp.vec2d(wp.atan2(p[0], p[2]), wp.atan2(p[1], wp.length(wp.vec2d(p[0], p[2]))))
     elif p[2] >= ZERO:
         image = wp.vec2d(p[0], p[1])
-    return wp.vec2d(lens.fx * image[0] + lens.cx, lens.fy * image[1] + lens.cy)
+    return wp.vec2d(lens.fx * image[0] + skewed(lens, image[1]) + lens.cx, lens.fy * image[1] + lens.cy)
 
 
 @wp.func
 def unproject(lens: Lens, pixel: wp.vec2d):
     """The ray of a pixel; NaN if it has none."""
     ray = LensRay()
-    image = wp.vec2d((pixel[0] - lens.cx) / lens.fx, (pixel[1] - lens.cy) / lens.fy)
+    y = (pixel[1] - lens.cy) / lens.fy
+    image = wp.vec2d((pixel[0] - lens.cx - skewed(lens, y)) / lens.fx, y)
     radius = wp.length(image)
     if lens.model == BROWN_CONRADY:
         point = undistort(lens.c, image)

@@ -59,3 +59,64 @@ def count_open(
         if not occluded[item * count + k]:
             found += 1
     open_rays[points[item]] += found
+
+
+SHARES = wp.constant(256)
+"""Parts of an ambient ray that `share_open` counts in."""
+
+LEAST_COSINE, MOST_SLOPE = wp.constant(0.9), wp.constant(0.2)
+"""Of the normals of two points that see the sky alike, and of the line between them above the plane of one of them."""
+
+
+FEWEST_ALIKE = wp.constant(8)
+"""Points that are alike; where there are fewer, all in the window are asked."""
+
+
+@wp.kernel
+def share_open(
+    first: int,
+    surface: Surface,
+    first_pixel: int,
+    width: int,
+    radius: int,
+    open_rays: wp.array(dtype=int),
+    shared: wp.array(dtype=int),
+):
+    """Item: a point. Writes the mean number of open rays, in parts of 1 / `SHARES`, of the points within `radius` rows and
+    columns of its pixel that lie on the same smooth surface: their normals are alike, and they lie near its plane. Of a
+    surface as thin as a few pixels, there are too few; then all points in the window count.
+
+    Few rays a point leave it black or bright by chance; neighbours know better together. Points beyond the ends of the tile
+    are left out.
+    """
+    item = first + wp.tid()
+    normal = surface.normal[item]
+    found = int(0)
+    count = int(0)
+    found_alike = int(0)
+    alike = int(0)
+    if wp.length_sq(surface.face_normal[item]) > 0.0:
+        origin = surface.origin[item]
+        pixel = first_pixel + item
+        row = pixel / width
+        column = pixel % width
+        for below in range(-radius, radius + 1):
+            for beside in range(-radius, radius + 1):
+                other = (row + below) * width + column + beside - first_pixel
+                inside = column + beside >= 0 and column + beside < width and row + below >= 0
+                if inside and other >= 0 and other < open_rays.shape[0]:  # noqa: SIM102 - in a kernel, `and` evaluates both sides
+                    if wp.length_sq(surface.face_normal[other]) > 0.0:
+                        found += open_rays[other]
+                        count += 1
+                        between = wp.vec3(surface.origin[other] - origin)
+                        slope = wp.abs(wp.dot(normal, between)) - MOST_SLOPE * wp.length(between)
+                        if wp.dot(normal, surface.normal[other]) >= LEAST_COSINE and slope <= 0.0:
+                            found_alike += open_rays[other]
+                            alike += 1
+    if alike >= FEWEST_ALIKE:
+        found = found_alike
+        count = alike
+    if count > 0:
+        shared[item] = (SHARES * found + count / 2) / count
+    else:
+        shared[item] = 0

@@ -14,9 +14,8 @@ References:
 import warp as wp
 
 from wrt.kernels.layout.instance_maps import scene_normal
-from wrt.kernels.layout.ray_batch import TINY
 from wrt.kernels.query.hit_attributes import SceneMesh, Triangle, triangle_of, winding
-from wrt.kernels.query.spawn import INSET, SLIVER
+from wrt.kernels.query.spawn import INSET
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.normals import unit_or_zero
 from wrt.kernels.shading.surface import OFFSET
@@ -36,8 +35,8 @@ class FaceRecord:
     """Unit vector by the winding; 0 for a triangle without area."""
     inverse_heights: wp.vec3
     """Over the edges opposite to the three corners."""
-    sliver: float
-    """Least offset of this triangle; see `wrt.kernels.query.spawn`. Negative if smooth normals are equal to the normal."""
+    curved: float
+    """1, or 0 if the smooth normals of the corners are equal to `normal`."""
 
 
 @wp.struct
@@ -80,15 +79,13 @@ def record_of(mesh: SceneMesh, triangle: Triangle):
     across = winding(mesh, triangle) * wp.cross(triangle.b - triangle.a, triangle.c - triangle.a)
     area = wp.length(across)
     sizes = wp.vec3d(wp.length(triangle.c - triangle.b), wp.length(triangle.a - triangle.c), wp.length(triangle.b - triangle.a))
-    longest = wp.float32(wp.max(sizes[0], wp.max(sizes[1], sizes[2])))
-    height = wp.float32(area) / wp.max(longest, TINY)
     record = FaceRecord()
     record.corner = wp.vec3(triangle.a)
     record.edge1 = wp.vec3(triangle.b - triangle.a)
     record.edge2 = wp.vec3(triangle.c - triangle.a)
     record.normal = wp.vec3(unit_or_zero(across))
     record.inverse_heights = wp.vec3(sizes / wp.max(area, wp.float64(1e-30)))
-    record.sliver = wp.min(SLIVER * longest * (longest / wp.max(height, TINY)), 0.25 * height)
+    record.curved = 1.0
     return record
 
 
@@ -108,7 +105,7 @@ def make_face_records(
         least = wp.min(wp.dot(corner_normals[3 * i], record.normal), wp.dot(corner_normals[3 * i + 1], record.normal))
         is_flat = wp.min(least, wp.dot(corner_normals[3 * i + 2], record.normal)) > 0.999999
     if is_flat:
-        record.sliver = -wp.max(record.sliver, TINY)
+        record.curved = 0.0
     records[i] = record
 
 
@@ -128,13 +125,26 @@ def lift(point: wp.vec3, corner: wp.vec3, normal: wp.vec3):
 
 
 @wp.func
-def inset_weights(weights: wp.vec3, inverse_heights: wp.vec3, distance: float):
-    """Weights of the point, moved to be at least `distance` from each edge, or towards the centroid."""
-    result = wp.vec3()
-    for corner in range(3):
-        least = distance * inverse_heights[corner]
-        result[corner] = wp.max(weights[corner], wp.where(3.0 * least < 1.0, least, 1.0 / 3.0))
-    return result / (result[0] + result[1] + result[2])
+def inset_weights(weights: wp.vec3, record: FaceRecord, offset: float):
+    """Weights of the point, moved away from the edges: `wrt.kernels.query.spawn.keep_from_edges` in float32."""
+    inverse = record.inverse_heights
+    room = wp.min(INSET * offset, 0.5 / (inverse[0] + inverse[1] + inverse[2]))
+    least = room * inverse
+    area = float(0.0)
+    if weights[0] < least[0] or weights[1] < least[1] or weights[2] < least[2]:
+        area = wp.length(wp.cross(record.edge1, record.edge2))
+    result = weights / (weights[0] + weights[1] + weights[2])
+    if area > 0.0:
+        edge0 = record.edge2 - record.edge1
+        edge1 = -record.edge2
+        edge2 = record.edge1
+        for _ in range(2):
+            step0 = wp.max(0.0, least[0] - result[0]) / inverse[0] / (inverse[0] * area)
+            step1 = wp.max(0.0, least[1] - result[1]) / inverse[1] / (inverse[1] * area)
+            step2 = wp.max(0.0, least[2] - result[2]) / inverse[2] / (inverse[2] * area)
+            step = step0 * edge0 + step1 * edge1 + step2 * edge2
+            result += wp.vec3(wp.dot(edge0, step), wp.dot(edge1, step), wp.dot(edge2, step)) / area
+    return result
 
 
 @wp.func
@@ -165,11 +175,11 @@ def shading_point(shaded: ShadedMesh, primitive: int, uv: wp.vec2, direction: wp
         point.face_normal = -direction
     point.weights = wp.vec3(1.0 - uv[0] - uv[1], uv[0], uv[1])
     near = record.corner + uv[0] * record.edge1 + uv[1] * record.edge2
-    point.offset = wp.max(OFFSET * reach(near, shaded.mesh.low, shaded.mesh.high), wp.abs(record.sliver))
-    at = inset_weights(point.weights, record.inverse_heights, INSET * point.offset)
+    point.offset = OFFSET * reach(near, shaded.mesh.low, shaded.mesh.high)
+    at = inset_weights(point.weights, record, point.offset)
     point.position = record.corner + at[1] * record.edge1 + at[2] * record.edge2
     point.normal = point.face_normal
-    if shaded.is_smooth and record.sliver >= 0.0:
+    if shaded.is_smooth and record.curved != 0.0:
         na = side * corner_normal_at(shaded, point.face, instance, 0)
         nb = side * corner_normal_at(shaded, point.face, instance, 1)
         nc = side * corner_normal_at(shaded, point.face, instance, 2)

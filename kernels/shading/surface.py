@@ -15,9 +15,10 @@ import warp as wp
 
 from wrt.kernels.layout.instance_maps import scene_normal
 from wrt.kernels.query.hit_attributes import SceneMesh, Triangle, triangle_of, winding
-from wrt.kernels.query.spawn import INSET, keep_from_edges, origin_offset
+from wrt.kernels.query.spawn import keep_from_edges
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.normals import unit_or_zero
+from wrt.kernels.simd.boxes import reach
 
 exact_module(__name__)
 
@@ -105,8 +106,8 @@ def find_surface(
             side_normal = -wp.normalize(toward)
         weights = wp.vec3(1.0 - uv[i][0] - uv[i][1], uv[i][0], uv[i][1])
         near = wp.vec3(wp.float64(weights[0]) * a + wp.float64(weights[1]) * b + wp.float64(weights[2]) * c)
-        offset = origin_offset(OFFSET, near, scene.mesh.low, scene.mesh.high, a, b, c)
-        at = keep_from_edges(weights, a, b, c, INSET * offset)
+        offset = OFFSET * reach(near, scene.mesh.low, scene.mesh.high)
+        at = keep_from_edges(weights, a, b, c, offset)
         point = at[0] * a + at[1] * b + at[2] * c
         step = wp.float64(offset) * side_normal
         origin = scene.mesh.center + (point + step)

@@ -139,8 +139,8 @@ def test_every_peer_agrees_with_wrt(peer_name):
     if missing:
         pytest.skip(str(missing))
     open_mesh = [name for name in WORKLOADS if name != "inside"]  # what is inside it is a matter of taste
-    questions = ask(peers, MESH, WorkloadMaker(MESH, size=SIZE).make(open_mesh), 1)
-    for question in questions + ask(peers, SPHERE, WorkloadMaker(SPHERE, size=SIZE).make(["inside"]), 1):
+    questions = [*ask(peers, MESH, WorkloadMaker(MESH, size=SIZE).make(open_mesh), 1)]
+    for question in [*questions, *ask(peers, SPHERE, WorkloadMaker(SPHERE, size=SIZE).make(["inside"]), 1)]:
         assert question.reference == "wrt"
         for row in question.rows:
             assert row.error is None, row

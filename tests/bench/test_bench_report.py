@@ -2,18 +2,20 @@
 
 import json
 import os
+from io import StringIO
 
 import numpy as np
 import pytest
 import warp as wp
 from click.testing import CliRunner
+from rich.console import Console
 
-from wrt.bench.commands import kdtree_commands
+from wrt.bench.commands import command_options, kdtree_commands
 from wrt.bench.commands.benchmark import COMPARISONS, bench, run_benchmark
 from wrt.bench.commands.command_options import table_console
 from wrt.bench.core import benchmark_plot as plot
 from wrt.bench.core.agreement import Agreement
-from wrt.bench.core.benchmark_report import build_table, percent, print_report, ray_table, times
+from wrt.bench.core.benchmark_report import ReportPrinter, build_table, percent, ray_table, times
 from wrt.bench.core.benchmark_results import Question, Row
 from wrt.bench.core.workloads import WORKLOADS
 from wrt.bench.studies import startup_times as startup
@@ -29,9 +31,27 @@ MESH = teapot(level=2, ground=False)
 
 
 @pytest.fixture(scope="module")
-def report():
-    options = {"size": SIZE, "rounds": 2, "threads": 2, "startup": False}
-    return run_benchmark([TriangleMesh(MESH.vertices, MESH.faces, name="teapot")], **options)
+def printed():
+    """A report, and what was printed when each of its questions was answered."""
+    out, parts = StringIO(), []
+    printer = ReportPrinter(Console(width=180, file=out))
+
+    def show(report, question):
+        printer.add(report, question)
+        assert report.models[-1].questions[-1] is question
+        parts.append(out.getvalue())
+        out.seek(0)
+        out.truncate()
+
+    options = {"size": SIZE, "rounds": 2, "threads": 2, "startup": False, "on_question": show}
+    report = run_benchmark([TriangleMesh(MESH.vertices, MESH.faces, name="teapot")], **options)
+    printer.end(report)
+    return report, [*parts, out.getvalue()]
+
+
+@pytest.fixture(scope="module")
+def report(printed):
+    return printed[0]
 
 
 ROW = {"name", "threads", "device", "note", "rays", "seconds", "median", "least", "greatest", "rays_per_second", "ratio"}
@@ -69,20 +89,35 @@ def test_every_builder_is_there_with_one_thread_and_with_all(report):
         assert all_threads.details["speedup_over_one_thread"] > 0
 
 
-def test_tables_show_every_contender(report, capsys):
-    from rich.console import Console
-
-    print_report(report, Console(width=180))
-    text = capsys.readouterr().out
-    for question in report.models[0].questions:
+def test_tables_show_every_contender_when_they_are_ready(printed):
+    """A comparison into a pipe was silent for minutes, until all of it was known."""
+    report, (*parts, end) = printed
+    assert len(parts) == len(report.models[0].questions)
+    for question, text in zip(report.models[0].questions, parts, strict=True):
         assert question.workload is None or f"{question.workload} {question.rays:,}" in text
         assert all(row.name in text for row in question.rows)
-    assert os.getcwd() not in text
+        assert os.getcwd() not in text
+    assert parts[0].splitlines()[0].startswith(report.machine["cpu"])
+    assert sum("Closest hit: teapot" in text for text in parts) == 1
+    assert "time / wrt: per ray" in end
+
+
+def test_steps_are_told_now_and_then(monkeypatch, capsys):
+    """Where stderr is no terminal: the first at once, then one every ten seconds; stdout is for figures."""
+    now = [100.0]
+    monkeypatch.setattr(command_options.time, "monotonic", lambda: now[0])
+    with command_options.progress() as step:
+        for seconds in (0, 1, 8, 0.9, 0.2, 5, 20):
+            now[0] += seconds
+            step(f"at {now[0]:.1f}")
+        with step.paused():
+            pass
+    with command_options.progress_bar(3) as step:
+        step("of three")
+    assert capsys.readouterr() == ("", "bench: at 100.0\nbench: at 110.1\nbench: at 135.1\nbench: of three\n")
 
 
 def test_wrt_is_held_to_the_fastest_version_of_embree(capsys):
-    from rich.console import Console
-
     rows = [Row("wrt", 1, "cpu", ratio=1.0), Row("Embree 3, 1 thread", 1, "cpu", ratio=1.5)]
     assert Question("build", None, None, "wrt", rows).embree_ratios == [1.5]
     Console(width=180).print(build_table(Question("build", None, None, "wrt", rows)))

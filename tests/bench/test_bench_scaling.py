@@ -41,6 +41,7 @@ def test_jobs_run_with_the_threads_they_are_given(monkeypatch):
 
 
 def test_scaling(tmp_path):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'wrt[test-all]'")
     command = ["bench", "scaling", "teapot", "--threads", "3", "--rounds", "1", "--no-embree"]
     result = CliRunner().invoke(
         main, [*command, "--json", str(tmp_path / "figures.json"), "--plot", str(tmp_path / "plot.png")]

@@ -11,6 +11,7 @@ import pytest
 from conftest import mixed_rays
 
 import wrt
+from wrt.cluster.stored_answers import pack_answer, unpack_answer
 from wrt.query.batches.exact_sums import exact_sum
 from wrt.query.batches.reductions import REDUCTIONS, OfRows, as_block_reduction
 from wrt.query.blocks import BYTES_PER_RAY
@@ -74,6 +75,34 @@ def test_sums_of_what_is_not_finite():
         expected = values.sum(axis=1, dtype=np.float64)
     np.testing.assert_array_equal(exact_sum(values, (1,)).rounded(), expected)
     np.testing.assert_array_equal(REDUCTIONS["mean"].finish(REDUCTIONS["mean"].part(values, (1,))), expected / 3)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_blocks_with_what_is_not_finite(dtype):
+    """In some blocks only, whatever the order in which they are merged, and through the files of a job: an infinity or a NaN of
+    one block is that of the sum, opposite infinities of two blocks are a NaN, and rows without them stay exact."""
+    values = np.array(
+        [
+            [1.0, 2.0, 3.0, 4.0],
+            [np.inf, 1e30, 1e-30, 2.0],
+            [1e30, 1e-30, 2.0, -np.inf],
+            [np.inf, 1e30, -1e30, -np.inf],
+            [np.nan, np.inf, 1e-30, 1.0],
+            [np.inf, np.inf, np.inf, np.inf],
+            [np.nan, np.nan, -np.inf, -np.inf],
+        ],
+        dtype,
+    )
+    with np.errstate(invalid="ignore"):
+        expected = values.sum(axis=1, dtype=np.float64)
+    for order in ((0, 1, 2, 3), (3, 0, 2, 1), (2, 3, 1, 0)):
+        for name, divisor in (("sum", 1), ("mean", 4)):
+            reduction = REDUCTIONS[name]
+            parts = [reduction.part(values[:, column : column + 1], (1,)) for column in order]
+            parts = [unpack_answer(pack_answer(part)) for part in parts]
+            with np.errstate(invalid="ignore"):
+                state = unpack_answer(pack_answer(fold(reduction.merge, parts)))
+            np.testing.assert_array_equal(reduction.finish(state), expected / divisor)
 
 
 NUMPY = {"sum": np.sum, "mean": np.mean, "min": np.min, "max": np.max, "any": np.any, "all": np.all}

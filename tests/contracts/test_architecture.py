@@ -66,6 +66,7 @@ def test_way_of_a_query(monkeypatch, count):
     assert ways
     floor = import_graph.floors(import_graph.imports())
     monkeypatch.syspath_prepend(import_graph.ROOT / "docs")
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'wrt[test-all]'")
     import drawings
 
     drawn = [module for module, _, _ in drawings.QUERY][1:]  # after the scene, which inherits its queries

@@ -46,3 +46,13 @@ def test_mixed_load():
     assert not load.errors
     assert sum(load.done.values()) > 20
     assert load.memory
+
+
+def test_browsers_that_come_and_leave():
+    pytest.importorskip("viser", reason="the viewer needs viser: pip install 'wrt[view]'")
+    from tests.viewer_soak import run
+
+    tally = run(24, 0, lambda *_: None)
+    assert not tally.failures
+    assert sum(tally.stages.values()) == 24
+    assert max(row[2] for row in tally.rows) - min(row[2] for row in tally.rows) < 5

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 from device_modules import ROOT, device_modules
+from native_guards import has_assembly, x86_without_guard
 from native_names import free_names
 
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
@@ -90,6 +91,15 @@ def test_snippets_declare_their_names(snippets):
             macros = native.read_header("loops.h") if isinstance(function, native.NativeFunction) else ""
             wrong |= {f"{path}, {name}: {free}" for free in free_names(macros + function.native_snippet, parameters)}
     assert not wrong, "names that no snippet declares:\n" + "\n".join(sorted(wrong))
+
+
+def test_snippets_are_for_every_cpu(snippets):
+    """Instructions are builtins, because Warp's Clang has no assembler, and those of x86-64 are compiled for that alone."""
+    for name, functions in snippets.items():
+        for code in {function.native_snippet for function in functions}:
+            assert not has_assembly(code), f"{name} has an instruction in assembly"
+            assert not x86_without_guard(code), f"{name}: {x86_without_guard(code)}"
+            assert "#include" not in code, name
 
 
 def test_every_snippet_is_checked(snippets):

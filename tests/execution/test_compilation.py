@@ -102,7 +102,9 @@ class Module:
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setattr(module_compiler, "_is_exiting", False)
     module_compiler._close()  # threads of earlier tests, however many
+    module_compiler._is_exiting = False
     monkeypatch.setenv("WRT_COMPILE_JOBS", "2")
     return tmp_path
 
@@ -183,11 +185,13 @@ def test_a_number_of_jobs_that_is_none(monkeypatch, text):
 
 def test_progress_is_for_a_terminal(cache, monkeypatch, capfd):
     """It counts, on stderr alone, before the first module is compiled; and says nothing of modules that are cached."""
+    monkeypatch.delenv("WRT_SHOW_COMPILING", raising=False)
+    monkeypatch.setattr(compile_progress, "_noticed", True)
     monkeypatch.setenv("WRT_COMPILE_JOBS", "1")  # so that the first to be compiled is the first to read
     monkeypatch.setattr(compile_progress, "_expected", 0)
     monkeypatch.setattr(compile_progress, "_done", 0)
     module_compiler.load_modules([Module(cache, "unseen")], CPU, 1)
-    assert capfd.readouterr() == ("", ""), "no terminal"
+    assert capfd.readouterr() == ("", ""), "no terminal, and the notice has been given"
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     seen = []
     modules = [Module(cache, f"m{i}", lambda: seen.append(capfd.readouterr().err)) for i in range(3)]
@@ -198,6 +202,28 @@ def test_progress_is_for_a_terminal(cache, monkeypatch, capfd):
     assert err.endswith("wrt: compiling kernels for this CPU, once: 4 of 4\n")
     module_compiler.load_modules(modules, CPU, 1)
     assert capfd.readouterr() == ("", ""), "cached"
+
+
+def test_a_process_says_once_that_it_compiles(cache, monkeypatch, capfd):
+    """Into a file or a pipe: a first call was silent for a minute there. Nothing is said where all is cached."""
+    monkeypatch.delenv("WRT_SHOW_COMPILING", raising=False)
+    monkeypatch.setenv("WRT_COMPILE_JOBS", "1")  # so that the first to be compiled is the first to read
+    monkeypatch.setattr(compile_progress, "_noticed", False)
+    cached = Module(cache, "cached")
+    compile_progress.show_compiling(False)
+    module_compiler.load_modules([cached], CPU, 1)
+    compile_progress.show_compiling(None)
+    module_compiler.load_modules([cached], CPU, 1)
+    assert capfd.readouterr() == ("", ""), "silenced, then cached"
+    seen = []
+    modules = [Module(cache, f"m{i}", lambda: seen.append(capfd.readouterr().err)) for i in range(3)]
+    module_compiler.load_modules(modules, CPU, 1)
+    assert "".join(seen) == f"{compile_progress.NOTICE}\n", "said before it compiles, once"
+    module_compiler.load_modules([Module(cache, "later")], CPU, 1)
+    assert capfd.readouterr() == ("", "")
+    monkeypatch.setattr(compile_progress, "_noticed", False)
+    monkeypatch.setattr("sys.stderr", None)
+    module_compiler.load_modules([Module(cache, "closed")], CPU, 1)
 
 
 def test_progress_can_be_silenced_or_asked_for(cache, monkeypatch, capfd):
@@ -277,7 +303,9 @@ def test_a_program_that_ends_does_not_wait_for_what_it_expected(tmp_path):
 # -- kernels that lie ready --------------------------------------------------------------------------------------------
 
 EXPORT = (
-    "load(kernels, cpu)\nprint(json.dumps(shipped_kernels.export(kernels, __import__('pathlib').Path(sys.path[0], 'ship'))))\n"
+    "load(kernels, cpu)\n"
+    "from pathlib import Path\n"
+    "print(json.dumps(shipped_kernels.export([kernel.module for kernel in kernels], Path(sys.path[0], 'ship'))))\n"
 )
 USE = (
     "answers = [run(k) for k in kernels]\n"
@@ -362,3 +390,47 @@ def test_expecting_kernels_that_are_loaded_does_nothing(monkeypatch):
     load([kernel], CPU)
     monkeypatch.setattr(module_compiler, "expect", lambda *arguments: pytest.fail("asked again"))
     expect([kernel], CPU)
+
+
+def test_a_thread_that_asks_for_kernels_at_the_exit(monkeypatch):
+    """While the exit waited for the threads that compile, another thread asked for a kernel: a new thread took from the queue
+    what was to end an old one, and the process never ended."""
+    begun, go = threading.Event(), threading.Event()
+
+    class Module:
+        """A module that is compiled until `go` is set."""
+
+        def load(self, device, block_dim):
+            begun.set()
+            go.wait(30.0)
+
+    for name, value in {"_threads": [], "_queue": module_compiler.SimpleQueue(), "_pending": {}, "_is_exiting": False}.items():
+        monkeypatch.setattr(module_compiler, name, value)
+    monkeypatch.setattr(module_compiler, "is_compiled", lambda *_: False)
+    monkeypatch.setattr(module_compiler, "_close_at_exit", lambda: None)
+    monkeypatch.setattr(shipped_kernels, "find", lambda *_: None)
+    monkeypatch.setenv("WRT_COMPILE_JOBS", "1")
+    cpu, refused = wp.get_device("cpu"), []
+
+    def ask():
+        try:
+            module_compiler.load_modules([Module()], cpu, 1)
+        except RuntimeError as error:
+            refused.append(str(error))
+
+    module_compiler.expect([Module()], cpu, 1)
+    assert begun.wait(10.0)
+    (compiling,) = module_compiler._threads
+    close = threading.Thread(target=module_compiler._close, daemon=True)
+    close.start()
+    end = time.monotonic() + 10.0
+    while not module_compiler._is_exiting and time.monotonic() < end:
+        time.sleep(0.001)
+    asking = threading.Thread(target=ask, daemon=True)
+    asking.start()
+    asking.join(10.0)
+    go.set()
+    close.join(10.0)
+    assert not close.is_alive()
+    assert not compiling.is_alive()
+    assert refused == ["no kernel is compiled any more: the interpreter is exiting"]

@@ -31,6 +31,14 @@ def test_blocks_come_back():
     assert pool.free_bytes == 0
 
 
+def test_too_small_a_block_stays():
+    """A block that is smaller than what is asked for would be written beyond its end."""
+    pool = BlockPool(kept_bytes=8 * GRAIN)
+    pool.give_back(pool.take(GRAIN))
+    assert pool.take(2 * GRAIN).nbytes == 2 * GRAIN
+    assert pool.free_bytes == GRAIN
+
+
 def test_no_more_is_kept_than_allowed():
     pool = BlockPool(kept_bytes=4 * GRAIN)
     blocks = [pool.take(GRAIN * size) for size in (1, 2, 3)]
@@ -140,6 +148,16 @@ def test_blocks_do_without_large_pages(monkeypatch, advice):
 def test_too_large_a_block_is_a_memory_error():
     with pytest.raises(MemoryError):
         large_pages(1 << 60)
+
+
+def test_failed_allocations_say_for_what():
+    """NumPy's error and Warp's, which is a RuntimeError; other errors stay what they are."""
+    for error in (MemoryError("no"), RuntimeError("Failed to allocate 8 bytes on device 'cpu'")):
+        with pytest.raises(MemoryError, match=r"too little memory for a tree, which take 8\.0 MB"):  # noqa: SIM117
+            with memory.memory_for("a tree", 8_000_000):
+                raise error
+    with pytest.raises(RuntimeError, match="something else"), memory.memory_for("a tree", 8_000_000):
+        raise RuntimeError("something else")
 
 
 @pytest.mark.skipif(not hasattr(mmap, "MADV_HUGEPAGE"), reason="elsewhere blocks begin where NumPy likes")

@@ -188,7 +188,7 @@ def test_code_is_compiled_for_the_target(way, tmp_path):
     if target.AVX2 - target.cpu_features():
         pytest.skip("code for x86-64-v3 needs AVX2")
     program = tmp_path / "show.py"  # Warp reads the source of kernels
-    program.write_text(("import wrt.kernels\n" if way == "environment" else "") + SHOW, encoding="utf-8")
+    program.write_text(("import wrt.device\n" if way == "environment" else "") + SHOW, encoding="utf-8")
     environment = {name: value for name, value in os.environ.items() if name not in ("WRT_TARGET", "WRT_WIDTH")}
     environment |= {"WRT_TARGET": "x86-64-v3"} if way == "environment" else {}
     arguments = ["x86-64-v3"] if way == "argument" else []

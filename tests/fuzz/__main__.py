@@ -17,7 +17,7 @@ from .driver import ROOT, Found, run_jobs
 
 FOUND = ROOT / "fuzz-found"
 RECORDS = ROOT / "notebooks" / "records"
-SHARES = {"meshes": 0.6, "rays": 0.25, "files": 0.15}
+SHARES = {"meshes": 0.5, "rays": 0.25, "files": 0.1, "loaders": 0.15}
 """Of the time, what each kind gets."""
 
 MIN_RECORD_MINUTES = 1.0

@@ -18,7 +18,7 @@ class Case:
     """One try.
 
     Attributes:
-        what: "meshes", "rays" or "files".
+        what: "meshes", "rays", "files" or "loaders".
         options: plain values.
         arrays: by name.
     """

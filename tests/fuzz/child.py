@@ -22,7 +22,7 @@ import numpy as np
 
 from .cases import Case
 
-MODULES = {"meshes": "building", "rays": "tracing", "files": "files"}
+MODULES = {"meshes": "building", "rays": "tracing", "files": "files", "loaders": "loaders"}
 """Where the cases of each kind are made and run."""
 
 FIELDS = ("number", "running", "done", "refused", "failed", "ready")
@@ -40,7 +40,7 @@ class Job:
     """What a child does.
 
     Attributes:
-        what: "meshes", "rays" or "files".
+        what: "meshes", "rays", "files" or "loaders".
         seed: of all cases.
         first, step: numbers of its cases.
         cases: how many at most.

@@ -11,6 +11,8 @@ import trimesh
 from PIL import Image
 
 import wrt
+from wrt.kernels.shading.bsdf import material_table
+from wrt.materials.material import WRAPS
 from wrt.scenes.shapes import boxes, plane
 
 RED, BLUE = wrt.Material(color=(0.9, 0.1, 0.1)), wrt.Material("glossy", color=(0.1, 0.1, 0.9), roughness=0.3)
@@ -85,6 +87,48 @@ def test_textures_are_interpolated_and_repeat(repeat):
     np.testing.assert_allclose(found, 0.5 * expected, atol=2e-4)
 
 
+@pytest.mark.parametrize("memory", [None, 1 << 18])
+def test_textures_that_do_not_repeat(memory):
+    """Clamped in u, mirrored in v: images always repeated, whatever a file said. Whole, and tile by tile."""
+    rng = np.random.default_rng(0)
+    pixels = rng.integers(0, 256, (70, 130, 3), dtype=np.uint8) // 64 * 64
+    texture = wrt.Texture(pixels, wrap=("clamp", "mirror"))
+    quad = plane((-2, -2), (2, 2))
+    mesh = quad.with_materials(wrt.Material(color=0.5, color_texture=texture), uv=3.0 * (quad.vertices[:, :2] + 2) / 4 - 1.0)
+    found = albedo(wrt.Scene(mesh), texture_memory=memory)
+    level = pixels / 255.0
+    linear = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
+    at = 3.0 * (np.arange(32) + 0.5) / 32 - 1.0
+    x, y = at * 130 - 0.5, (1 - at[::-1]) * 70 - 0.5
+    c, r = np.floor(x).astype(int), np.floor(y).astype(int)
+    f, g = (x - c)[None, :, None], (y - r)[:, None, None]
+    columns = [np.clip(c + j, 0, 129) for j in (0, 1)]
+    mirrored = np.concatenate([np.arange(70), np.arange(69, -1, -1)])
+    rows = [mirrored[(r + i) % 140] for i in (0, 1)]
+    corner = [linear[np.ix_(rows[i], columns[j])] for i in (0, 1) for j in (0, 1)]
+    expected = (1 - g) * ((1 - f) * corner[0] + f * corner[1]) + g * ((1 - f) * corner[2] + f * corner[3])
+    np.testing.assert_allclose(found, 0.5 * expected, atol=2e-3)
+
+
+def test_coordinates_beyond_an_image():
+    """What the kernels' functions make of them, called from Python: nothing is compiled."""
+    coordinates = [-1.25, -0.25, 0.0, 0.25, 1.0, 1.25, 2.75]
+    expected = {
+        "repeat": [0.75, 0.75, 0.0, 0.25, 0.0, 0.25, 0.75],
+        "clamp": [0.0, 0.0, 0.0, 0.25, 1.0, 1.0, 1.0],
+        "mirror": [0.75, 0.25, 0.0, 0.25, 1.0, 0.75, 0.75],
+    }
+    for number, wrap in enumerate(WRAPS):
+        found = [material_table.folded.func(coordinate, number) for coordinate in coordinates]
+        assert found == pytest.approx(expected[wrap]), wrap
+
+
+@pytest.mark.parametrize("wrap", ["tile", ("repeat",), ("clamp", 1), 3, None])
+def test_unknown_wraps_are_refused(wrap):
+    with pytest.raises(ValueError, match="wrap must be one of 'repeat', 'clamp', 'mirror'"):
+        wrt.Texture(np.zeros((2, 2)), wrap=wrap)
+
+
 def test_materials_of_a_gltf_file(tmp_path):
     """Base colour, image, roughness, metallic share and emission; each node's mesh in its place."""
     image = Image.fromarray(np.uint8([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]]))
@@ -132,6 +176,14 @@ def test_colours_of_a_ply_file(tmp_path):
     trimesh.Trimesh(quad.vertices, quad.faces, vertex_colors=colors, process=False).export(tmp_path / "model.ply")
     found = albedo(wrt.Scene(wrt.TriangleMesh.load(tmp_path / "model.ply")), 2.0)
     np.testing.assert_allclose(found[9, 9], (1, 0, 0), atol=1e-5)
+
+
+def test_coordinates_of_trimesh_that_are_nan_are_named():
+    quad = plane((-1, -1), (1, 1))
+    visual = trimesh.visual.TextureVisuals(uv=np.full((4, 2), np.nan), image=Image.new("RGB", (2, 2)))
+    with pytest.warns(UserWarning, match="coordinates and images are left out"):
+        mesh = wrt.TriangleMesh.from_trimesh(trimesh.Trimesh(quad.vertices, quad.faces, visual=visual, process=False))
+    assert mesh.materials.materials[0].color_texture is None
 
 
 def test_bad_materials():

@@ -37,8 +37,9 @@ PLACES = ((0.3, 0.1, 0.3), (-0.4, 0.5, 0.3), (0.8, 0.5, 0.3), (-0.6, -0.5, 0.3),
 """The last two balls meet: one body of glass within another."""
 
 
-def matte_room(emits: bool) -> wrt.Scene:
-    """A floor, a wall, a textured tile, and balls: of glass, smooth, translucent, mirrors. Rays of all kinds side by side."""
+def matte_room(emits: bool, reach: float = 0.0) -> wrt.Scene:
+    """A floor, a wall, a textured tile, and balls: of glass, smooth, translucent, mirrors. Rays of all kinds side by side. With
+    a reach, something is as far away."""
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.25)
     places = [np.asarray(ball.vertices) + at for at in PLACES]
     checks = wrt.Texture(np.indices((4, 4)).sum(axis=0) % 2 * 0.6 + 0.2)
@@ -54,10 +55,12 @@ def matte_room(emits: bool) -> wrt.Scene:
         wrt.TriangleMesh(places[4], ball.faces).with_materials(wrt.Material("dielectric", absorption=(0.2, 1.0, 2.0))),
         wrt.TriangleMesh(places[5], ball.faces).with_materials(wrt.Material("dielectric", index=1.3, color=0.9)),
     ]
+    if reach > 0.0:
+        parts.append(plane((reach, reach), (reach + 1, reach + 1), z=0.0).with_materials(wrt.Material()))
     return wrt.Scene(parts)
 
 
-@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize("lamp", [pytest.param(name, marks=[pytest.mark.width] * (name == "many")) for name in LAMPS])
 @pytest.mark.parametrize("sampler", ["sobol", "random"])
 def test_lanes_and_scalar_steps_make_the_same_picture(lamp, sampler, monkeypatch):
     scene = matte_room(emits=lamp == "emissive triangles")
@@ -68,6 +71,18 @@ def test_lanes_and_scalar_steps_make_the_same_picture(lamp, sampler, monkeypatch
     one_by_one = wrt.Rendering(scene, camera, **options).advance().linear
     assert in_lanes.mean() > 0.01
     np.testing.assert_array_equal(in_lanes, one_by_one)
+
+
+def test_lanes_near_edges(monkeypatch):
+    """In a scene 10 km wide, rounding is so coarse that nearly all points are moved away from the edges of their triangles."""
+    camera = wrt.PinholeCamera(37, 23, fov=60, position=(0, -2.5, 1.8), look_at=(0, 0, 0.2), up=(0, 0, 1))
+    options = {"lights": LAMPS["sphere"](), "integrator": "path", "samples": 2, "depth": 5, "sampler": "sobol"}
+    scene = matte_room(emits=False, reach=1e4)
+    in_lanes = wrt.Rendering(scene, camera, **options).advance().linear
+    monkeypatch.setattr(wavefront, "GROUP", 1)
+    np.testing.assert_array_equal(in_lanes, wrt.Rendering(scene, camera, **options).advance().linear)
+    near = wrt.Rendering(matte_room(emits=False), camera, **options).advance().linear
+    assert (in_lanes != near).mean() > 0.1
 
 
 @wp.kernel

@@ -16,7 +16,8 @@ import wrt
 import wrt.imaging.rendering
 import wrt.scene.scene
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.cli import main
+from wrt.cli import catalogue, main
+from wrt.kernels.runtime.schedules import SCHEDULES
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.scenes import BUILTIN_SCENES
@@ -126,6 +127,27 @@ def test_list_shows_every_table():
     assert all(row["paper"] for row in tables["traversals"])
 
 
+def test_list_finds_words():
+    """In names, papers, authors and years, whatever their capitals and accents; all of several words."""
+    for words, name in (
+        (["gunther"], "wrt.FuzzyScene"),
+        (["GÜNTHER", "skinned"], "wrt.SkinnedScene"),
+        (["2013", "woop"], "woop"),
+    ):
+        tables = json.loads(run("list", *words, "--json").stdout)
+        rows = [(title, row) for title, found in tables.items() for row in found]
+        assert name in [row["name"] for _, row in rows]
+        for title, row in rows:
+            text = catalogue.plain(" ".join([title, *map(str, row.values())]))
+            assert all(catalogue.plain(word) in text for word in words)
+    assert "wrt.FuzzyScene" in run("list", "lloyd").stdout
+    assert {row["name"] for row in json.loads(run("list", "schedules", "--json").stdout)["schedules"]} == set(SCHEDULES)
+    result = run("list", "woop", "nobody")
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    assert result.stderr == "error: nothing has 'woop' and 'nobody' in it; wrt list without words lists everything\n"
+
+
 def test_info_shows_the_mesh_and_the_tree(model, monkeypatch):
     class Figures:
         def to_dict(self):
@@ -213,7 +235,7 @@ def test_bench_is_imported_when_called():
         (["render", "-o", "a.png", "--scene", "nowhere"], "'nowhere' is unknown; choose from teapot,"),
         (["render", "-o", "a.png", "--option", "level"], "'level' is not KEY=VALUE"),
         (["render", "-o", "a.png", "--option", "size=3"], "no option 'size'; its options are level, ground"),
-        (["render", "-o", "a.png", "--option", "level=0"], "level must be at least 1"),
+        (["render", "-o", "a.png", "--option", "level=0"], "level is 0; it must be at least 1"),
         (["render", "-o", "a.png", "--accelerator", "octree"], "'octree' is unknown; choose from auto"),
         (["render", "-o", "a.png", "--traversal", "walk"], "'walk' is unknown; choose from auto, brute"),
         (["render", "-o", "a.png", "--triangle-test", "t"], "'t' is unknown; choose from auto, woop"),

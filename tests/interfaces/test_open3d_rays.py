@@ -35,6 +35,27 @@ def theirs(open3d):
     return peer
 
 
+def test_methods_that_are_missing(scene):
+    """A bare AttributeError left users with a search through the documentation."""
+    ours = {name for name in dir(scene) if not name.startswith("_")}
+    for name in ("compute_closest_points", "compute_distance", "compute_signed_distance", "compute_occupancy"):
+        assert name not in ours
+        assert not hasattr(scene, name)
+        with pytest.raises(AttributeError, match=rf"has no {name}: .*(contains|closest_point)"):
+            getattr(scene, name)
+    with pytest.raises(AttributeError, match="contains"):
+        scene.compute_signed_distance(np.zeros((1, 3), np.float32))
+    with pytest.raises(AttributeError, match=r"^'RaycastingScene' object has no attribute 'nothing'$"):
+        _ = scene.nothing
+
+
+def test_all_methods_of_the_peer_are_here_or_explained(open3d, scene):
+    from wrt.adapters.open3d_rays import MISSING
+
+    theirs = {name for name in dir(open3d.t.geometry.RaycastingScene) if not name.startswith("_")}
+    assert theirs <= {*dir(scene), *MISSING}
+
+
 def some_rays(*shape: int) -> np.ndarray:
     """Rays from around towards points near the middle, (*shape, 6) float32; some miss."""
     rng = np.random.default_rng(5)

@@ -366,7 +366,7 @@ def test_background_and_albedo():
         ({"background": "blue"}, ValueError, "background must be"),
         ({"light_color": -1.0}, ValueError, "light_color must be finite and not negative"),
         ({"crease_angle": 90}, ValueError, "crease_angle is 90"),
-        ({"samples": 1.5}, TypeError, "samples must be a whole number"),
+        ({"samples": 1.5}, TypeError, "samples must be an int"),
         ({"seed": -1}, ValueError, "seed is -1"),
     ],
 )

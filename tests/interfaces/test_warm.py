@@ -10,6 +10,10 @@ import wrt
 import wrt.execution.expected_kernels
 import wrt.kernels.runtime.launch
 import wrt.rays.coherence
+from wrt.cli.warm_features import FEATURES, Samples
+
+COMPILED_FOR_LONG = ("kdtree", "instances", "partitioned", "whitted", "distribution", "path")
+"""Features whose kernels no other test compiles: a minute each."""
 
 
 @pytest.fixture
@@ -95,3 +99,37 @@ def test_warm_refuses(arguments, message, monkeypatch):
     result = run("warm", *arguments)
     assert result.exit_code == 2
     assert message in result.stderr
+
+
+# -- features ----------------------------------------------------------------------------------------------------------
+
+
+def test_features_are_listed_and_unknown_ones_refused():
+    listed = run("warm", "--feature", "list")
+    assert listed.exit_code == 0
+    assert [line.split()[0] for line in listed.stdout.splitlines()] == list(FEATURES)
+    result = run("warm", "--feature", "hits,nothing")
+    assert result.exit_code == 2
+    assert all(name in result.stderr for name in ("'nothing' is unknown", *FEATURES))
+    assert "leave one of them out" in run("warm", "--feature", "hits", "--first-hit").stderr
+
+
+def test_a_feature_compiles_what_its_first_call_needs(needed_modules):
+    """After it, the same calls in another scene begin to compile nothing."""
+    result = run("warm", "--feature", "hits,spawn")
+    assert result.exit_code == 0, result.stderr
+    count = int(result.stdout.split()[0])
+    assert count >= len(needed_modules) > 10
+    modules = set(needed_modules)
+    needed_modules.clear()
+    scene = wrt.Scene(wrt.scenes.build("teapot", level=17), device="cpu")
+    camera = wrt.PinholeCamera.framing(scene, 150, 130)
+    hits = scene.intersect(camera.rays())
+    assert hits.normal.shape == (130, 150, 3)
+    scene.occluded(hits.spawn(-camera.rays().directions), -camera.rays().directions)
+    assert not {module.name for module in needed_modules - modules}
+
+
+@pytest.mark.parametrize("name", [name for name in FEATURES if name not in COMPILED_FOR_LONG])
+def test_features_call_what_there_is(name):
+    FEATURES[name].call(Samples())

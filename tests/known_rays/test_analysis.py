@@ -10,13 +10,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import SCENES
-from shapely import box
 from test_influence import picture, window
 from test_projected_bvh import AREA_KINDS, area_of, rays_of
 
 import wrt
 from wrt.bench.studies.known_rays.ray_distribution import random_areas, stretched
 from wrt.builders.bvh.bvh_statistics import unpack
+
+shapely = pytest.importorskip("shapely", reason="shapely is not installed: pip install 'wrt[test-all]'")
 
 
 @pytest.mark.parametrize("kind", AREA_KINDS)
@@ -61,7 +62,7 @@ def test_boxes_and_overlaps(kind, width):
     scene = wrt.Scene(mesh, wrt.ProjectedBvh(areas=area, width=width))
     boxes = wrt.analyse(scene, area).boxes
     half = window(area)
-    frame = box(-half[0], -half[1], half[0], half[1])
+    frame = shapely.box(-half[0], -half[1], half[0], half[1])
     shown = [picture(area, a, b).intersection(frame) for a, b in zip(boxes.low, boxes.high, strict=True)]
     scale = max(p.area for p in shown)
     np.testing.assert_allclose(boxes.area, [p.area for p in shown], rtol=1e-3, atol=1e-4 * scale)

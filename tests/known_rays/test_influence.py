@@ -7,7 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from shapely import MultiPoint, box
 
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
 from wrt.kernels.influence.box_clipping import clipped_areas, projected_area
@@ -15,6 +14,8 @@ from wrt.kernels.influence.box_projection import NEEDS_NEAR, NEEDS_WINDOW, whole
 from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_window, polygon_area
 from wrt.kernels.influence.silhouette import projected_hull
 from wrt.kernels.influence.view import AreaView
+
+shapely = pytest.importorskip("shapely", reason="shapely is not installed: pip install 'wrt[test-all]'")
 
 AREAS = {
     "plane along an axis": PlaneInfluenceArea(position=(0, 0, -2), direction=(0, 0, 1), width=3, height=2, depth=4),
@@ -92,7 +93,7 @@ def picture(area: InfluenceArea, low: np.ndarray, high: np.ndarray):
                 share = (near - seen[a, 2]) / (seen[b, 2] - seen[a, 2])
                 points.append(np.append((seen[a] + share * (seen[b] - seen[a]))[:2], near))
     flat = [p[:2] / p[2] if isinstance(area, PointInfluenceArea) else p[:2] for p in points]
-    return MultiPoint(flat).convex_hull
+    return shapely.MultiPoint(flat).convex_hull
 
 
 @pytest.mark.parametrize("name", AREAS)
@@ -101,14 +102,14 @@ def test_projected_areas_by_a_polygon_library(name):
     low, high, areas, corners, counts = measured(name)
     half_x, half_y = window(AREAS[name])
     shown = [picture(AREAS[name], a, b) for a, b in zip(low, high, strict=True)]
-    frame = box(-half_x, -half_y, half_x, half_y)
+    frame = shapely.box(-half_x, -half_y, half_x, half_y)
     cut = [p.intersection(frame) for p in shown]
     expected = np.array([p.area for p in cut])
     tolerance = {"rtol": 2e-4, "atol": 4e-5 * half_x * half_y}
     np.testing.assert_allclose(areas[:, 0], expected, **tolerance)
     np.testing.assert_allclose(areas[:, 1], expected, **tolerance)
     for i in np.flatnonzero(counts >= 3)[:200]:
-        outline = MultiPoint(corners[i, : counts[i]]).convex_hull
+        outline = shapely.MultiPoint(corners[i, : counts[i]]).convex_hull
         assert outline.symmetric_difference(shown[i]).area <= 1e-4 * max(shown[i].area, 1.0)
 
 
@@ -211,11 +212,11 @@ POINT = {"position": (0, 0, 0), "direction": (0, 0, 1), "fov": (60, 60), "near":
     [
         ({"position": (0, 0)}, "position must be 3 finite numbers"),
         ({"position": (0, 0, np.nan)}, "position must be 3 finite numbers"),
-        ({"direction": "down"}, "direction must be 3 finite numbers"),
+        ({"direction": (0, 1)}, "direction must be 3 finite numbers"),
         ({"direction": (0, 0, 0)}, "direction is zero"),
         ({"up": (0, 0, -2)}, "up is .* parallel to the direction"),
         ({"up": (0, 0, 0)}, "up is .* zero"),
-        ({"width": 0}, "width is 0; it must be above 0 and finite"),
+        ({"width": 0}, "width is 0.0; it must be above 0 and finite"),
         ({"height": np.inf}, "height is inf"),
         ({"depth": -1}, "depth is -1"),
         ({"fov": 60}, "fov must be 2 finite numbers"),

@@ -20,6 +20,12 @@ PLANES = (
 POINT = wrt.PointInfluenceArea(position=(-2, 4, 1), direction=(0.5, -1, 0), fov=(60, 40), near=0.2, far=9)
 
 
+def areas_in(*rays, **options) -> wrt.InfluenceAreas:
+    """The areas that are found in rays, by scikit-learn."""
+    pytest.importorskip("sklearn", reason="scikit-learn is not installed: pip install 'wrt[cluster]'")
+    return wrt.InfluenceAreas.from_rays(*rays, **options)
+
+
 def mixed_batch(count: int, seed: int, jitter: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """35 % and 20 % of rays from the planes, 25 % towards the point from around, 20 % noise."""
     rng = np.random.default_rng(seed)
@@ -38,7 +44,7 @@ def mixed_batch(count: int, seed: int, jitter: float = 0.0) -> tuple[np.ndarray,
 
 @pytest.mark.parametrize(("count", "seed", "jitter"), [(300, 0, 0.0), (4000, 1, 0.5), (100_000, 2, 0.0)])
 def test_round_trip(count, seed, jitter):
-    found = wrt.InfluenceAreas.from_rays(*mixed_batch(count, seed, jitter), seed=seed)
+    found = areas_in(*mixed_batch(count, seed, jitter), seed=seed)
     assert [type(area) for area in found] == [wrt.PlaneInfluenceArea, wrt.PointInfluenceArea, wrt.PlaneInfluenceArea]
     np.testing.assert_allclose(found.shares, [0.35, 0.25, 0.2], atol=0.03)
     assert abs(found.explained - 0.8) < 0.04
@@ -56,7 +62,7 @@ def test_round_trip(count, seed, jitter):
 
 def test_noise_has_no_areas():
     rng = np.random.default_rng(0)
-    found = wrt.InfluenceAreas.from_rays(rng.uniform(-1, 1, (3000, 3)), rng.normal(size=(3000, 3)))
+    found = areas_in(rng.uniform(-1, 1, (3000, 3)), rng.normal(size=(3000, 3)))
     assert (len(found), found.shares, found.explained) == (0, (), 0)
     assert str(found) == "100.0%  no area"
 
@@ -66,8 +72,8 @@ def test_a_camera(fov):
     """All rays from one point; through a long lens they are nearly parallel, and still the point's."""
     camera = wrt.PinholeCamera(60, 40, fov=fov, position=(30, 2, 1), look_at=(0, 0, 0))
     with pytest.raises(ValueError, match=r"pass bounds=scene\.bounds"):
-        wrt.InfluenceAreas.from_rays(camera.rays())
-    (area,) = found = wrt.InfluenceAreas.from_rays(camera.rays(), bounds=[(-1, -1, -1), (1, 1, 1)])
+        areas_in(camera.rays())
+    (area,) = found = areas_in(camera.rays(), bounds=[(-1, -1, -1), (1, 1, 1)])
     assert isinstance(area, wrt.PointInfluenceArea)
     np.testing.assert_allclose(area.position, camera.position, atol=1e-9)
     assert found.shares[0] > 0.99
@@ -78,7 +84,7 @@ def test_a_camera(fov):
 def test_rays_all_around_a_lamp_take_the_sides_of_a_cube():
     lamp = wrt.CircularCapCaster(position=(1, 2, 3), direction=(1, 0, 0), angle=180).rays(3000)
     origins = lamp.origins + lamp.directions * np.random.default_rng(0).uniform(0.5, 2, (3000, 1))
-    found = wrt.InfluenceAreas.from_rays(origins, -lamp.directions)
+    found = areas_in(origins, -lamp.directions)
     assert len(found) == 6
     assert all(np.allclose(area.position, (1, 2, 3), atol=1e-5) and area.fov == pytest.approx((90, 90)) for area in found)
     np.testing.assert_allclose(found.shares, 1 / 6, atol=0.03)
@@ -94,7 +100,7 @@ def test_shadow_rays_of_a_scene():
     rays = [wrt.directional_shadow_rays(seen, (0.2, 0.5, -1)), wrt.point_shadow_rays(seen, (0.2, 0.3, 2))]
     origins = np.concatenate([r.origins[seen.is_hit] for r in rays])
     directions = np.concatenate([np.asarray(r.directions)[seen.is_hit] for r in rays])
-    found = wrt.InfluenceAreas.from_rays(origins, directions, bounds=plain.bounds)
+    found = areas_in(origins, directions, bounds=plain.bounds)
     assert [type(area) for area in found] == [wrt.PlaneInfluenceArea, wrt.PointInfluenceArea]
     scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=found, local=wrt.Bvh()), device="cpu")
     batch = wrt.Rays(origins, directions)

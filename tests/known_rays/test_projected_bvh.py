@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import warp as wp
 from conftest import SCENES, assert_same_hits, mixed_rays
-from shapely import box
 from test_bvh_builders import arrays_of, assert_same_tree, check, mesh_of
 from test_influence import picture, window
 
@@ -25,6 +24,8 @@ from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.influence.projected_cost import RayDistribution
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.runtime.launch import use_threads
+
+shapely = pytest.importorskip("shapely", reason="shapely is not installed: pip install 'wrt[test-all]'")
 
 AREA_KINDS = ("plane along an axis", "plane", "point", "point inside")
 
@@ -158,7 +159,7 @@ class Reference:
     def __init__(self, low: np.ndarray, high: np.ndarray, area, config: ProjectedConfig, depth: int) -> None:
         self.low, self.high, self.area, self.config, self.depth = low, high, area, config, depth
         half = window(area)
-        self.window = box(-half[0], -half[1], half[0], half[1])
+        self.window = shapely.box(-half[0], -half[1], half[0], half[1])
         self.weight = self.weigh(low.min(axis=0), high.max(axis=0))
 
     def weigh(self, low: np.ndarray, high: np.ndarray) -> float:

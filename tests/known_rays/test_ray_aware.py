@@ -182,9 +182,9 @@ def test_areas_of_rays(device, top_level):
 
 def region_normals(region) -> np.ndarray:
     """(F, 4) unit normals and offsets of the faces."""
-    from scipy.spatial import ConvexHull
+    spatial = pytest.importorskip("scipy.spatial", reason="scipy is not installed: pip install 'wrt[test-all]'")
 
-    equations = ConvexHull(region.corners).equations
+    equations = spatial.ConvexHull(region.corners).equations
     return np.concatenate([equations[:, :3], -equations[:, 3:]], axis=1)
 
 

@@ -119,11 +119,11 @@ def test_shadow_rays():
 
 def icosahedron() -> tuple[np.ndarray, np.ndarray]:
     """A convex body: what faces the light is lit."""
-    from scipy.spatial import ConvexHull
+    spatial = pytest.importorskip("scipy.spatial", reason="scipy is not installed: pip install 'wrt[test-all]'")
 
     golden = (1 + 5**0.5) / 2
     corners = np.array([np.roll((0, a, b * golden), k) for k in range(3) for a in (-1, 1) for b in (-1, 1)])
-    faces = ConvexHull(corners).simplices
+    faces = spatial.ConvexHull(corners).simplices
     a, b, c = (corners[faces[:, k]] for k in range(3))
     inward = (np.cross(b - a, c - a) * a).sum(axis=1) < 0
     faces[inward] = faces[inward][:, ::-1]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog
-from scipy.spatial import ConvexHull
 
 from wrt.builders.influence.regions import Aabb, Frustum, Obb, contain_points
 from wrt.kernels.runtime.launch import use_threads
+
+optimize = pytest.importorskip("scipy.optimize", reason="scipy is not installed: pip install 'wrt[test-all]'")
+spatial = pytest.importorskip("scipy.spatial", reason="scipy is not installed: pip install 'wrt[test-all]'")
 
 REGIONS = {
     "aabb": Aabb((-1, 0, 2), (2, 0.5, 3)),
@@ -26,7 +27,7 @@ def region(request):
 
 def faces(region) -> tuple[np.ndarray, np.ndarray]:
     """Normals (F, 3) and offsets (F,) of the hull of the corners: inside is normals @ x <= offsets."""
-    equations = ConvexHull(region.corners).equations
+    equations = spatial.ConvexHull(region.corners).equations
     return equations[:, :3], -equations[:, 3]
 
 
@@ -65,7 +66,7 @@ def overlap(region, low, high) -> float:
     normals, offsets = faces(region)
     rows = np.concatenate([np.eye(3), -np.eye(3), normals])
     bounds = np.concatenate([high, -low, offsets])
-    result = linprog([0, 0, 0, -1], np.column_stack([rows, np.ones(len(rows))]), bounds, bounds=[(None, None)] * 4)
+    result = optimize.linprog([0, 0, 0, -1], np.column_stack([rows, np.ones(len(rows))]), bounds, bounds=[(None, None)] * 4)
     return result.x[3]
 
 

@@ -118,7 +118,8 @@ def check_sensors(names):
 
 
 def check_sun_hours(names):
-    """At noon on midsummer the sun is at 90 - 48 + 23.45 degrees, in the south; the open court gets more than its arcades."""
+    """At noon on midsummer the sun is at 90 - 48 + 23.45 degrees, in the south; the open court gets more than its arcades.
+    What faces away from the sun is not lit."""
     noon = names["sun_directions"](48.0, 172, 12.0)
     np.testing.assert_allclose(noon, [0.0, -np.cos(np.radians(65.45)), np.sin(np.radians(65.45))], atol=1e-3)
     morning, evening = names["sun_directions"](48.0, 172, [9.0, 15.0])
@@ -127,6 +128,13 @@ def check_sun_hours(names):
     hours = names["sun_hours"]
     assert 0.0 <= np.nanmin(hours) < np.nanmax(hours) <= 16.1
     assert 0.05 < names["openness"].mean() <= 1.0
+    assert 0.05 < names["sky_view"].mean() <= 1.1  # of 128 directions
+    assert (names["full_hours"] <= 16.1).all()
+    np.testing.assert_array_equal(names["lit"], names["lit_above"])  # windings of the court are right
+    facing = (names["towards"] * names["facade"].normal).sum(axis=-1) > 0.0
+    assert names["facade"].is_hit.all()
+    assert 0.01 < names["wall_lit"].mean() < facing.mean()
+    assert not names["wall_lit"][~facing].any()
     np.testing.assert_array_equal(names["matrix"], names["matrix"].T)
 
 
@@ -138,6 +146,11 @@ def check_shadows(names):
     assert names["fraction"].max() == 1.0
     assert 0.0 < ((names["fraction"] > 0.0) & (names["fraction"] < 1.0)).mean() < 0.5
     np.testing.assert_array_equal(names["fraction"][:100], np.float32(1.0) - names["hidden"].mean(axis=1, dtype=np.float32))
+
+
+def check_mesh_files(names):
+    assert names["mesh"].triangle_count == 4
+    assert names["mesh"].surface_area == 3.0
 
 
 def check_moving(names):
@@ -224,6 +237,7 @@ CHECKS = {
     "guides/sensors.md": check_sensors,
     "guides/shadows.md": check_shadows,
     "guides/sun_hours.md": check_sun_hours,
+    "guides/mesh_files.md": check_mesh_files,
     "guides/moving.md": check_moving,
     "guides/large_batches.md": check_large_batches,
     "guides/clusters.md": check_clusters,
@@ -265,6 +279,7 @@ DRAWN = {"drawn/rooms.svg": "draw_rooms", "drawn/query.svg": "draw_query", "draw
 @pytest.mark.parametrize("picture", DRAWN)
 def test_pictures_are_drawn(picture, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(DOCS)
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'wrt[test-all]'")
     import drawings
 
     path = tmp_path / Path(picture).name

@@ -338,8 +338,8 @@ def test_too_many_hits_for_one_answer(wood, wood_rays, monkeypatch):
 
 BAD_CALLS = {
     "max_hits zero": ({"max_hits": 0}, ValueError, "max_hits is 0; it must be at least 1"),
-    "max_hits float": ({"max_hits": 2.0}, TypeError, "max_hits must be an int or None, not float"),
-    "max_hits bool": ({"max_hits": True}, TypeError, "max_hits must be an int or None, not bool"),
+    "max_hits float": ({"max_hits": 2.0}, TypeError, "max_hits must be an int, not float"),
+    "max_hits bool": ({"max_hits": True}, TypeError, "max_hits must be an int, not bool"),
     "traversal": (
         {"traversal": "packet"},
         ValueError,

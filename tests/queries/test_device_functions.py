@@ -33,6 +33,7 @@ def ask_everything(
     positions: wp.array(dtype=wp.vec3d),
     normals: wp.array(dtype=wp.vec3),
     spawned: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.bool),
     occluded: wp.array(dtype=wp.bool),
     counts: wp.array(dtype=int),
     lists: wp.array2d(dtype=wrt.device.Hit),
@@ -44,6 +45,7 @@ def ask_everything(
     positions[i] = wrt.device.position(scene, hit)
     normals[i] = wrt.device.normal(scene, hit)
     spawned[i] = wrt.device.spawn(scene, hit, -directions[i])
+    faces[i] = wrt.device.faces(scene, hit, -directions[i])
     occluded[i] = wrt.device.any_hit(scene, origins[i], directions[i], 0.1, t_max[i])
     counts[i] = wrt.device.count_hits(scene, origins[i], directions[i], 0.1, t_max[i])
     hit = wrt.device.first_hit(scene, origins[i], directions[i], 0.1, t_max[i])
@@ -98,7 +100,7 @@ def scenes(request: pytest.FixtureRequest) -> Iterator[dict[str, wrt.Scene]]:
 def outputs(count: int, device: str) -> dict[str, wp.array]:
     """The kernel's arrays, in its order."""
     kinds = {"origins": wp.vec3d, "directions": wp.vec3, "t_max": float, "closest": wrt.device.Hit, "positions": wp.vec3d}
-    kinds |= {"normals": wp.vec3, "spawned": wp.vec3d, "occluded": wp.bool, "counts": int}
+    kinds |= {"normals": wp.vec3, "spawned": wp.vec3d, "faces": wp.bool, "occluded": wp.bool, "counts": int}
     arrays = {name: wp.zeros(count, dtype=kind, device=device) for name, kind in kinds.items()}
     return arrays | {"lists": wp.zeros((count, ROOM), dtype=wrt.device.Hit, device=device)}
 
@@ -143,6 +145,7 @@ def test_same_as_batch_queries(scenes, tree):
     np.testing.assert_array_equal(found.positions, hits.position)
     np.testing.assert_array_equal(found.normals, hits.normal.astype(np.float32))
     np.testing.assert_array_equal(found.spawned, hits.spawn(-directions))
+    np.testing.assert_array_equal(found.faces, hits.faces(-directions))
 
 
 def test_ambient_occlusion(device):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -136,6 +137,17 @@ def test_finds_occlusion_that_disagrees(monkeypatch):
     assert scene.verify(40).misses["random"] > 3
     monkeypatch.setattr(verification, "ray_values", lambda *asked: np.ones_like(truth(*asked)))
     assert scene.verify(400).false_hits["random"] > 3
+
+
+def test_any_wrong_answer_is_not_ok():
+    """Misses and false hits of each kind of rays count: without the false hits, no test failed."""
+    right = wrt.Scene(TEAPOT, device="cpu").verify(4)
+    assert right.ok
+    for name in ("misses", "false_hits"):
+        for kind in right.rays:
+            wrong = dataclasses.replace(right, **{name: getattr(right, name) | {kind: 1}})
+            assert not wrong.ok
+            assert "answers are WRONG" in str(wrong)
 
 
 def test_what_is_in_the_mesh():

@@ -11,7 +11,7 @@ from test_spawn import PLACES, placed
 from test_watertight import BODIES
 
 import wrt
-from wrt.query import visibility
+from wrt.query.points import visibility
 
 
 def on_surface(mesh: wrt.TriangleMesh, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -44,7 +44,7 @@ COPIED = {
     "a row of directions for all": (POINTS.reshape(H, W, 3), VECTORS[:W]),
     "one ray": (POINTS[:1], VECTORS[:1]),
     "no rays": (POINTS[:0], VECTORS[:0]),
-    "other bytes": (POINTS.astype(">f4"), VECTORS),
+    "other bytes": (POINTS.astype(">f8"), VECTORS),
     "lists": (POINTS.tolist(), VECTORS.tolist()),
 }
 

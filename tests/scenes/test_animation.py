@@ -73,5 +73,5 @@ def test_the_figure_follows_its_bones():
     np.testing.assert_allclose((figure.bones[:, 0] @ rest)[:, :3], figure.frames[:, 0], atol=1e-12)
     assert figure.frames[-1, :, 0].mean() - figure.frames[0, :, 0].mean() > 0.8
     assert np.linalg.det(figure.bones[..., :3, :3]) == pytest.approx(1.0)
-    with pytest.raises(ValueError, match="detail must be at least 3"):
+    with pytest.raises(ValueError, match="detail is 2; it must be at least 3"):
         wrt.scenes.walking_figure(8, 2)

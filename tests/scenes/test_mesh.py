@@ -9,7 +9,7 @@ import trimesh
 
 import wrt
 from wrt.meshes.mesh import TriangleMesh
-from wrt.meshes.plain_ply import read_plain_ply
+from wrt.meshes.mesh_arrays import checked_faces
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
@@ -37,6 +37,7 @@ def with_vertex(index, value):
         (SQUARE, [], ValueError, r"faces is empty"),
         (np.empty((0, 3)), TWO, ValueError, r"there are 0 vertices"),
         (SQUARE, [[0, 1, 2], [0, 2, 4], [9, 0, 1]], ValueError, r"faces\[1\] refers to vertex 4, but there are 4"),
+        (SQUARE, [[0, 1, 4]], ValueError, r"faces\[0\] refers to vertex 4, but there are 4"),  # the first that is none
         (SQUARE, [[0, 1, 2], [0, -1, 2]], ValueError, r"faces\[1\] refers to vertex -1"),
         (SQUARE, np.array([[0, 1, 2**40]]), ValueError, r"faces\[0\] refers to vertex 1099511627776"),
         (SQUARE, np.array([[0, 1, 2**32 + 2]], dtype=np.uint64), ValueError, r"refers to vertex 4294967298"),
@@ -106,6 +107,23 @@ def test_right_arrays_are_copied_once(dtype):
     again = TriangleMesh(mesh.vertices, mesh.faces)
     assert np.shares_memory(again.vertices, mesh.vertices)
     assert np.shares_memory(again.faces, mesh.faces)
+
+
+def test_indices_are_checked_in_the_copy():
+    """Between the check and the copy, another thread could write to the caller's array."""
+    faces = TWO.astype(np.int32)
+
+    class Count:
+        """Compares as the number of vertices, and writes to the array then."""
+
+        __array_ufunc__ = None
+
+        def __le__(self, largest):
+            faces[:] = 1 << 30
+            return len(SQUARE) <= largest
+
+    np.testing.assert_array_equal(checked_faces(faces, Count()), TWO)
+    assert (faces == 1 << 30).all()
 
 
 @pytest.mark.parametrize("dtype", [np.int8, np.uint16, np.int64, np.float16, ">f8", np.longdouble])
@@ -245,23 +263,36 @@ def test_plain_ply_files_are_read_as_by_trimesh(tmp_path, monkeypatch, order, re
     assert (mesh.name, mesh.up, mesh.materials) == ("mesh", (0.0, 1.0, 0.0), expected.materials)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        ply_file()[:-1],
-        ply_file() + b"more",
-        ply_file(more="property float weight\n") + bytes(8),
-        ply_file(corners=2),
-        ply_file().replace(b"element vertex 4", b"element vertex 9999999999"),
-        ply_file().replace(b"element face 2", b"element face 0"),
-        b"ply\nformat ascii 1.0\n",
-    ],
-    ids=["cut", "longer", "property", "corners", "vertices", "faces", "ascii"],
-)
-def test_other_ply_files_are_left_to_trimesh(tmp_path, content):
+def loaded_with(tmp_path, content):
     path = tmp_path / "mesh.ply"
     path.write_bytes(content)
-    assert read_plain_ply(path) is None
+    return TriangleMesh.load(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (ply_file()[:-1], "ends before the last of 2 rows of the element 'face'"),
+        (ply_file().replace(b"element vertex 4", b"element vertex 9999999999"), "rows of the element 'vertex'"),
+        (ply_file().replace(b"element face 2", b"element face 0"), "no triangles"),
+        (b"ply\nformat ascii 1.0\n", "no line 'end_header'"),
+    ],
+    ids=["cut", "vertices", "faces", "header"],
+)
+def test_ply_files_that_are_cut_off_are_refused(tmp_path, content, message):
+    with pytest.raises(ValueError, match=message):
+        loaded_with(tmp_path, content)
+
+
+def test_ply_files_with_more_in_them(tmp_path):
+    """Bytes behind the last row are named; other properties are skipped."""
+    with pytest.warns(UserWarning, match=r"mesh\.ply': 4 bytes behind the last"):
+        np.testing.assert_array_equal(loaded_with(tmp_path, ply_file() + b"more").faces, TWO)
+    rows = np.zeros(len(TWO), dtype=[("corners", "u1"), ("vertex", "<i4", 3), ("weight", "<f4")])
+    rows["corners"], rows["vertex"] = 3, TWO
+    plain = ply_file(more="property float weight\n")
+    content = plain[: -len(TWO) * 13] + rows.tobytes()
+    np.testing.assert_array_equal(loaded_with(tmp_path, content).faces, TWO)
 
 
 @pytest.mark.parametrize("suffix", ["ply", "obj", "stl", "off", "glb"])
@@ -286,10 +317,12 @@ def test_the_upward_direction_follows_the_mesh():
     assert TriangleMesh.concatenate([mesh, TriangleMesh(SQUARE, TWO, up=(1, 0, 0))]).up is None
 
 
-@pytest.mark.parametrize("up", [(0, 0, 0), (0, 1), (0, np.nan, 1), "y"])
+@pytest.mark.parametrize("up", [(0, 0, 0), (0, 1), (0, np.nan, 1)])
 def test_bad_upward_directions_are_refused(up):
     with pytest.raises(ValueError, match="up must be three"):
         TriangleMesh(SQUARE, TWO, up=up)
+    with pytest.raises(TypeError, match="up must hold real numbers"):
+        TriangleMesh(SQUARE, TWO, up="y")
 
 
 def test_save_refuses_unknown_formats(tmp_path):

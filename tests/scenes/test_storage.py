@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import gc
 import json
+import os
 import pickle
 import subprocess
 import sys
@@ -163,6 +164,16 @@ def test_folder_of_trees(built, tmp_path):
     assert len(built) == len(others) + 2
     with pytest.raises(TypeError, match="cache must be the path"):
         wrt.Scene(first, cache=3)
+
+
+def test_a_pipe_in_a_folder_of_trees_is_not_waited_for(tmp_path):
+    """The query for a stored tree opened whatever had its name."""
+    first = wrt.Scene(meshes()[0], cache=tmp_path, device="cpu")
+    (path,) = tmp_path.iterdir()
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.warns(UserWarning, match="the tree is not cached"):
+        assert_same_tree(first, wrt.Scene(meshes()[0], cache=tmp_path, device="cpu"))
 
 
 def assert_same_tree(scene: wrt.Scene, other: wrt.Scene) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from wrt.scene.archives import read_archive, write_archive
 def test_materials_are_kept(tmp_path):
     """They were lost: a saved scene came back grey."""
     grid = np.random.default_rng(0).random((4, 5, 3))
-    image = wrt.Texture(grid)
+    image = wrt.Texture(grid, wrap=("mirror", "clamp"))
     listed = [
         wrt.Material("glossy", color=(0.2, 0.4, 0.6), roughness=0.3, color_texture=image, surface_texture=image),
         wrt.Material("dielectric", index=1.3, absorption=(1, 2, 3), priority=2, color=1.0),
@@ -33,6 +34,7 @@ def test_materials_are_kept(tmp_path):
     assert (two, three) == (listed[1], listed[2])
     assert one.color_texture is one.surface_texture
     np.testing.assert_array_equal(one.color_texture.pixels, image.pixels)
+    assert one.color_texture.wrap == pickle.loads(pickle.dumps(image)).wrap == ("mirror", "clamp")
     assert (one.roughness, one.color) == (0.3, (0.2, 0.4, 0.6))
 
 

@@ -17,7 +17,9 @@ LENSES = {
     "barrel": BrownConrady(**CENTRE, distortion=BARREL),
     "rational": BrownConrady(**CENTRE, distortion=RATIONAL),
     "prism": BrownConrady(**CENTRE, distortion=(*RATIONAL, 1e-3, -4e-4, -8e-4, 3e-4)),
+    "skewed": BrownConrady(**CENTRE, distortion=BARREL, skew=-12.0),
     "kannala_brandt": KannalaBrandt(**FISHEYE, distortion=(0.04, -0.01, 3e-3, -4e-4)),
+    "skewed_fisheye": KannalaBrandt(**FISHEYE, distortion=(0.04, -0.01, 3e-3, -4e-4), skew=7.0),
     "f_theta": FTheta(319.5, 241.0, (260.0, 3.0, -8.0, 0.5)),
     "double_sphere": DoubleSphere(**FISHEYE, xi=-0.2, alpha=0.6),
     "double_sphere_narrow": DoubleSphere(**FISHEYE, xi=0.3, alpha=0.3),
@@ -68,6 +70,24 @@ def test_opencv_fisheye():
     given = points.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), matrix, np.array(lens.distortion)
     expected, _ = cv2.fisheye.projectPoints(*given)
     np.testing.assert_allclose(lens.project(points), expected[:, 0], atol=1e-9)
+
+
+def test_camera_matrices_with_skew():
+    """Calibrations of Matlab and COLMAP have a skew, which was refused: pixel (u, v) looks along K^-1 (u, v, 1)."""
+    matrix, upright = (np.array([[500, skew, 320], [0, 500, 240], [0, 0, 1]]) for skew in (2.0, 0.0))
+    assert BrownConrady.from_matrix(matrix).skew == KannalaBrandt.from_matrix(matrix).skew == 2.0
+    directions = BrownConrady.from_matrix(matrix).unproject(PIXELS)[1]
+    pixels = np.concatenate([PIXELS, np.ones((*PIXELS.shape[:-1], 1))], axis=-1)
+    np.testing.assert_allclose(directions / directions[..., 2:], pixels @ np.linalg.inv(matrix).T, rtol=0, atol=1e-12)
+    points = np.random.default_rng(4).uniform((-1, -1, 1), (1, 1, 3), (50, 3))
+    skewed, plain = (BrownConrady.from_matrix(one, BARREL).project(points) for one in (matrix, upright))
+    np.testing.assert_allclose(skewed[:, 0] - plain[:, 0], 2.0 * (plain[:, 1] - 240) / 500, rtol=0, atol=1e-10)
+    np.testing.assert_array_equal(skewed[:, 1], plain[:, 1])
+    lower = upright.copy()
+    lower[1, 0] = 1.0
+    for bad in (2 * matrix, matrix.T, lower):
+        with pytest.raises(ValueError, match="create_rays_pinhole"):
+            BrownConrady.from_matrix(bad)
 
 
 def test_pixel_convention():

@@ -93,9 +93,81 @@ def test_ros_bag(scan, table, tmp_path):
 
 def test_frames(scan):
     """The world's and the sensor's coordinates; unknown names are refused."""
-    np.testing.assert_array_equal(scan.to_structured("world"), scan.to_structured())  # a sensor at the origin
+    world = scan.to_structured("world")
+    np.testing.assert_array_equal(world.astype(POINT_TYPE), scan.to_structured())  # a sensor at the origin
+    assert {str(world.dtype[axis]) for axis in "xyz"} == {"float64"}
     with pytest.raises(ValueError, match="sensor, world, start"):
         scan.to_structured("map")
+
+
+UTM = np.array([500_000.125, 5_400_000.25, 200.5])
+
+
+@pytest.fixture(scope="module")
+def far():
+    """A scan in UTM coordinates, as a table, and the same points in float64."""
+    mesh = wrt.TriangleMesh(wall(10.0).vertices + UTM, wall(10.0).faces)
+    pose = np.eye(4)
+    pose[:3, 3] = UTM
+    scan = Lidar.preset("velodyne_vlp16").scan(wrt.Scene(mesh, device="cpu"), pose, reflectance=0.5)
+    table = scan.to_structured("world")
+    exact = (scan.position - UTM)[np.isfinite(scan.range)]
+    assert np.abs(exact[:, 0] - 10.0).max() < 1e-4
+    return scan, table, np.sort(exact[:, 1])
+
+
+def apart(coordinates, exact) -> float:
+    """The largest error of y coordinates in the world, in any order."""
+    assert np.asarray(coordinates).dtype == np.float64
+    return np.abs(np.sort(np.asarray(coordinates) - UTM[1]) - exact).max()
+
+
+def test_tables_and_files_in_utm_coordinates(far, tmp_path):
+    """Tables held float32, whose steps are half a metre there; so PLY and LAS files had points in stripes."""
+    import trimesh
+
+    (scan, table, exact), of_sensor = far, far[0].to_structured()
+    assert apart(table["y"], exact) < 1e-8
+    write_points(tmp_path / "scan.ply", table)
+    assert apart(trimesh.load(tmp_path / "scan.ply").vertices[:, 1], exact) < 1e-8
+    assert of_sensor["y"].dtype == scan.to_structured("start")["y"].dtype == np.float32
+    assert apart(of_sensor["y"].astype(np.float64) + UTM[1], exact) < 1e-4
+    with pytest.raises(ValueError, match=r"float32 of KITTI's .bin files would move by 0\.\d+"):
+        write_points(tmp_path / "scan.bin", table)
+    assert not (tmp_path / "scan.bin").exists()
+
+
+def test_pcd_in_utm_coordinates(far, tmp_path):
+    pypcd4 = pytest.importorskip("pypcd4", reason='pypcd4 is not installed: pip install "wrt[sensors]"')
+    write_points(tmp_path / "scan.pcd", far[1])
+    assert apart(pypcd4.PointCloud.from_path(tmp_path / "scan.pcd").pc_data["y"].ravel(), far[2]) < 1e-8
+
+
+@pytest.mark.parametrize(("size", "step"), [(1.0, 1e-4), (1e-4, 1e-6), (1e4, 1e-3)])
+def test_las_steps_follow_from_the_data(far, tmp_path, size, step):
+    """0.1 mm for a scan of metres; a coin keeps its relief, and a country fits."""
+    laspy = pytest.importorskip("laspy", reason='laspy is not installed: pip install "wrt[sensors]"')
+    table = far[1].copy()
+    for axis, place in zip("xyz", UTM, strict=True):
+        table[axis] = place + size * (table[axis] - place)
+    write_points(tmp_path / "scan.las", table)
+    read = laspy.read(tmp_path / "scan.las")
+    np.testing.assert_allclose(read.header.scales, step, rtol=1e-9)
+    assert apart(read.y, size * far[2]) < 0.51 * step + 2e-9
+    table["x"][0] = UTM[0] + 1e7
+    with pytest.raises(ValueError, match="too far for LAS"):
+        write_points(tmp_path / "other.las", table)
+    table["x"][0] = np.nan
+    with pytest.raises(ValueError, match="x = nan"):
+        write_points(tmp_path / "other.las", table)
+
+
+def test_camera_positions_in_utm_coordinates():
+    mesh = wrt.TriangleMesh(wall(10.0).vertices + UTM, wall(10.0).faces)
+    camera = Camera(12, 8, BrownConrady(20.0, 20.0, 5.5, 3.5))
+    images = camera.capture(wrt.Scene(mesh, device="cpu"), look_at(UTM, UTM + np.array([1.0, 0.0, 0.0])))
+    assert images.position.dtype == np.float64
+    assert np.abs(images.position[..., 0] - UTM[0] - 10.0).max() < 1e-4
 
 
 def test_wrong_files(table, tmp_path):

@@ -10,6 +10,7 @@ import wrt
 from wrt.builders.triangle_fans import build_fans
 from wrt.fans.fan_arrays import closest_by_fans
 from wrt.fans.fan_files import load_fans, save_fans
+from wrt.kernels.compilation import module_compiler
 from wrt.kernels.traversal.fan_brute_force import FAN_FORMS, NORMALS, PLANES
 
 MESHES = {
@@ -83,6 +84,15 @@ def test_bad_input(case):
     call, error, message = BAD[case]
     with pytest.raises(error, match=message):
         call(wrt.scenes.build("teapot", level=2))
+
+
+@pytest.mark.parametrize("query", ["contains", "visible", "count", "intersect_all"])
+def test_queries_that_count_are_refused_at_once(query, monkeypatch):
+    """`contains` compiled kernels for ten seconds, and refused then."""
+    scene, points = wrt.FanScene(wrt.scenes.build("teapot", level=2), device="cpu"), np.zeros((2, 3))
+    monkeypatch.setattr(module_compiler, "load_modules", lambda *modules: pytest.fail("a kernel is compiled"))
+    with pytest.raises(ValueError, match=rf"{query}.* use wrt\.Scene\(scene\.meshes\)"):
+        getattr(scene, query)(*((points,) if query == "contains" else (points, points + 1)))
 
 
 def test_start_of_a_closed_mesh():

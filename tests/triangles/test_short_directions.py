@@ -128,3 +128,13 @@ def test_no_hit_at_infinity(kind):
     for name, is_hit in other_answers(scene, origins, scaled).items():
         if name != "precise":  # in float64, a t beside the largest float32 may be on the other side of it
             np.testing.assert_array_equal(is_hit, expected.is_hit, err_msg=name)
+
+
+def test_a_hit_beyond_float32_is_none():
+    """The same for one triangle and few rays, whose kernels are soon compiled."""
+    scene = wrt.Scene(wrt.TriangleMesh([[0, 0, 0], [1e9, 0, 0], [0, 1e9, 0]], [[0, 1, 2]]), device="cpu")
+    origins = np.float32([[1e8, 1e8, 1e9], [1e8, 1e8, 1e9]])
+    directions = np.float32([[0, 0, -(2.0**-98)], [0, 0, -(2.0**-99)]])
+    hits = scene.intersect(origins, directions)  # t is 3.2e38 and 6.3e38; float32 ends at 3.4e38
+    np.testing.assert_array_equal(hits.is_hit, [True, False])
+    assert np.isfinite(hits.t[0])

@@ -11,56 +11,10 @@ import pytest
 import wrt
 from wrt import scenes
 
-viser = pytest.importorskip("viser", reason="the viewer needs viser: pip install 'wrt[view]'")
-client = pytest.importorskip("websockets.sync.client")
-zstandard, msgspec = pytest.importorskip("zstandard"), pytest.importorskip("msgspec")
+pytest.importorskip("viser", reason="the viewer needs viser: pip install 'wrt[view]'")
+from viewer_page import Page, until
 
 CLIENTS = 8
-
-
-class Page:
-    """A client that moves its camera, counts the pictures that come, and answers for each as a browser does."""
-
-    def __init__(self, address):
-        protocol = f"viser-v{viser.__version__}"
-        self.socket = client.connect(address, subprotocols=[protocol], max_size=None, origin=address.replace("ws", "http"))
-        self.pictures = 0
-        self.reader = threading.Thread(target=self._read, daemon=True)
-        self.reader.start()
-
-    def _read(self):
-        try:
-            for data in self.socket:
-                length, packed = (int.from_bytes(data[begin : begin + 8], "little") for begin in (0, 8))
-                inner = zstandard.ZstdDecompressor().decompress(data[16 : 16 + packed], max_output_size=length)
-                for message in msgspec.msgpack.decode(inner)["messages"]:
-                    self.pictures += message["type"] == "BackgroundImageMessage" and message["rgb_data"] is not None
-                    if message["type"] == "LocalStorageGetItemRequestMessage":
-                        answer = {"value": None, "error": None, "request_uuid": message["request_uuid"]}
-                        self._send("LocalStorageGetItemResponseMessage", answer)
-        except Exception:  # the test closes the socket
-            return
-
-    def _send(self, kind, fields):
-        self.socket.send(msgspec.msgpack.encode({"type": kind, **fields}))
-
-    def look(self, camera):
-        """Sends a camera."""
-        right = np.cross(camera.forward, camera.up)
-        right /= np.linalg.norm(right)
-        axes = np.stack([right, np.cross(camera.forward, right), camera.forward], axis=1)
-        pose = {
-            "wxyz": tuple(map(float, viser.transforms.SO3.from_matrix(axes).wxyz)),
-            "position": tuple(map(float, camera.position)),
-            "look_at": tuple(map(float, camera.look_at)),
-            "up_direction": tuple(map(float, camera.up)),
-        }
-        lens = {"fov": float(np.radians(camera.fov)), "near": 0.01, "far": 1e3, "image_height": 60, "image_width": 80}
-        self._send("ViewerCameraMessage", pose | lens)
-
-    def close(self):
-        self.socket.close()
-        self.reader.join(10.0)
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +24,6 @@ def viewer():
     camera = wrt.PinholeCamera(80, 60, **scenes.BUILTIN_SCENES["teapot"].camera)
     with wrt.view(scene, block=False, port=0, camera=camera, samples=2, options=options) as made:
         yield made
-
-
-def until(true, seconds=60.0):
-    end = time.perf_counter() + seconds
-    while not true() and time.perf_counter() < end:
-        time.sleep(0.01)
-    assert true()
 
 
 def view_from(camera, turn):
@@ -109,7 +56,7 @@ def test_eight_clients_at_once(viewer):
     until(lambda: not viewer.sessions and not viewer.panels)
     until(lambda: not any(session.is_alive for session in sessions))
     assert all(session.picture is None for session in sessions)
-    until(lambda: not any(thread.name.startswith("wrt-received") for thread in threading.enumerate()))
+    until(lambda: not any(thread.name in ("wrt-frames", "wrt-panels") for thread in threading.enumerate()))
 
 
 def test_seventeenth_client_gets_no_picture(viewer):

@@ -52,6 +52,62 @@ def test_coarse_pictures_are_small_and_have_one_sample(scene, wish):
     assert picture.pixels().shape == (18, 24, 3)
 
 
+@pytest.fixture(scope="module")
+def cloister():
+    """A floor between two walls, below a roof: a tenth of the sky is seen from its middle."""
+    x, y = 4.0, 1.5
+    corners = [(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0), (-x, -y, 2), (x, -y, 2), (x, y, 2), (-x, y, 2)]
+    quads = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 3, 7, 4), (2, 3, 7, 6)]
+    faces = [triangle for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))]
+    scene = wrt.Scene(wrt.TriangleMesh(np.array(corners, np.float32), faces), "bvh", device="cpu")
+    camera = wrt.PinholeCamera(40, 30, fov=70.0, position=(3.0, -4.0, 1.2), look_at=(-1.0, 0.5, 0.9), up=(0, 0, 1))
+    return scene, camera
+
+
+DARK = {"light_color": 0.0, "ambient_color": 1.0, "albedo": 1.0, "background": 1.0, "smooth": False}
+
+
+def linear(scene, camera, **options):
+    """(H, W) linear openness of a picture."""
+    picture = wrt.render(scene, camera, **DARK, **options)[..., 0].astype(np.float64)
+    return np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4)
+
+
+def test_pixels_share_their_ambient_rays(cloister):
+    """The mean over the window, where all of it is one plane; no more than rounding beyond it elsewhere."""
+    scene, camera = cloister
+    alone, shared = (linear(scene, camera, ambient_samples=2, ambient_radius=radius) for radius in (0, 2))
+    rays = camera.rays()
+    normal = np.abs(scene.intersect(rays).normal)
+    hit = np.isfinite(normal).all(axis=-1) & (normal.sum(axis=-1) > 0)
+    windows = np.lib.stride_tricks.sliding_window_view
+    one_plane = hit[2:-2, 2:-2] & (np.ptp(windows(normal, (5, 5), axis=(0, 1)), axis=(-2, -1)).max(axis=-1) < 1e-6)
+    one_plane &= windows(hit, (5, 5)).all(axis=(-2, -1))
+    assert one_plane.sum() > 50
+    mean = windows(alone, (5, 5)).mean(axis=(-2, -1))
+    np.testing.assert_allclose(shared[2:-2, 2:-2][one_plane], mean[one_plane], atol=3e-3)
+    np.testing.assert_array_equal(shared[~hit], alone[~hit])
+    for radius in (-1, 9):
+        with pytest.raises(ValueError, match="ambient_radius"):
+            wrt.render(scene, camera, ambient_radius=radius)
+
+
+def test_coarse_pictures_have_no_black_speckles(cloister):
+    """Two ambient rays of a pixel are both blocked at many pixels of a dark place: the first picture of the atrium was black
+    and white."""
+    scene, camera = cloister
+    true = linear(scene, camera, ambient_samples=256)
+    pose = tuple(camera.position), tuple(camera.look_at), tuple(camera.up), camera.fov
+    coarse = finished(scene, Wish(1, pose, (40, 30)), 1.0, True, **DARK).pixels()[..., 0] / 255.0
+    coarse = np.where(coarse <= 0.04045, coarse / 12.92, ((coarse + 0.055) / 1.055) ** 2.4)
+    alone = linear(scene, camera, ambient_samples=2)
+    inside = (true < 0.6) & (true > 0.05)
+    assert inside.sum() > 100
+    assert (alone[inside] == 0.0).mean() > 0.2
+    assert (coarse[inside] == 0.0).mean() < 0.01
+    assert np.abs(coarse - true)[inside].mean() < 0.4 * np.abs(alone - true)[inside].mean()
+
+
 @pytest.mark.parametrize("look", [name for name in LOOKS if name != "beauty"])
 def test_layers_and_costs(scene, wish, look):
     """Each look makes a picture with more than one colour; what it shows is that of `intersect`."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from wrt.kernels.validation import as_numbers, convert_fields
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -87,6 +88,9 @@ class ProjectedBvh:
         from wrt.builders.influence.projected_cost import check_areas
 
         object.__setattr__(self, "areas", check_areas(self.areas))
+        convert_fields(self)
+        if self.shares is not None:
+            object.__setattr__(self, "shares", tuple(as_numbers("shares", self.shares, (None,), finite=False).tolist()))
         lookup(dict.fromkeys(COSTS), self.cost, "cost")
         if self.block_cost is not None and self.triangle_cost is not None:
             raise ValueError("block_cost and triangle_cost are both given; leave one out: leaves have one cost")

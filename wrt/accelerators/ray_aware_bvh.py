@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from wrt.accelerators.projected_bvh import ProjectedBvh
+from wrt.kernels.validation import convert_fields
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ class RayAwareBvh:
         from wrt.builders.influence.projected_cost import check_areas
 
         object.__setattr__(self, "areas", check_areas(self.areas))
+        convert_fields(self)
         if len(self.areas) > MAX_AREAS:
             raise ValueError(f"areas holds {len(self.areas)} areas; at most {MAX_AREAS} are supported")
         if not isinstance(self.whole, Bvh | None):

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, ClassVar
 
+from wrt.kernels.validation import convert_fields
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -93,6 +94,7 @@ class KdTree:
         from wrt.builders.cost import COST_MODELS
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
+        convert_fields(self)
         lookup(KDTREE_BUILDERS, self.builder, "builder")
         lookup(LAYOUTS, self.layout, "layout")
         lookup(COST_MODELS, self.cost_model, "cost_model")
@@ -222,6 +224,7 @@ class Bvh:
     def __post_init__(self) -> None:
         from wrt.builders.bvh import BVH_BUILDERS
 
+        convert_fields(self)
         lookup(BVH_BUILDERS, self.builder, "builder")
         if self.subset != 1.0 and self.builder != "binned":
             raise ValueError(f"builder {self.builder!r} does not support a subset; use 'binned', or leave subset out")

@@ -6,7 +6,7 @@ vertices; each of several coincident triangles is hit; lists of hits are sorted 
 float32.
 
 Distance queries (`compute_distance`, `compute_signed_distance`, `compute_closest_points`, `compute_occupancy`) are not
-implemented. Use `wrt.Scene.contains` for inside tests.
+implemented: to ask for one is an AttributeError that says what to use instead, such as `wrt.Scene.contains` for inside tests.
 
 References:
     Q.-Y. Zhou, J. Park, V. Koltun: Open3D: A modern library for 3D data processing. arXiv:1801.09847, 2018 (the interface).
@@ -19,11 +19,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.kernels.runtime.launch import check_num_threads, use_threads
+from wrt.kernels.runtime.launch import MAX_THREADS, as_device, use_threads
+from wrt.kernels.validation import as_float, as_int, as_numbers, as_real_array, unreadable
 from wrt.meshes.mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from wrt.scene.scene import Scene
+FAR_CAMERA = 2.0**14
+"""Coordinate beyond which rays of a camera are float64: float32 is spaced by more than 1/1024 there."""
+
+
+MISSING = {
+    "compute_closest_points": "wrt has no queries for closest points yet; trimesh.proximity.closest_point(mesh, points) is one",
+    "compute_distance": "wrt has no distances of points yet; trimesh.proximity.closest_point(mesh, points) gives them",
+    "compute_signed_distance": (
+        "wrt has no distances of points yet; scene.contains(points) of a wrt.Scene, or of this object's `scene`, tells "
+        "which points are inside, where the sign is negative; trimesh.proximity.closest_point(mesh, points) gives distances"
+    ),
+    "compute_occupancy": (
+        "scene.contains(points) of a wrt.Scene, or of this object's attribute `scene`, tells which points are inside; "
+        ".astype(np.float32) of it is Open3D's occupancy"
+    ),
+}
+"""Methods of Open3D's scene that are not here, and what to use instead."""
 
 
 class RaycastingScene:
@@ -34,23 +52,30 @@ class RaycastingScene:
     tree is built by the first query after triangles were added. Open3D's distance queries are not implemented.
 
     Args:
-        nthreads: CPU threads, 0 for `wrt.get_num_threads()`; every query may pass its own number.
-        device: a Warp device or its name; None for Warp's default device.
+        nthreads: CPU threads, 0 or None for `wrt.get_num_threads()`; every query may pass its own number.
+        device: a Warp device, or its name as Warp or Open3D writes it, such as "cpu" or "CPU:0", or an
+            `open3d.core.Device`; None for Warp's default device.
 
     Raises:
-        TypeError: `nthreads` is not an int.
-        ValueError: `nthreads` is negative.
+        TypeError: `nthreads` is not an int, or `device` no device.
+        ValueError: `nthreads` is negative, or there is no such device.
     """
 
     INVALID_ID = 0xFFFFFFFF
     """Geometry and primitive id of a miss."""
 
-    def __init__(self, nthreads: int = 0, device: str | None = None) -> None:
-        self._nthreads, self._device = _as_threads(nthreads), device
+    def __init__(self, nthreads: int | None = 0, device: Any = None) -> None:
+        self._nthreads = _as_threads(nthreads)
+        self._device = None if device is None else as_device(device).alias
         self._meshes: list[TriangleMesh] = []
 
     def __repr__(self) -> str:
         return f"RaycastingScene({len(self._meshes)} geometries)"
+
+    def __getattr__(self, name: str) -> Any:
+        if name in MISSING:
+            raise AttributeError(f"{type(self).__name__} has no {name}: {MISSING[name]}")
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "scene"}
@@ -87,7 +112,7 @@ class RaycastingScene:
         self.__dict__.pop("scene", None)
         return len(self._meshes) - 1
 
-    def cast_rays(self, rays: Any, nthreads: int = 0) -> dict[str, np.ndarray]:
+    def cast_rays(self, rays: Any, nthreads: int | None = 0) -> dict[str, np.ndarray]:
         """Closest hits.
 
         Args:
@@ -123,17 +148,20 @@ class RaycastingScene:
                 "primitive_normals": hits.normal.astype(np.float32, copy=False),
             }
 
-    def test_occlusions(self, rays: Any, tnear: float = 0.0, tfar: float = float("inf"), nthreads: int = 0) -> np.ndarray:
+    def test_occlusions(
+        self, rays: Any, tnear: float = 0.0, tfar: float = float("inf"), nthreads: int | None = 0
+    ) -> np.ndarray:
         """Whether anything is hit at tnear <= t <= tfar: (...) bool. Errors as in `cast_rays`, and for a negative or NaN
         range.
         """
         origins, directions = _split(rays)
+        tnear, tfar = as_float("tnear", tnear), as_float("tfar", tfar)
         with self._threads(nthreads):
             if self.scene is None:
                 return np.zeros(origins.shape[:-1], dtype=bool)
             return self.scene.occluded(origins, directions, t_min=tnear, t_max=tfar)
 
-    def count_intersections(self, rays: Any, nthreads: int = 0) -> np.ndarray:
+    def count_intersections(self, rays: Any, nthreads: int | None = 0) -> np.ndarray:
         """Number of hits of each ray: (...) int32. Errors as in `cast_rays`."""
         origins, directions = _split(rays)
         with self._threads(nthreads):
@@ -141,7 +169,7 @@ class RaycastingScene:
                 return np.zeros(origins.shape[:-1], dtype=np.int32)
             return self.scene.count(origins, directions)
 
-    def list_intersections(self, rays: Any, nthreads: int = 0) -> dict[str, np.ndarray]:
+    def list_intersections(self, rays: Any, nthreads: int | None = 0) -> dict[str, np.ndarray]:
         """All M hits of N rays, ray after ray, sorted by t for each ray.
 
         Returns:
@@ -169,7 +197,8 @@ class RaycastingScene:
 
     @staticmethod
     def create_rays_pinhole(*args: Any, **kwargs: Any) -> np.ndarray:
-        """Rays through the pixel centres of a pinhole camera: (height_px, width_px, 6) float32.
+        """Rays through the pixel centres of a pinhole camera: (height_px, width_px, 6) float32, or float64 if a coordinate of
+        the camera's position is beyond 16,384, where float32 would move it by half a millimetre, and in UTM by 0.25 m.
 
         Either `create_rays_pinhole(intrinsic_matrix, extrinsic_matrix, width_px, height_px)` or
         `create_rays_pinhole(fov_deg, center, eye, up, width_px, height_px)`, as in Open3D. Directions have length 1 along
@@ -183,7 +212,7 @@ class RaycastingScene:
             width_px, height_px: size of the image in pixels.
 
         Raises:
-            TypeError: other arguments than these.
+            TypeError: other arguments than these, or of another type.
             ValueError: wrong shapes, singular matrices, a zero view direction or one parallel to `up`, or an empty image.
         """
         if len(args) + len(kwargs) == 4:
@@ -195,19 +224,22 @@ class RaycastingScene:
             "create_rays_pinhole(fov_deg, center, eye, up, width_px, height_px)"
         )
 
-    def _threads(self, nthreads: int) -> Any:
+    def _threads(self, nthreads: int | None) -> Any:
         return use_threads(_as_threads(nthreads) or self._nthreads or None)
 
 
-def _as_threads(nthreads: int) -> int:
-    if nthreads is None or (isinstance(nthreads, (int, np.integer)) and nthreads == 0):
-        return 0
-    return check_num_threads(nthreads, "nthreads")
+def _as_threads(nthreads: int | None) -> int:
+    return 0 if nthreads is None else as_int("nthreads", nthreads, 0, MAX_THREADS)
 
 
-def _as_numpy(values: Any) -> Any:
-    """An Open3D tensor, or any object with a method `numpy`, as a NumPy array; everything else unchanged."""
-    return values.numpy() if callable(getattr(values, "numpy", None)) else values
+def _as_numpy(name: str, values: Any) -> Any:
+    """An Open3D tensor, or any object with a method `numpy`, as a NumPy array; what NumPy converts itself, unchanged."""
+    if not callable(getattr(values, "numpy", None)) or hasattr(values, "__array__"):
+        return values
+    try:
+        return values.numpy()
+    except Exception as error:  # each library has its own
+        raise TypeError(unreadable(name, values, error)) from error
 
 
 def _as_mesh(mesh: Any) -> TriangleMesh:
@@ -224,14 +256,12 @@ def _as_mesh(mesh: Any) -> TriangleMesh:
 
 
 def _mesh_of_arrays(vertex_positions: Any, triangle_indices: Any) -> TriangleMesh:
-    return TriangleMesh(_as_numpy(vertex_positions), _as_numpy(triangle_indices))
+    return TriangleMesh(_as_numpy("vertex_positions", vertex_positions), _as_numpy("triangle_indices", triangle_indices))
 
 
 def _split(rays: Any) -> tuple[np.ndarray, np.ndarray]:
     """Origins and directions of rays (..., 6)."""
-    rays = np.asarray(_as_numpy(rays))
-    if rays.dtype.kind not in "fiu":
-        raise TypeError(f"rays must hold real numbers, not {rays.dtype}; convert them to float32")
+    rays = as_real_array("rays", _as_numpy("rays", rays))
     if rays.ndim == 0 or rays.shape[-1] != 6:
         raise ValueError(f"rays must have shape (..., 6), origin and direction, not {rays.shape}")
     return rays[..., :3], rays[..., 3:]
@@ -241,20 +271,18 @@ def _rays_of_matrices(intrinsic_matrix: Any, extrinsic_matrix: Any, width_px: in
     """Rays R^-1 K^-1 (x, y, 1) from the point that the camera matrix [R t] maps to 0."""
     inverses = []
     for name, matrix, size in (("intrinsic_matrix", intrinsic_matrix, 3), ("extrinsic_matrix", extrinsic_matrix, 4)):
-        matrix = np.asarray(_as_numpy(matrix), dtype=np.float64)
+        matrix = as_numbers(name, _as_numpy(name, matrix), finite=False)
         if matrix.shape != (size, size) or not np.isfinite(matrix).all():
             raise ValueError(f"{name} must be a finite {size} x {size} matrix, not of shape {matrix.shape}")
         try:
             inverses.append(np.linalg.inv(matrix))
         except np.linalg.LinAlgError:
             raise ValueError(f"{name} has no inverse: {matrix.tolist()}") from None
-    for name, pixels in (("width_px", width_px), ("height_px", height_px)):
-        if isinstance(pixels, bool) or not isinstance(pixels, (int, np.integer)) or pixels < 1:
-            raise ValueError(f"{name} must be a positive int, not {pixels!r}")
+    width_px, height_px = as_int("width_px", width_px, 1), as_int("height_px", height_px, 1)
     to_camera, to_world = inverses
     x, y = np.arange(width_px) + 0.5, np.arange(height_px) + 0.5
     across, down, corner = (to_world[:3, :3] @ to_camera).T
-    rays = np.empty((height_px, width_px, 6), dtype=np.float32)
+    rays = np.empty((height_px, width_px, 6), dtype=np.float64 if np.abs(to_world[:3, 3]).max() > FAR_CAMERA else np.float32)
     rays[..., :3] = to_world[:3, 3]
     rays[..., 3:] = x[None, :, None] * across + (y[:, None, None] * down + corner)
     return rays
@@ -262,7 +290,13 @@ def _rays_of_matrices(intrinsic_matrix: Any, extrinsic_matrix: Any, width_px: in
 
 def _rays_of_view(fov_deg: float, center: Any, eye: Any, up: Any, width_px: int, height_px: int) -> np.ndarray:
     """The matrices of a camera at `eye` that looks at `center`, and their rays."""
-    center, eye, up = (np.asarray(_as_numpy(vector), dtype=np.float64) for vector in (center, eye, up))
+    given = {"center": center, "eye": eye, "up": up}
+    center, eye, up = (as_numbers(name, _as_numpy(name, vector), finite=False) for name, vector in given.items())
+    width_px, height_px, fov_deg = (
+        as_int("width_px", width_px, 1),
+        as_int("height_px", height_px, 1),
+        as_float("fov_deg", fov_deg),
+    )
     for name, vector in (("center", center), ("eye", eye), ("up", up)):
         if vector.shape != (3,) or not np.isfinite(vector).all():
             raise ValueError(f"{name} must be three finite numbers, not {vector.tolist()}")

@@ -19,7 +19,8 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import as_device, check_num_threads, launch, use_threads
+from wrt.kernels.validation import as_bool, host_array
 from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
@@ -62,7 +63,9 @@ class RayMeshIntersector:
                 f"mesh must be a trimesh.Trimesh, not {type(mesh).__name__}; convert a trimesh.Scene with to_mesh()"
             )
         self.mesh = mesh
-        self._options = {"accelerator": accelerator, "device": device, "num_threads": num_threads}
+        device = None if device is None else as_device(device).alias
+        threads = None if num_threads is None else check_num_threads(num_threads, "num_threads")
+        self._options = {"accelerator": accelerator, "device": device, "num_threads": threads}
         self._built: tuple[int, Scene | None] | None = None
 
     def __repr__(self) -> str:
@@ -119,6 +122,8 @@ class RayMeshIntersector:
         """
         from wrt.query.all_hits import check_max_hits
 
+        multiple_hits = as_bool("multiple_hits", multiple_hits)
+        return_locations = as_bool("return_locations", return_locations)
         check_max_hits(max_hits)
         origins, directions = _checked_rays(ray_origins, ray_directions)
         scene = self.scene
@@ -210,9 +215,11 @@ def _checked_rays(origins: Any, directions: Any) -> tuple[np.ndarray, np.ndarray
 def _as_rows(values: Any, name: str) -> np.ndarray:
     """`values` as (n, 3) float32 or float64."""
     try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise ValueError(f"{name} must be an array of shape (n, 3): {error}") from error
+        array = host_array(name, values)
+    except TypeError as error:
+        if not isinstance(error.__cause__, ValueError):
+            raise
+        raise ValueError(f"{name} must be an array of shape (n, 3): {error}") from error  # rows of different lengths
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name} must have shape (n, 3), not {array.shape}; reshape it to one row each")
     if array.dtype.kind not in "fiu":

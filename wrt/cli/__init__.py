@@ -10,13 +10,15 @@
     wrt job run job.toml            a batch of rays that goes on after whatever ended it
     wrt bench bunny.ply             against other ray tracers
 
-An error is one line on stderr. Exit status: 0 for success, 1 for a failure, 2 for wrong usage, 130 for Ctrl-C. Commands are
-imported when they are called, so that `wrt --help` answers at once.
+An error is one line on stderr. Exit status: 0 for success, 1 for a failure, 2 for wrong usage, 130 for Ctrl-C. With
+WRT_TRACEBACK=1, an error that no command expects comes with its traceback. Commands are imported when they are called, so that
+`wrt --help` answers at once.
 """
 
 from __future__ import annotations
 
 import gc
+import os
 import sys
 from importlib import import_module
 from typing import Any
@@ -24,10 +26,17 @@ from typing import Any
 import click
 
 from wrt import __version__
+from wrt.cli.standard_streams import drop_unwritten, replace_closed_streams, say
 
 OBJECTS_TO_COLLECT = 100_000
 """New objects after which Python looks for garbage, 700 by default: what is imported stays, and searching it again and again
 took a tenth of the time to start (notebooks/records/2026-11-23-warm-start.md)."""
+
+LONGEST = 2000
+"""Characters of an error: texts that it quotes may be of any length."""
+
+TRACEBACK = "WRT_TRACEBACK"
+"""Variable that asks for tracebacks of unexpected errors."""
 
 
 class LazyCommand(click.Command):
@@ -55,22 +64,32 @@ class CommandLine(click.Group):
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Runs a command and ends the process with its exit status."""
         kwargs["standalone_mode"] = False
+        replace_closed_streams()
         thresholds = gc.get_threshold()
         gc.set_threshold(OBJECTS_TO_COLLECT, *thresholds[1:])
         try:
             status = super().main(*args, **kwargs)
+            sys.stdout.flush()  # at the end of the process an error would be a traceback
         except click.UsageError as error:
             path = error.ctx.command_path if error.ctx else "wrt"
             _fail(f"{error.format_message()} (see '{path} --help')", 2)
         except click.ClickException as error:
             _fail(error.format_message(), 1)
         except (click.Abort, KeyboardInterrupt):
-            print("interrupted", file=sys.stderr)
+            say("interrupted")
             sys.exit(130)
+        except BrokenPipeError:  # whoever read has enough
+            drop_unwritten()
+            sys.exit(1)
         except MemoryError:
             _fail("out of memory; use a smaller mesh or image", 1)
         except (OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
             _fail(str(error) or type(error).__name__, 1)
+        except Exception as error:
+            if os.environ.get(TRACEBACK, "") not in ("", "0"):
+                raise
+            reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+            _fail(f"unexpected {reason}; with {TRACEBACK}=1, the traceback says where", 1)
         finally:
             gc.set_threshold(*thresholds)
         sys.exit(status if isinstance(status, int) else 0)
@@ -78,7 +97,9 @@ class CommandLine(click.Group):
 
 def _fail(message: str, status: int) -> None:
     line = " ".join(str(message).split())
-    print(f"error: {line}", file=sys.stderr)
+    line = line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
+    say(f"error: {line}")
+    drop_unwritten()
     sys.exit(status)
 
 

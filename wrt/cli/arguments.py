@@ -12,12 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from wrt.cli.number_types import LARGEST, Whole
+
 if TYPE_CHECKING:
     from wrt.meshes.mesh import TriangleMesh
     from wrt.scene.scene import Scene
     from wrt.scenes import BuiltinScene
 
 DEFAULT_SCENE = "teapot"
+WORDS = {"true": True, "false": False, "nan": float("nan"), "inf": float("inf"), "-inf": float("-inf")}
+"""Values of options of scenes that are no literals of Python; scenes refuse those that they cannot be made with."""
+
 UP_NAMES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -33,7 +38,7 @@ class Vector(click.ParamType):
             numbers = tuple(float(part) for part in value.split(","))
         except ValueError:
             numbers = ()
-        if len(numbers) != 3 or not all(abs(x) < float("inf") for x in numbers):
+        if len(numbers) != 3 or not all(abs(x) <= LARGEST for x in numbers):
             self.fail(f"{value!r} is not three numbers x,y,z", param, ctx)
         return numbers
 
@@ -65,7 +70,7 @@ def target_options(command: Callable[..., Any]) -> Callable[..., Any]:
     shared = {"expose_value": False, "is_eager": True, "callback": _set_target}
     name = "native, x86-64-v3 (AVX2) or x86-64-v4 (AVX-512). [WRT_TARGET, or native]"
     lanes = "Lanes of CPU kernels: 4, 8 or 16. [WRT_WIDTH, or the target's]"
-    command = click.option("--lanes", type=int, help=lanes, **shared)(command)
+    command = click.option("--lanes", type=Whole(), help=lanes, **shared)(command)
     return click.option("--target", help=f"CPU to compile for: {name}", **shared)(command)
 
 
@@ -79,15 +84,13 @@ def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for option in reversed(
         (
             click.option("--scene", help=f"Built-in scene, if no MODEL is given; see `wrt list`. [{DEFAULT_SCENE}]"),
-            click.option(
-                "--level", type=click.IntRange(1), help="Tessellation level of the teapot, the same as --option level=N."
-            ),
+            click.option("--level", type=Whole(1), help="Tessellation level of the teapot, the same as --option level=N."),
             click.option(
                 "--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the scene; may be repeated."
             ),
             click.option("--accelerator", default="auto", show_default=True, help="auto, bvh or kdtree."),
             click.option("--device", help="cpu, cuda:0, ...  [Warp's default]"),
-            click.option("--threads", type=click.IntRange(1, 1024), help="CPU threads. [all cores]"),
+            click.option("--threads", type=Whole(1, 1024), help="CPU threads. [all cores]"),
             target_options,
         )
     ):
@@ -104,9 +107,10 @@ def load_mesh(given: Mapping[str, Any], materials: bool = False) -> tuple[Triang
     if given["model"] is not None:
         if given["scene"] is not None or options:
             raise click.UsageError("--scene, --level and --option choose a built-in scene: leave them out, or leave MODEL out")
+        check_file(given["model"])
         with busy(f"reading {given['model']}"):
             return TriangleMesh.load(given["model"], materials=materials), None
-    name = given["scene"] or DEFAULT_SCENE
+    name = DEFAULT_SCENE if given["scene"] is None else given["scene"]
     if name not in BUILTIN_SCENES:
         raise click.BadParameter(f"{name!r} is unknown; choose from {', '.join(BUILTIN_SCENES)}", param_hint="--scene")
     try:
@@ -115,17 +119,30 @@ def load_mesh(given: Mapping[str, Any], materials: bool = False) -> tuple[Triang
         raise click.UsageError(str(error)) from None
 
 
+def check_file(path: Path) -> None:
+    """Refuses what is no file: to read from a pipe or a device might never end.
+
+    Raises:
+        ValueError: a folder, a pipe, a socket or a device.
+    """
+    if path.exists() and not path.is_file():
+        what = "a folder" if path.is_dir() else "a pipe, a socket or a device"
+        raise ValueError(f"no mesh file at '{path}', but {what}; name a file, such as model.ply")
+
+
 def _scene_options(pairs: tuple[str, ...], level: int | None) -> dict[str, Any]:
-    """Parses options KEY=VALUE; values are Python literals (16, 0.5, (6, 3)), true, false, or else strings."""
+    """Parses options KEY=VALUE; values are Python literals (16, 0.5, (6, 3)), `WORDS`, or else strings."""
     options: dict[str, Any] = {} if level is None else {"level": level}
     for pair in pairs:
         key, equals, text = pair.partition("=")
         if not equals or not key.isidentifier():
             raise click.BadParameter(f"{pair!r} is not KEY=VALUE", param_hint="--option")
         try:
-            options[key] = {"true": True, "false": False}[text] if text in ("true", "false") else ast.literal_eval(text)
+            options[key] = WORDS[text] if text in WORDS else ast.literal_eval(text)
         except (ValueError, SyntaxError):
             options[key] = text
+        except (RecursionError, MemoryError, TypeError):
+            raise click.BadParameter(f"{key} is not a value: {text[:40]!r} ...", param_hint="--option") from None
     return options
 
 

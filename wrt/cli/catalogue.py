@@ -6,6 +6,7 @@ here. A test compares all of it with the tables and with the page.
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -233,6 +234,23 @@ def all_tables() -> dict[str, Rows]:
         "materials and light": others("materials and light"),
         "built-in scenes": entries(BUILTIN_SCENES, ("name", "description", "options")),
     }
+
+
+def with_words(tables: Mapping[str, Rows], words: Iterable[str]) -> dict[str, Rows]:
+    """The rows that have all words in them or in the title of their table, and the tables that have such rows."""
+    wanted = [plain(word) for word in words]
+    found = {}
+    for title, rows in tables.items():
+        texts = [plain(" ".join([title, *map(str, row.values())])) for row in rows]
+        chosen = [row for row, text in zip(rows, texts, strict=True) if all(word in text for word in wanted)]
+        if chosen:
+            found[title] = chosen
+    return found
+
+
+def plain(text: str) -> str:
+    """Text without capitals and accents."""
+    return "".join(letter for letter in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(letter))
 
 
 def entries(table: Mapping[str, Any], columns: tuple[str, ...]) -> Rows:

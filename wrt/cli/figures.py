@@ -55,12 +55,21 @@ def _kernels() -> dict[str, Any]:
 
 
 @click.command("list")
+@click.argument("words", nargs=-1, metavar="[WORD]...")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
-def list_tables(as_json: bool) -> None:
-    """Lists every algorithm with its paper, and the built-in scenes."""
-    from wrt.cli.catalogue import all_tables
+def list_tables(words: tuple[str, ...], as_json: bool) -> None:
+    """Lists every algorithm with its paper, and the built-in scenes.
 
-    tables = all_tables()
+    With WORDs, only those that have all of them in their names, papers, authors, years or the titles of their tables. Capitals
+    and accents do not matter. The exit status is 1 if there are none.
+    """
+    from wrt.cli.catalogue import all_tables, with_words
+
+    tables = with_words(all_tables(), words)
+    if not tables:
+        raise click.ClickException(
+            f"nothing has {' and '.join(map(repr, words))} in it; wrt list without words lists everything"
+        )
     if as_json:
         click.echo(json.dumps(tables, indent=1))
         return

@@ -20,16 +20,20 @@ def job() -> None:
 
 
 @job.command("run")
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-def run_command(file: Path) -> None:
+@click.argument("file", type=click.Path(exists=True, path_type=Path))
+@click.option("--allow-output-outside", "outside", is_flag=True, help="Let the job write outside of the folder of FILE.")
+def run_command(file: Path, outside: bool) -> None:
     """Runs the job of FILE, a TOML file, or goes on with it; see the guide about clusters.
 
-    Progress is shown on stderr if that is a terminal. Ctrl-C ends the job after the blocks under way.
+    FILE may also be the folder of a job, beside its TOML file. Progress is shown on stderr if that is a terminal. Ctrl-C ends
+    the job after the blocks under way. Run job files of people whom you trust, or without a function and Dask: see the page
+    about security.
     """
-    from wrt.cluster.job_file import run_job_file
+    from wrt.cluster.job_file import job_file_of, run_job_file
 
+    file = job_file_of(file) if file.is_dir() else file
     start_warp(None)
-    click.echo(status_line(run_job_file(file, progress=sys.stderr.isatty()).status))
+    click.echo(status_line(run_job_file(file, sys.stderr.isatty(), outside).status))
 
 
 @job.command("status")
@@ -48,9 +52,21 @@ def status_command(folder: Path, as_json: bool) -> None:
 
 def status_line(status: JobStatus) -> str:
     """How far a job is, in words."""
-    state = "complete" if status.is_complete else "running" if status.is_running else "not running: wrt job run goes on with it"
+    state = "complete" if status.is_complete else "running" if status.is_running else f"not running: {remedy(status.folder)}"
     share = status.rays_done / status.rays if status.rays else 1.0
     return (
         f"{status.folder}: {status.query}, {status.done:,} of {status.blocks:,} blocks, {status.rays_done:,} of "
         f"{status.rays:,} rays ({share:.1%}), answers of {status.bytes / 1e6:,.1f} MB; {state}"
     )
+
+
+def remedy(folder: Path) -> str:
+    """How to go on with a job."""
+    from shlex import quote
+
+    from wrt.cluster.job_file import job_file_of
+
+    try:
+        return f"wrt job run {quote(str(job_file_of(folder)))} goes on with it"
+    except (ImportError, OSError, ValueError):
+        return "the script or the job file that began it goes on with it"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,6 +22,7 @@ from wrt.cli.arguments import (
     sample_progress,
     start_warp,
 )
+from wrt.cli.number_types import Real, Whole
 
 if TYPE_CHECKING:
     from wrt.imaging.cameras import PinholeCamera
@@ -43,8 +45,8 @@ GROUND_SIZE = 32.0
 @click.option(
     "-o", "--output", required=True, type=click.Path(path_type=Path), help="Image to write: .png, .jpg, .npy, .exr ..."
 )
-@click.option("--width", default=800, show_default=True, type=click.IntRange(1), help="Pixels.")
-@click.option("--height", default=600, show_default=True, type=click.IntRange(1), help="Pixels.")
+@click.option("--width", default=800, show_default=True, type=Whole(1), help="Pixels.")
+@click.option("--height", default=600, show_default=True, type=Whole(1), help="Pixels.")
 @click.option(
     "--integrator",
     default="ambient",
@@ -52,25 +54,23 @@ GROUND_SIZE = 32.0
     type=click.Choice(["ambient", "whitted", "distribution", "path"]),
     help="ambient: one colour; the others: materials and lights.",
 )
-@click.option("--samples", type=click.IntRange(1), help="Camera rays per pixel.  [ambient 4, whitted 1, others 16]")
-@click.option("--depth", type=click.IntRange(1), help="Most rays in a row; not for ambient.  [8]")
+@click.option("--samples", type=Whole(1), help="Camera rays per pixel.  [ambient 4, whitted 1, others 16]")
+@click.option("--depth", type=Whole(1), help="Most rays in a row; not for ambient.  [8]")
 @click.option("--sampler", help="regular, random, jittered, halton or sobol; not for ambient.  [sobol]")
-@click.option("--exposure", type=click.FloatRange(0), help="Factor of the linear picture; not for ambient.  [1]")
+@click.option("--exposure", type=Real(0), help="Factor of the linear picture; not for ambient.  [1]")
 @click.option("--tone-mapping", help="srgb, reinhard, aces or linear; not for ambient.  [srgb]")
-@click.option("--lens-radius", type=click.FloatRange(0), help="Of a thin lens, focused at --look-at; not for ambient.  [0]")
-@click.option("--sky", type=click.FloatRange(0), help="Radiance of a grey sky; not for ambient.")
-@click.option(
-    "--ambient-samples", default=16, show_default=True, type=click.IntRange(0), help="Ambient rays per camera ray; 0: none."
-)
+@click.option("--lens-radius", type=Real(0), help="Of a thin lens, focused at --look-at; not for ambient.  [0]")
+@click.option("--sky", type=Real(0), help="Radiance of a grey sky; not for ambient.")
+@click.option("--ambient-samples", default=16, show_default=True, type=Whole(0), help="Ambient rays per camera ray; 0: none.")
 @click.option(
     "--ambient-distance",
-    type=click.FloatRange(0, min_open=True),
+    type=Real(0, min_open=True),
     help="Length of ambient rays.  [inside a scene a tenth of its size, else no limit]",
 )
 @click.option("--camera", type=Vector(), help="Position.  [the scene's, or one that frames the MODEL]")
 @click.option("--look-at", type=Vector(), help="Point at the image centre.")
 @click.option("--up", type=UpDirection(), help="x, y, z, -x ... or x,y,z.  [MODEL: y for glTF, OBJ, PLY, OFF, else z]")
-@click.option("--fov", type=click.FloatRange(0, 180, min_open=True, max_open=True), help="Vertical field of view in degrees.")
+@click.option("--fov", type=Real(0, 180, min_open=True, max_open=True), help="Vertical field of view in degrees.")
 @click.option("--light", type=Vector(), help="Position.  [the scene's, or over the camera's left shoulder]")
 @click.option("--shadows/--no-shadows", default=True, show_default=True)
 @click.option("--smooth/--flat", default=True, show_default=True, help="Interpolate normals, or show facets.")
@@ -78,7 +78,7 @@ GROUND_SIZE = 32.0
 @click.option("--triangle-test", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
 @click.option("--traversal", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
 @click.option("--resume", is_flag=True, help="Continue a picture that Ctrl-C ended; not for ambient.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the sample pattern.")
+@click.option("--seed", default=0, show_default=True, type=Whole(0), help="Seed of the sample pattern.")
 def render(output: Path, ground: bool, **given: Any) -> None:
     """Renders MODEL, any mesh file that trimesh reads, or a built-in scene, to an image.
 
@@ -92,8 +92,10 @@ def render(output: Path, ground: bool, **given: Any) -> None:
 
     try:
         check_path(output)
+        check_replaceable(output)
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--output") from None
+    check_size(given["width"], given["height"])
     query = {name: check_name(name, given[name]) for name in ("triangle_test", "traversal")}
     expect_build(given)
     mesh, builtin = load_mesh(given, materials=given["integrator"] != "ambient")
@@ -182,9 +184,9 @@ def _by_integrator(
         rendering.save_samples(kept)
         text = f"interrupted: the picture has {rendering.done} of {rendering.samples} samples; --resume adds the others"
         click.echo(text, err=True)
-    else:
-        kept.unlink(missing_ok=True)
     rendering.save(output)
+    if rendering.done == rendering.samples:  # not before the picture is there
+        kept.unlink(missing_ok=True)
     return f"{rendering.done} samples, "
 
 
@@ -222,6 +224,35 @@ def _camera(mesh: TriangleMesh, builtin: BuiltinScene | None, up: tuple[float, .
         return PinholeCamera(width, height, **view)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
+
+
+def check_replaceable(output: Path) -> None:
+    """Refuses a picture that could not be written in the end, before rays are traced for it.
+
+    Raises:
+        ValueError: a folder, a pipe or a device, or a place that may not be written to.
+    """
+    if output.exists() and not output.is_file():
+        what = "a folder" if output.is_dir() else "a pipe, a socket or a device"
+        raise ValueError(f"'{output}' is {what}; name a file, such as picture.png")
+    if not os.access(output if output.exists() else output.parent, os.W_OK):
+        raise ValueError(f"'{output}' may not be written; choose another folder")
+
+
+def check_size(width: int, height: int) -> None:
+    """Refuses pictures that are larger than the machine's memory.
+
+    Raises:
+        click.UsageError: their pixels alone, three float32 each, do not fit.
+    """
+    from wrt.memory import machine_bytes
+
+    size, most = 12 * width * height, machine_bytes()
+    if most and size > most:
+        raise click.UsageError(
+            f"{width:,} x {height:,} pixels take {size / 1e9:,.1f} GB, and this machine has {most / 1e9:,.1f} GB; choose "
+            "a smaller --width or --height"
+        )
 
 
 def ambient_distance(scene: Scene, camera: PinholeCamera) -> float | None:

@@ -9,13 +9,14 @@ from typing import Any
 import click
 
 from wrt.cli.arguments import busy, check_name, load_mesh, make_scene, model_options, start_warp
+from wrt.cli.number_types import Whole
 
 
 @click.command()
 @model_options
 @click.option("--triangle-test", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
-@click.option("--samples", default=1000, show_default=True, type=click.IntRange(4), help="Rays, a quarter of each kind.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the rays.")
+@click.option("--samples", default=1000, show_default=True, type=Whole(4), help="Rays, a quarter of each kind.")
+@click.option("--seed", default=0, show_default=True, type=Whole(0), help="Seed of the rays.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
 def verify(triangle_test: str, samples: int, seed: int, as_json: bool, **given: Any) -> int:
     """Checks hits on MODEL (or on a built-in scene) against brute force in float64.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from wrt.cli.arguments import UpDirection, expect_build, scene_options, start_warp
+from wrt.cli.number_types import Real, Whole
 from wrt.cli.render import ambient_distance
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ DEFAULT_FPS = 24
 @click.command()
 @click.argument("models", nargs=-1, metavar="[MODEL]...", type=click.Path(path_type=Path))
 @scene_options
-@click.option("--port", default=8080, show_default=True, type=click.IntRange(0, 65535), help="0 for any that is free.")
+@click.option("--port", default=8080, show_default=True, type=Whole(0, 65535), help="0 for any that is free.")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Network interface; others can only reach another one.")
 @click.option(
     "--token/--no-token",
@@ -44,9 +45,9 @@ DEFAULT_FPS = 24
     type=click.Choice(["ambient", "whitted", "distribution", "path"]),
     help="At first.",
 )
-@click.option("--samples", default=4, show_default=True, type=click.IntRange(1), help="Camera rays per pixel, at rest.")
+@click.option("--samples", default=4, show_default=True, type=Whole(1), help="Camera rays per pixel, at rest.")
 @click.option("--animate", is_flag=True, help="Each MODEL is a frame of one mesh.")
-@click.option("--fps", type=click.FloatRange(0, 60, min_open=True), help="Most frames per second.  [24]")
+@click.option("--fps", type=Real(0, 60, min_open=True), help="Most frames per second.  [24]")
 @click.option("--fuzzy", is_flag=True, help="One tree for all frames of a mesh (wrt.FuzzyScene).")
 @click.option("--open", "open_browser", is_flag=True, help="Open a browser of this computer.")
 def view(

@@ -9,11 +9,13 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from wrt.cli.arguments import busy, start_warp, target_options
+from wrt.cli.number_types import Whole
+from wrt.cli.warm_features import FEATURES, Samples
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -32,14 +34,35 @@ RAY_COUNTS = (1 << 12, 1 << 14, 1 << 16, 1 << 20)
 GRID = 128
 """Squares along a side of the mesh that is built: its triangles are divided among threads."""
 
+LIST = "list"
+"""In place of a feature: what there is."""
+
+
+class FeatureNames(click.ParamType):
+    """Names of features, separated by commas."""
+
+    name = "NAME,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        if isinstance(value, tuple):
+            return value
+        names = tuple(dict.fromkeys(name.strip() for name in value.split(",")))
+        for name in names:
+            if name not in (*FEATURES, LIST):
+                self.fail(f"{name!r} is unknown; choose from {', '.join(FEATURES)}, or {LIST} to see what they are", param, ctx)
+        return names
+
 
 @click.command()
 @target_options
-@click.option("--jobs", type=click.IntRange(1, 64), help="Modules that are compiled at a time. [all cores]")
+@click.option("--jobs", type=Whole(1, 64), help="Modules that are compiled at a time. [all cores]")
 @click.option("--export", type=click.Path(path_type=Path, file_okay=False), help="Folder to copy the kernels to.")
 @click.option("--first-hit", is_flag=True, help="Only what builds a scene and traces few rays.")
-def warm(jobs: int | None, export: Path | None, first_hit: bool) -> None:
+@click.option("--feature", "features", type=FeatureNames(), multiple=True, help=f"Only what these need; {LIST}: lists them.")
+def warm(jobs: int | None, export: Path | None, first_hit: bool, features: tuple[tuple[str, ...], ...]) -> None:
     """Compiles the kernels of the default paths ahead: builds, closest hits and occlusion of few and many rays, pictures.
+
+    With --feature, what the first calls of these features compile, by small calls of them; several are separated by commas.
 
     What the kernel cache has already is left alone. With --export, kernels for --target (x86-64-v3 or x86-64-v4) are also
     copied to a folder, which wrt uses in place of compiling (WRT_COMPILED_KERNELS).
@@ -47,6 +70,13 @@ def warm(jobs: int | None, export: Path | None, first_hit: bool) -> None:
     from wrt.kernels.compilation import compile_progress, kernel_cache, module_compiler, shipped_kernels
     from wrt.kernels.compilation.target import target_name
 
+    names = tuple(dict.fromkeys(name for some in features for name in some))
+    if LIST in names:
+        for name, feature in FEATURES.items():
+            click.echo(f"{name:13} {feature.what}")
+        return
+    if names and first_hit:
+        raise click.UsageError("--first-hit and --feature choose different kernels: leave one of them out")
     if export is not None and target_name() == "native":
         raise click.BadParameter("needs --target x86-64-v3 or x86-64-v4", param_hint="--export")
     if jobs is not None:
@@ -56,20 +86,38 @@ def warm(jobs: int | None, export: Path | None, first_hit: bool) -> None:
     start_warp("cpu")
     import warp as wp
 
-    from wrt.kernels.runtime.launch import load
-
     start = time.perf_counter()
     with busy("compiling kernels"):
-        kernels = first_hit_kernels() if first_hit else default_kernels()
-        load(kernels, wp.get_device("cpu"))
+        modules = feature_modules(names) if names else loaded(first_hit_kernels() if first_hit else default_kernels())
     seconds, compiled = time.perf_counter() - start, compile_progress.counts()[0]
-    modules = len({kernel.module for kernel in kernels})
-    found = f"{modules - compiled} were there or shipped" if compiled < modules else "none was there"
-    click.echo(f"{modules} modules of kernels for {target_name()}: {compiled} compiled in {seconds:.1f} s, {found}")
+    found = f"{len(modules) - compiled} were there or shipped" if compiled < len(modules) else "none was there"
+    click.echo(f"{len(modules)} modules of kernels for {target_name()}: {compiled} compiled in {seconds:.1f} s, {found}")
     click.echo(f"kernel cache: {wp.config.kernel_cache_dir}, {kernel_cache.folder_size()[1] / 1e6:.1f} MB")
     if export is not None:
-        count = shipped_kernels.export(kernels, export)
+        count = shipped_kernels.export(modules, export)
         click.echo(f"{count} modules exported to {export / target_name()}")
+
+
+def feature_modules(names: Iterable[str]) -> list[wp.Module]:
+    """Makes the calls of features; the modules that this process has loaded then."""
+    import warp as wp
+
+    from wrt.kernels.compilation.module_compiler import loaded_modules
+
+    samples = Samples()
+    for name in names:
+        FEATURES[name].call(samples)
+    return loaded_modules(wp.get_device("cpu"))
+
+
+def loaded(kernels: list[wp.Kernel]) -> list[wp.Module]:
+    """Compiles and loads kernels; their modules."""
+    import warp as wp
+
+    from wrt.kernels.runtime.launch import load
+
+    load(kernels, wp.get_device("cpu"))
+    return [*dict.fromkeys(kernel.module for kernel in kernels)]
 
 
 def default_kernels() -> list[wp.Kernel]:

@@ -15,6 +15,7 @@ from wrt.query.batches.block_outputs import ATTRIBUTES
 from wrt.query.batches.block_work import BlockQuery, BlockWork, PickledWork
 from wrt.query.batches.shared_files import SharedScene, deliver_scene, dumps, share_scene
 from wrt.query.batches.workers import Workers, task_threads
+from wrt.query.hits import rounds_positions
 from wrt.rays.rays import Rays
 
 FORMS = {
@@ -28,7 +29,7 @@ FORMS = {
     "occluded": (np.bool_, 0),
     "count": (np.int32, 0),
 }
-"""Type and components of answers; None: that of the rays."""
+"""Type and components of answers; None: that of the rays, as of `wrt.Hits`."""
 
 
 def map_rays(
@@ -85,7 +86,8 @@ def map_rays(
     both = da.broadcast_arrays(*arrays)
     dtype, components = FORMS[what]
     if dtype is None:
-        dtype = np.float64 if any(one.dtype.itemsize > 4 for one in arrays) else np.float32
+        is_wide = any(one.dtype.itemsize > 4 for one in arrays) or (what == "position" and rounds_positions(scene.device_mesh))
+        dtype = np.float64 if is_wide else np.float32
     function = MapChunk(*shared_query(scene, what, t_min, t_max, folder, client, options), what)
     axis = both[0].ndim - 1
     result = da.map_blocks(

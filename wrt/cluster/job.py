@@ -1,54 +1,46 @@
 """Jobs: batches in a folder, which go on where they ended, whatever ended them.
 
 Workers write the answer of each block into the folder, if they see it; else they send it, and the client writes. What is there
-is never computed again. A job whose scene, rays or options differ from those that the folder began with is refused.
+is never computed again. A job whose scene, rays or options differ from those that the folder began with is refused, when it is
+made and whenever it runs: the scene may be updated meanwhile, and arrays of rays may be written to. Blocks are computed from a
+copy of the scene that was compared, so that none is of another one (`wrt.cluster.job_blocks`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
+from copy import copy
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from wrt.cluster.fingerprints import options_text, rays_hash, scene_hash
+from wrt.cluster.identity.described import options_text
+from wrt.cluster.identity.ray_hashes import hashes_of_blocks, is_whole, rays_hash
+from wrt.cluster.identity.scene_hashes import scene_hash
+from wrt.cluster.job_blocks import BLOCK_HASH, ExamineBlock, block_count, chunk_label, has_rows, rows_of_block
 from wrt.cluster.job_folder import JobFolder
-from wrt.cluster.stored_answers import pack_answer, unpack_answer
+from wrt.cluster.stored_answers import unpack_answer
+from wrt.kernels.validation import as_int
 from wrt.query.batches.block_limits import finished_before_interrupt, progress_bar
-from wrt.query.batches.block_outputs import ATTRIBUTES, check_out, store, value_of
+from wrt.query.batches.block_outputs import ATTRIBUTES, check_out, store
 from wrt.query.batches.block_work import BlockQuery
 from wrt.query.blocks import Blocks, Piece, joined
+from wrt.rays.rays import Rays
+from wrt.scene.storage import UNREADABLE
+
+OTHER = {
+    "shape": "rays of another shape",
+    "scene": "another scene, or another version of wrt",
+    "query": "another query",
+    "rays": "other rays",
+    "options": "other options",
+}
+"""What differs, in words, by the manifest's field."""
 
 KEPT_ATTRIBUTES = ("t", "primitive_id", "geometry_id")
 """Attributes of closest hits that a job keeps if it is not told."""
-
-
-@dataclass(frozen=True)
-class WriteChunk:
-    """Writes answers of blocks into a job's folder, on workers that see it; else returns them as named arrays.
-
-    Attributes:
-        folder: path of the folder.
-        id: of the job.
-        rows: rows of a block.
-        attributes: of closest hits, those to keep; None for answers of another kind.
-    """
-
-    folder: str
-    id: str
-    rows: int
-    attributes: tuple[str, ...] | None
-
-    def __call__(self, rows: slice, answer: Any) -> dict[str, np.ndarray] | None:
-        kept = answer if self.attributes is None else {name: value_of(answer, name) for name in self.attributes}
-        arrays, folder = pack_answer(kept), JobFolder(self.folder)
-        if not folder.manifest_path.is_file() or folder.manifest()["id"] != self.id:
-            return arrays
-        folder.write_chunk(rows.start // self.rows, self.id, arrays)
-        return None
 
 
 @dataclass(frozen=True)
@@ -89,6 +81,11 @@ class Job:
 
     Blocks have as many rows as in the first run, whatever `memory` is now. Any executor may go on with a job of another one.
 
+    A job is of one scene, one batch of rays and one set of options. Scenes are compared whole, also by every worker. Arrays of
+    up to 256 MB are compared whole, block by block, when blocks are computed. Of larger arrays, 64 pieces of 1 MB are compared,
+    and of `wrt.GeneratedRays` the code of the function and a million rays (2^20) in 64 pieces, when the job is made and before
+    and after each run. **What differs between these pieces only is not noticed.**
+
     Args:
         folder: path of the folder, which is made; best on a file system that workers see at the same path.
         blocks: what `intersect_blocks`, `occluded_blocks` or `count_blocks` returned, with an executor or without.
@@ -96,8 +93,8 @@ class Job:
 
     Raises:
         OSError: the folder cannot be made.
-        ValueError: rays from an iterator (pass `wrt.GeneratedRays`), an unknown attribute, or a folder with a job of another
-            scene, other rays or other options.
+        ValueError: rays from an iterator (pass `wrt.GeneratedRays`), an unknown attribute, a folder with a job of another
+            scene, other rays or other options, or one whose manifest or lock is damaged or a link.
     """
 
     def __init__(self, folder: str | Path, blocks: Blocks, *, attributes: Sequence[str] | None = None) -> None:
@@ -112,31 +109,40 @@ class Job:
                 raise ValueError(f"attributes holds {unknown[0]!r}; choose from {', '.join(ATTRIBUTES)}")
         elif attributes is not None:
             raise ValueError("attributes is for closest hits without reduce; leave it out")
-        wanted = self._wanted(query)
-        if not self.folder.manifest_path.exists():
+        if not self.folder.has_manifest():
+            self._try_query()
+            rows = blocks.ranges(blocks.shape).step
+            wanted = self._wanted(query, rows)
             with self.folder.locked():
-                if not self.folder.manifest_path.exists():
-                    self.folder.create({**wanted, "rows": blocks.ranges(blocks.shape).step})
+                if not self.folder.has_manifest():
+                    self.folder.create({**wanted, "rows": rows})
         self.manifest = self.folder.manifest()
-        self._refuse_changed(wanted)
+        self._refuse_other(self._wanted(query, self.manifest["rows"]))
 
-    def _wanted(self, query: BlockQuery) -> dict[str, Any]:
-        """What the manifest says of a job, but its rows."""
+    def _try_query(self) -> None:
+        """Asks the query with no rays, so that options which it refuses leave no folder behind. Functions are not called."""
         work = self.blocks.work
+        if isinstance(work.rays, Rays):
+            replace(work, query=replace(work.query, reduction=None)).run(slice(0, 0), {})
+
+    def _wanted(self, query: BlockQuery, rows: int) -> dict[str, Any]:
+        """What the manifest says of a job, but its rows; notes the hashes of the blocks, if the rays are hashed whole."""
+        work, shape = self.blocks.work, self.blocks.shape
+        self._hashes = hashes_of_blocks(work, shape[0], rows) if is_whole(work) else None
         return {
+            "shape": list(shape),
             "scene": scene_hash(work.scene),
-            "rays": rays_hash(work.rays, work.columns),
             "query": query.method,
+            "rays": rays_hash(work, self._hashes),
             "options": options_text([query.options, query.reduction, self._attributes]),
-            "shape": list(self.blocks.shape),
         }
 
-    def _refuse_changed(self, wanted: dict[str, Any]) -> None:
+    def _refuse_other(self, wanted: dict[str, Any]) -> None:
         for name, value in wanted.items():
             if self.manifest[name] != value:
-                shown = f": {self.manifest[name]} before, {value} now" if name != "scene" and name != "rays" else ""
+                shown = "" if name in ("scene", "rays") else f": {self.manifest[name]} before, {value} now"
                 raise ValueError(
-                    f"the job in '{self.folder.path}' was begun with another {name}{shown}; choose another folder, or remove it"
+                    f"the job in '{self.folder.path}' was begun with {OTHER[name]}{shown}; choose another folder, or remove it"
                 )
 
     @property
@@ -151,49 +157,103 @@ class Job:
             most: largest number of blocks to compute in this run, for a machine that is there for some time only; None for all.
 
         Raises:
-            RuntimeError: another client runs the job, or the workers that took a block died each time.
             OSError: an answer cannot be written.
+            RuntimeError: another client runs the job, or the workers that took a block died each time.
+            TypeError: `most` is no whole number.
+            ValueError: `most` is negative; or the scene, the rays or the manifest have changed since the job was made, on a
+                worker or here; or the folder holds an archive that is not the answer of a block. What was computed before
+                stays as it is.
         """
+        most = None if most is None else as_int("most", most, 0)
         with self.folder.locked():
             self.folder.remove_leftovers()
-            done = self.folder.done()
-            self._compute([number for number in range(block_count(self.manifest)) if number not in done][:most])
+            blocks = block_count(self.manifest)
+            done = self.folder.done(blocks)
+            self._compute([number for number in range(blocks) if number not in done][:most])
         return self
 
     def _compute(self, numbers: Sequence[int]) -> None:
+        if not numbers:
+            return
+        if self.folder.manifest() != self.manifest:
+            raise ValueError(f"'{self.folder.path}' holds another job than before; make the job again")
         each = math.prod(self.blocks.shape[1:])
-        rows, id = self.manifest["rows"], self.manifest["id"]
-        pieces = [Piece(part, (part.stop - part.start) * each, {}) for part in map(self._rows, numbers)]
-        done = sum(part.stop - part.start for part in map(self._rows, self.folder.done())) * each
-        deliver = WriteChunk(str(self.folder.path), id, rows, self._attributes)
-        with progress_bar(self.blocks.progress, math.prod(self.blocks.shape), done) as advance:
-            for piece, arrays in self.blocks.run_pieces(iter(pieces), deliver, ordered=False):
+        blocks, rows = copy(self.blocks), [rows_of_block(self.manifest, number) for number in numbers]
+        blocks.work = replace(blocks.work, scene=copy(blocks.work.scene))
+        self._refuse_other_scene(blocks.work.scene)
+        sent = [{} if self._hashes is None else {BLOCK_HASH: self._hashes[number]} for number in numbers]
+        pieces = [Piece(part, (part.stop - part.start) * each, hash) for part, hash in zip(rows, sent, strict=True)]
+        before = [rows_of_block(self.manifest, number) for number in self.folder.done()]
+        done = sum(part.stop - part.start for part in before) * each
+        examine = ExamineBlock.of(str(self.folder.path), self.manifest, self._attributes, blocks)
+        with self._sampled_rays(numbers), progress_bar(self.blocks.progress, math.prod(self.blocks.shape), done) as advance:
+            for piece, arrays in blocks.run_pieces(iter(pieces), None, ordered=False, examine=examine):
                 if arrays is not None:
                     with finished_before_interrupt():
-                        self.folder.write_chunk(piece.rows.start // rows, id, arrays)
+                        number = piece.rows.start // self.manifest["rows"]
+                        self.folder.write_chunk(number, chunk_label(self.manifest, number), arrays)
+                self._refuse_other_scene(self.blocks.work.scene)
                 advance(piece.count)
 
-    def _rows(self, number: int) -> slice:
-        rows = self.manifest["rows"]
-        return slice(number * rows, min((number + 1) * rows, self.blocks.shape[0]))
+    def _refuse_other_scene(self, scene: Any) -> None:
+        if scene_hash(scene) != self.manifest["scene"]:
+            raise ValueError(
+                f"the scene has changed since the job in '{self.folder.path}' began; the blocks that are done are of the scene "
+                "as it was: change it back, or make another job in another folder"
+            )
+
+    @contextmanager
+    def _sampled_rays(self, numbers: Sequence[int]) -> Iterator[None]:
+        """Compares rays that are not hashed whole before and after some blocks; removes these if the rays have changed."""
+        if self._hashes is not None:
+            yield
+            return
+        changed = f"the rays have changed since the job in '{self.folder.path}' began; change them back, or take another folder"
+        if rays_hash(self.blocks.work, None) != self.manifest["rays"]:
+            raise ValueError(changed)
+        try:
+            yield
+        finally:
+            if rays_hash(self.blocks.work, None) != self.manifest["rays"]:
+                self.folder.remove_chunks(numbers)
+                raise ValueError(f"{changed}; the answers of this run were removed")
 
     def answers(self) -> Iterator[tuple[slice, Any]]:
         """The rows and answer of each block, from the files; those of damaged ones are computed again.
 
         Raises:
             RuntimeError: the job is not complete, or another client runs it.
+            ValueError: as `run`; or a block is of other rays, and cannot be computed again, because these have changed.
         """
-        missing = block_count(self.manifest) - len(self.folder.done())
+        blocks = block_count(self.manifest)
+        missing = blocks - len(self.folder.done(blocks))
         if missing:
             raise RuntimeError(f"{missing} blocks of the job in '{self.folder.path}' are not done; call run()")
-        for number in range(block_count(self.manifest)):
-            arrays = self.folder.read_chunk(number, self.manifest["id"])
-            if arrays is None:
+        for number in range(blocks):
+            answer = self._read(number)
+            if answer is None:
                 with self.folder.locked():
-                    self.folder.chunk_path(number).unlink(missing_ok=True)
+                    self.folder.remove_chunks({number})
                     self._compute([number])
-                arrays = self.folder.read_chunk(number, self.manifest["id"])
-            yield self._rows(number), unpack_answer(arrays)
+                answer = self._read(number)
+                if answer is None:
+                    raise RuntimeError(f"'{self.folder.chunk_path(number)}' cannot be read again after it was written")
+            yield rows_of_block(self.manifest, number), answer
+
+    def _read(self, number: int) -> Any:
+        """The answer of a block from its file; None if that is damaged, of another block or of other rays."""
+        arrays = self.folder.read_chunk(number, chunk_label(self.manifest, number))
+        if arrays is None:
+            return None
+        expected = "" if self._hashes is None else self._hashes[number]
+        if str(arrays.pop(BLOCK_HASH, "")) != expected:
+            return None
+        try:
+            answer = unpack_answer(arrays)
+        except UNREADABLE:
+            return None
+        rows = rows_of_block(self.manifest, number)
+        return answer if self._merges() or has_rows(answer, rows.stop - rows.start) else None
 
     def result(self) -> Any:
         """The whole answer: an array, a dict of arrays by attribute, or what `reduce` makes of all blocks.
@@ -226,11 +286,6 @@ class Job:
         return self.blocks.work.query.merges_rows(len(self.blocks.shape))
 
 
-def block_count(manifest: dict[str, Any]) -> int:
-    """Number of blocks of a job."""
-    return -(-manifest["shape"][0] // manifest["rows"])
-
-
 def job_status(folder: str | Path) -> JobStatus:
     """How far the job in a folder is, from its files alone.
 
@@ -239,12 +294,12 @@ def job_status(folder: str | Path) -> JobStatus:
 
     Raises:
         FileNotFoundError: there is no job.
-        ValueError: its manifest cannot be read.
+        ValueError: its manifest cannot be read, or it holds an archive that is not the answer of a block.
     """
     place = JobFolder(folder)
     manifest = place.manifest()
     blocks, rows, shape = block_count(manifest), manifest["rows"], manifest["shape"]
-    done = {number for number in place.done() if number < blocks}
+    done = place.done(blocks)
     found = [place.chunk_path(number).stat() for number in done]
     last = shape[0] - (blocks - 1) * rows if blocks else 0
     rows_done = len(done) * rows - (rows - last if blocks - 1 in done else 0)

@@ -26,14 +26,14 @@
     [output]
     file = "shaded.npy"                 # of closest hits a folder, with a file for each attribute
 
-A file with a function runs its code, as importing a module does.
+A job file with a function runs its code, as importing a module does, and one with Dask's scheduler speaks to it by pickles. Any
+other job file reads the files that it names, wherever they are, and writes below its own folder, unless `wrt job run` is told
+otherwise: the job's folder, and output that replaces files of NumPy only.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -41,89 +41,128 @@ from typing import Any
 
 import numpy as np
 
+from wrt.atomic_files import replaced
+from wrt.cluster.file_functions import FileFunction
 from wrt.cluster.job import Job
+from wrt.cluster.job_file_keys import QUERIES, read_job_file
+from wrt.cluster.job_folder import JobFolder
 from wrt.cluster.parquet_files import ParquetColumns
 from wrt.kernels.compilation.cores import available_cores
 from wrt.meshes.mesh import TriangleMesh
+from wrt.query.batches.block_outputs import ATTRIBUTES
 from wrt.query.batches.block_rows import GeneratedRays
 from wrt.query.batches.workers import ProcessPool, Workers
-from wrt.scene.archives import replaced
 from wrt.scene.scene import Scene
-from wrt.tables import lookup
 
-KEYS = {
-    "": {"folder", "query", "memory", "attributes", "options", "scene", "rays", "reduce", "executor", "output"},
-    "scene": {"file", "accelerator", "device", "threads"},
-    "rays": {"origins", "directions", "outer", "t_min", "t_max", "function", "shape"},
-    "reduce": {"by", "axis"},
-    "executor": {"kind", "workers", "threads", "devices", "device", "address", "scheduler_file", "folder", "window", "retries"},
-    "output": {"file"},
-}
-"""Keys of each table of a job file; "" is the file itself."""
-
-QUERIES = {"intersect": "intersect_blocks", "occluded": "occluded_blocks", "count": "count_blocks"}
+NPY = b"\x93NUMPY"
+"""The first bytes of files of NumPy."""
 
 
-def read_job_file(path: Path) -> dict[str, Any]:
-    """The contents of a job file, with every table.
-
-    Raises:
-        ImportError: Python is older than 3.11, and tomli is not installed.
-        OSError: the file cannot be read.
-        ValueError: it is not TOML, or has an unknown key.
-    """
-    try:
-        import tomllib
-    except ImportError:
-        try:
-            import tomli as tomllib
-        except ImportError as error:
-            raise ImportError("job files need tomli with this version of Python: pip install 'wrt[cluster-dask]'") from error
-    try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"'{path}' is not a TOML file: {error}") from error
-    for table, keys in KEYS.items():
-        found = given.setdefault(table, {}) if table else given
-        if not isinstance(found, dict):
-            raise ValueError(f"{table} in '{path}' must be a table: [{table}]")
-        if unknown := sorted(found.keys() - keys):
-            raise ValueError(f"'{path}' has the key {unknown[0]!r} in [{table}]; choose from {', '.join(sorted(keys))}")
-    if not given["scene"].get("file") or "folder" not in given:
-        raise ValueError(f"'{path}' needs folder and [scene] file")
-    return given
-
-
-def run_job_file(path: Path, progress: bool) -> Job:
+def run_job_file(path: Path, progress: bool, outside: bool = False) -> Job:
     """Runs the job of a file until it is complete, and writes its output.
 
     Args:
         path: of the file.
         progress: whether to show a progress bar on stderr.
+        outside: whether the folder and the output may be outside of the folder of the file.
 
     Raises:
-        ImportError, OSError, RuntimeError, TypeError, ValueError: as `read_job_file`, `Job` and `Job.run`.
+        ImportError, OSError, RuntimeError, TypeError, ValueError: as `read_job_file`, `Job` and `Job.run`; a path outside.
     """
     given, base = read_job_file(path), path.absolute().parent
+    query = given.get("query", "occluded")
+    places = {key: place_below(base, *key, given, outside) for key in (("", "folder"), ("executor", "folder"))}
+    output = place_below(base, "output", "file", given, outside)
+    if output is not None:
+        check_output(output, is_folder=query == "intersect")
     scene, reduce = load_scene(given["scene"], base), given["reduce"]
     origins, directions = load_rays(given["rays"], base)
-    method = getattr(scene, QUERIES[lookup({name: name for name in QUERIES}, given.get("query", "occluded"), "query")])
     bounds = {name: float(given["rays"][name]) for name in ("t_min", "t_max") if name in given["rays"]}
-    options = {"reduce": reduce.get("by"), "axis": as_axis(reduce.get("axis")), **given.get("options", {})}
+    options = {"reduce": reduce.get("by"), "axis": as_axis(reduce.get("axis")), **given["options"]}
     if "memory" in given:
         options["memory"] = given["memory"]
-    with executor_of(given["executor"], base) as executor:
+    with executor_of(given["executor"], base, places["executor", "folder"]) as executor:
+        method = getattr(scene, QUERIES[query])
         blocks = method(origins, directions, **bounds, **options, executor=executor, progress=progress)
-        job = Job(base / given["folder"], blocks, attributes=given.get("attributes")).run()
-        if "file" in given["output"]:
-            write_output(job, base / given["output"]["file"])
+        job = Job(places["", "folder"], blocks, attributes=given.get("attributes")).run()
+        if output is not None:
+            write_output(job, output)
     return job
+
+
+def place_below(base: Path, table: str, key: str, given: Mapping[str, Any], outside: bool) -> Path | None:
+    """The path of a file or a folder that a job writes; None if the job file does not name it.
+
+    Raises:
+        ValueError: it is outside of `base`, also by a link, and `outside` is false.
+    """
+    found = (given[table] if table else given).get(key)
+    if found is None:
+        return None
+    path = base / found
+    if not outside and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(base)):
+        name = f"[{table}] {key}" if table else key
+        raise ValueError(
+            f"{name} is '{found}', outside of '{base}', the folder of the job file; choose a path in it, or pass "
+            "--allow-output-outside"
+        )
+    return path
+
+
+def check_output(path: Path, is_folder: bool) -> None:
+    """Checks what an output would replace.
+
+    Raises:
+        ValueError: a name that does not end in .npy, or something that is not a file of NumPy.
+    """
+    if is_folder:
+        if path.exists() and not path.is_dir():
+            raise ValueError(f"[output] file is '{path}', a file; closest hits need a folder, with a file for each attribute")
+        for name in ATTRIBUTES:
+            check_output(path / f"{name}.npy", is_folder=False)
+        return
+    if path.suffix != ".npy":
+        raise ValueError(f"[output] file is '{path}'; give it a name that ends in .npy")
+    if not os.path.lexists(path):
+        return
+    if not path.is_file():
+        raise ValueError(f"[output] file is '{path}', which is not a regular file; choose another one")
+    with path.open("rb") as file:
+        if file.read(len(NPY)) != NPY:
+            raise ValueError(f"[output] file is '{path}', which is not a file of NumPy; choose another one, or remove it")
+
+
+def job_file_of(folder: Path) -> Path:
+    """The job file of a job's folder: the one beside it that names it.
+
+    Raises:
+        FileNotFoundError: there is no job in the folder.
+        ValueError: no job file beside it names it, or several do.
+    """
+    JobFolder(folder).manifest()
+    real, found = os.path.realpath(folder), []
+    for path in sorted(Path(real).parent.glob("*.toml")):
+        try:
+            given = read_job_file(path)
+        except (OSError, ValueError):
+            continue
+        if os.path.realpath(path.parent / given["folder"]) == real:
+            found.append(path)
+    if len(found) != 1:
+        count = "no job file beside it names it" if not found else f"{len(found)} job files beside it name it"
+        raise ValueError(
+            f"'{folder}' is the folder of a job, and {count}; give the job file (wrt job run job.toml), or run the script "
+            "again that began the job"
+        )
+    return found[0]
 
 
 def load_scene(given: Mapping[str, Any], base: Path) -> Scene:
     """The scene of a job file: saved by `Scene.save`, or a mesh."""
     file = base / given["file"]
     if file.suffix == ".npz":
+        if "accelerator" in given:
+            raise ValueError(f"[scene] accelerator is for mesh files, and '{file}' holds a tree; leave it out")
         return Scene.load(file, device=given.get("device"), num_threads=given.get("threads"))
     options = {"device": given.get("device"), "num_threads": given.get("threads")}
     return Scene(TriangleMesh.load(file), given.get("accelerator", "auto"), **options)
@@ -132,11 +171,10 @@ def load_scene(given: Mapping[str, Any], base: Path) -> Scene:
 def load_rays(given: Mapping[str, Any], base: Path) -> tuple[Any, Any]:
     """Origins and directions of a job file, or the function that makes them."""
     if "function" in given:
-        if "origins" in given or "directions" in given:
-            raise ValueError("[rays] has a function and arrays; leave one of them out")
-        return GeneratedRays(FileFunction(*split_function(given["function"], base)), given.get("shape", 0)), None
-    if "origins" not in given or "directions" not in given:
-        raise ValueError("[rays] needs origins and directions, or a function and a shape")
+        function = FileFunction.of(given["function"], base)
+        if "shape" not in given:
+            raise ValueError("[rays] has a function and no shape; give the shape of the batch, such as shape = [1_000_000, 60]")
+        return GeneratedRays(function, given["shape"]), None
     origins, directions = (load_array(given[name], name, base) for name in ("origins", "directions"))
     if given.get("outer"):
         origins = np.asarray(origins)[:, None]
@@ -144,50 +182,61 @@ def load_rays(given: Mapping[str, Any], base: Path) -> tuple[Any, Any]:
 
 
 def load_array(given: Any, name: str, base: Path) -> Any:
-    """Vectors of a job file: from a file, or numbers that stand in it."""
+    """Vectors of a job file: from a file, or numbers that stand in it.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no regular file, or holds something else than an array of numbers.
+    """
     if isinstance(given, Mapping):
         return ParquetColumns(base / given["parquet"], given["columns"])
     if not isinstance(given, str):
-        return np.asarray(given, dtype=np.float64)
+        return as_vectors(given, name)
     path = base / given
     if not path.exists():
         raise FileNotFoundError(f"[rays] {name}: there is no file '{path}'")
-    if path.suffix == ".npy":
-        return np.load(path, mmap_mode="r")
-    if path.suffix == ".zarr":
-        import zarr
+    if path.suffix == ".zarr" and path.is_dir():
+        return open_zarr(path, name)
+    if path.suffix != ".npy" or not path.is_file():  # a pipe would be waited for
+        raise ValueError(
+            f"[rays] {name}: '{path}' must be a .npy file, a .zarr folder, or a table {{parquet = ..., columns = ...}}"
+        )
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise ValueError(f"[rays] {name}: '{path}' is not an array of NumPy, or is damaged ({error})") from error
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+        raise ValueError(f"[rays] {name}: '{path}' does not hold an array of real numbers")
+    return array
 
-        return zarr.open_array(path, mode="r")
-    raise ValueError(f"[rays] {name}: '{path}' must be .npy or .zarr, or a table {{parquet = ..., columns = ...}}")
 
+def as_vectors(given: Any, name: str) -> np.ndarray:
+    """Vectors that stand in a job file.
 
-class FileFunction:
-    """A function in a Python file, which each process imports when it first calls it.
-
-    Args:
-        path: of the file.
-        name: of the function.
+    Raises:
+        ValueError: lists of different lengths.
     """
-
-    def __init__(self, path: str, name: str) -> None:
-        self.path, self.name = path, name
-
-    def __call__(self, first: int, count: int) -> Any:
-        module = f"wrt_job_{abs(hash(self.path))}"
-        if module not in sys.modules:
-            spec = importlib.util.spec_from_file_location(module, self.path)
-            loaded = importlib.util.module_from_spec(spec)
-            spec.loader.exec_module(loaded)
-            sys.modules[module] = loaded
-        return getattr(sys.modules[module], self.name)(first, count)
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"[rays] {name}: lists of vectors must have the same length ({error})") from error
 
 
-def split_function(text: str, base: Path) -> tuple[str, str]:
-    """Path and name of "file.py:function"."""
-    file, colon, name = text.rpartition(":")
-    if not colon or not (base / file).is_file():
-        raise ValueError(f"[rays] function is {text!r}; give a file and a function in it, such as 'rays.py:rays'")
-    return str(base / file), name
+def open_zarr(path: Path, name: str) -> Any:
+    """An array of zarr.
+
+    Raises:
+        ImportError: zarr is not installed.
+        ValueError: it is none.
+    """
+    try:
+        import zarr
+    except ImportError as error:
+        raise ImportError("arrays of zarr need zarr: pip install 'wrt[cluster-dask]'") from error
+    try:
+        return zarr.open_array(path, mode="r")
+    except Exception as error:  # zarr raises many kinds
+        raise ValueError(f"[rays] {name}: '{path}' is not an array of zarr ({type(error).__name__}: {error})") from error
 
 
 def as_axis(axis: Any) -> Any:
@@ -196,12 +245,18 @@ def as_axis(axis: Any) -> Any:
 
 
 @contextmanager
-def executor_of(given: Mapping[str, Any], base: Path) -> Iterator[Workers | None]:
-    """The executor of a job file, which is ended with the `with` block."""
+def executor_of(given: Mapping[str, Any], base: Path, folder: Path | None) -> Iterator[Workers | None]:
+    """The executor of a job file, which is ended with the `with` block.
+
+    Args:
+        given: the table of the job file.
+        base: the folder of the job file.
+        folder: for the scene's file, as of `Workers`.
+    """
     kind = given.get("kind", "none")
     options = {name: given[name] for name in ("device", "window", "retries") if name in given}
-    if "folder" in given:
-        options["folder"] = base / given["folder"]
+    if folder is not None:
+        options["folder"] = folder
     if kind == "none":
         yield None
     elif kind == "threads":
@@ -220,10 +275,11 @@ def executor_of(given: Mapping[str, Any], base: Path) -> Iterator[Workers | None
         if not ("address" in given) ^ ("scheduler_file" in given):
             raise ValueError("[executor] of Dask needs either address or scheduler_file")
         named = {"scheduler_file": str(base / given["scheduler_file"])} if "scheduler_file" in given else {}
+        for path in named.values():
+            if Path(path).exists() and not Path(path).is_file():
+                raise ValueError(f"[executor] scheduler_file is '{path}', which is not a regular file")
         with Client(given.get("address"), **named) as client:
             yield Workers(client.get_executor(), threads=given.get("threads"), **options)
-    else:
-        raise ValueError(f"[executor] kind is {kind!r}; choose from none, threads, processes, dask")
 
 
 def write_output(job: Job, path: Path) -> None:
@@ -232,5 +288,6 @@ def write_output(job: Job, path: Path) -> None:
     files = {path / f"{name}.npy": one for name, one in result.items()} if isinstance(result, dict) else {path: result}
     for file, array in files.items():
         os.makedirs(file.parent, exist_ok=True)
+        check_output(file, is_folder=False)
         with replaced(file) as target:
-            np.save(target, array)
+            np.save(target, array, allow_pickle=False)

@@ -52,7 +52,7 @@ class ParquetColumns:
     def __init__(self, path: str | Path, columns: str | Sequence[str]) -> None:
         self.path = Path(path).absolute()
         self.paths = sorted(self.path.glob("*.parquet")) if self.path.is_dir() else [self.path]
-        if not self.paths or not self.paths[0].is_file():
+        if not self.paths or not all(one.is_file() for one in self.paths):  # a pipe would be waited for
             raise FileNotFoundError(f"there is no parquet file at '{path}'")
         self.columns = [columns] if isinstance(columns, str) else list(columns)
         self._sizes = [(os.stat(one).st_size, os.stat(one).st_mtime_ns) for one in self.paths]
@@ -164,7 +164,7 @@ class WriteTable:
         import pyarrow as pa
         from pyarrow.parquet import write_table
 
-        from wrt.scene.archives import replaced
+        from wrt.atomic_files import replaced
 
         table = pa.table({name: np.ascontiguousarray(array) for name, array in self.columns(answer).items()})
         with replaced(Path(self.folder) / f"part-{rows.start:015d}.parquet") as file:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.validation import host_array
+
 if TYPE_CHECKING:
     from wrt.state.scene_state import SceneState
 
@@ -68,7 +70,7 @@ def check_areas(scene: SceneState, areas: Any) -> np.ndarray:
 
     if not isinstance(scene.accelerator, RayAwareBvh):
         raise ValueError("areas needs a scene with influence areas, and this one has none; build it with wrt.RayAwareBvh")
-    values = areas.numpy() if isinstance(areas, wp.array) else np.asarray(areas)
+    values = areas.numpy() if isinstance(areas, wp.array) else host_array("areas", areas)
     if values.dtype.kind not in "iu":
         raise TypeError(f"areas must hold integers, not {values.dtype}: places in the accelerator's areas, -1 for none")
     last = len(scene.accelerator.areas) - 1

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wrt.atomic_files import replaced
 from wrt.builders.triangle_fans import TriangleFans
 from wrt.meshes.mesh import TriangleMesh
 
@@ -19,14 +20,19 @@ def save_fans(path: str | Path, fans: TriangleFans, positions: np.ndarray) -> No
     """Writes fans.
 
     Args:
-        path: of the file, which gets the suffix .npz if it has none.
+        path: of the file, which gets the suffix .npz if it has another. An old file is replaced when the new one is complete.
         fans: the fans.
         positions: (V, 3) of the vertices that the fans number.
+
+    Raises:
+        OSError: the file cannot be written.
     """
     positions = np.asarray(positions)
     starts = fans.first[:-1]
     vertices = np.insert(positions[fans.rim], starts, positions[fans.centre], axis=0)
-    np.savez(path, vertices=vertices, rims=np.diff(fans.first).astype(np.int32))
+    path = Path(path)
+    with replaced(path if path.suffix == ".npz" else path.with_name(f"{path.name}.npz")) as file:
+        np.savez(file, vertices=vertices, rims=np.diff(fans.first).astype(np.int32))
 
 
 def load_fans(path: str | Path) -> TriangleMesh:
@@ -41,7 +47,13 @@ def load_fans(path: str | Path) -> TriangleMesh:
         if set(file.files) != {"vertices", "rims"}:
             raise ValueError(f"{path} does not hold fans; wrt.fans.fan_files.save_fans writes such files")
         vertices, rims = file["vertices"], file["rims"].astype(np.int64)
-    if not (rims.ndim == 1 and len(rims) and (rims >= 2).all() and vertices.shape == (int((rims + 1).sum()), 3)):
+    if not (
+        rims.ndim == 1
+        and len(rims)
+        and (rims >= 2).all()
+        and (rims <= len(vertices)).all()
+        and vertices.shape == (int((rims + 1).sum()), 3)
+    ):
         raise ValueError(f"{path} is damaged: its vertices are not those of its fans")
     first = np.cumsum(rims + 1) - (rims + 1)
     centre = np.repeat(first, rims - 1)

@@ -118,6 +118,10 @@ class FanState(MeshState):
         "update": "the fans of this scene are fixed; make a new one, or a wrt.Scene to update",
         "statistics": "statistics are those of triangles; use wrt.Scene(scene.meshes).statistics()",
         "float64 vertices": "precise=True and gradients need a tree of triangles; use wrt.Scene(scene.meshes)",
+        "count": (
+            "fans answer closest-hit and any-hit queries; for contains, count, intersect_all and visible "
+            "use wrt.Scene(scene.meshes)"
+        ),
         "save": "trees of fans cannot be saved; save the fans (wrt.fans.fan_files), or the meshes",
         "pickle": "trees of fans cannot be pickled; pickle the meshes",
         "handle": "kernels need the handle of a tree of triangles; use wrt.Scene(scene.meshes).handle()",

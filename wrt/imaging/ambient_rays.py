@@ -38,16 +38,32 @@ class AmbientRays:
         distance: length of ambient rays; inf for no limit.
         seed: of the sample pattern.
         query: traversal and triangle test, as in `Scene.intersect`.
+        width: of the picture.
+        radius: rows and columns within which pixels share their rays; 0 for none.
+
+    Attributes:
+        scale: what `count_open` gives for a ray.
     """
 
-    def __init__(self, scene: Scene, points: int, samples: int, distance: float, seed: int, query: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        points: int,
+        samples: int,
+        distance: float,
+        seed: int,
+        query: Mapping[str, str],
+        width: int = 1,
+        radius: int = 0,
+    ) -> None:
         self._scene, self._samples, self._seed, self._query = scene, samples, seed, query
+        self._width, self._radius, self.scale = width, radius, int(ambient.SHARES) if radius else 1
         self._expected = expected_rays(points, samples)
         self._origins, self._directions = (empty(self._expected.count, wp.vec3, scene.device) for _ in range(2))
         self._distance = wp.array(np.float32([distance]), dtype=float, device=scene.device)
 
     def count_open(self, surface: Surface, primitive: wp.array, first_pixel: int, sample: int) -> wp.array:
-        """(N,) int: rays of each point that leave the scene; 0 for a miss.
+        """(N,) int: rays of each point that leave the scene, times `scale`; 0 for a miss.
 
         Args:
             surface: the points of N camera rays.
@@ -70,7 +86,14 @@ class AmbientRays:
             rays = self._origins, self._directions, len(hit) * count
             blocked = tracer.blocked_from_points(*rays, self._distance, self._expected)
             self._run(ambient.count_open, hit, points, count, blocked, open_rays)
-        return open_rays
+        return self._shared(surface, first_pixel, open_rays) if self._radius else open_rays
+
+    def _shared(self, surface: Surface, first_pixel: int, open_rays: wp.array) -> wp.array:
+        """The mean of each point's neighbours."""
+        shared = wp.empty_like(open_rays)
+        inputs = surface, first_pixel, self._width, self._radius, open_rays, shared
+        launch(ambient.share_open, len(open_rays), inputs, device=self._scene.device, chunk=CHUNK)
+        return shared
 
     def _run(self, kernel: wp.Kernel, hit: np.ndarray, *inputs: Any) -> None:
         launch(kernel, len(hit), inputs, device=self._scene.device, chunk=CHUNK)

@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.shading.pixel_rays import View, orthographic_origins, pinhole_directions
+from wrt.kernels.validation import as_float, as_int, as_numbers
 from wrt.meshes.up_axis import default_up
 from wrt.rays.rays import Rays
 
@@ -62,6 +63,7 @@ class _Camera:
             ValueError: a value out of range.
         """
         device = wp.get_device("cpu")
+        refuse_capture("rays in NumPy arrays", device)
         rays = self.rays_on(device, 0, self.width * self.height, pixel_offset(sample, samples, seed))
         arrays = (rays.origins.numpy(), rays.directions.numpy())
         shape = (self.height, self.width, 3)
@@ -152,7 +154,7 @@ class PinholeCamera(_Camera):
             TypeError: `geometry` is neither a mesh nor a scene.
             ValueError: as in the constructor, and for a `margin` out of range.
         """
-        if not 0.0 <= margin < 1.0:
+        if not 0.0 <= (margin := as_float("margin", margin)) < 1.0:
             raise ValueError(f"margin is {margin}; it must be in [0, 1)")
         up = check_point("up", default_up(geometry) if up is None else up)
         towards = _default_view(up) if towards is None else check_point("towards", towards)
@@ -313,19 +315,12 @@ def _fit(points: np.ndarray, axes: tuple[np.ndarray, ...], tangents: tuple[float
 
 def check_whole(name: str, value: Any, minimum: int) -> int:
     """Returns a whole number of at least `minimum`; raises an error that names the argument otherwise."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name} must be a whole number, not {value!r}")
-    if value < minimum:
-        raise ValueError(f"{name} is {value}; it must be at least {minimum}")
-    return int(value)
+    return as_int(name, value, minimum)
 
 
 def check_point(name: str, value: Any) -> np.ndarray:
-    """Returns (3,) finite float64; raises a ValueError that names the argument otherwise."""
-    try:
-        point = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be three numbers x, y, z, not {value!r}") from None
+    """Returns (3,) finite float64; raises a TypeError or ValueError that names the argument otherwise."""
+    point = as_numbers(name, value, finite=False)
     if point.shape != (3,):
         raise ValueError(f"{name} must be three numbers x, y, z, not an array of shape {point.shape}")
     if not np.isfinite(point).all():
@@ -342,11 +337,7 @@ def check_fov(fov: Any) -> float:
 
 
 def _check_number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        raise TypeError(f"{name} must be a number, not {value!r}")
-    if not np.isfinite(value):
-        raise ValueError(f"{name} is {value}; it must be finite")
-    return float(value)
+    return as_float(name, value, finite=True)
 
 
 def _text(point: np.ndarray) -> str:

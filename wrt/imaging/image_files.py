@@ -1,16 +1,23 @@
-"""Image files."""
+"""Image files, written beside the old ones, which they replace when they are complete (`wrt.atomic_files`)."""
 
 from __future__ import annotations
 
+import io
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from wrt.atomic_files import replaced
+from wrt.kernels.validation import host_array
+
 __all__ = ["check_path", "save_exr", "save_image", "to_bytes"]
 
 _WITHOUT_ALPHA = (".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".ppm")
+
+OPTIONS = {".jpg": {"quality": 95, "subsampling": 0}, ".jpeg": {"quality": 95, "subsampling": 0}, ".j2k": {"no_jp2": True}}
+"""Options of Pillow's by extension."""
 
 
 def save_image(path: str | Path, image: Any) -> None:
@@ -27,28 +34,34 @@ def save_image(path: str | Path, image: Any) -> None:
         TypeError: neither uint8 nor floats.
         ValueError: wrong shape, NaN or infinity, an unknown extension, or alpha in a format that has none.
         FileNotFoundError: the folder does not exist.
+        OSError: the file cannot be written. An older one is as it was.
     """
     path = check_path(path)
     suffix = path.suffix.lower()
     array = _checked(image, any_number=suffix == ".npy")
     if suffix == ".npy":
-        with open(path, "wb") as file:  # given a path, NumPy would add the extension to one in capitals
+        with replaced(path, streams=True) as file:
             np.save(file, array)
         return
     if suffix == ".exr":
         channels = {1: "Y", 3: "RGB", 4: "RGBA"}[1 if array.ndim == 2 else array.shape[2]]
-        pixels = (array.astype(np.float32) / (255 if array.dtype == np.uint8 else 1)).astype(np.float32)
+        with np.errstate(over="ignore"):
+            pixels = (array.astype(np.float32) / (255 if array.dtype == np.uint8 else 1)).astype(np.float32)
+        if not np.isfinite(pixels).all():
+            raise ValueError("image has values beyond the range of float32, which .exr files hold; save it as .npy")
         save_exr(path, {name: pixels.reshape(*array.shape[:2], -1)[..., i] for i, name in enumerate(channels)})
         return
     from PIL import Image
 
     if suffix in _WITHOUT_ALPHA and array.ndim == 3 and array.shape[2] == 4:
         raise ValueError(f"'{suffix}' has no alpha channel; save image[..., :3] or use .png")
-    options = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
+    content, format = io.BytesIO(), Image.registered_extensions()[suffix]
     try:
-        Image.fromarray(to_bytes(array)).save(path, **options)
-    except (KeyError, ValueError) as error:  # a Pillow format that does not support this kind of image
+        Image.fromarray(to_bytes(array)).save(content, format, **OPTIONS.get(suffix, {}))
+    except (KeyError, ValueError, OSError) as error:  # a Pillow format that does not support this kind of image
         raise ValueError(f"cannot write '{path}' ({error}); use .png") from error
+    with replaced(path, streams=True) as file:
+        file.write(content.getbuffer())
 
 
 def save_exr(path: str | Path, channels: dict[str, np.ndarray]) -> None:
@@ -61,13 +74,18 @@ def save_exr(path: str | Path, channels: dict[str, np.ndarray]) -> None:
     Raises:
         ValueError: the package OpenEXR is missing.
         FileNotFoundError: the folder does not exist.
+        OSError: the file cannot be written. An older one is as it was.
     """
     path = check_path(path)
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}) as file:
-        file.write(str(path))
+    arrays = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    with replaced(path, streams=True) as file, OpenEXR.File(header, arrays) as picture:
+        try:
+            picture.write(file.name)
+        except RuntimeError as error:
+            raise OSError(str(error)) from error
 
 
 def check_path(path: str | Path) -> Path:
@@ -95,12 +113,7 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
 
 
 def _checked(image: Any, any_number: bool) -> np.ndarray:
-    if hasattr(image, "numpy") and not isinstance(image, np.ndarray):
-        image = image.numpy()
-    try:
-        array = np.asarray(image)
-    except ValueError as error:
-        raise TypeError(f"image is not an array: {error}") from error
+    array = host_array("image", image)
     if array.dtype != np.uint8 and array.dtype.kind not in ("fiub" if any_number else "f"):
         remedies = {
             "b": "multiply by np.uint8(255)",

@@ -22,9 +22,10 @@ from wrt.execution.expected_kernels import picture_rays, query_kernels
 from wrt.imaging.ambient_rays import AmbientRays, expected_rays
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_point, check_whole, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
-from wrt.kernels.runtime.launch import expect, launch, use_threads
+from wrt.kernels.runtime.launch import expect, launch, refuse_capture, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.kernels.shading.pixel_rays import pinhole_directions
+from wrt.kernels.validation import as_bool, as_float, as_numbers
 from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.state.query_kinds import AUTO
@@ -36,6 +37,7 @@ Camera = PinholeCamera | OrthographicCamera
 TILE_PIXELS = 1 << 16
 """Camera rays traced at once; bounds the memory, and the time between two calls of `progress`."""
 
+MOST_RADIUS = 8
 BACKGROUND = ((0.90, 0.91, 0.92), (0.72, 0.79, 0.87))
 LIGHT_COLOR = (0.80, 0.77, 0.71)
 AMBIENT_COLOR = (0.36, 0.39, 0.43)
@@ -57,6 +59,8 @@ class AmbientRendering:
         shadows: whether the light casts shadows.
         ambient_samples: ambient rays per camera ray; 0 for no ambient occlusion.
         ambient_distance: length of ambient rays in scene units: geometry beyond it does not occlude; None for no limit.
+        ambient_radius: pixels share their ambient rays with those up to so many rows and columns away, if these see the same
+            smooth surface: less noise, blurred small shadows; 0 to 8, 0 for none. The picture then depends on `tile_pixels`.
         albedo: share of light that is reflected, linear, in [0, 1]: a number, (3,), or (F, 3) for all triangles of the
             scene in the order of `scene.meshes`; instances of a mesh share its albedo.
         background: colour of pixels without a hit, as displayed (sRGB, [0, 1]): a number, (3,), or a pair of these for the
@@ -88,6 +92,7 @@ class AmbientRendering:
         shadows: bool = True,
         ambient_samples: int = 16,
         ambient_distance: float | None = None,
+        ambient_radius: int = 0,
         ambient_color: Any = AMBIENT_COLOR,
         albedo: Any = 0.8,
         background: Any = BACKGROUND,
@@ -99,7 +104,9 @@ class AmbientRendering:
         tile_pixels: int | None = None,
     ) -> None:
         check_types(scene, camera)
-        if not 0.0 < crease_angle < 90.0:
+        refuse_capture("rendering", scene.device)
+        shadows, smooth = as_bool("shadows", shadows), as_bool("smooth", smooth)
+        if not 0.0 < (crease_angle := as_float("crease_angle", crease_angle)) < 90.0:
             raise ValueError(
                 f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)"
             )
@@ -109,18 +116,21 @@ class AmbientRendering:
         self._settings = _Settings(
             light=default_light(camera) if light is None else check_point("light", light),
             lighting=_lighting(light_color, ambient_color, background),
-            shadows=bool(shadows),
+            shadows=shadows,
             ambient_samples=check_whole("ambient_samples", ambient_samples, 0),
             ambient_distance=_check_distance(ambient_distance),
-            seed=(seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
+            ambient_radius=check_whole("ambient_radius", ambient_radius, 0),
+            seed=(self._seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
             query={"traversal": traversal, "triangle_test": triangle_test},
         )
+        if self._settings.ambient_radius > MOST_RADIUS:
+            raise ValueError(f"ambient_radius is {ambient_radius}; it must be at most {MOST_RADIUS}")
         self.pixels = camera.width * camera.height
         tiles = -(-self.pixels // check_whole("tile_pixels", TILE_PIXELS if tile_pixels is None else tile_pixels, 1))
         self._tile = -(-self.pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each
         with use_threads(scene.num_threads):
             expect(_kernels(scene, camera, self._tile, self._settings, smooth), scene.device)
-            self._ambient = _ambient_rays(scene, self._tile, self._settings)
+            self._ambient = _ambient_rays(scene, self._tile, camera.width, self._settings)
             self._look = _appearance(scene, albedo, crease_angle if smooth else None)
             self._film = self._black()
 
@@ -140,6 +150,7 @@ class AmbientRendering:
         Raises:
             TypeError, ValueError: `samples` is not a whole number of at least 1.
         """
+        refuse_capture("rendering", self._scene.device)
         goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
         with use_threads(self._scene.num_threads):
             while self.done < goal:
@@ -265,6 +276,7 @@ class _Settings:
     shadows: bool
     ambient_samples: int
     ambient_distance: float
+    ambient_radius: int
     seed: int
     query: dict[str, str]
 
@@ -296,6 +308,7 @@ class _Tile:
             received.in_shadow = self.scene.occluded(self.surface.shadow_origin, toward, 0.0, 1.0, **self.settings.query)
         if ambient_rays is not None:
             received.open_rays = ambient_rays.count_open(self.surface, primitive, self.first, sample)
+            received.ambient_samples *= ambient_rays.scale
         self._run(film.expose, self.surface, received, self.settings.lighting, self.first, picture)
 
     def _empty(self, dtype: type) -> wp.array:
@@ -305,10 +318,11 @@ class _Tile:
         launch(kernel, self.count, inputs, device=self.scene.device, chunk=1024)
 
 
-def _ambient_rays(scene: Scene, tile: int, settings: _Settings) -> AmbientRays | None:
+def _ambient_rays(scene: Scene, tile: int, width: int, settings: _Settings) -> AmbientRays | None:
     if settings.ambient_samples == 0:
         return None
-    return AmbientRays(scene, tile, settings.ambient_samples, settings.ambient_distance, settings.seed, settings.query)
+    rays = settings.ambient_samples, settings.ambient_distance, settings.seed, settings.query
+    return AmbientRays(scene, tile, *rays, width, settings.ambient_radius)
 
 
 def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surface.Appearance:
@@ -336,7 +350,7 @@ def check_types(scene: Any, camera: Any) -> None:
 
 
 def _check_distance(ambient_distance: float | None) -> float:
-    distance = np.inf if ambient_distance is None else float(ambient_distance)
+    distance = np.inf if ambient_distance is None else as_float("ambient_distance", ambient_distance)
     if not distance > 0.0:
         raise ValueError(f"ambient_distance is {ambient_distance}; it must be above 0, or None for no limit")
     return distance
@@ -355,7 +369,7 @@ def _lighting(light_color: Any, ambient_color: Any, background: Any) -> film.Lig
 def _colors(name: str, value: Any, counts: tuple[int, ...], maximum: float) -> np.ndarray:
     """(N, 3) float32 for one of the allowed counts N; a number becomes a grey."""
     try:
-        colors = np.array(value, dtype=np.float32)
+        colors = as_numbers(name, value, finite=False).astype(np.float32)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be a number or an array of colours (3,), not {value!r}") from None
     if colors.ndim == 0 or (colors.ndim == 1 and colors.shape == (2,) and 2 in counts):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 import warp as wp
 
 from wrt.execution.triangle_records import records_of
@@ -19,6 +20,25 @@ if TYPE_CHECKING:
     from wrt.kernels.traversal.two_level.instance_single import InstanceTree
     from wrt.planning.plan import Plan
     from wrt.state.scene_state import SceneState
+
+
+MAX_TRIANGLES = (1 << 31) - 1
+"""Largest number of triangles of all instances together: each has its own number of 32 bits."""
+
+
+def first_triangles(states: Sequence[SceneState], numbers: Sequence[int]) -> np.ndarray:
+    """(N + 1,) number of each instance's first triangle, and of all triangles; numbers: the mesh of each instance.
+
+    Raises:
+        ValueError: more than `MAX_TRIANGLES` triangles.
+    """
+    first = np.cumsum([0, *np.array([state.triangle_count for state in states])[np.array(numbers)].tolist()])
+    if first[-1] > MAX_TRIANGLES:
+        raise ValueError(
+            f"the instances have {int(first[-1]):,} triangles together, and a scene can number "
+            f"{MAX_TRIANGLES:,}; make several scenes"
+        )
+    return first
 
 
 def upper_struct(tree: UpperTree, mesh: SceneMesh, stretch: float) -> InstanceTree:

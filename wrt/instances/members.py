@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
+from wrt.kernels.validation import as_bool
 from wrt.meshes.instance import as_instances
 from wrt.meshes.node_graph import NodeGraph
 from wrt.state.scene_state import SceneState, new_mark
@@ -42,6 +43,7 @@ class Members:
                 refuses. The scene is then unchanged.
         """
         self.state.require_instances("move")
+        refuse_capture("move", self.state.device)
         self.state = self.state.with_nodes(nodes)
 
     @property
@@ -62,7 +64,7 @@ class Members:
             ValueError: a scene without a graph, an unknown name, or one of several nodes.
         """
         graph = self._graph()
-        return (graph.local if to_parent else graph.world)[graph.number(name)].copy()
+        return (graph.local if as_bool("to_parent", to_parent) else graph.world)[graph.number(name)].copy()
 
     def node_instances(self, name: str) -> np.ndarray:
         """(M,) int64: indices of the instances that hang on a node of the scene's graph itself.
@@ -96,6 +98,7 @@ class Members:
             ValueError: a scene without instances, or as `wrt.InstancedScene`. The scene is then unchanged.
         """
         self.state.require_instances("add")
+        refuse_capture("add", self.state.device)
         added, first = as_instances(instances), len(self.state.instances)
         with use_threads(self.state.num_threads):
             graph = self.state.graph and self.state.graph.for_instances(range(first), len(added))
@@ -115,6 +118,7 @@ class Members:
             ValueError: a scene without instances, no such instance, or no instance would be left. The scene is then unchanged.
         """
         self.state.require_instances("remove")
+        refuse_capture("remove", self.state.device)
         gone = set(self.state.chosen(index).tolist())
         kept = [number for number in range(len(self.state.instances)) if number not in gone]
         left = tuple(self.state.instances[number] for number in kept)

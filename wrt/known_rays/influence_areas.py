@@ -37,9 +37,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
 from wrt.imaging.cameras import check_whole
+from wrt.kernels.validation import as_float, as_numbers, as_real_array
 from wrt.rays.rays import Rays
 
 SAMPLES = 2000
@@ -135,6 +137,7 @@ class InfluenceAreas(Sequence):
             TypeError: an argument has a wrong type.
             ValueError: wrong shapes, a value out of range, or no valid ray.
         """
+        tolerance, least_share = as_float("tolerance", tolerance), as_float("least_share", least_share)
         if not 0.0 < tolerance < 45.0:
             raise ValueError(f"tolerance is {tolerance}; it must be above 0 and below 45 degrees")
         if not 0.0 < least_share <= 1.0:
@@ -347,7 +350,8 @@ def sample_lines(origins: Any, directions: Any, count: int, rng: np.random.Gener
         origins, directions = origins.origins, origins.directions
     if directions is None:
         raise TypeError("directions is missing; pass origins and directions, or a wrt.Rays")
-    o, d = (np.asarray(a.numpy() if hasattr(a, "numpy") else a) for a in (origins, directions))
+    given = {"origins": origins, "directions": directions}
+    o, d = (as_real_array(name, a.numpy() if isinstance(a, wp.array) else a) for name, a in given.items())
     for name, array in (("origins", o), ("directions", d)):
         if array.ndim == 0 or array.shape[-1] != 3:
             raise ValueError(f"{name} must have shape (..., 3), not {array.shape}")
@@ -380,7 +384,7 @@ def _check_bounds(bounds: Any, origins: np.ndarray) -> np.ndarray:
         if not (box[1] > box[0]).any():
             raise ValueError("all rays start at one point, which bounds no region; pass bounds=scene.bounds")
         return box
-    box = np.array(bounds, dtype=np.float64)
+    box = as_numbers("bounds", bounds, finite=False)
     if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] > box[1]).any():
         raise ValueError(f"bounds must be (2, 3), a lower and an upper corner, not {bounds!r}")
     return box

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.atomic_files import write_text
 from wrt.builders.influence.area_top_level import TopLevel
 
 if TYPE_CHECKING:
@@ -74,8 +75,8 @@ class OctreeAnalysis:
         return {"bytes": self.bytes, "levels": self.levels, "cells": self.rows()}
 
     def save_json(self, path: str | Path) -> None:
-        """Writes `to_dict` to a file at `path`."""
-        Path(path).write_text(json.dumps(self.to_dict(), indent=1) + "\n")
+        """Writes `to_dict` to a file at `path`, whole or not at all."""
+        write_text(path, json.dumps(self.to_dict(), indent=1) + "\n")
 
     def cut(self, axis: int, at: float) -> tuple[np.ndarray, np.ndarray]:
         """The leaves that a plane across an axis cuts: what a picture of the octree shows.

@@ -25,8 +25,8 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.influence.influence_area import Point, check_numbers, check_positive, frame_of
-from wrt.imaging.cameras import check_whole
-from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.launch import launch, refuse_capture
+from wrt.kernels.validation import as_int, convert_fields
 from wrt.rays.rays import Rays
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ class _Caster:
         for name in ("position", "direction", "up"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, check_numbers(name, getattr(self, name), 3))
+        convert_fields(self)
         frame_of(self.direction, self.up)
 
     def _aim(self) -> Aim:
@@ -232,7 +233,5 @@ def _rise(angle: float) -> float:
 
 
 def _check_batch(count: int, seed: int) -> tuple[int, int]:
-    count, seed = check_whole("count", count, 0), check_whole("seed", seed, 0)
-    if seed >= 1 << 32:
-        raise ValueError(f"seed is {seed}; it must be below 2^32")
-    return count, seed
+    refuse_capture("rays in NumPy arrays", wp.get_device("cpu"))
+    return as_int("count", count, 0), as_int("seed", seed, 0, (1 << 32) - 1)

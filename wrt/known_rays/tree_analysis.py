@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,9 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.atomic_files import write_text
 from wrt.execution.area_trees import assign
 from wrt.execution.executor import trace
 from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.validation import as_float
 from wrt.planning.planner import make_plan
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
@@ -162,16 +165,16 @@ class TreeAnalysis:
         return {"tree": self.summary(), "levels": self.levels, "boxes": self.rows()}
 
     def save_json(self, path: str | Path) -> None:
-        """Writes `to_dict` to a file at `path`."""
-        Path(path).write_text(json.dumps(self.to_dict(), indent=1) + "\n")
+        """Writes `to_dict` to a file at `path`, whole or not at all."""
+        write_text(path, json.dumps(self.to_dict(), indent=1) + "\n")
 
     def save_csv(self, path: str | Path) -> None:
-        """Writes `rows` to a CSV file at `path`, with a header; None becomes an empty field."""
-        rows = self.rows()
-        with Path(path).open("w", newline="") as file:
-            writer = csv.DictWriter(file, rows[0])
-            writer.writeheader()
-            writer.writerows(rows)
+        """Writes `rows` to a CSV file at `path`, whole or not at all, with a header; None becomes an empty field."""
+        rows, text = self.rows(), io.StringIO(newline="")
+        writer = csv.DictWriter(text, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(path, text.getvalue())
 
 
 def analyse(
@@ -212,8 +215,8 @@ def analyse(
     if area is not None and not isinstance(area, InfluenceArea):
         kind = type(area).__name__
         raise TypeError(f"area must be a wrt.PlaneInfluenceArea, a wrt.PointInfluenceArea or None, not {kind}")
-    _check(rays, box_cost, triangle_cost)
-    return _measure(scene.state, scene.num_threads, area, rays, (box_cost, triangle_cost), statistics or {})
+    costs = _check(rays, box_cost, triangle_cost)
+    return _measure(scene.state, scene.num_threads, area, rays, costs, statistics or {})
 
 
 def analyse_areas(
@@ -240,8 +243,7 @@ def analyse_areas(
     """
     if scene.area_trees is None:
         raise ValueError("the scene has no influence areas with triangles; make it with accelerator=wrt.RayAwareBvh(areas=...)")
-    _check(rays, box_cost, triangle_cost)
-    trees, costs = scene.area_trees, (box_cost, triangle_cost)
+    trees, costs = scene.area_trees, _check(rays, box_cost, triangle_cost)
     parts = [None] * len(trees) if rays is None else _rays_by_area(scene, rays)
     return tuple(
         _measure(state, scene.num_threads, area, part, costs, statistics or {})
@@ -249,14 +251,17 @@ def analyse_areas(
     )
 
 
-def _check(rays: Rays | None, box_cost: float, triangle_cost: float) -> None:
+def _check(rays: Rays | None, box_cost: float, triangle_cost: float) -> tuple[float, float]:
+    """The costs as numbers."""
     if rays is not None and not isinstance(rays, Rays):
         raise TypeError(f"rays must be a wrt.Rays, not {type(rays).__name__}; make one with wrt.Rays(origins, directions)")
     if rays is not None and not len(rays):
         raise ValueError("rays is empty and has no average work; pass None to trace no rays")
-    for name, cost in (("box_cost", box_cost), ("triangle_cost", triangle_cost)):
+    costs = as_float("box_cost", box_cost), as_float("triangle_cost", triangle_cost)
+    for name, cost in zip(("box_cost", "triangle_cost"), costs, strict=True):
         if not 0.0 <= cost < float("inf"):
             raise ValueError(f"{name} is {cost}; it must be finite and not negative")
+    return costs
 
 
 def _measure(

@@ -8,33 +8,42 @@ from typing import Any
 
 import numpy as np
 
+from wrt.kernels.validation import as_numbers, convert_fields, host_array
+
 __all__ = ["KINDS", "Material", "Texture"]
 
 KINDS = ("diffuse", "mirror", "dielectric", "glossy")
 """In the order of their numbers in `wrt.kernels.shading.bsdf.material_table`."""
 
+WRAPS = ("repeat", "clamp", "mirror")
+"""How images go on beyond their edges, in the order of their numbers there."""
+
 Color = tuple[float, float, float]
 
 
 class Texture:
-    """An image that varies a material over a surface. It repeats outside [0, 1), and is interpolated bilinearly.
+    """An image that varies a material over a surface, interpolated bilinearly.
 
     Args:
         image: (H, W), (H, W, 3) or (H, W, 4), uint8 or floats in [0, 1]; or an image of Pillow. Row 0 is at the top, where v
             is 1. Stored with 8 bits a channel. Alpha is ignored.
+        wrap: how it goes on outside [0, 1]: "repeat", "clamp" (its edge) or "mirror" (repeated, every other time mirrored); one
+            for both directions, or a pair for u and v.
 
     Attributes:
         pixels: (H, W, 3) uint8.
+        wrap: (2,) str, of u and of v.
 
     Raises:
         TypeError: not an image.
-        ValueError: a wrong shape, or values that are not in [0, 1].
+        ValueError: a wrong shape, values that are not in [0, 1], or an unknown `wrap`.
     """
 
-    def __init__(self, image: Any) -> None:
+    def __init__(self, image: Any, *, wrap: str | tuple[str, str] = "repeat") -> None:
+        self.wrap = _wrap(wrap)
         if hasattr(image, "convert"):
             image = image.convert("RGB")
-        array = np.asarray(image)
+        array = host_array("image", image)
         if array.dtype.kind not in "fu" or (array.dtype.kind == "u" and array.dtype != np.uint8):
             raise TypeError(f"image must hold uint8, or floats in [0, 1], not {array.dtype}")
         if array.ndim == 2:
@@ -50,7 +59,12 @@ class Texture:
         self.pixels.flags.writeable = False
 
     def __repr__(self) -> str:
-        return f"Texture({self.pixels.shape[1]} x {self.pixels.shape[0]})"
+        wrap = "" if self.wrap == ("repeat", "repeat") else f", wrap={self.wrap}"
+        return f"Texture({self.pixels.shape[1]} x {self.pixels.shape[0]}{wrap})"
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Pickles of earlier versions have no `wrap`."""
+        self.__dict__.update({"wrap": ("repeat", "repeat")} | state)
 
 
 @dataclass(frozen=True)
@@ -105,6 +119,7 @@ class Material:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ValueError(f"unknown kind {self.kind!r} of material; choose from {', '.join(KINDS)}")
+        convert_fields(self)
         kept: dict[str, Any] = {
             "color": as_color("color", self.color, 1.0),
             "absorption": as_color("absorption", self.absorption),
@@ -112,12 +127,9 @@ class Material:
             "roughness": _share("roughness", {"glossy": 0.5}.get(self.kind, 0.0) if self.roughness is None else self.roughness),
             "metallic": _share("metallic", self.metallic),
             "translucency": _share("translucency", self.translucency),
-            "two_sided": bool(self.two_sided),
         }
-        if not (np.isscalar(self.index) and np.isfinite(self.index) and self.index > 0.0):
+        if not 0.0 < self.index < np.inf:
             raise ValueError(f"index is {self.index!r}; an index of refraction is a number above 0, such as 1.5 for glass")
-        if isinstance(self.priority, bool) or not isinstance(self.priority, int | np.integer):
-            raise TypeError(f"priority must be a whole number, not {self.priority!r}")
         for name in ("color_texture", "surface_texture"):
             if not isinstance(getattr(self, name), Texture | None):
                 raise TypeError(f"{name} must be a wrt.Texture or None, not {type(getattr(self, name)).__name__}")
@@ -134,22 +146,27 @@ def as_color(name: str, value: Any, maximum: float = np.inf) -> Color:
     """Three finite numbers from 0 to `maximum`; a number becomes a grey.
 
     Raises:
-        ValueError: it is no such colour.
+        TypeError: not real numbers.
+        ValueError: other numbers, or another shape.
     """
-    try:
-        color = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        color = np.array(np.nan)
+    color = as_numbers(name, value, finite=False)
     if color.shape not in ((), (3,)) or not (np.isfinite(color).all() and (color >= 0.0).all() and (color <= maximum).all()):
         limit = f"from 0 to {maximum:g}" if np.isfinite(maximum) else "finite and not negative"
         raise ValueError(f"{name} must be a number or three numbers (red, green, blue), {limit}, not {value!r}")
     return tuple(np.broadcast_to(color, 3).tolist())
 
 
-def _share(name: str, value: Any) -> float:
-    if not (np.isscalar(value) and not isinstance(value, str) and 0.0 <= value <= 1.0):
+def _wrap(wrap: Any) -> tuple[str, str]:
+    pair = (wrap, wrap) if isinstance(wrap, str) else tuple(wrap) if isinstance(wrap, tuple | list) else (wrap,)
+    if len(pair) != 2 or not all(isinstance(one, str) and one in WRAPS for one in pair):
+        raise ValueError(f"wrap must be one of {', '.join(map(repr, WRAPS))}, or a pair of them for u and v, not {wrap!r}")
+    return pair
+
+
+def _share(name: str, value: float) -> float:
+    if not 0.0 <= value <= 1.0:
         raise ValueError(f"{name} is {value!r}; it must be from 0 to 1")
-    return float(value)
+    return value
 
 
 def check_materials(materials: Any, count: int, what: str) -> tuple[Material, ...]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from wrt.kernels.validation import as_real_array, host_array
 from wrt.materials.material import Material
 
 __all__ = ["MeshMaterials"]
@@ -65,7 +66,7 @@ def make_mesh_materials(
     if not listed or not all(isinstance(one, Material) for one in listed):
         raise TypeError(f"materials must be a wrt.Material or a non-empty sequence of them, not {materials!r}")
     if of_face is not None:
-        of_face = np.asarray(of_face)
+        of_face = host_array("of_face", of_face)
         if of_face.dtype.kind not in "iu" or of_face.shape != (len(faces),):
             raise ValueError(f"of_face must be integers of shape ({len(faces)},), not {of_face.dtype} of shape {of_face.shape}")
         if of_face.min() < 0 or of_face.max() >= len(listed):
@@ -79,7 +80,7 @@ def make_mesh_materials(
 def _by_corner(name: str, values: Any, faces: np.ndarray, vertex_count: int, width: int) -> np.ndarray | None:
     if values is None:
         return None
-    array = np.asarray(values, dtype=np.float32)
+    array = as_real_array(name, values).astype(np.float32)
     if array.shape == (vertex_count, width):
         array = array[faces]
     if array.shape != (len(faces), 3, width):

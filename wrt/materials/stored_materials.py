@@ -22,7 +22,9 @@ def pack_materials(mesh: MeshMaterials) -> tuple[list[dict[str, Any]], dict[str,
         values = {field.name: getattr(material, field.name) for field in fields(Material)}
         listed.append(
             {
-                name: {"texture": textures.setdefault(value, len(textures))} if isinstance(value, Texture) else value
+                name: {"texture": textures.setdefault(value, len(textures)), "wrap": value.wrap}
+                if isinstance(value, Texture)
+                else value
                 for name, value in values.items()
             }
         )
@@ -36,10 +38,15 @@ def unpack_materials(listed: list[dict[str, Any]], arrays: Mapping[str, np.ndarr
     Raises:
         TypeError, ValueError, KeyError: the values are no materials.
     """
-    textures = {name: Texture(image) for name, image in arrays.items() if name.startswith("texture.")}
+    textures: dict[int, Texture] = {}
 
     def value(stored: Any) -> Any:
-        return textures[f"texture.{stored['texture']}"] if isinstance(stored, dict) else stored
+        if not isinstance(stored, dict):
+            return stored
+        number = int(stored["texture"])
+        if number not in textures:  # files of earlier versions have no "wrap"
+            textures[number] = Texture(arrays[f"texture.{number}"], wrap=stored.get("wrap", "repeat"))
+        return textures[number]
 
     materials = [Material(**{name: value(stored) for name, stored in one.items()}) for one in listed]
     of_face, uv, colors = (arrays.get(name) for name in AT_TRIANGLES)

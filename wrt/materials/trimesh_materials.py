@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,10 @@ def read_materials(source: Any) -> MeshMaterials | None:
         return None
     uv = getattr(visual, "uv", None)
     uv = None if uv is None or len(uv) != len(source.vertices) else np.asarray(uv, dtype=np.float32)[:, :2]
-    corner_uv = None if uv is None or not np.isfinite(uv).all() else np.ascontiguousarray(uv[faces])
+    if uv is not None and not np.isfinite(uv).all():
+        warnings.warn("texture coordinates are NaN or infinite; coordinates and images are left out", stacklevel=2)
+        uv = None
+    corner_uv = None if uv is None else np.ascontiguousarray(uv[faces])
     inner = getattr(visual.material, "materials", None)
     if inner:
         materials = tuple(as_material(one, corner_uv is not None) for one in inner)

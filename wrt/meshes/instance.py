@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.validation import as_int, as_numbers, as_real_array
+from wrt.meshes.graph_transforms import graph_transform
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, members_of
 
@@ -98,10 +100,7 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
     Raises:
         ValueError: wrong shape, not finite, not affine, singular, too large or too small.
     """
-    try:
-        matrix = np.array(transform, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be a (4, 4) matrix of real numbers: {error}") from None
+    matrix = as_numbers(name, transform, finite=False)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError(f"{name} must be a finite (4, 4) matrix, not of shape {matrix.shape}: {matrix.tolist()}")
     if not (np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)) <= 1e-12).all():
@@ -145,12 +144,12 @@ def check_transforms(transforms: Any, count: int) -> np.ndarray:
     Raises:
         ValueError: another number of matrices, or as `check_transform`.
     """
-    matrices = matrices_of(transforms) if isinstance(transforms, wp.array) else np.asarray(transforms)
+    matrices = matrices_of(transforms) if isinstance(transforms, wp.array) else as_real_array("transform", transforms)
     if matrices.ndim == 3 and len(matrices) != count:
         raise ValueError(f"transform holds {len(matrices)} matrices for {count} instances; pass one each, or one for all")
     if matrices.ndim != 3:
         return np.broadcast_to(check_transform(matrices), (count, 4, 4))
-    if matrices.dtype.kind not in "fiu" or matrices.shape[1:] != (4, 4):
+    if matrices.shape[1:] != (4, 4):
         for matrix in matrices:
             check_transform(matrix)
     matrices = matrices.astype(np.float64)
@@ -207,11 +206,10 @@ def check_environment(environment: Any, name: str = "environment") -> int:
         TypeError: not an int.
         ValueError: out of range.
     """
-    if isinstance(environment, (bool, np.bool_)) or not isinstance(environment, (int, np.integer)):
-        raise TypeError(f"{name} must be an int, not {type(environment).__name__}")
+    environment = as_int(name, environment)
     if not EVERY <= environment <= MAX_ENVIRONMENT:
         raise ValueError(f"{name} is {environment}; it must be from 0 to 2**31 - 1, or -1 for all environments")
-    return int(environment)
+    return environment
 
 
 def check_mask(mask: Any, name: str = "mask") -> int:
@@ -221,11 +219,10 @@ def check_mask(mask: Any, name: str = "mask") -> int:
         TypeError: not an int.
         ValueError: out of range.
     """
-    if isinstance(mask, (bool, np.bool_)) or not isinstance(mask, (int, np.integer)):
-        raise TypeError(f"{name} must be an int, not {type(mask).__name__}; combine bits as 1 << 0 | 1 << 3")
+    mask = as_int(name, mask)
     if not 0 <= mask <= MAX_MASK:
-        raise ValueError(f"{name} is {mask}; it must be from 0 to 2**32 - 1")
-    return int(mask)
+        raise ValueError(f"{name} is {mask}; it must be from 0 to 2**32 - 1, bits combined as 1 << 0 | 1 << 3")
+    return mask
 
 
 def check_extent(instances: Sequence[Instance], geometry_ids: Sequence[int], meshes: Sequence[TriangleMesh]) -> None:
@@ -290,8 +287,10 @@ def is_graph(geometry: Any) -> bool:
 
 def graph_instances(scene: Any) -> list[Instance]:
     """The nodes of a trimesh.Scene that hold triangles, in the order of its graph."""
-    placed = [scene.graph[node] for node in graph_nodes(scene)]
-    instances = [Instance(scene.geometry[name], matrix) for matrix, name in placed]
+    names, known = scene.graph.transforms.node_data, {}
+    instances = [
+        Instance(scene.geometry[names[node]["geometry"]], graph_transform(scene, node, known)) for node in graph_nodes(scene)
+    ]
     if not instances:
         raise ValueError("no triangles in the trimesh.Scene: it needs a mesh (point clouds and paths do not count)")
     return instances
@@ -300,4 +299,5 @@ def graph_instances(scene: Any) -> list[Instance]:
 def graph_nodes(scene: Any) -> list[str]:
     """Names of the nodes of a trimesh.Scene that hold triangles, in the order of its graph."""
     filled = {name for name, mesh in scene.geometry.items() if len(getattr(mesh, "faces", ()))}
-    return [node for node in scene.graph.nodes_geometry if scene.graph[node][1] in filled]
+    names = scene.graph.transforms.node_data
+    return [node for node in scene.graph.nodes_geometry if names[node]["geometry"] in filled]

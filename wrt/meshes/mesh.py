@@ -12,8 +12,6 @@ was built over. Meshes, scenes and, on the CPU, kernels share the one copy.
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Iterable
 from functools import cached_property, partial
 from pathlib import Path
@@ -21,11 +19,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.atomic_files import replaced
+from wrt.kernels.validation import as_bool, as_numbers
 from wrt.materials.material import Material
 from wrt.materials.mesh_materials import MeshMaterials, joined_materials, make_mesh_materials
+from wrt.meshes.exact_encoding import encode_mesh
+from wrt.meshes.files.mesh_reading import OWN_FORMATS, read_by_trimesh, read_own_format
+from wrt.meshes.files.up_in_files import with_stated_up
+from wrt.meshes.graph_transforms import graph_transform
 from wrt.meshes.mesh_arrays import checked_faces, checked_vertices, frozen
 from wrt.meshes.mesh_measures import extremes, first_of_equal_points, normals_and_areas
-from wrt.meshes.plain_ply import read_plain_ply
 from wrt.meshes.up_axis import Direction, checked_up, common_up, mapped_up, up_of_format
 
 if TYPE_CHECKING:
@@ -66,36 +69,52 @@ class TriangleMesh:
     # -- input and output --------------------------------------------------------------------------------------------------
 
     @classmethod
-    def load(cls, path: str | Path, *, materials: bool | None = None) -> TriangleMesh:
-        """Reads a file in any format that trimesh knows (.ply .obj .stl .glb .off ...).
+    def load(cls, path: str | Path, *, materials: bool | None = None, outside: bool = False) -> TriangleMesh:
+        """Reads a .ply, .obj, .stl, .off, .gltf or .glb file, or one in any other format that trimesh knows.
 
-        Nothing is merged or reordered: primitive ids are the file's triangle order. Files with a scene graph are
-        flattened as in `from_trimesh`, in the order of their nodes. Polygons are triangulated by trimesh. Axes and
-        units stay as they are in the file. `up` is y for glTF, OBJ, OFF and PLY files, and None for all others.
+        Nothing is merged or reordered: primitive ids are the file's triangle order. A polygon becomes its triangles in place:
+        n - 2 for n corners, a fan if it is convex, else ears in its plane. The default scene of a glTF file is flattened, node
+        by node, each before its children, in the pose of the nodes and with the default weights of morph targets; scenes of
+        other formats as in `from_trimesh`. Axes and units stay as they are in the file. `up` is y for glTF, OBJ, OFF and PLY
+        files, and None for all others, unless a comment of `save` states another.
 
         Args:
-            path: of the file.
-            materials: whether to read materials, texture coordinates and colours; None: of all formats except OBJ. Of an OBJ
-                file, trimesh then groups triangles by material and splits vertices, and primitive ids follow its order.
+            path: of the file, a regular one.
+            materials: whether to read materials, texture coordinates and colours; None: of all formats except OBJ.
+            outside: whether the file may refer to buffers, images and material libraries that are not below its folder, also
+                by symbolic links or absolute paths. Of other formats, trimesh reads what it finds.
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: unknown format, unreadable content, no triangles, or bad geometry as in the constructor.
+            ValueError: unknown format, unreadable content, no triangles, an extension of glTF that is required and not
+                supported, an image of more than 2^27 pixels, a reference to what may not be read, or bad geometry as in the
+                constructor. The message says which.
+
+        Warns:
+            UserWarning: what does not change the shape is left out: an image that is missing or broken, colours or texture
+                coordinates that are NaN, bytes behind the end, faces of fewer than three corners. Once for each.
         """
         path = Path(path)
-        if not path.is_file():
+        if not path.exists() or path.is_dir():
             raise FileNotFoundError(f"no mesh file at '{path}': check the path (now in '{Path.cwd()}')")
         suffix = path.suffix.lower().lstrip(".")
-        plain = read_plain_ply(path) if suffix == "ply" else None
-        loaded = _read_by_trimesh(path, suffix, bool(materials)) if plain is None else None
+        materials = None if materials is None else as_bool("materials", materials)
+        outside = as_bool("outside", outside)
+        if suffix in OWN_FORMATS:
+            found = read_own_format(path, suffix, materials, outside)
+        elif not path.is_file():
+            raise ValueError(f"'{path}' is a pipe or a device, not a regular file; copy its content to a file first")
+        else:
+            found = read_by_trimesh(path, suffix)
         try:
-            if plain is not None:
-                mesh = cls(*plain, name=path.stem)
+            if suffix in OWN_FORMATS:
+                mesh = cls(found.vertices, found.faces, name=path.stem, up=found.up)
+                mesh._materials = found.materials
             else:
-                mesh = cls.from_trimesh(loaded, name=path.stem, materials=materials is not False)
+                mesh = cls.from_trimesh(found, name=path.stem, materials=materials is not False)
         except ValueError as error:
             raise ValueError(f"'{path}': {error}") from error
-        mesh._up = up_of_format(suffix)
+        mesh._up = mesh._up or up_of_format(suffix)
         return mesh
 
     @classmethod
@@ -115,7 +134,7 @@ class TriangleMesh:
 
         if isinstance(source, trimesh.Trimesh):
             mesh = cls(source.vertices, source.faces, name=name)
-            if materials:
+            if as_bool("materials", materials):
                 from wrt.materials.trimesh_materials import read_materials
 
                 mesh._materials = read_materials(source)
@@ -125,10 +144,10 @@ class TriangleMesh:
                 f"expected a trimesh.Trimesh or trimesh.Scene, got {type(source).__name__}; "
                 "give arrays to TriangleMesh(vertices, faces) and paths to TriangleMesh.load(path)"
             )
-        parts = []
+        parts, known = [], {}
         for node in source.graph.nodes_geometry:
-            matrix, geometry_name = source.graph[node]
-            geometry = source.geometry[geometry_name]
+            matrix, data = graph_transform(source, node, known), source.graph.transforms.node_data
+            geometry = source.geometry[data[node]["geometry"]]
             if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
                 parts.append(cls.from_trimesh(geometry, materials=materials).transformed(matrix))
         if not parts:
@@ -142,16 +161,28 @@ class TriangleMesh:
         return trimesh.Trimesh(self._vertices.copy(), self._faces.copy(), process=False)
 
     def save(self, path: str | Path) -> None:
-        """Writes a file in the format of the extension of `path` (.ply .obj .stl .glb .off ...).
+        """Writes a file in the format of the extension of `path` (.ply .obj .stl .glb .off ...), without materials.
+
+        An upward direction that is not the format's own (y in glTF, OBJ, OFF and PLY files) is kept. PLY, OBJ, OFF and STL have
+        no place for it: it is a comment, which `load` reads and other programs skip. In glTF files, where y is up by standard,
+        a node turns the mesh, so that it stands upright in other programs; `load` undoes that.
+
+        PLY, OBJ and OFF files hold the vertices exactly. An old file is replaced when the new one is complete.
 
         Raises:
-            ValueError: trimesh cannot write that format.
+            ValueError: trimesh cannot write that format into one file.
+            OSError: the file cannot be written.
+
+        Warns:
+            UserWarning: the format (STL, glTF) holds float32, which moves the vertices.
         """
         suffix = Path(path).suffix.lower().lstrip(".")
         try:
-            self.to_trimesh().export(str(path), file_type=suffix)
+            data = encode_mesh(self.to_trimesh(), suffix)
         except ValueError as error:
             raise ValueError(f"cannot write '{path}' as '.{suffix}' ({error}); use .ply, .obj, .stl or .glb") from error
+        with replaced(path, streams=True) as file:
+            file.write(with_stated_up(data, suffix, self._up))
 
     # -- properties --------------------------------------------------------------------------------------------------------
 
@@ -289,7 +320,7 @@ class TriangleMesh:
         Raises:
             ValueError: wrong shape, not finite, or a perspective last row.
         """
-        matrix = np.asarray(matrix, dtype=np.float64)
+        matrix = as_numbers("matrix", matrix, finite=False)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise ValueError(f"matrix must be a finite 4 x 4 array, got shape {matrix.shape}: {matrix.tolist()}")
         if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-12):
@@ -351,35 +382,3 @@ class TriangleMesh:
         faces = first_of_equal_points(self._vertices)[self._faces]
         kept, faces = np.unique(faces, return_inverse=True)
         return self._like(self._vertices[kept], faces.reshape(-1, 3), self._materials)
-
-
-def _read_by_trimesh(path: Path, suffix: str, materials: bool) -> trimesh.Trimesh | trimesh.Scene:
-    """What trimesh reads from a file; of an OBJ file positions alone, unless materials are wanted. Errors as of `load`."""
-    import trimesh
-
-    known = sorted(trimesh.available_formats())
-    if suffix not in known:
-        raise ValueError(f"cannot read '{path}': unknown mesh format '.{suffix}'; the known ones are {known}")
-    try:
-        if suffix == "obj" and not materials:
-            source = io.BytesIO(_positions_only(path.read_bytes()))
-            loaded = trimesh.load(source, file_type="obj", process=False)
-        else:
-            loaded = trimesh.load(path, process=False)
-    except (PermissionError, MemoryError):
-        raise
-    except Exception as error:  # the readers of thirty formats raise many types of error
-        reason = f"{type(error).__name__}: {error}"
-        raise ValueError(f"cannot read '{path}' as .{suffix} ({reason}); is the file complete?") from error
-    if not isinstance(loaded, trimesh.Trimesh | trimesh.Scene):
-        raise ValueError(f"'{path}' holds a {type(loaded).__name__} without triangles; save it as a triangle mesh")
-    return loaded
-
-
-def _positions_only(text: bytes) -> bytes:
-    """Strips an .obj file of groups, materials, texture coordinates and normals.
-
-    Readers group triangles by material and split vertices by texture coordinate; without these, the file's order is kept.
-    """
-    text = re.sub(rb"(?m)^[ \t]*(?:o|g|s|usemtl|mtllib|vt|vn)\b[^\r\n]*", b"", text)
-    return re.sub(rb"(?m)(?<=\d)/[-\d/]*", b"", text)

@@ -9,18 +9,24 @@ from typing import Any
 
 import numpy as np
 
+from wrt.kernels.validation import host_array
+
 
 def as_array(values: Any, argument: str) -> np.ndarray:
     """A NumPy array of a caller's argument.
 
     Raises:
-        ValueError: rows of different lengths.
+        TypeError: it cannot be read as one, such as a tensor that records gradients.
+        ValueError: rows of different lengths; masked values.
     """
     try:
-        array = np.asarray(values)
-    except ValueError as error:  # NumPy raises this for rows of different lengths
+        array = host_array(argument, values)
+    except TypeError as error:
+        if not isinstance(error.__cause__, ValueError):
+            raise
+        # NumPy raises this for rows of different lengths
         raise ValueError(f"{argument} must be an array of shape (N, 3), three numbers in every row: {error}") from error
-    return array
+    return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
 
 def checked_vertices(vertices: Any) -> np.ndarray:

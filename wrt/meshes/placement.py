@@ -13,6 +13,7 @@ import warp as wp
 from wrt.kernels.layout.mesh_placement import shifted
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.workspace import host_view, set_flat
+from wrt.kernels.validation import as_int, host_array
 from wrt.meshes.mesh import TriangleMesh
 
 MAX_EXTENT = 2.0**36
@@ -218,18 +219,17 @@ def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
     )
 
 
-def check_index(index: Any, count: int, what: str) -> int:
-    """Checks an index of a mesh or instance, 0 to count - 1.
+def check_index(index: Any, count: int, what: str, name: str = "index") -> int:
+    """Checks an index of a mesh or instance, 0 to count - 1; name: of the argument.
 
     Raises:
         TypeError: not an int.
         ValueError: out of range.
     """
-    if isinstance(index, (bool, np.bool_)) or not isinstance(index, (int, np.integer)):
-        raise TypeError(f"index must be an int, not {type(index).__name__}")
+    index = as_int(name, index)
     if not 0 <= index < count:
-        raise ValueError(f"index is {index}, but the scene's {what} indices go from 0 to {count - 1}")
-    return int(index)
+        raise ValueError(f"{name} is {index}, but the scene's {what} indices go from 0 to {count - 1}")
+    return index
 
 
 def check_indices(index: Any, count: int, what: str) -> np.ndarray:
@@ -238,7 +238,7 @@ def check_indices(index: Any, count: int, what: str) -> np.ndarray:
     Raises:
         TypeError, ValueError: as `check_index`; an empty sequence.
     """
-    values = np.atleast_1d(np.asarray(index))
+    values = np.atleast_1d(host_array("index", index))
     if not (values.ndim == 1 and values.dtype.kind in "iu" and len(values) and values.min() >= 0 and values.max() < count):
         values = np.array([check_index(one, count, what) for one in values.tolist()], dtype=np.int64)
         if not len(values):
@@ -255,7 +255,7 @@ def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
     """
     if vertices is None:
         raise TypeError("vertices is missing; pass an array of as many points as the mesh has vertices")
-    points = np.asarray(vertices)
+    points = host_array("vertices", vertices)
     if points.ndim and len(points) != mesh.vertex_count:
         raise ValueError(
             f"vertices has {len(points)} points, but the mesh has {mesh.vertex_count}; for other triangles, make a new scene"

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from wrt.kernels.validation import as_int, as_numbers, as_real_array
+
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
@@ -28,8 +30,8 @@ class Skeleton:
     limits: np.ndarray
 
     def __post_init__(self) -> None:
-        parents = np.asarray(self.parents)
-        joints, limits = (np.asarray(values, dtype=np.float64) for values in (self.joints, self.limits))
+        parents = as_real_array("parents", self.parents)
+        joints, limits = (as_numbers(name, getattr(self, name), finite=False) for name in ("joints", "limits"))
         count = len(parents) if parents.ndim == 1 else 0
         if not count or parents.dtype.kind not in "iu":
             raise ValueError("parents must be of shape (B,), an integer for each bone")
@@ -57,7 +59,7 @@ class Skeleton:
         Raises:
             ValueError: another shape.
         """
-        angles = np.asarray(angles, dtype=np.float64)
+        angles = as_numbers("angles", angles, finite=False)
         if angles.shape[-2:] != (len(self), 3):
             raise ValueError(f"angles must be of shape (..., {len(self)}, 3), not {angles.shape}")
         turns = np.zeros((*angles.shape[:-1], 4, 4))
@@ -76,10 +78,13 @@ class Skeleton:
         Half of the random angles are at a limit, because the boxes of skins are widest there.
 
         Args:
-            count: number of poses.
-            seed: of the random numbers.
+            count: number of poses, at least 0.
+            seed: of the random numbers, at least 0.
+
+        Raises:
+            TypeError, ValueError: no whole number, or out of range.
         """
-        rng = np.random.default_rng(seed)
+        count, rng = as_int("count", count, 0), np.random.default_rng(as_int("seed", seed, 0))
         low, high = self.limits[..., 0], self.limits[..., 1]
         share = rng.random((count, len(self), 3))
         share = np.where(rng.random(share.shape) < 0.5, np.round(share), share)

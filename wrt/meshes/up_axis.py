@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from wrt.kernels.validation import as_numbers
+
 Direction = tuple[float, float, float]
 
 Y_UP: Direction = (0.0, 1.0, 0.0)
@@ -21,18 +23,36 @@ def up_of_format(suffix: str) -> Direction | None:
     return Y_UP if suffix.lower() in Y_UP_FORMATS else None
 
 
+def up_remark(up: Direction) -> str:
+    """What `wrt.TriangleMesh.save` writes into a file as a comment, and `stated_up` reads.
+
+    Formats have no other place for it.
+    """
+    return "up " + " ".join(f"{x!r}" for x in up)
+
+
+def stated_up(remarks: Iterable[str]) -> Direction | None:
+    """The upward direction in comments of a file; None if none states it."""
+    for remark in remarks:
+        words = remark.split()
+        if len(words) == 4 and words[0] == "up":
+            try:
+                return checked_up([float(word) for word in words[1:]])
+            except (TypeError, ValueError):
+                continue
+    return None
+
+
 def checked_up(up: Any) -> Direction | None:
     """Returns a unit vector, or None for None.
 
     Raises:
-        ValueError: `up` is not three finite numbers, or is zero.
+        TypeError: `up` does not hold numbers.
+        ValueError: it is not three finite numbers, or is zero.
     """
     if up is None:
         return None
-    try:
-        vector = np.array(up, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"up must be three numbers x, y, z, or None, not {up!r}") from None
+    vector = as_numbers("up", up, finite=False)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise ValueError(f"up must be three finite numbers x, y, z that are not all zero, or None, not {up!r}")
     vector /= np.abs(vector).max()  # so that squares neither overflow nor vanish

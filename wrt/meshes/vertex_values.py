@@ -11,6 +11,7 @@ import warp as wp
 
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading import normals
+from wrt.kernels.validation import host_array
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import join_meshes
 
@@ -37,7 +38,7 @@ def corner_table(meshes: tuple[TriangleMesh, ...], values: Any) -> tuple[np.ndar
         raise ValueError(f"vertex_values must be a sequence of {len(meshes)} arrays, one for each mesh of the scene")
     arrays = []
     for number, (mesh, given) in enumerate(zip(meshes, values, strict=True)):
-        array = np.asarray(given)
+        array = host_array("vertex_values", given)
         if array.dtype.kind not in "fiub":
             raise TypeError(f"vertex_values must hold real numbers, not {array.dtype}")
         if array.ndim == 0 or len(array) != mesh.vertex_count:

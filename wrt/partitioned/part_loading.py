@@ -1,10 +1,14 @@
 """Loading a part: its file is checked once, and then mapped into memory.
 
 The first time a part is loaded, its file is checked as `wrt.Scene.load` checks one: checksum, sizes, and the indices in its
-tree. From then on it is mapped and its arrays are used where they are, as long as the file has not changed since (size, time of
-change, inode); a file that has changed is checked again. A mapped part is neither copied nor computed: its triangle records
-are in the file as well (`wrt.partitioned.partition_build`). Those of another triangle test are made when a query needs them,
-and so are all on a GPU, which makes them faster than they can be copied to it.
+tree. Then each array is compared with what is in the file where kernels will read it: type with the order of bytes, shape,
+order of the elements, and all elements. From then on the file is mapped and its arrays are used where they are, as long as it
+has not changed since (size, time of change, inode); a file that has changed is checked again. Whoever writes into a mapped file
+changes what kernels read.
+
+A mapped part is neither copied nor computed: its triangle records are in the file as well (`wrt.partitioned.partition_build`).
+Those of another triangle test are made when a query needs them, and so are all on a GPU, which makes them faster than they can
+be copied to it.
 
 **Large pages.** To map and to drop a part takes ten times as long if the system's cache holds its file in pages of 4 KB as if
 it holds it in pages of 2 MB (notebooks/records/2026-11-23-parts-on-disk.md). Linux chooses their size when a file comes into
@@ -19,6 +23,7 @@ import os
 import sys
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -44,12 +49,20 @@ from wrt.state.scene_state import SceneState
 if TYPE_CHECKING:
     from wrt.kernels.triangle.support.record_blocks import Record
 
-TREE = {"bounds": wp.float32, "child": wp.int32, "primitive": wp.int32}
-"""Arrays of a part's tree, and what they hold."""
+TREE = ("bounds", "child", "primitive")
+"""Arrays of a part's tree."""
 
-TYPES = {**{f"tree.{name}": dtype for name, dtype in TREE.items()}, "faces.0": wp.vec3i, "ids": wp.int32}
-"""Arrays of a part's file that are used as they are, and what they hold."""
-
+FORMS: dict[str, tuple[type, type, int]] = {
+    "tree.bounds": (wp.float32, np.float32, 1),
+    "tree.child": (wp.int32, np.int32, 1),
+    "tree.primitive": (wp.int32, np.int32, 1),
+    "faces.0": (wp.vec3i, np.int32, 2),
+    "ids": (wp.int32, np.int32, 1),
+    RELATIVE: (wp.vec3, np.float32, 2),
+    RECORDS: (wp.float32, np.float32, 1),
+}
+"""Arrays of a part's file that kernels read where they are: Warp's type, NumPy's, and the number of axes. Names may begin with
+`RECORDS`."""
 
 MADV_POPULATE_READ = 22
 """Linux's advice to map pages for reading, since version 5.14."""
@@ -77,8 +90,8 @@ class CheckedFile:
     """A file of a part that was checked.
 
     Attributes:
-        identity: inode, size and time of change.
-        places: where its arrays are.
+        identity: device, inode, size and time of change.
+        places: where its arrays are; none if it cannot be mapped.
         tree: its tree, without arrays; None if this machine builds another one.
     """
 
@@ -116,69 +129,74 @@ class PartLoader:
             raise FileNotFoundError(
                 f"part {number} of the scene is gone: no file '{path}'; restore it, or build the scene again"
             )
-        known, identity = self._checked.get(number), identity_of(path)
-        if known is not None and known.identity == identity and known.tree is not None:
-            return self._map(path, known, record)
-        self._checked.pop(number, None)
-        try:
-            known, part = self._check(path, number, identity)
-        except PermissionError:
-            raise
-        except UNREADABLE as error:
-            reason = f"{type(error).__name__}: {error}"
-            raise ValueError(
-                f"'{path}' is not part {number} of this scene, or it is damaged ({reason}); restore it, or build the scene "
-                "again"
-            ) from error
-        self._checked[number] = known
-        return part or self._map(path, known, record)
+        with open(path, "rb", buffering=0) as file:  # what is checked and what is mapped is this file, whatever replaces it
+            known, identity = self._checked.get(number), identity_of(file)
+            if known is not None and known.identity == identity and known.tree is not None:
+                return self._map(file, known, record)
+            self._checked.pop(number, None)
+            try:
+                known, part = self._check(file, number, identity)
+            except PermissionError:
+                raise
+            except UNREADABLE as error:
+                reason = f"{type(error).__name__}: {error}"
+                raise ValueError(
+                    f"'{path}' is not part {number} of this scene, or it is damaged ({reason}); restore it, or build the scene "
+                    "again"
+                ) from error
+            self._checked[number] = known
+            return part or self._map(file, known, record)
 
-    def _check(self, path: Path, number: int, identity: tuple[int, ...]) -> tuple[CheckedFile, Part | None]:
+    def _check(self, file: FileIO, number: int, identity: tuple[int, ...]) -> tuple[CheckedFile, Part | None]:
         """Reads a part and checks all of it. Returns the part if it cannot be mapped, because its tree is built again here.
 
         Raises:
             ValueError, TypeError, KeyError, RuntimeError, OSError: it is damaged, or another part.
         """
-        fetch(path)
-        arrays = read_archive(path)
+        fetch(file)
+        arrays = read_archive(file)
         if str(arrays["label"]) != label_of(self.parts.mark, number):
             raise ValueError(f"its label is {arrays['label']}")
         (mesh,), accelerator, _, known, _ = parse_scene(arrays)
         ids, count = arrays["ids"], int(self.parts.triangles[number])
         if ids.dtype != np.int32 or ids.shape != (count,) or mesh.triangle_count != count:
             raise ValueError(f"it has {mesh.triangle_count} triangles and {ids.shape} numbers, not {count}")
-        if ids[0] < 0 or ids[-1] >= self.parts.first[-1] or (np.diff(ids) <= 0).any():
+        if mesh.vertex_count != self.parts.vertices[number]:
+            raise ValueError(f"it has {mesh.vertex_count} vertices, not {self.parts.vertices[number]}")
+        if ids[0] < 0 or ids[-1] >= self.parts.first[-1] or (ids[1:] <= ids[:-1]).any():  # differences of int32 may wrap around
             raise ValueError("the numbers of its triangles do not ascend, or are not those of the scene")
         vertices, width = shifted(self.parts.center, mesh.vertices), native_width(self.settings.device)
         low, high = (wp.vec3(*corner.tolist()) for corner in self.parts.bounds)
         if tree_key(vertices.numpy(), mesh.faces, accelerator, width) == known.key:
             check_extras(arrays, vertices.numpy(), len(known.known.primitive))
+            places = array_places(file)
+            check_places(file, places, arrays)
             bare = replace(known.known, bounds=None, child=None, primitive=None, low=low, high=high)
-            return CheckedFile(identity, array_places(path), bare), None
+            return CheckedFile(identity, places, bare), None
         # another version of wrt wrote it, or vectors have another width
         self.bytes_read = sum(array.nbytes for array in arrays.values())
         faces = wp.array(mesh.faces, dtype=wp.vec3i, device=as_device("cpu"), copy=False)
         tree = accelerator.build(triangle_boxes(vertices, faces, self.parts.center), width)
         ids = wp.array(ids, dtype=int, device=as_device("cpu"), copy=False)
         part = self._placed(replace(tree, low=low, high=high), vertices, faces, ids)
-        return CheckedFile(identity, array_places(path), None), part
+        return CheckedFile(identity, {}, None), part
 
-    def _map(self, path: Path, known: CheckedFile, record: Record | None) -> Part:
+    def _map(self, file: FileIO, known: CheckedFile, record: Record | None) -> Part:
         """Maps the arrays of a file that was checked before.
 
         Raises:
             ValueError: the file became shorter meanwhile.
         """
-        types: dict[str, type] = dict(TYPES)
         stored = next((name for name in known.places if name.startswith(RECORDS)), None)
-        if stored is not None and TRIANGLE_TESTS[stored.removeprefix(RECORDS)].record == record and self.settings.device.is_cpu:
-            types[stored] = wp.float32
-        else:
+        if stored is not None and (
+            TRIANGLE_TESTS[stored.removeprefix(RECORDS)].record != record or not self.settings.device.is_cpu
+        ):
             stored = None
         has_relative = RELATIVE in known.places
-        types |= {RELATIVE: wp.vec3} if has_relative else {"vertices.0": None}
-        arrays = mapped(path, known.places, types)
-        self.bytes_read = sum(known.places[name].bytes for name in types)
+        names = [name for name in FORMS if name not in (RELATIVE, RECORDS)]
+        names += [RELATIVE if has_relative else "vertices.0", *([stored] if stored else [])]
+        arrays = mapped(file, {name: known.places[name] for name in names})
+        self.bytes_read = sum(known.places[name].bytes for name in names)
         vertices = arrays[RELATIVE] if has_relative else shifted(self.parts.center, arrays["vertices.0"], empty)
         tree = replace(known.tree, **{name: arrays[f"tree.{name}"] for name in TREE})
         part = self._placed(tree, vertices, arrays["faces.0"], arrays["ids"])
@@ -221,14 +239,49 @@ def check_extras(arrays: dict[str, np.ndarray], vertices: np.ndarray, slots: int
                 raise ValueError(f"{name} holds {arrays[name].shape} of {arrays[name].dtype}, not {size} of float32")
 
 
-def identity_of(path: Path) -> tuple[int, ...]:
-    """What changes if a file is written or replaced: inode, size, time of change."""
-    status = os.stat(path)
-    return status.st_ino, status.st_size, status.st_mtime_ns
+def form_of(name: str) -> tuple[type, type, int] | None:
+    """Warp's type, NumPy's type and the number of axes of an array that kernels read where it is; None for others."""
+    return FORMS.get(RECORDS if name.startswith(RECORDS) else name)
 
 
-def mapped(path: Path, places: dict[str, ArrayPlace], types: dict[str, type | None]) -> dict[str, Any]:
-    """Arrays of a file as flat Warp arrays on the CPU in mapped memory, which may only be read; as NumPy arrays for type None.
+def check_places(file: FileIO, places: dict[str, ArrayPlace], arrays: dict[str, np.ndarray]) -> None:
+    """Checks that arrays are in the file as kernels read them there, with the contents that were checked.
+
+    An archive may hold the same numbers in another type, such as int16, in another order of bytes or of indices, or compressed.
+    NumPy reads all of them alike; kernels would follow indices of other bytes.
+
+    Args:
+        file: a part's file.
+        places: where its arrays are.
+        arrays: what was read of it and checked.
+
+    Raises:
+        ValueError: an array is there in another form.
+    """
+    size = os.fstat(file.fileno()).st_size
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapping:
+        for name, array in arrays.items():
+            form = form_of(name) or ((None, array.dtype.newbyteorder("="), 2) if name == "vertices.0" else None)
+            if form is None:
+                continue
+            (_, dtype, axes), place = form, places[name]
+            if place.dtype != dtype or len(place.shape) != axes or (axes == 2 and (place.shape[1] != 3 or place.is_fortran)):
+                raise ValueError(
+                    f"{name} holds {place.shape} of {place.dtype.str}, and must be mapped as {np.dtype(dtype).str}"
+                )
+            if place.offset + place.bytes > size or mapping[place.offset : place.offset + place.bytes] != array.tobytes():
+                raise ValueError(f"{name} is not in the file as it was read")
+
+
+def identity_of(file: FileIO) -> tuple[int, ...]:
+    """What changes if a file is written or replaced: device, inode, size, time of change."""
+    status = os.fstat(file.fileno())
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def mapped(file: FileIO, places: dict[str, ArrayPlace]) -> dict[str, Any]:
+    """Arrays of a checked file as flat Warp arrays on the CPU in mapped memory, which may only be read; vertices as they were
+    given as a NumPy array.
 
     Their pages are mapped at once where the system can do that: page faults would take several times as long. Arrays that do
     not begin at multiples of `ALIGNED`, in files of earlier versions, are copied.
@@ -236,21 +289,19 @@ def mapped(path: Path, places: dict[str, ArrayPlace], types: dict[str, type | No
     Raises:
         ValueError: the file is shorter than it was.
     """
-    chosen = [places[name] for name in types]
-    begin = min(place.offset for place in chosen) // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
-    end = max(place.offset + place.bytes for place in chosen)
-    with open(path, "rb", buffering=0) as file:
-        if os.fstat(file.fileno()).st_size < end:
-            raise ValueError(f"'{path}' ends early; restore it, or build the scene again")
-        mapping = mmap.mmap(file.fileno(), end - begin, offset=begin, access=mmap.ACCESS_READ)
+    begin = min(place.offset for place in places.values()) // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
+    end = max(place.offset + place.bytes for place in places.values())
+    if os.fstat(file.fileno()).st_size < end:
+        raise ValueError(f"'{file.name}' ends early; restore it, or build the scene again")
+    mapping = mmap.mmap(file.fileno(), end - begin, offset=begin, access=mmap.ACCESS_READ)
     populate(mapping)
     space = np.frombuffer(mapping, dtype=np.uint8)
     address, arrays, cpu = space.__array_interface__["data"][0] - begin, {}, as_device("cpu")
-    for name, dtype in types.items():
-        place = places[name]
+    for name, place in places.items():
+        dtype = form[0] if (form := form_of(name)) else None
         if dtype is None or (address + place.offset) % ALIGNED:
             piece = space[place.offset - begin : place.offset - begin + place.bytes]
-            array = np.array(piece).view(place.dtype).reshape(place.shape)
+            array = np.array(piece).view(place.dtype).reshape(place.shape, order="F" if place.is_fortran else "C")
             arrays[name] = array if dtype is None else wp.array(array, dtype=dtype, device=cpu, copy=False)
             continue
         count = place.bytes // wp.types.type_size_in_bytes(dtype)
@@ -268,8 +319,7 @@ def populate(mapping: mmap.mmap) -> None:
             mapping.madvise(advice)
 
 
-def fetch(path: Path) -> None:
+def fetch(file: FileIO) -> None:
     """Brings a file into the system's cache, in large pages if it is not there yet."""
-    with open(path, "rb", buffering=0) as file:
-        if os.fstat(file.fileno()).st_size:
-            populate(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    if os.fstat(file.fileno()).st_size:
+        populate(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))

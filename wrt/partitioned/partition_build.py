@@ -30,7 +30,17 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT, as_meshes, members_of, place_meshes
-from wrt.partitioned.partition_files import MAPPED, RECORDS, RELATIVE, PartList, label_of, part_path, write_list
+from wrt.partitioned.partition_files import (
+    MAPPED,
+    MAX_TRIANGLES,
+    MOST_PARTS,
+    RECORDS,
+    RELATIVE,
+    PartList,
+    label_of,
+    part_path,
+    write_list,
+)
 from wrt.partitioned.spatial_parts import Division, Grid, divide
 from wrt.planning.planner import default_test
 from wrt.scene.archives import write_archive
@@ -38,9 +48,6 @@ from wrt.scene.mesh_state import MeshState
 from wrt.scene.storage import scene_arrays
 from wrt.state.query_kinds import CLOSEST
 from wrt.state.scene_state import Settings, new_mark
-
-MAX_TRIANGLES = (1 << 31) - 1
-"""Greatest number of triangles: they are numbered with 32 bits."""
 
 
 @dataclass
@@ -106,7 +113,9 @@ class MeshFiles:
     def __iter__(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Vertices and faces of one mesh after the other."""
         for number in range(len(self.names)):
-            yield np.load(self.folder / f"vertices-{number}.npy"), np.load(self.folder / f"faces-{number}.npy")
+            paths = (self.folder / f"{kind}-{number}.npy" for kind in ("vertices", "faces"))
+            vertices, faces = (np.load(path, allow_pickle=False) for path in paths)
+            yield vertices, faces
 
     def remove(self) -> None:
         """Deletes the copies."""
@@ -145,10 +154,10 @@ def build_parts(
             counts += np.bincount(grid.cells_of(vertices, faces), minlength=len(counts))
             advance(len(faces), "counting")
         division = divide(counts.reshape(grid.shape), part_triangles)
-        if division.parts > 65_534:
+        if division.parts > MOST_PARTS:
             raise ValueError(
                 f"part_triangles is {part_triangles}, which makes {division.parts:,} parts of {meshes.first[-1]:,} triangles; "
-                "there may be 65,534: give parts more triangles"
+                f"there may be {MOST_PARTS:,}: give parts more triangles"
             )
         distribute(meshes, grid, division, work, advance)
         meshes.remove()

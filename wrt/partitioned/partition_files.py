@@ -9,7 +9,9 @@ tree's leaves. Each is an archive with a checksum (`wrt.scene.archives`). A part
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +29,15 @@ RELATIVE = "relative"
 
 RECORDS = "records."
 """Begin of the name of the array of triangle records; the name of a triangle test that reads such records follows."""
+
+MAX_TRIANGLES = (1 << 31) - 1
+"""Greatest number of triangles: they are numbered with 32 bits."""
+
+MOST_PARTS = 65_534
+"""Greatest number of parts."""
+
+LARGEST = 1 << 50
+"""Greatest number of bytes of a part's tree, and of lanes of its leaves."""
 
 MAPPED = ("faces.", "ids", RELATIVE, "tree.", RECORDS)
 """Begins of the names of arrays that are mapped into memory."""
@@ -110,7 +121,9 @@ def read_list(folder: Path) -> PartList:
         if header["partitioned"] != FORMAT:
             raise ValueError(f"it has format {header['partitioned']}, and this version of wrt reads format {FORMAT}")
         values = {name: arrays[name] for name in PartList.ARRAYS}
-        return PartList(mark=header["mark"], names=tuple(header["names"]), **values)
+        parts = PartList(mark=header["mark"], names=tuple(header["names"]), **values)
+        check_list(parts)
+        return parts
     except PermissionError:
         raise
     except UNREADABLE as error:
@@ -118,3 +131,43 @@ def read_list(folder: Path) -> PartList:
         raise ValueError(
             f"'{path}' is not the list of a partitioned scene, or it is damaged ({reason}); build it again"
         ) from error
+
+
+def check_list(parts: PartList) -> None:
+    """Checks what a list of parts holds: types, shapes, and numbers that belong together.
+
+    Raises:
+        TypeError, ValueError: it is not one that `write_list` wrote.
+    """
+    meshes, count = len(parts.names), len(parts)
+    if not isinstance(parts.mark, str) or not all(name is None or isinstance(name, str) for name in parts.names):
+        raise ValueError("its mark or a name is not a text")
+    forms = {
+        "first": (np.int64, (meshes + 1,)),
+        "center": (np.float64, (3,)),
+        "bounds": (np.float32, (2, 3)),
+        **dict.fromkeys(("low", "high"), (np.float32, (count, 3))),
+        **dict.fromkeys(("triangles", "vertices", "slots", "tree_bytes"), (np.int64, (count,))),
+    }
+    for name, (dtype, shape) in forms.items():
+        array = getattr(parts, name)
+        if array.dtype != dtype or array.shape != shape:
+            raise ValueError(f"{name} holds {array.shape} of {array.dtype.str}, not {shape} of {np.dtype(dtype).str}")
+    if not (meshes and 1 <= count <= MOST_PARTS):
+        raise ValueError(f"it lists {meshes} meshes and {count} parts")
+    first, triangles = parts.first.tolist(), parts.triangles.tolist()
+    if first[0] != 0 or not all(a < b for a, b in pairwise(first)) or min(triangles) < 1 or sum(triangles) != first[-1]:
+        raise ValueError("its numbers of triangles do not belong together")
+    if first[-1] > MAX_TRIANGLES or not ((parts.vertices >= 1) & (parts.vertices <= 3 * parts.triangles)).all():
+        raise ValueError("its numbers of triangles or of vertices are too large or too small")
+    for name in ("slots", "tree_bytes"):
+        if not ((getattr(parts, name) >= 1) & (getattr(parts, name) <= LARGEST)).all():
+            raise ValueError(f"its {name} are too large or too small")
+    if not np.isfinite(parts.center).all() or not all(map(is_boxes, ((parts.low, parts.high), parts.bounds))):
+        raise ValueError("its boxes are not finite, or a lower corner is above the upper one")
+
+
+def is_boxes(corners: Sequence[np.ndarray]) -> bool:
+    """Whether lower and upper corners are finite and in order."""
+    low, high = corners
+    return bool(np.isfinite(low).all() and np.isfinite(high).all() and (low <= high).all())

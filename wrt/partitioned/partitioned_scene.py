@@ -14,9 +14,10 @@ from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders.triangle_boxes import boxes_of
 from wrt.execution.instance_rounds import clear
 from wrt.kernels.layout import bvh_nodes
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.validation import as_bool, as_int
 from wrt.memory import empty
 from wrt.partitioned.cycling import cycle
 from wrt.partitioned.forwarding import forward
@@ -30,11 +31,11 @@ from wrt.planning.plan import stack_levels
 from wrt.planning.planner import DEFAULT_TEST
 from wrt.query.all_hits import part_of
 from wrt.query.blocks import parse_memory, progress_bar
-from wrt.query.query_options import PartOptions, check_options, takes
+from wrt.query.query_options import PartOptions, check_options, new_query, takes
 from wrt.rays.ray_buffers import RayBuffers, to_device
 from wrt.rays.rays import as_rays
 from wrt.state.device_hits import DeviceHits, written
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST, COUNT, Query
+from wrt.state.query_kinds import ANY, AUTO, CLOSEST, COUNT
 from wrt.state.scene_settings import as_settings
 from wrt.tables import lookup
 
@@ -162,18 +163,15 @@ class PartitionedScene:
             FileExistsError: the folder is not empty.
             OSError: it cannot be written.
         """
-        if isinstance(part_triangles, (bool, np.bool_)) or not isinstance(part_triangles, (int, np.integer)):
-            raise TypeError(f"part_triangles must be an int, not {type(part_triangles).__name__}")
-        if part_triangles < 1:
-            raise ValueError(f"part_triangles is {part_triangles}; it must be at least 1")
+        size = as_int("part_triangles", part_triangles, 1)
+        store_records, progress = as_bool("store_records", store_records), as_bool("progress", progress)
         settings = as_settings(accelerator, triangle_test, device, num_threads)
         if not isinstance(settings.accelerator, Bvh):
             raise ValueError(f"accelerator is {accelerator!r}; the parts of a scene have a BVH: choose 'bvh' or a wrt.Bvh")
         check_test(settings.triangle_test)
         parse_memory(memory)
-        with use_threads(num_threads), progress_bar(progress, None) as advance:
+        with use_threads(settings.num_threads), progress_bar(progress, None) as advance:
             stores = store_records and settings.device.is_cpu
-            size = int(part_triangles)
             build_parts(geometry, as_folder(folder), settings, size, stores, lambda count, phase: advance(int(count)))
         return cls(folder, memory=memory, triangle_test=triangle_test, device=device, num_threads=num_threads)
 
@@ -307,9 +305,10 @@ class PartitionedScene:
         self, rays: Any, kind: str, mode: str = CYCLE, **options: Any
     ) -> tuple[RayBuffers, DeviceHits, wp.array, Plan | None]:
         """The answers of all rays: the rays on the device, the answers, the corners of triangles hit, and a plan."""
-        run, query = lookup(MODES, mode, "mode"), Query(kind, **options)
+        run, query = lookup(MODES, mode, "mode"), new_query(kind, options)
         check_traversal(query)
         settings = self._cache.settings
+        refuse_capture("a query of parts", settings.device)
         if query.triangle_test != AUTO:
             check_test(lookup(TRIANGLE_TESTS, query.triangle_test, "triangle_test").name)
         needed = self._check_budget(settings.triangle_test if query.triangle_test == AUTO else query.triangle_test)

@@ -21,7 +21,8 @@ from wrt.execution.batch import run
 from wrt.execution.executor import on_device
 from wrt.execution.traversal_launch import no_work
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
+from wrt.kernels.validation import as_int
 from wrt.memory import empty
 from wrt.planning.plan import Plan, traversal_of
 from wrt.planning.planner import find_plan
@@ -59,8 +60,9 @@ class AllHits:
         instance_id: (M,) int32, index of the instance, or of the mesh in a scene without instances.
         uv: (M, 2) float32, weights of the triangle's second and third vertex.
         ray_id: (M,) int32, index of the ray in the flattened batch.
-        position: (M, 3), in the scene's coordinates, float64 if the rays were, else float32.
-        normal: (M, 3), unit vectors of the same type, from the triangle's winding; 0 for a triangle without area.
+        position: (M, 3), in the scene's coordinates, of the type of `Hits.position`.
+        normal: (M, 3), unit vectors, float64 if the rays were, else float32, from the triangle's winding; 0 for a triangle
+            without area.
         plan: how the query was answered (`wrt.Plan`).
     """
 
@@ -150,15 +152,16 @@ def check_max_hits(max_hits: int | None) -> int:
     """
     if max_hits is None:
         return MAX_TOTAL
-    if isinstance(max_hits, (bool, np.bool_)) or not isinstance(max_hits, (int, np.integer)):
-        raise TypeError(f"max_hits must be an int or None, not {type(max_hits).__name__}")
+    max_hits = as_int("max_hits", max_hits)
     if max_hits < 1:
         raise ValueError(f"max_hits is {max_hits}; it must be at least 1, or None for all hits")
-    return min(int(max_hits), MAX_TOTAL)
+    return min(max_hits, MAX_TOTAL)
 
 
 def list_hits(scene: SceneState, rays: Rays, query: Query) -> AllHits:
     """All hits of rays; see `wrt.Scene.intersect_all`."""
+    refuse_capture("intersect_all", scene.device)
+    scene.require("count")
     bound = check_max_hits(query.max_hits)
     with use_threads(scene.num_threads):
         buffers = on_device(scene, rays, query)

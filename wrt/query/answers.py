@@ -9,7 +9,7 @@ from wrt.query import pickled_hits  # noqa: F401, says how hits are pickled
 from wrt.query.exact_hits import find_precisely
 from wrt.query.hits import Hits
 from wrt.query.skip import answer_skipping
-from wrt.state.query_kinds import AUTO, Query
+from wrt.state.query_kinds import AUTO, COUNT, Query
 
 if TYPE_CHECKING:
     from wrt.rays.rays import Rays
@@ -38,5 +38,7 @@ def ray_values(scene: SceneState, rays: Rays, query: Query, name: str) -> Any:
         query: of kind "any" or "count".
         name: of the array that holds the values.
     """
+    if query.kind == COUNT:
+        scene.require("count")
     found = answer(scene, rays, query) if query.skip is None else answer_skipping(scene, rays, query)
     return found.hits.result(name, found.form)

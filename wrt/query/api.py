@@ -20,10 +20,11 @@ from wrt.query.query_options import (
     ValueOptions,
     as_query,
     check_options,
+    new_query,
     takes,
 )
 from wrt.rays.rays import as_rays
-from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
+from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES
 from wrt.tables import lookup
 from wrt.tapes import refuse_tape
 
@@ -219,14 +220,48 @@ class Queries:
         check_options(Queries.count_blocks, options)
         return blocks_of(self, "count", as_source(origins, directions, t_min, t_max), **options)
 
+    def points_on(self, primitive_id: Any, uv: Any = None, *, points: Any = None, instance_id: Any = None) -> Hits:
+        """Points on triangles as hits that no ray made, so that rays can leave them: `Hits.spawn`, `Hits.faces`.
+
+            facade = scene.points_on(triangles, points=samples)           # (N,), (N, 3)
+            lit = facade.faces(sun) & ~scene.occluded(facade.spawn(sun), sun)
+
+        Args:
+            primitive_id: (...) integers, triangles within their mesh; -1 for none, which is a miss.
+            uv: (..., 2) weights of the second and third vertex, each at least 0, and together at most 1.
+            points: (..., 3) points in the scene's coordinates, in place of `uv`. Each is moved to the nearest point of its
+                triangle. Without both, the points are the centroids.
+            instance_id: (...) integers, the instances, or meshes in a scene without instances, that the triangles are of; may
+                be left out if there is only one.
+
+        Returns:
+            Hits of the broadcast leading shape with t = 0, whose `plan` is None and whose positions are float64.
+
+        Raises:
+            TypeError: not numbers, or both `uv` and `points`.
+            ValueError: a triangle or an instance that does not exist, shapes that do not broadcast, weights outside of the
+                triangle, points farther from their triangle than a thousandth of its longest edge, or no `instance_id` in a
+                scene of several.
+        """
+        from wrt.query.points.surface_points import points_on
+
+        return points_on(self.state, primitive_id, uv, points, instance_id)
+
     def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
         """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.
 
         Decided by parity: a point is inside if a ray from it crosses the surface an odd number of times. If every mesh is
         closed (`TriangleMesh.is_closed`), the direction of the ray does not matter. Otherwise the majority of three
         directions decides, which is unreliable near holes. With several meshes, or shells within each other, a point is
-        inside if an odd number of them contain it. Points whose distance to the surface is within float32 rounding,
-        relative to the scene's centre, may count as inside or outside. A point with a NaN or an infinity is outside.
+        inside if an odd number of them contain it.
+
+        A triangle that repeats an earlier one exactly, with the same side in front, is left out, unless another body is
+        closed by it; so is an instance of an equal mesh with equal transform and environment. If there are any, the first
+        call builds a second tree. A triangle that is there with both sides in front counts twice, as the common wall of
+        two bodies that touch. `verify` says what a parity cannot answer on a mesh.
+
+        Points whose distance to the surface is within float32 rounding, relative to the scene's centre, may count as inside
+        or outside. A point with a NaN or an infinity is outside.
 
         Args:
             points: (..., 3).
@@ -248,8 +283,8 @@ class Queries:
         A pair is visible if no triangle crosses the open segment between its points. Points may lie on surfaces: a triangle
         whose plane contains one of the points up to rounding does not block the segment (rounding of float32 relative to
         the scene's centre, and of the points themselves if they are float32). So two points on one flat wall see each
-        other, and a point on a wall is visible from both sides. A point sees itself. A point with a NaN or an infinity sees
-        nothing. The relation is symmetric: visible(a, b) equals visible(b, a).
+        other, and a point on a wall is visible from both sides; `Hits.faces` tells on which side a direction is. A point sees
+        itself. A point with a NaN or an infinity sees nothing. The relation is symmetric: visible(a, b) equals visible(b, a).
 
         Args:
             points_a, points_b: (..., 3); leading shapes broadcast. Pairs are processed in blocks of bounded memory.
@@ -258,12 +293,12 @@ class Queries:
             TypeError: points are not arrays of real numbers.
             ValueError: wrong shapes, shapes that do not broadcast, or an array on another device.
         """
-        from wrt.query.visibility import visible
+        from wrt.query.points.visibility import visible
 
         return visible(self.state, points_a, points_b)
 
     def verify(self, samples: int = 1000, seed: int = 0) -> Verification:
-        """Compares `intersect` and `occluded` with brute force in float64, on this scene and this machine.
+        """Compares `intersect`, `occluded` and `contains` with brute force in float64, on this scene and this machine.
 
         Uses the scene's triangle test: `wrt.Scene(mesh, triangle_test="moeller_trumbore").verify()` checks another one.
 
@@ -273,6 +308,7 @@ class Queries:
 
         A quarter of the rays is random, a quarter is aimed at vertices, a quarter at edges, and a quarter grazes triangles.
         The reference tests every triangle against every ray, so the time grows with the number of triangles and of samples.
+        `contains` is compared with winding numbers at as many points, at fewer if there are more than 20,000 triangles.
 
         Args:
             samples: number of rays, at least 4.
@@ -301,6 +337,6 @@ class Queries:
         """
         check_options(Queries.explain, options)
         rays, scene = as_rays(origins, directions, t_min, t_max), self.state
-        query = Query(lookup(QUERIES, options.pop("query", CLOSEST), "query").kind, **options)
+        query = new_query(lookup(QUERIES, options.pop("query", CLOSEST), "query").kind, options)
         with use_threads(scene.num_threads):
             return find_plan(scene, on_device(scene, rays, query), query).plan

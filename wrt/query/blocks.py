@@ -11,15 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from copy import copy
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from wrt.kernels.validation import as_bool
 from wrt.query.batches.block_limits import finished_before_interrupt, parse_memory, progress_bar
 from wrt.query.batches.block_outputs import TakeAttributes, check_out, for_workers, rows_together, store
 from wrt.query.batches.block_rows import GeneratedRays, Source, as_column, rows_of, rows_shape
-from wrt.query.batches.block_work import BlockQuery, BlockWork, Deliver, Submitter
+from wrt.query.batches.block_work import BlockQuery, BlockWork, Deliver, Examine, Submitter
 from wrt.query.batches.reductions import as_array, as_block_reduction
 from wrt.query.batches.task_window import run_tasks
 from wrt.query.batches.workers import Workers, as_workers
@@ -54,6 +56,8 @@ class Block(NamedTuple):
 
 class Blocks:
     """The answer to a large batch, computed block by block during iteration, written to arrays, or reduced.
+
+    All blocks of an iteration are answered by the scene as it was when the iteration began: an update meanwhile changes none.
 
         for rows, hits in scene.intersect_blocks(origins, directions):
             nearest[rows] = hits.t
@@ -196,18 +200,21 @@ class Blocks:
             return self.run_pieces(self._pieces(1), TakeAttributes.of(out))
         return self.run_pieces(self._pieces(rows_together(out)), for_workers(out))
 
-    def run_pieces(self, pieces: Iterator[Piece], deliver: Deliver | None, ordered: bool = True) -> Iterator[tuple[Piece, Any]]:
-        """Some blocks with their answers, or with what `deliver` returned of them.
+    def run_pieces(
+        self, pieces: Iterator[Piece], deliver: Deliver | None, ordered: bool = True, examine: Examine | None = None
+    ) -> Iterator[tuple[Piece, Any]]:
+        """Some blocks with their answers, or with what `deliver` returned of them. The scene is as it was at the first block.
 
         Args:
             pieces: the blocks.
             deliver: called with the rows and the answer of each block, by the worker that has computed it.
             ordered: whether answers come in the order of the pieces.
+            examine: as of `BlockWork`.
 
         Raises:
             RuntimeError: the workers that took a block died each time.
         """
-        work = replace(self.work, deliver=deliver)
+        work = replace(self.work, scene=copy(self.work.scene), deliver=deliver, examine=examine)
         if self.workers is not None:
             yield from run_tasks(pieces, Submitter(work, self.workers).submit, self.workers, ordered)
             return
@@ -293,5 +300,8 @@ def blocks_of(
     """
     given = {"mask": mask, "environment": environment, "skip": skip}
     columns = {name: as_column(values, name, scene, source) for name, values in given.items() if values is not None}
+    progress = as_bool("progress", progress)
+    if "precise" in options:
+        options["precise"] = as_bool("precise", options["precise"])
     query = BlockQuery(method, options, as_block_reduction(reduce, axis, method == "intersect"))
     return Blocks(BlockWork(scene, query, None, columns, 0), source, memory, progress, as_workers(executor))

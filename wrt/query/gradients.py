@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import kept, launch, load
+from wrt.kernels.validation import as_real_array
 from wrt.rays.rays import as_vectors
 
 if TYPE_CHECKING:
@@ -124,9 +125,7 @@ def _transforms(scene: Queries, transforms: Any, device: wp.Device) -> wp.array:
             raise ValueError(f"transforms are on {transforms.device}, the scene on {device}; copy them there")
         return transforms
     values = [one.transform for one in scene.instances] if transforms is None else transforms
-    matrices = np.asarray(values)
-    if matrices.dtype.kind not in "fiu":
-        raise TypeError(f"transforms must hold real numbers, not {matrices.dtype}")
+    matrices = as_real_array("transforms", values)
     if matrices.shape != (count, 4, 4):
         raise ValueError(f"transforms have the shape {matrices.shape}; pass ({count}, 4, 4), one for each instance")
     kind = wp.mat44 if matrices.dtype == np.float32 else wp.mat44d

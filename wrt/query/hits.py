@@ -2,21 +2,46 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
+from struct import unpack
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
+from wrt.kernels.validation import as_float
 from wrt.memory import empty
 from wrt.state.device_hits import shaped
+from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.kernels.query.hit_attributes import SceneMesh
     from wrt.planning.plan import Plan
     from wrt.rays.rays import ResultForm
     from wrt.state.device_hits import DeviceHits
     from wrt.state.scene_state import SceneState
+
+SIDES = {"direction": 0, "front": 1, "back": -1}
+"""Where rays may start, and how kernels are told."""
+
+
+FAR = 8.0
+"""Extents of a scene between 0 and its furthest coordinate up to which float32 holds its positions: rounding then moves them by
+at most 8 * 2^-24 of the extent, as far as `Hits.spawn` does."""
+
+
+def rounds_positions(mesh: SceneMesh) -> bool:
+    """Whether float32 would move positions noticeably: a scene of 100 m that is 5 * 10^6 m from 0, as in UTM coordinates, has
+    positions in float32 every 0.5 m. Its own triangles are held relative to its centre and lose nothing.
+
+    Args:
+        mesh: of a scene, with its centre and the box around it (float32, relative to the centre).
+    """
+    center, low, high = unpack("3d", mesh.center), unpack("3f", mesh.low), unpack("3f", mesh.high)
+    reach = max(abs(middle + end) for corner in (low, high) for middle, end in zip(center, corner, strict=True))
+    return reach > FAR * math.dist(low, high)
 
 
 class Hits:
@@ -32,10 +57,11 @@ class Hits:
         instance_id: (...) int32, index of the instance, or of the mesh in a scene without instances; -1 for a miss.
         uv: (..., 2) float32, weights of the triangle's second and third vertex; 0 for a miss.
         is_hit: (...) bool.
-        position: (..., 3), in the scene's coordinates, float64 if the rays were, else float32; NaN for a miss.
-        normal: (..., 3), unit vectors of the same type, from the triangle's winding (counter-clockwise seen from the
-            front); 0 for a miss and for a triangle without area.
-        plan: how the query was answered (`wrt.Plan`).
+        position: (..., 3), in the scene's coordinates, computed in float64; NaN for a miss. float64 if the rays were, or if the
+            scene is so far from 0 that float32 would move points (`is_far`), else float32.
+        normal: (..., 3), unit vectors, float64 if the rays were, else float32, from the triangle's winding (counter-clockwise
+            seen from the front); 0 for a miss and for a triangle without area.
+        plan: how the query was answered (`wrt.Plan`); None for points that no ray found (`Scene.points_on`).
         counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work for each ray, if requested
             (`wrt.kernels.traversal.leaf.Counters` explains each). The work of a packet or a stream is stored at its first
             ray. Streams also count vector lanes and active lanes (`wrt.kernels.traversal.stream.stream_kernel.StreamCounters`).
@@ -46,7 +72,7 @@ class Hits:
         batch: DeviceHits,
         form: ResultForm,
         scene: SceneState,
-        plan: Plan,
+        plan: Plan | None,
         counters: wp.array | None = None,
     ) -> None:
         self.batch = batch
@@ -72,6 +98,11 @@ class Hits:
     def shape(self) -> tuple[int, ...]:
         """The leading shape."""
         return self._form.shape
+
+    @property
+    def is_far(self) -> bool:
+        """Whether the scene is so far from 0 that positions in float32 would be moved."""
+        return rounds_positions(self._mesh)
 
     def is_of(self, scene: SceneState) -> bool:
         """Whether these are hits of this scene, perhaps before an update, or of another scene with the same triangles."""
@@ -126,7 +157,7 @@ class Hits:
 
         out = self._empty(wp.vec3d)
         self._launch(hit_positions, self._mesh, self._triangles, self.batch.uv, out)
-        return self._as_dtype(out)
+        return self._out(out) if self.is_far else self._as_dtype(out)
 
     @cached_property
     def normal(self) -> Any:
@@ -136,19 +167,26 @@ class Hits:
         self._launch(hit_normals, self._mesh, self._triangles, out)
         return self._as_dtype(out)
 
-    def spawn(self, directions: Any) -> Any:
+    def spawn(self, directions: Any, side: str = "direction") -> Any:
         """Origins of rays that leave the hits: next to them, on the side of the surface that the direction points to.
 
-        The offset is bounded by rounding (`wrt.kernels.query.spawn`): about 5e-7 times the largest extent of the scene as seen
-        from the point, along an axis, and more for slivers. A ray from there does not hit its own triangle again at any
-        angle, unless the triangle is longer than a thousand times its height. In the corner of two walls, it starts in
-        front of both. A direction in the plane of the triangle counts as pointing to its front.
+        The distance from the surface is bounded by rounding (`wrt.kernels.query.spawn`): about 5e-7 times the largest extent of
+        the scene as seen from the point, along an axis, whatever the shape of the triangle. A ray from there does not hit its
+        own triangle again at any angle. In the corner of two walls, it starts in front of both: near edges the point is moved
+        away from them, too. An origin is at most 6.7e-6 times this extent away from the point of the hit.
 
             d = ...  # (N, 3), or (samples, N, 3)
             dark = scene.occluded(hits.spawn(d), d)
+            lit = hits.faces(d) & ~dark  # of a surface that is lit on its front only
+
+        A direction may point to the back of a surface. Such a ray starts behind it, as refracted light does, and what it
+        meets tells nothing about the front: `faces` says which directions point to the front.
 
         Args:
             directions: (..., 3), of any length; their leading shape broadcasts against that of the hits, or ends with it.
+            side: the side of the surface where rays start. "direction" is that to which the direction points; a direction in
+                the plane of the triangle counts as pointing to its front. "front" and "back" are those of the triangle's
+                winding, as of `normal`; a ray to the other side then passes through the triangle, and meets it.
 
         Returns:
             (..., 3) float64 in the scene's coordinates, of the broadcast shape; NaN for a miss. A NumPy array if hits and
@@ -157,9 +195,45 @@ class Hits:
 
         Raises:
             TypeError: directions are not an array of real numbers.
-            ValueError: wrong shapes, or an array on another device.
+            ValueError: wrong shapes, an array on another device, or an unknown side.
         """
         from wrt.kernels.query.spawn import spawn_origins
+
+        sided = lookup(SIDES, side, "side")
+        rays, form = self._leaving(directions)
+        out = empty(math.prod(form.shape), wp.vec3d, self._device)
+        inputs = [self._mesh, self._triangles, self.batch.uv, rays.batch.directions, rays.batch.direction_stride, sided, out]
+        with use_threads(self._num_threads):
+            launch(spawn_origins, len(out), inputs, device=self._device, chunk=4096)
+        return shaped(out, form._replace(dtype=np.float64))
+
+    def faces(self, directions: Any) -> Any:
+        """Whether directions point to the front of the triangles: (...) bool, of the shape that `spawn` returns.
+
+        The front is the side of `normal`, by the triangle's winding. False for a direction in the plane of the triangle, for a
+        triangle without area and for a miss. Where windings are not to be trusted, compare with a direction on the side that
+        is meant, such as that from which a point was seen:
+
+            same_side = hits.faces(sun) == hits.faces(-directions)
+
+        Args:
+            directions: as of `spawn`.
+
+        Raises:
+            TypeError: directions are not an array of real numbers.
+            ValueError: wrong shapes, or an array on another device.
+        """
+        from wrt.kernels.query.spawn import mark_facing
+
+        rays, form = self._leaving(directions)
+        out = empty(math.prod(form.shape), wp.bool, self._device)
+        inputs = [self._mesh, self._triangles, rays.batch.directions, rays.batch.direction_stride, out]
+        with use_threads(self._num_threads):
+            launch(mark_facing, len(out), inputs, device=self._device, chunk=4096)
+        return shaped(out, form)
+
+    def _leaving(self, directions: Any) -> tuple[Any, ResultForm]:
+        """Directions of rays that leave the hits, on the device, and the form of results for them."""
         from wrt.rays.ray_buffers import to_device
         from wrt.rays.rays import Rays, ResultForm
 
@@ -172,12 +246,7 @@ class Hits:
             shape = rays.shape
         if shape[len(shape) - len(self.shape) :] != self.shape:
             raise ValueError(f"directions have the leading shape {rays.shape}, which neither equals nor ends with {self.shape}")
-        count = int(np.prod(shape))
-        out = empty(count, wp.vec3d, self._device)
-        inputs = [self._mesh, self._triangles, self.batch.uv, rays.batch.directions, rays.batch.direction_stride, out]
-        with use_threads(self._num_threads):
-            launch(spawn_origins, count, inputs, device=self._device, chunk=4096)
-        return shaped(out, ResultForm(shape, rays.is_warp or self._form.is_warp, np.float64))
+        return rays, ResultForm(shape, rays.is_warp or self._form.is_warp, np.float32)
 
     def smooth_normal(self, crease_angle: float = 60.0) -> Any:
         """(..., 3) float32: normals interpolated between the vertices of smooth surfaces, as `wrt.render` shades by them.
@@ -189,16 +258,18 @@ class Hits:
             crease_angle: edges between triangles whose planes differ by more stay sharp; in degrees, in (0, 90).
 
         Raises:
+            TypeError: the angle is no number.
             ValueError: an angle out of range, or hits from a pickle.
         """
         from wrt.kernels.query.hit_interpolation import smooth_normals_at_hits
         from wrt.meshes.vertex_values import corner_normals_of
 
+        crease_angle = as_float("crease_angle", crease_angle)
         if not 0.0 < crease_angle < 90.0:
             raise ValueError(f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees")
         out = self._empty(wp.vec3)
         with use_threads(self._num_threads):
-            corners = corner_normals_of(self._meshes, float(crease_angle), self._device)
+            corners = corner_normals_of(self._meshes, crease_angle, self._device)
         self._launch(smooth_normals_at_hits, self._mesh, self.batch.primitive, self.batch.uv, corners, out)
         return self._out(out)
 
@@ -285,6 +356,8 @@ class Hits:
             launch(kernel, self.batch.count, inputs, device=self._device, chunk=4096)
 
     def _out(self, values: wp.array) -> Any:
+        if not self._form.is_warp:
+            refuse_capture("an attribute of hits in NumPy arrays", self._device)
         return shaped(values, self._form)
 
     def _as_dtype(self, values: wp.array) -> Any:

@@ -9,6 +9,9 @@ then tested, and where the first two disagree, a third decides.
 
 With several meshes, or shells within each other, a point is inside if an odd number of them contain it.
 
+A triangle that repeats an earlier one, the same side in front, is left out (`SceneState.distinct`): the surface is there once.
+One that is turned over counts, so that bodies may touch: see `wrt.meshes.repeated_surfaces`.
+
 References:
     M. Shimrat: Algorithm 112: Position of point relative to polygon. Communications of the ACM 5(8), 1962 (parity).
 """
@@ -23,13 +26,13 @@ import warp as wp
 
 from wrt.execution.executor import trace
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.memory import empty
 from wrt.planning.plan import Plan
 from wrt.planning.planner import make_plan
 from wrt.rays.coherence import detect_coherence
 from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
+from wrt.rays.rays import Rays, as_vectors
 from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import ANY, AUTO, COUNT
 
@@ -45,7 +48,11 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
     """Whether points are inside the scene's meshes; see `wrt.Scene.contains`."""
     from wrt.kernels.query.ordering.ray_order import sort_rays, unsort_hits
 
+    refuse_capture("contains", scene.device)
+    scene.require("count")
+    points = as_vectors(points, "points", scene.device)
     with use_threads(scene.num_threads):
+        scene = scene.distinct()
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         aim(buffers.batch, DIRECTIONS[0], scene.device)
         buffers.scattered = detect_coherence(buffers.batch, scene.device).scattered

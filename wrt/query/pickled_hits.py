@@ -87,7 +87,7 @@ class PickledHits(Hits):
     def counters(self) -> dict[str, Any]:
         raise ValueError("no counters were recorded; call scene.intersect(..., counters=True)")
 
-    def spawn(self, directions: Any) -> NoReturn:
+    def spawn(self, directions: Any, side: str = "direction") -> NoReturn:
         """Not available: the pickle does not contain the triangles.
 
         Raises:
@@ -96,6 +96,21 @@ class PickledHits(Hits):
         raise ValueError(
             "hits from a pickle do not hold the triangles that spawn needs; call spawn before pickling, or intersect again"
         )
+
+    def faces(self, directions: Any) -> NoReturn:
+        """Not available: the pickle does not contain the triangles.
+
+        Raises:
+            ValueError: always; the message names the alternative.
+        """
+        raise ValueError(
+            "hits from a pickle do not hold the triangles that faces needs; call faces before pickling, or intersect again"
+        )
+
+    @property
+    def is_far(self) -> bool:
+        """Whether positions are float64 though the rays were not."""
+        return not self._state.is_float64 and self._state.values["position"].dtype == np.float64
 
     @property
     def _meshes(self) -> NoReturn:

@@ -11,6 +11,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
+from wrt.kernels.validation import as_bool
 from wrt.query.blocks import MEMORY
 from wrt.state.query_kinds import CLOSEST, QUERIES, Query
 
@@ -99,6 +100,9 @@ class PartOptions(FacingOptions, total=False):
     mode: str
 
 
+SWITCHES = frozenset({"cull_backfaces", "counters", "precise"})
+"""Options of queries that are True or False."""
+
 OF_BLOCKS = {"memory": MEMORY, "progress": False, "executor": None, "reduce": None, "axis": None}
 
 DEFAULTS: Mapping[str, Any] = {"query": CLOSEST, **OF_BLOCKS, **Query._field_defaults}
@@ -151,4 +155,14 @@ def as_query(method: Callable[..., Any], kind: str, options: Mapping[str, Any]) 
     if not options:  # most calls of few rays, whose time is Python's
         return QUERIES[kind]
     check_options(method, options)
-    return Query(kind, **options)
+    return new_query(kind, options)
+
+
+def new_query(kind: str, options: Mapping[str, Any]) -> Query:
+    """A query of a kind with options.
+
+    Raises:
+        TypeError: a switch is no bool.
+    """
+    switches = {name: as_bool(name, options[name]) for name in SWITCHES & options.keys()}
+    return Query(kind, **{**options, **switches})

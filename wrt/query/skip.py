@@ -17,6 +17,7 @@ import warp as wp
 from wrt.execution.executor import Answer, on_device
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
+from wrt.kernels.validation import host_array
 from wrt.planning.plan import plan_for_query, stack_levels, traversal_config
 from wrt.planning.planner import find_plan
 from wrt.query.hits import Hits
@@ -122,10 +123,7 @@ def as_triangles(skip: Any, count: int) -> tuple[np.ndarray, tuple[int, ...]]:
         TypeError: not integers.
         ValueError: an index out of range.
     """
-    try:
-        values = np.asarray(skip)
-    except ValueError as error:
-        raise TypeError(f"skip is not an array: {error}") from error
+    values = host_array("skip", skip)
     if values.dtype.kind not in "iu":
         raise TypeError(f"skip must be a wrt.Hits or hold integers, primitive ids or -1 for none, not {values.dtype}")
     if values.size and (values.min() < -1 or values.max() >= count):

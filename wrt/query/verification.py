@@ -8,14 +8,15 @@ centre, so that the scene and the reference trace the same rays.
 
 **Faults.** The scene rounds to float32, and may answer as if a ray was shifted sideways by up to `TOLERANCE` of its reach
 in the scene. Along the ray, the error has the same bound, plus `SLIVER_ERROR` L^2 / h, but at most L, on a triangle whose
-length is L and height h as seen along the ray (see `wrt.kernels.query.spawn`):
+length is L and height h as seen along the ray:
 
 * a *false hit* is a hit whose point on the ray is farther than that from its triangle;
 * a *miss* is a ray with no hit, or with one behind the reference's, if eight rays around it, shifted sideways by twice the
   tolerance, all hit something nearer. If they do not (at silhouettes and at the rims of holes), rounding may decide either
   way; these rays are counted as undecided.
 
-If `occluded` contradicts `intersect`, that is a miss or a false hit, too.
+If `occluded` contradicts `intersect`, that is a miss or a false hit, too. `contains` is compared with winding numbers
+(`wrt.query.checks.inside_check`).
 
 References:
     S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
@@ -29,9 +30,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wrt.kernels.query.nearest64 import nearest_hits, vertex_rows
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
+from wrt.kernels.validation import as_int
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.answers import closest_hits, ray_values
+from wrt.query.checks.inside_check import InsideCheck, check_inside
 from wrt.rays.rays import Rays
 from wrt.state.query_kinds import ANY, CLOSEST, Query
 
@@ -112,6 +115,7 @@ class Verification:
             "vertices that no triangle uses" (which affect no answer).
         explained: number of faults at triangles with each defect.
         faults: the first few wrong answers.
+        inside: of `Scene.contains`, with what that cannot answer on this mesh.
     """
 
     rays: dict[str, int]
@@ -123,11 +127,12 @@ class Verification:
     mesh: dict[str, int]
     explained: dict[str, int]
     faults: tuple[Fault, ...]
+    inside: InsideCheck
 
     @property
     def ok(self) -> bool:
         """Whether no answer was wrong."""
-        return not any((*self.misses.values(), *self.false_hits.values()))
+        return not any((*self.misses.values(), *self.false_hits.values(), self.inside.wrong))
 
     def __str__(self) -> str:
         from io import StringIO
@@ -159,16 +164,16 @@ class Verification:
         console.print(found)
         for fault in self.faults:
             console.print(str(fault), highlight=False, markup=False)
-        console.print("no answer is wrong" if self.ok else "answers are WRONG", highlight=False)
+        for line in self.inside.lines():
+            console.print(line, highlight=False, markup=False)
+        right = "no answer of intersect and occluded is wrong" if self.inside.doubts else "no answer is wrong"
+        console.print(right if self.ok else "answers are WRONG", highlight=False)
 
 
 def verify(scene: SceneState, samples: int, seed: int) -> Verification:
     """Verifies a scene; see `wrt.Scene.verify`."""
-    for name, value, least in (("samples", samples, len(KINDS)), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-            raise TypeError(f"{name} must be an int, not {type(value).__name__}")
-        if value < least:
-            raise ValueError(f"{name} is {value}; it must be at least {least}")
+    refuse_capture("verify", scene.device)
+    samples, seed = as_int("samples", samples, len(KINDS)), as_int("seed", seed, 0)
     joined = scene.flattened()
     vertices, faces = joined.vertices.astype(np.float64) - scene.center, joined.faces
     sizes = [samples // len(KINDS) + (number < samples % len(KINDS)) for number in range(len(KINDS))]
@@ -178,6 +183,7 @@ def verify(scene: SceneState, samples: int, seed: int) -> Verification:
     origins, directions = origins.astype(np.float64), directions.astype(np.float64)
     with use_threads(scene.num_threads):
         check = Check(scene, vertices, faces, origins, directions)
+        inside = check_inside(scene, joined, rng, samples, TOLERANCE)
     kind_of = np.repeat(np.arange(len(KINDS)), sizes)
 
     def by_kind(marked: np.ndarray) -> dict[str, int]:
@@ -196,6 +202,7 @@ def verify(scene: SceneState, samples: int, seed: int) -> Verification:
         mesh={defect: number for defect, (number, _) in defects.items()},
         explained={defect: int(marked[triangle[triangle >= 0]].sum()) for defect, (_, marked) in defects.items()},
         faults=tuple(check.fault(ray) for ray in wrong[:EXAMPLES]),
+        inside=inside,
     )
 
 

@@ -11,6 +11,7 @@ import warp as wp
 
 from wrt.host_arrays import HostArray
 from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.validation import host_array
 from wrt.rays.coherence import detect_coherence
 from wrt.rays.ray_arrays import Layout, RayArrays, flatten_shared, lay_out
 from wrt.rays.ray_grids import columns_of_shape
@@ -126,7 +127,7 @@ def set_mask(buffers: RayBuffers, mask: Any, device: wp.Device) -> None:
             )
         buffers.batch.mask, buffers.batch.mask_stride = values.flatten(), stride
         return
-    values = np.asarray(mask)
+    values = host_array("mask", mask)
     if values.dtype.kind not in "iu":
         raise TypeError(f"mask must hold integers, not {values.dtype}; combine bits as 1 << 0 | 1 << 3")
     if values.size and (values.min() < 0 or values.max() >= 1 << 32):
@@ -162,7 +163,7 @@ def set_environment(buffers: RayBuffers, environment: Any, device: wp.Device) ->
             )
         batch.environment, batch.environment_stride = environment.flatten(), stride
         return
-    values = np.asarray(environment)
+    values = host_array("environment", environment)
     if values.dtype.kind not in "iu":
         raise TypeError(f"environment must hold integers, not {values.dtype}")
     if values.size and (values.min() < -1 or values.max() >= 1 << 31):

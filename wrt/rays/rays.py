@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
+from wrt.kernels.validation import as_real_array, resolved, unreadable
+
 MAX_RAYS = (1 << 31) - 1
 """Largest number of rays of one call: kernels number them with 32 bits."""
 
@@ -101,7 +103,7 @@ def as_vectors(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.a
     if type(values) is np.ndarray and values.dtype in (FLOAT32, FLOAT64) and values.shape[-1:] == (3,):
         return values
     if not isinstance(values, (np.ndarray, wp.array)) and hasattr(values, "__dlpack__"):
-        values = wp.from_dlpack(values)
+        values = _from_dlpack(values, name)
     if isinstance(values, wp.array):
         if values.device != device:
             raise ValueError(f"{name} is on {values.device}, the scene on {device}: copy it there with .to({str(device)!r})")
@@ -116,14 +118,24 @@ def as_vectors(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.a
     return values
 
 
+def _from_dlpack(values: Any, name: str) -> wp.array:
+    """A Warp array in the memory of another library's array.
+
+    Raises:
+        TypeError: the library does not hand it out, such as a tensor that records gradients or is sparse; or a type that Warp
+            does not have.
+    """
+    try:
+        return wp.from_dlpack(resolved(values))
+    except MemoryError:
+        raise
+    except Exception as error:  # each library has its own
+        raise TypeError(unreadable(name, values, error)) from error
+
+
 def _as_real(values: Array, name: str) -> np.ndarray:
     """A NumPy array of float32 or float64; narrower floats become float32, integers and wider floats float64."""
-    try:
-        values = np.asarray(values)
-    except ValueError as error:
-        raise TypeError(f"{name} is not an array: {error}") from error
-    if values.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must hold real numbers, not {values.dtype}; convert it to float32 or float64")
+    values = as_real_array(name, values)
     if values.dtype in (np.float32, np.float64):
         return values
     return values.astype(np.float32 if values.dtype == np.float16 else np.float64)

@@ -12,17 +12,16 @@ import io
 import json
 import math
 import os
-import secrets
-import stat
 import struct
 import threading
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
+
+from wrt.atomic_files import replaced
 
 CHECKSUM = "checksum"
 """Name of the array that holds the checksum."""
@@ -86,20 +85,26 @@ def write_members(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> None:
                 np.lib.format.write_array(stream, np.asarray(array), allow_pickle=False)
 
 
-def read_archive(path: Path) -> dict[str, np.ndarray]:
-    """Reads the arrays of a file; nothing in it is executed.
+def read_archive(source: Path | BinaryIO) -> dict[str, np.ndarray]:
+    """Reads the arrays of a file, given by its path or opened; nothing in it is executed. All are in C order.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: the file is not an archive of plain arrays, or it has changed since it was written.
     """
-    if not zipfile.is_zipfile(path):
+    if isinstance(source, Path) and source.exists() and not source.is_file():
+        raise ValueError("it is not a regular file")  # a pipe would be waited for
+    if not zipfile.is_zipfile(source):
         raise ValueError("it is not a complete archive")
-    size = path.stat().st_size
-    with zipfile.ZipFile(path) as archive:
-        if sum(member.file_size for member in archive.infolist()) > size:
+    size = source.stat().st_size if isinstance(source, Path) else os.fstat(source.fileno()).st_size
+    with zipfile.ZipFile(source) as archive:
+        members = archive.infolist()
+        is_plain = all(member.compress_type == zipfile.ZIP_STORED for member in members)
+        if not is_plain or sum(member.file_size for member in members) > size:
             raise ValueError("its arrays are compressed, or larger than the file")
-        arrays = {member.filename.removesuffix(".npy"): read_array(archive, member) for member in archive.infolist()}
+        arrays = {member.filename.removesuffix(".npy"): read_array(archive, member) for member in members}
+    if len(arrays) != len(members):
+        raise ValueError("two of its arrays have the same name")
     if CHECKSUM not in arrays or str(arrays.pop(CHECKSUM)) != checksum(arrays):
         raise ValueError("its checksum does not match its arrays")
     return arrays
@@ -117,7 +122,8 @@ def read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
             raise ValueError(f"{member.filename} holds Python objects")
         if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize != member.file_size - file.tell():
             raise ValueError(f"{member.filename} declares {shape} of {dtype}, which does not match its size")
-        return np.ndarray(shape, dtype, bytearray(file.read()), order="F" if is_fortran else "C")
+        array = np.ndarray(shape, dtype, bytearray(file.read()), order="F" if is_fortran else "C")
+        return array.copy(order="C") if is_fortran else array
 
 
 def read_header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype]:
@@ -137,12 +143,14 @@ class ArrayPlace(NamedTuple):
 
     Attributes:
         offset: of the first byte in the file.
-        shape, dtype: of the array, in C order.
+        shape, dtype: of the array.
+        is_fortran: whether its first index changes fastest, and not the last one.
     """
 
     offset: int
     shape: tuple[int, ...]
     dtype: np.dtype
+    is_fortran: bool
 
     @property
     def bytes(self) -> int:
@@ -150,44 +158,19 @@ class ArrayPlace(NamedTuple):
         return math.prod(self.shape) * self.dtype.itemsize
 
 
-def array_places(path: Path) -> dict[str, ArrayPlace]:
+def array_places(source: Path | BinaryIO) -> dict[str, ArrayPlace]:
     """Where the arrays of an archive are, for reading them again once `read_archive` has checked them.
 
     Raises:
         OSError, ValueError: as `read_archive`.
     """
     places = {}
-    with zipfile.ZipFile(path) as archive, open(path, "rb") as file:
+    with zipfile.ZipFile(source) as archive:
+        file = archive.fp
         for member in archive.infolist():
             file.seek(member.header_offset + 26)  # the local header ends with the lengths of a name and of extra fields
             name, extra = struct.unpack("<HH", file.read(4))
             file.seek(name + extra, os.SEEK_CUR)
-            shape, _, dtype = read_header(file)
-            places[member.filename.removesuffix(".npy")] = ArrayPlace(file.tell(), shape, dtype)
+            shape, is_fortran, dtype = read_header(file)
+            places[member.filename.removesuffix(".npy")] = ArrayPlace(file.tell(), shape, dtype, is_fortran)
     return places
-
-
-@contextmanager
-def replaced(path: Path) -> Iterator[BinaryIO]:
-    """Opens a temporary file that replaces `path` when the `with` block ends; after an error, nothing is left.
-
-    If `path` is a symbolic link, its target is replaced. The new file has the permissions of the old one.
-
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: `path` exists and is not a regular file.
-    """
-    target = Path(os.path.realpath(path))
-    mode = target.stat().st_mode if target.exists() else None
-    if mode is not None and not stat.S_ISREG(mode):
-        raise ValueError(f"'{path}' is not a regular file, and only such files are replaced; choose another path")
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}")
-    try:
-        with open(temporary, "xb") as file:
-            yield file
-        if mode is not None:
-            os.chmod(temporary, stat.S_IMODE(mode))
-        os.replace(temporary, target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise

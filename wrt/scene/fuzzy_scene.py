@@ -13,8 +13,9 @@ import warp as wp
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders import tree as common
 from wrt.kernels.layout.mesh_placement import relative_to
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
+from wrt.kernels.validation import as_int, as_numbers, host_array
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, find_center, moved_mesh, place_meshes
 from wrt.scene.mesh_state import MeshState
@@ -110,8 +111,9 @@ class FuzzyScene(Scene):
             TypeError: not an int.
             ValueError: no such frame.
         """
+        refuse_capture("showing another frame", self.device)
         with use_threads(self.num_threads):
-            self._show(check_index(frame, len(self._meshes), "frame"), self.state.settings, self.state.mark)
+            self._show(check_index(frame, len(self._meshes), "frame", "frame"), self.state.settings, self.state.mark)
 
     def _show(self, frame: int, settings: Settings, mark: str) -> None:
         placed, shown = place_meshes((self._meshes[frame],), settings.device), self._fuzzy.at(frame)
@@ -167,10 +169,10 @@ def find_motion(meshes: list[TriangleMesh], clusters: int, transforms: Any, rest
     frames, faces = np.array([mesh.vertices for mesh in meshes], dtype=np.float64), meshes[0].faces
     if transforms is not None:
         return assign_triangles(frames, faces, *as_maps(transforms, len(frames)))
-    if not (isinstance(clusters, (int, np.integer)) and clusters >= 1):
-        raise ValueError(f"clusters is {clusters!r}; it must be a whole number of at least 1")
-    if rest != BEST_REST and not (isinstance(rest, (int, np.integer)) and 0 <= rest < len(frames)):
+    clusters = as_int("clusters", clusters, 1)
+    if isinstance(rest, str) and rest != BEST_REST:
         raise ValueError(f"rest is {rest!r}; it must be 'best' or the number of a frame, from 0 to {len(frames) - 1}")
+    rest = rest if isinstance(rest, str) else as_int("rest", rest, 0, len(frames) - 1)
     bounds = np.array([mesh.bounds for mesh in meshes])
     extent = float((bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)).max())
     poses = np.unique(np.linspace(0, len(frames) - 1, REST_CANDIDATES).astype(int)) if rest == BEST_REST else [rest]
@@ -343,7 +345,7 @@ def as_frames(frames: Any, faces: Any) -> list[TriangleMesh]:
     Raises:
         TypeError, ValueError: as `TriangleMesh`; not an (F, V, 3) array, or no frame.
     """
-    frames = np.asarray(frames)
+    frames = host_array("frames", frames)
     if frames.ndim != 3 or not len(frames):
         raise ValueError(f"frames must be of shape (F, V, 3) with at least one frame, not {frames.shape}")
     first = TriangleMesh(frames[0], faces)
@@ -358,7 +360,7 @@ def as_maps(transforms: Any, frames: int) -> tuple[np.ndarray, np.ndarray]:
     """
     from wrt.meshes.instance import check_transform
 
-    maps = np.asarray(transforms, dtype=np.float64)
+    maps = as_numbers("transforms", transforms, finite=False)
     if maps.ndim != 4 or maps.shape[0] != frames or not maps.shape[1] or maps.shape[2:] != (4, 4):
         raise ValueError(f"transforms must be of shape ({frames}, B, 4, 4) for {frames} frames and B bones, not {maps.shape}")
     maps = np.array([check_transform(one, "transforms") for one in maps.reshape(-1, 4, 4)]).reshape(maps.shape)

@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import run_tasks, use_threads
+from wrt.kernels.runtime.launch import refuse_capture, run_tasks, use_threads
 from wrt.meshes.placement import as_meshes, check_index, moved_mesh, nested, place_meshes
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.moving.group_trees import TREE, GroupLayout
@@ -108,6 +108,7 @@ class GroupedScene(Scene):
             vertices: new vertices (V, 3) by mesh index.
             rebuild: "auto", "always", "never", or a `wrt.UpdatePolicy`.
         """
+        refuse_capture("an update", self.device)
         policy, meshes, changed = as_policy(rebuild), self.meshes, {}
         for index, points in vertices.items():
             number = check_index(index, len(meshes), "mesh")

@@ -22,7 +22,7 @@ from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.instances.few_moves import MOST_AT_ONCE, move_few
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, UpperTree, build_upper, cover, on_device, write_maps
-from wrt.instances.instance_tables import geometry_table, part_table, upper_struct
+from wrt.instances.instance_tables import first_triangles, geometry_table, part_table, upper_struct
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import kept, use_threads
@@ -30,6 +30,7 @@ from wrt.meshes.instance import Instance, as_instances, check_environment, check
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.node_graph import NodeGraph
 from wrt.meshes.placement import check_indices, find_center
+from wrt.meshes.repeated_surfaces import distinct_instances
 from wrt.scene.mesh_state import MeshState, build_state
 from wrt.state.query_cache import QueryCache
 from wrt.state.scene_state import SceneState, Settings, new_mark
@@ -39,9 +40,6 @@ if TYPE_CHECKING:
     from wrt.kernels.traversal.two_level.instance_single import InstanceTree
     from wrt.planning.plan import Plan
     from wrt.scene.updates import UpdatePolicy, UpdateReport
-
-MAX_TRIANGLES = (1 << 31) - 1
-"""Largest number of triangles of all instances together: each has its own number of 32 bits."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -135,6 +133,16 @@ class InstancedState(SceneState):
         if key not in tables:
             tables[key] = part_table(self.mesh_states, plan, rays, self.device)
         return tables[key]
+
+    def find_distinct(self) -> InstancedState:
+        """The state without repeated triangles of its meshes and without repeated instances; this one, if there are none."""
+        parts = [part.distinct() for part in self.mesh_states]
+        instances = distinct_instances(self.instances, self.geometry_ids, [part.meshes[0] for part in parts])
+        if len(instances) == len(self.instances) and all(one is own for one, own in zip(parts, self.mesh_states, strict=True)):
+            return self
+        known = {id(part.meshes[0]): (part, cover) for part, cover in zip(parts, self.covers.each, strict=True)}
+        with use_threads(self.num_threads):
+            return place_members(tuple(instances), self.settings, None, self.mark, known)
 
     def updated(
         self,
@@ -294,20 +302,10 @@ def place_instances(
     settings: Settings,
     mark: str,
 ) -> InstancedState:
-    """The state of instances of meshes: builds the upper level.
-
-    Raises:
-        ValueError: more than `MAX_TRIANGLES` triangles.
-    """
-    numbers = np.array(geometry_ids)
-    first = np.cumsum([0, *np.array([state.triangle_count for state in states])[numbers].tolist()])
-    if first[-1] > MAX_TRIANGLES:
-        raise ValueError(
-            f"the instances have {int(first[-1]):,} triangles together, and a scene can number "
-            f"{MAX_TRIANGLES:,}; make several scenes"
-        )
+    """The state of instances of meshes: builds the upper level; errors as of `first_triangles`."""
+    first = first_triangles(states, geometry_ids)
     transforms, known = np.array([instance.transform for instance in instances]), Covers.of(covers, states)
-    boxes = InstanceBoxes.of(transforms, numbers, known)
+    boxes = InstanceBoxes.of(transforms, np.array(geometry_ids), known)
     table = np.zeros(len(instances), dtype=Placement.numpy_dtype())
     write_maps(table, slice(None), transforms)
     table["geometry"], table["first"] = geometry_ids, first[:-1]

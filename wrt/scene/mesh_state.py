@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from wrt.accelerators.accelerator import resolve_accelerator
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders.bvh import few_triangles
@@ -18,6 +19,7 @@ from wrt.kernels.simd.lanes import native_width
 from wrt.memory import memory_for
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import as_meshes, check_index, hierarchy_of, lay_out_few, moved_mesh, nested, place_meshes
+from wrt.meshes.repeated_surfaces import without_repeated
 from wrt.scene.storage import find_tree
 from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
 from wrt.state.query_cache import QueryCache
@@ -53,6 +55,18 @@ class MeshState(SceneState):
     def geometry(self) -> Any:
         """What the scene was made of."""
         return self.meshes if self.hierarchy is None else nested(self.hierarchy, self.meshes)
+
+    def find_distinct(self) -> MeshState:
+        """The state without triangles that repeat an earlier one, with a tree of the same kind; this one, if there are none.
+
+        What is left has the bounds of all, so it has the same centre, and vertices are rounded as before.
+        """
+        meshes = without_repeated(self.meshes)
+        if meshes is None:
+            return self
+        tree = self.accelerator if self.is_plain and type(self.accelerator) in (Bvh, KdTree) else self.accelerator.kind
+        with use_threads(self.num_threads):
+            return build_state(meshes, replace(self.settings, accelerator=resolve_accelerator(tree)), None)
 
     def updated(
         self,

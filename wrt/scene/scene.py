@@ -12,7 +12,7 @@ import warp as wp
 from wrt.accelerators.accelerator import Accelerator
 from wrt.instances.members import Members
 from wrt.kernels.query.hit_attributes import SceneMesh
-from wrt.kernels.runtime.launch import check_num_threads, use_threads
+from wrt.kernels.runtime.launch import check_num_threads, refuse_capture, use_threads
 from wrt.meshes.instance import Instance, has_instances
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.api import Queries
@@ -127,6 +127,7 @@ class Scene(Queries, Members):
                 spread too far (as for the class), a transform or a mask in a scene without instances, one that `wrt.Instance`
                 refuses, or an unknown name. The scene is then unchanged.
         """
+        refuse_capture("an update", self.device)
         self.state = self.state.updated(index, vertices, transform, mask, as_policy(rebuild), environment)
 
     def updating(self, *args: Any, threads: int = 1, **options: Any) -> AbstractContextManager[None]:

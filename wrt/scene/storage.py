@@ -211,6 +211,8 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
     if "layout" in values:
         values["layout"] = str(values["layout"])
     if "level_first" in values:
+        if values["level_first"].dtype.kind != "i" or values["level_first"].ndim != 1:
+            raise ValueError(f"level_first holds {values['level_first'].dtype}, and must be a list of integers")
         values["level_first"] = tuple(values["level_first"].tolist())
     if "pairs" in values and values["pairs"].dtype == np.int32:
         from wrt.builders.convert.node_layouts import aligned_copy
@@ -225,8 +227,11 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
     ):
         if name in values:
             wanted = np.float32 if name == "bounds" else np.int32
-            if values[name].dtype != wanted:
-                raise ValueError(f"{name} holds {values[name].dtype}, not {np.dtype(wanted)}")
+            shape = (len(values[name]), 2) if dtype is wp.vec2i else (values[name].size,)
+            if values[name].dtype != wanted or values[name].shape != shape:
+                raise ValueError(
+                    f"{name} holds {values[name].shape} of {values[name].dtype}, not {shape} of {np.dtype(wanted)}"
+                )
             values[name] = wp.array(values[name], dtype=dtype, device="cpu", copy=False)
     tree = cls(**values)
     check_tree(tree, triangles)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.validation import convert_fields
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -64,6 +65,7 @@ class UpdatePolicy:
     subtrees: bool = True
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         lookup(dict.fromkeys((AUTO, ALWAYS, NEVER)), self.when, "rebuild")
         if not self.tolerance >= 1.0:
             raise ValueError(f"tolerance is {self.tolerance}; it must be at least 1")

@@ -142,7 +142,7 @@ BUILTIN_SCENES: dict[str, BuiltinScene] = {scene.name: scene for scene in _SCENE
 
 
 def build(name: str, **options: Any) -> TriangleMesh:
-    """Builds a scene of `BUILTIN_SCENES`.
+    """Builds a scene of `BUILTIN_SCENES`. Its `up` is that of the table: z.
 
     Args:
         name: key of the table.
@@ -159,4 +159,6 @@ def build(name: str, **options: Any) -> TriangleMesh:
     unknown = [option for option in options if option not in valid]
     if unknown:
         raise TypeError(f"scene {name!r} has no option {unknown[0]!r}; its options are {', '.join(valid)}")
-    return scene.function(**{**scene.options, **options})
+    mesh = scene.function(**{**scene.options, **options})
+    mesh._up = mesh.up or scene.up
+    return mesh

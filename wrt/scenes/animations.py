@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wrt.kernels.validation import as_int, as_numbers
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.skeleton import Skeleton
 from wrt.scenes.shapes import check_count, copies, lathe, sheets
@@ -82,16 +83,17 @@ class Animation:
         return len(self.frames)
 
     def moved(self, offset: tuple[float, float, float]) -> Animation:
-        """The same animation, shifted by `offset`."""
+        """The same animation, shifted by `offset`, (3,)."""
+        offset = as_numbers("offset", offset, (3,))
         bones = self.bones
         if bones is not None:
             bones = bones.copy()
             bones[..., :3, 3] += offset
-        return replace(self, frames=self.frames + np.asarray(offset), bones=bones)
+        return replace(self, frames=self.frames + offset, bones=bones)
 
     def mesh(self, frame: int) -> TriangleMesh:
         """The mesh of a frame."""
-        return TriangleMesh(self.frames[frame], self.faces, name=self.name)
+        return TriangleMesh(self.frames[as_int("frame", frame, 0, len(self) - 1)], self.faces, name=self.name)
 
 
 def waving_cloth(frames: int = 24, cells: int = 48) -> Animation:

@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from wrt.kernels.validation import host_array
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.shapes import boxes, check_count, copies, lathe, plane, sheets
 
 __all__ = ["atrium"]
 
 _BAY = 4.0  # distance of column axes
+_MOST = 10_000  # bays in a row, and storeys: columns are placed one by one
 _GALLERY = 4.5  # depth of the gallery behind the columns
 _STOREY = 5.6
 _SPRING = 3.3  # height of the springing line of the arches
@@ -32,19 +34,19 @@ def atrium(bays: tuple[int, int] = (6, 3), storeys: int = 2, detail: int = 4) ->
     """A colonnaded court of `bays` bays of 4 m along x and y, centred on the origin; z = 0 is the gallery's floor.
 
     Args:
-        bays: arches along x and along y, each >= 1.
-        storeys: number of storeys, >= 1, 5.6 m each.
+        bays: arches along x and along y, each from 1 to 10,000.
+        storeys: number of storeys, from 1 to 10,000, 5.6 m each.
         detail: points per flute of the shafts and per quarter of the mouldings, >= 1; the number of triangles is about
             proportional.
 
     Raises:
         TypeError: `bays` is not a pair of whole numbers.
-        ValueError: an argument is too small.
+        ValueError: an argument is out of range.
     """
-    if not isinstance(bays, tuple | list) or len(bays) != 2:
+    if host_array("bays", bays).shape != (2,):
         raise TypeError(f"bays must be a pair (along x, along y), got {bays!r}")
-    bays_x, bays_y = (check_count("bays", bay) for bay in bays)
-    storeys, detail = check_count("storeys", storeys), check_count("detail", detail)
+    bays_x, bays_y = (check_count("bays", bay, maximum=_MOST) for bay in bays)
+    storeys, detail = check_count("storeys", storeys, maximum=_MOST), check_count("detail", detail)
     half = 0.5 * _BAY * np.array([bays_x, bays_y], dtype=float)
     column, floors = _column(detail), _STOREY * np.arange(storeys)
     feet = np.array([(x, y, z) for z in floors for x, y in _outline(bays_x, bays_y)])

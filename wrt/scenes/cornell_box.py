@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from wrt.kernels.validation import as_bool
 from wrt.materials.material import Material
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.shapes import check_count
@@ -54,7 +55,7 @@ def cornell_box(blocks: bool = True, cells: int = 6) -> TriangleMesh:
     Raises:
         TypeError, ValueError: `cells` is not a whole number of at least 1.
     """
-    cells = check_count("cells", cells)
+    cells, blocks = check_count("cells", cells), as_bool("blocks", blocks)
     polygons = [(material, np.array(points, dtype=float)) for material, points in _WALLS]
     if blocks:
         for height, outline in _BLOCKS:

@@ -20,6 +20,7 @@ from importlib.resources import files
 
 import numpy as np
 
+from wrt.kernels.validation import as_bool
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.shapes import check_count, plane, sheets, without_collapsed
 
@@ -42,7 +43,7 @@ def teapot(level: int = 16, ground: bool = True) -> TriangleMesh:
         TypeError: level is not a whole number.
         ValueError: level < 1.
     """
-    level = check_count("level", level)
+    level, ground = check_count("level", level), as_bool("ground", ground)
     weights = bernstein(level)
     patches = _blend(weights, _blend(weights, teapot_patches()).swapaxes(1, 2)).swapaxes(1, 2)
     patches = np.round(patches, 12)  # the weights sum to 1 only up to rounding: this makes collapsed sides one point again

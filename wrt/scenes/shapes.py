@@ -11,26 +11,27 @@ from typing import Any
 
 import numpy as np
 
+from wrt.kernels.validation import as_float, as_int
 from wrt.meshes.mesh import TriangleMesh
 
 __all__ = ["boxes", "check_count", "check_positive", "copies", "lathe", "plane", "sheets", "without_collapsed"]
 
 
-def check_count(name: str, value: Any, minimum: int = 1) -> int:
-    """Returns a whole number of at least `minimum`, or raises a TypeError or ValueError that names the argument."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name} must be a whole number, got {value!r}")
-    if value < minimum:
-        raise ValueError(f"{name} must be at least {minimum}, got {value}")
-    return int(value)
+def check_count(name: str, value: Any, minimum: int = 1, maximum: int = 2**31 - 1) -> int:
+    """Returns a whole number from `minimum` to `maximum`, or raises a TypeError or ValueError that names the argument."""
+    value = as_int(name, value, minimum)
+    if value > maximum:
+        raise ValueError(f"{name} is {value}; it must be at most {maximum}")
+    return value
 
 
 def check_positive(name: str, value: Any, maximum: float = np.inf) -> float:
     """Returns a finite number in (0, maximum], or raises a ValueError that names the argument."""
+    value = as_float(name, value)
     if not (0.0 < value <= maximum and np.isfinite(value)):
         limit = f" and at most {maximum:g}" if np.isfinite(maximum) else ""
         raise ValueError(f"{name} must be positive{limit}, got {value!r}")
-    return float(value)
+    return value
 
 
 def sheets(points: np.ndarray) -> TriangleMesh:

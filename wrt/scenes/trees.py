@@ -67,10 +67,10 @@ def wood(trees: int = 30, leaves: int = 12, seed: int = 0) -> TriangleMesh:
 
     Raises:
         TypeError: an argument is not a whole number.
-        ValueError: trees < 1 or leaves < 0.
+        ValueError: trees < 1, leaves < 0 or seed < 0.
     """
     trees, leaves = check_count("trees", trees), check_count("leaves", leaves, 0)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(check_count("seed", seed, 0))
     feet, half_size = _places(random, trees)
     waves = random.uniform(-1.0, 1.0, (6, 3))
     feet = np.column_stack([feet, _height(feet[:, 0], feet[:, 1], waves) - 0.15])

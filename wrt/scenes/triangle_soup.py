@@ -23,11 +23,12 @@ def random_triangles(count: int = 1000, size: float = 0.1, seed: int = 0) -> Tri
         seed: the same seed gives the same triangles; a larger count does not keep the smaller one's triangles.
 
     Raises:
-        ValueError: count < 1 or size outside (0, 1].
+        TypeError: an argument is no number.
+        ValueError: count < 1, seed < 0 or size outside (0, 1].
     """
     count = check_count("count", count)
     size = check_positive("size", size, maximum=1.0)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(check_count("seed", seed, 0))
     corner = random.random((count, 1, 3)) * (1.0 - size)
     vertices = np.clip(corner + random.random((count, 3, 3)) * size, 0.0, 1.0)
     return TriangleMesh(vertices.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), name="random_triangles")

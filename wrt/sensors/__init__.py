@@ -14,6 +14,8 @@ seconds and radians where nothing else is said. A camera looks along z of its op
 frame; x points to the right and y down, in the image, too (OpenCV). A pose maps the sensor's frame to the world.
 """
 
+from wrt.sensors.files.bag_files import write_bag
+from wrt.sensors.files.point_files import write_points
 from wrt.sensors.image_sensor import Camera, CameraImages, look_at, pose_from_extrinsics
 from wrt.sensors.lens_models import (
     BrownConrady,
@@ -28,7 +30,6 @@ from wrt.sensors.lidar import Lidar
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
 from wrt.sensors.lidar_scan import POINT_TYPE, LidarScan
-from wrt.sensors.point_files import write_bag, write_points
 from wrt.sensors.trajectory import Trajectory, deskew
 
 __all__ = [

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from typing import Any
 
 import numpy as np
+
+from wrt.kernels.validation import as_float, as_numbers
 
 
 def check_real(name: str, values: Any, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
@@ -20,29 +21,17 @@ def check_real(name: str, values: Any, shape: tuple[int | None, ...] | None = No
         TypeError: the values are not real numbers.
         ValueError: another shape, NaN or an infinity.
     """
-    try:
-        array = np.asarray(values)
-    except ValueError as error:
-        raise TypeError(f"{name} is not an array: {error}") from None
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must hold real numbers, not {array.dtype}")
-    array = array.astype(np.float64)
-    if shape is not None:
-        wanted = tuple("N" if n is None else str(n) for n in shape)
-        if array.ndim != len(shape) or any(n is not None and n != own for n, own in zip(shape, array.shape, strict=True)):
-            raise ValueError(f"{name} has the shape {array.shape}; it must be ({', '.join(wanted)})")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} holds NaN or infinite numbers; all must be finite")
-    return array
+    return as_numbers(name, values, shape)
 
 
 def as_time(time: Any) -> float:
     """A finite number of seconds.
 
     Raises:
-        TypeError, ValueError: as `check_real`.
+        TypeError: not a number.
+        ValueError: NaN or infinite.
     """
-    return time if type(time) is float and isfinite(time) else float(check_real("time", time, ()))
+    return as_float("time", time, finite=True)
 
 
 def check_at_least(name: str, value: Any, least: float, below: float = np.inf) -> float:
@@ -52,13 +41,12 @@ def check_at_least(name: str, value: Any, least: float, below: float = np.inf) -
         TypeError: not a number.
         ValueError: out of range.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+    value = as_float(name, value)
     if not least <= value < below:
         raise ValueError(
             f"{name} is {value}; it must be at least {least:g}" + ("" if below == np.inf else f" and below {below:g}")
         )
-    return float(value)
+    return value
 
 
 def check_matrix(name: str, matrix: np.ndarray) -> None:
@@ -71,3 +59,28 @@ def check_matrix(name: str, matrix: np.ndarray) -> None:
         raise ValueError(f"{name} holds a matrix with the last row {matrix[3].tolist()}; it must be (0, 0, 0, 1)")
     if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise ValueError(f"{name} holds a singular matrix: {matrix.tolist()}")
+
+
+def as_integers(name: str, values: np.ndarray, dtype: Any, holder: str = "") -> np.ndarray:
+    """Numbers as integers of a type, none of them changed.
+
+    Args:
+        name: of the values.
+        values: integers, booleans, or floats that are whole numbers.
+        dtype: of the result.
+        holder: what has this type, as " in LAS files", for errors.
+
+    Raises:
+        ValueError: a number is not whole, or beyond the range of the type; the message names it.
+    """
+    values, limits = np.asarray(values), np.iinfo(dtype)
+    if values.dtype.kind == "f":
+        wide = values.astype(np.float64)  # of which the ends of a range are exact
+        fits = (wide >= limits.min) & (wide < float(limits.max) + 1.0) & (wide == np.floor(wide))
+    else:
+        values = values.astype(np.uint8) if values.dtype.kind == "b" else values
+        fits = (values >= limits.min) & (values <= limits.max)
+    if not fits.all():
+        wrong = values[~fits].flat[0]
+        raise ValueError(f"{name} holds {wrong}; it must hold whole numbers from {limits.min} to {limits.max}{holder}")
+    return values.astype(dtype)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
+from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
+from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_real_array, convert_fields
 from wrt.memory import ArraysOfBlock, empty, outputs_of
 from wrt.sensors.checks import as_time, check_at_least, check_matrix, check_real
 from wrt.sensors.hit_outputs import HitOutputs
@@ -21,6 +22,7 @@ from wrt.sensors.time_slices import (
     Bodies,
     SensorRays,
     as_motions,
+    check_slices,
     cut_slices,
     for_each_ray,
     no_order,
@@ -79,10 +81,9 @@ class Camera:
     line_delay: float = 0.0
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in ("width", "height"):
-            if not isinstance(getattr(self, name), (int, np.integer)):
-                raise TypeError(f"{name} must be a whole number, not {getattr(self, name)!r}")
-            check_at_least(name, getattr(self, name), 1)
+            as_int(name, getattr(self, name), 1)
         if self.width * self.height > MAX_PIXELS:
             raise ValueError(f"width x height is {self.width * self.height}; an image has at most {MAX_PIXELS} pixels")
         if not isinstance(self.lens, LensModel):
@@ -130,12 +131,16 @@ class Camera:
             TypeError: an argument of a wrong type.
             ValueError: an argument out of range, a trajectory that does not cover the exposure, or motions in a scene without
                 instances.
+            RuntimeError: a graph is being captured.
         """
         from wrt.kernels.sensors.camera_images import fill_images
 
+        refuse_capture("capture", scene.device)
         if materials is not None and not albedo:
             raise ValueError("materials are those of the colours; pass albedo=True, or leave materials out")
-        path, time = as_poses(pose), as_time(time)
+        path, time, slices = as_poses(pose), as_time(time), check_slices(slices)
+        miss, albedo, to_warp = as_miss(miss), as_bool("albedo", albedo), as_bool("to_warp", to_warp)
+        flow = None if flow is None else as_float("flow", flow, finite=True)
         rows = np.repeat(self.line_delay * np.arange(self.height), self.width).reshape(self.height, self.width)
         begin, end = time, time + float(rows[-1, 0])
         path.check_covers(begin, end, "the times of the image")
@@ -155,7 +160,7 @@ class Camera:
             fired = _fire(beams, path, self, times.size, device)
             rays = SensorRays(*fired, 1, times.shape, np.inf, traversal, each)
             for found in trace_slices(copy(scene), rays, Bodies(motions, parts), parts):
-                inputs = [beams, path.path(device), found.traced, found.origins, found.mesh, labels, float(miss), images]
+                inputs = [beams, path.path(device), found.traced, found.origins, found.mesh, labels, miss, images]
                 launch(fill_images, found.part.end - found.part.begin, inputs, device=device, chunk=1024)
                 for layer in extra.values():
                     layer.fill(beams, images, found)
@@ -322,6 +327,15 @@ def _fire(
     return origins, directions
 
 
+def as_miss(miss: Any) -> float:
+    """The distance of a pixel without a hit: any number, NaN included.
+
+    Raises:
+        TypeError: not a number.
+    """
+    return miss if type(miss) is float else float(as_numbers("miss", miss, (), finite=False))
+
+
 def as_labels(labels: Any, scene: Queries) -> np.ndarray:
     """(I,) int32, or (0,) for none.
 
@@ -331,7 +345,7 @@ def as_labels(labels: Any, scene: Queries) -> np.ndarray:
     """
     if labels is None:
         return np.zeros(0, dtype=np.int32)
-    values, count = np.asarray(labels), len(scene.instances) or len(scene.meshes)
+    values, count = as_real_array("labels", labels), len(scene.instances) or len(scene.meshes)
     if values.dtype.kind not in "iu":
         raise TypeError(f"labels must hold integers, not {values.dtype}")
     if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
@@ -358,12 +372,23 @@ def pose_from_extrinsics(extrinsics: Any) -> np.ndarray:
     return np.linalg.inv(matrix)
 
 
+def _no_view(forward: np.ndarray, up: np.ndarray) -> str:
+    """Why there is no pose, and what to do."""
+    if not forward.any():
+        return "there is no view: position and target are the same point; move one of them"
+    if not up.any():
+        return "up is zero; pass the direction that points up in the image, such as up=(0, 0, 1)"
+    other = "(0, 1, 0)" if abs(forward[1]) < 0.9 * np.linalg.norm(forward) else "(1, 0, 0)"
+    return f"up is parallel to the view, as for a camera that looks straight down; pass another direction, such as up={other}"
+
+
 def look_at(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> np.ndarray:
     """The pose of a camera's optical frame at a position, with the target on its axis.
 
     Args:
         position, target: (3,) points in the world.
-        up: (3,) the direction that points up in the image.
+        up: (3,) the direction that points up in the image. A camera that looks straight down or up needs another one than z,
+            such as (0, 1, 0), for north at the top of a map.
 
     Returns:
         (4, 4) float64.
@@ -375,7 +400,7 @@ def look_at(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> np.ndarray
     forward = target - position
     right = np.cross(forward, up)
     if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
-        raise ValueError("there is no view: position and target are the same point, or up is zero or parallel to the view")
+        raise ValueError(_no_view(forward, up))
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
     pose = np.eye(4)
     pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, position

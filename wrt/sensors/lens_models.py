@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import as_device, launch
+from wrt.kernels.runtime.launch import as_device, launch, refuse_capture
+from wrt.kernels.validation import as_int, as_real_array, convert_fields
 from wrt.sensors.checks import check_at_least, check_real
 
 if TYPE_CHECKING:
@@ -80,6 +81,7 @@ class LensModel:
         lens = Lens()
         lens.model = MODELS.index(self.model)
         lens.fx, lens.fy, lens.cx, lens.cy, coefficients, lens.max_angle = self._numbers()
+        lens.skew = getattr(self, "skew", 0.0)
         lens.c = Coefficients(*coefficients, *(0.0,) * (COEFFICIENTS - len(coefficients)))
         return lens
 
@@ -103,6 +105,7 @@ class _FocalLens(LensModel):
     cy: float
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name in ("fx", "fy"):
             check_at_least(name, getattr(self, name), np.finfo(np.float64).tiny)
         check_real("cx and cy", [self.cx, self.cy])
@@ -117,6 +120,9 @@ class BrownConrady(_FocalLens):
         cx, cy: principal point, in pixels.
         distortion: 0, 4, 5, 8 or 12 coefficients in OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4. OpenCV's
             tilted sensors (14 coefficients) are not supported.
+        skew: by how many pixels a point at height 1 on the image plane (y / z, distorted) is moved to the right: K[0, 1] of a
+            camera matrix, 0 where columns are at right angles to rows. OpenCV's functions ignore it; calibrations of Matlab
+            have it.
 
     Raises:
         TypeError: a value of a wrong type.
@@ -125,6 +131,7 @@ class BrownConrady(_FocalLens):
 
     model = "brown_conrady"
     distortion: tuple[float, ...] = ()
+    skew: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -137,16 +144,17 @@ class BrownConrady(_FocalLens):
 
     @classmethod
     def from_matrix(cls, matrix: Any, distortion: Any = ()) -> BrownConrady:
-        """The lens of a camera matrix K.
+        """The lens of a camera matrix K: without distortion, pixel (u, v) looks along K^-1 (u, v, 1).
 
         Args:
-            matrix: (3, 3), fx 0 cx, 0 fy cy, 0 0 1.
+            matrix: (3, 3), fx skew cx, 0 fy cy, 0 0 1.
             distortion: as in the class.
 
         Raises:
             TypeError, ValueError: as the class; a matrix of another form.
         """
-        return cls(*_focal(matrix), distortion)
+        *focal, skew = _focal(matrix)
+        return cls(*focal, distortion, skew)
 
     def _numbers(self) -> tuple[float, float, float, float, tuple[float, ...], float]:
         return self.fx, self.fy, self.cx, self.cy, self.distortion, np.pi / 2
@@ -161,6 +169,7 @@ class KannalaBrandt(_FocalLens):
         cx, cy: principal point, in pixels.
         distortion: up to four coefficients k1, k2, k3, k4.
         max_angle: largest angle to the optical axis, in radians, in (0, pi].
+        skew: as of `BrownConrady`; fx times the alpha of OpenCV's fisheye functions.
 
     Raises:
         TypeError: a value of a wrong type.
@@ -170,6 +179,7 @@ class KannalaBrandt(_FocalLens):
     model = "kannala_brandt"
     distortion: tuple[float, ...] = ()
     max_angle: float = np.pi
+    skew: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -182,7 +192,8 @@ class KannalaBrandt(_FocalLens):
     @classmethod
     def from_matrix(cls, matrix: Any, distortion: Any = (), max_angle: float = np.pi) -> KannalaBrandt:
         """The lens of a camera matrix K; arguments and errors as of `BrownConrady.from_matrix` and the class."""
-        return cls(*_focal(matrix), distortion, max_angle)
+        *focal, skew = _focal(matrix)
+        return cls(*focal, distortion, max_angle, skew)
 
     def _numbers(self) -> tuple[float, float, float, float, tuple[float, ...], float]:
         return self.fx, self.fy, self.cx, self.cy, self.distortion, self.max_angle
@@ -209,6 +220,7 @@ class FTheta(LensModel):
     max_angle: float = np.pi
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         check_real("cx and cy", [self.cx, self.cy])
         values = check_real("coefficients", self.coefficients).ravel()
         if not 1 <= len(values) <= 12 or values[0] <= 0.0:
@@ -264,8 +276,9 @@ class Equirectangular(LensModel):
     height: int
 
     def __post_init__(self) -> None:
-        check_at_least("width", self.width, 1)
-        check_at_least("height", self.height, 1)
+        convert_fields(self)
+        as_int("width", self.width, 1)
+        as_int("height", self.height, 1)
 
     def _numbers(self) -> tuple[float, float, float, float, tuple[float, ...], float]:
         return self.width / (2 * np.pi), self.height / np.pi, (self.width - 1) / 2, (self.height - 1) / 2, (), np.pi
@@ -290,8 +303,8 @@ class Orthographic(_FocalLens):
         return self.fx, self.fy, self.cx, self.cy, (), np.pi / 2
 
 
-def _focal(matrix: Any) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy of a camera matrix.
+def _focal(matrix: Any) -> tuple[float, float, float, float, float]:
+    """fx, fy, cx, cy and skew of a camera matrix.
 
     Raises:
         TypeError: not real numbers.
@@ -299,10 +312,13 @@ def _focal(matrix: Any) -> tuple[float, float, float, float]:
     """
     matrix = check_real("matrix", matrix, (3, 3))
     others = matrix.copy()
-    others[[0, 1, 0, 1], [0, 1, 2, 2]] = 0.0
+    others[[0, 1, 0, 1, 0], [0, 1, 2, 2, 1]] = 0.0
     if not np.array_equal(others, np.diag([0.0, 0.0, 1.0])):
-        raise ValueError(f"matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], without skew, not {matrix.tolist()}")
-    return float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])
+        raise ValueError(
+            f"matrix must be [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], not {matrix.tolist()}; divide it by its last number, or "
+            "pass rays of wrt.RaycastingScene.create_rays_pinhole, which takes any matrix that has an inverse, to intersect"
+        )
+    return (*(float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1))),)
 
 
 def _check_angle(angle: float) -> None:
@@ -317,11 +333,10 @@ def _flat(name: str, values: Any, dtype: type) -> tuple[wp.array, wp.Device, tup
         if values.dtype is not dtype:
             raise TypeError(f"{name} must be a Warp array of vec{size}d, not of {values.dtype.__name__}")
         return values.contiguous().flatten(), values.device, values.shape
-    values = np.asarray(values)
-    if values.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must hold real numbers, not {values.dtype}")
+    values = as_real_array(name, values)
     if values.shape[-1:] != (size,):
         raise ValueError(f"{name} must have shape (..., {size}), not {values.shape}")
     device = as_device("cpu")
+    refuse_capture(f"{name} in a NumPy array", device)
     flat = np.ascontiguousarray(values, dtype=np.float64).reshape(-1, size)
     return wp.array(flat, dtype=dtype, device=device), device, values.shape[:-1]

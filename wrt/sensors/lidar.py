@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
+from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
+from wrt.kernels.validation import as_int, convert_fields
 from wrt.memory import outputs_of
 from wrt.sensors.checks import as_time, check_at_least, check_real
 from wrt.sensors.lidar_pattern import LidarPattern
@@ -109,6 +110,7 @@ class Lidar:
     def __post_init__(self) -> None:
         if not isinstance(self.pattern, LidarPattern):
             raise TypeError(f"pattern must be a wrt.sensors.LidarPattern, not {type(self.pattern).__name__}")
+        convert_fields(self)
         for name in ("min_range", "divergence", "range_resolution", "range_exponent", "extinction", "threshold"):
             check_at_least(name, getattr(self, name), 0.0, np.pi if name == "divergence" else np.inf)
         for name in ("range_noise", "angle_noise"):
@@ -116,8 +118,7 @@ class Lidar:
         check_at_least("dropout", self.dropout, 0.0, 1.0)
         check_at_least("reference_range", self.reference_range, np.finfo(np.float32).tiny)
         for name, most in (("bundle", MAX_BUNDLE), ("returns", MAX_RETURNS)):
-            if not isinstance(getattr(self, name), int) or not 1 <= getattr(self, name) <= most:
-                raise ValueError(f"{name} is {getattr(self, name)!r}; it must be a whole number from 1 to {most}")
+            as_int(name, getattr(self, name), 1, most)
         if not self.max_range > self.min_range:
             raise ValueError(f"max_range is {self.max_range}; it must be above min_range, {self.min_range}")
         lookup(KEEP, self.keep, "keep")
@@ -184,9 +185,11 @@ class Lidar:
             TypeError: an argument of a wrong type.
             ValueError: an argument out of range, a trajectory that does not cover the scan, motions in a scene without
                 instances, or arrays on another device.
+            RuntimeError: a graph is being captured.
         """
         from wrt.query.api import Queries
 
+        refuse_capture("a scan", scene.device)
         path = as_poses(pose)
         time = as_time(time)
         span = self.pattern.span
@@ -195,8 +198,8 @@ class Lidar:
         work = _Work(self, scene, path, time, as_reflectance(reflectance, scene), as_noise(self, seed))
         motions = as_motions(motions, scene, begin, end)
         sensors = getattr(path, "shape", ())
-        check_slices(slices)
-        order, parts = self.pattern.cut(sensors, int(slices) if motions else 1)
+        slices = check_slices(slices)
+        order, parts = self.pattern.cut(sensors, slices if motions else 1)
         parts = [part.later(time) for part in parts]
         given = {"mask": mask, "environment": environment}
         each = for_each_ray(given, sensors, len(self.pattern), self.bundle, order, scene.device)
@@ -377,11 +380,7 @@ def as_noise(lidar: Lidar, seed: int | None) -> Noise:
 
     if seed is None:
         return no_noise()
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
-        raise TypeError(f"seed must be a whole number or None, not {type(seed).__name__}")
-    if not 0 <= seed < 1 << 64:
-        raise ValueError(f"seed is {seed}; it must be from 0 to 2**64 - 1")
-    noise = Noise()
+    seed, noise = as_int("seed", seed, 0, (1 << 64) - 1), Noise()
     noise.range, noise.angle, noise.dropout = lidar.range_noise, lidar.angle_noise, lidar.dropout
-    noise.key = wp.vec2ui(int(seed) & 0xFFFFFFFF, int(seed) >> 32)
+    noise.key = wp.vec2ui(seed & 0xFFFFFFFF, seed >> 32)
     return noise

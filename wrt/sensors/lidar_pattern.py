@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.sensors.checks import check_at_least, check_real
+from wrt.kernels.validation import as_bool, as_float, as_int
+from wrt.sensors.checks import as_integers, check_at_least, check_real
 
 if TYPE_CHECKING:
     from wrt.kernels.sensors.lidar_beams import Beams
@@ -30,7 +31,7 @@ class LidarPattern:
         directions: (..., 3) unit vectors. A leading shape (rings, columns) makes range images of the results, and lets rays be
             traced in packets.
         times: (...) firing time of each beam after the start of the scan, in seconds; broadcasts. None: all at the start.
-        rings: (...) integers, the laser or row of each beam; broadcasts. None: the index along the first axis.
+        rings: (...) integers of 32 bits, the laser or row of each beam; broadcasts. None: the index along the first axis.
         offsets: (..., 3) start of each beam relative to the sensor's origin; broadcasts. None: at the origin.
 
     Directions and offsets may be Warp arrays of vec3 on the scene's device; results are then Warp arrays.
@@ -44,7 +45,8 @@ class LidarPattern:
 
     Raises:
         TypeError: an argument of a wrong type.
-        ValueError: wrong shapes, numbers that are not finite, directions that are not unit vectors.
+        ValueError: wrong shapes, numbers that are not finite, rings that are not whole numbers of 32 bits, directions that are
+            not unit vectors.
     """
 
     def __init__(self, directions: Any, times: Any = None, rings: Any = None, offsets: Any = None) -> None:
@@ -136,9 +138,9 @@ class LidarPattern:
             TypeError, ValueError: as the class; a number out of range.
         """
         elevations = np.radians(check_real("elevations", elevations, (None,)))[:, None]
-        columns = int(check_at_least("columns", columns, 1))
+        columns, clockwise = as_int("columns", columns, 1), as_bool("clockwise", clockwise)
         rate = check_at_least("rate", rate, 1e-6)
-        check_at_least("radius", radius, 0.0)
+        radius = check_at_least("radius", radius, 0.0)
         times = np.arange(columns) / (columns * rate) + np.reshape(check_real("firing_times", firing_times), (-1, 1))
         times = np.broadcast_to(times, (len(elevations), columns))
         encoder = (-2.0 if clockwise else 2.0) * np.pi * rate * times
@@ -163,10 +165,10 @@ class LidarPattern:
         Raises:
             TypeError, ValueError: a number out of range.
         """
-        rows, columns = int(check_at_least("rows", rows, 1)), int(check_at_least("columns", columns, 1))
+        rows, columns = as_int("rows", rows, 1), as_int("columns", columns, 1)
         horizontal = check_at_least("horizontal", horizontal, 0.0, 360.0)
         vertical = check_at_least("vertical", vertical, 0.0, 180.0)
-        rate = check_at_least("rate", rate, 1e-6)
+        rate, tilt = check_at_least("rate", rate, 1e-6), as_float("tilt", tilt, finite=True)
         azimuth = np.radians(np.linspace(horizontal / 2, -horizontal / 2, columns))
         elevation = np.radians(tilt + np.linspace(vertical / 2, -vertical / 2, rows))[:, None]
         flat = np.cos(elevation)
@@ -192,10 +194,9 @@ class LidarPattern:
         Raises:
             TypeError, ValueError: a number out of range.
         """
-        count = int(check_at_least("count", count, 1))
+        count, first = as_int("count", count, 1), as_int("first", first, 0)
         half_angle = np.radians(check_at_least("half_angle", half_angle, 0.0, 90.0))
         point_rate = check_at_least("point_rate", point_rate, 1e-6)
-        first = int(check_at_least("first", first, 0))
         turns = 2.0 * np.pi / 60.0 * check_real("speeds", speeds, (2,))
         phases = turns[:, None] * (first + np.arange(count)) / point_rate
         left, up = half_angle / 2 * np.cos(phases).sum(axis=0), half_angle / 2 * np.sin(phases).sum(axis=0)
@@ -240,6 +241,7 @@ class LidarPattern:
     def _spread(self, name: str, values: Any, dtype: type) -> np.ndarray:
         values = values.numpy() if isinstance(values, wp.array) else values
         array = check_real(name, values)
+        array = as_integers(name, array, dtype) if dtype is np.int32 else array
         try:
             array = np.array(np.broadcast_to(array, self.shape), dtype=dtype)
         except ValueError:

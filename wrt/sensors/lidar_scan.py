@@ -31,7 +31,10 @@ POINT_TYPE = np.dtype(
     ]
 )
 """What `LidarScan.to_structured` gives for each return: coordinates, intensity, ring, seconds after the start of the scan,
-place among the beam's returns from 0 up, and the instance."""
+place among the beam's returns from 0 up, and the instance. Fields are wider where these do not hold the numbers."""
+
+LONG_TIME = 16.0
+"""Seconds up to which float32 holds times to a microsecond."""
 
 
 class LidarScan(HitOutputs):
@@ -115,6 +118,9 @@ class LidarScan(HitOutputs):
     def to_structured(self, frame: str = "sensor") -> np.ndarray:
         """All returns, without misses: (N,) structured array of `wrt.sensors.POINT_TYPE`, sensor by sensor, in order of time.
 
+        Some fields are wider: coordinates of the world are float64, as float32 would move points that are far from 0; rings are
+        int32 if some are not from 0 to 65535, and times float64 if some are 16 s or more after the start.
+
         Args:
             frame: "sensor": coordinates as measured, each at the time of its beam; "world"; or "start": without the motion of
                 the sensor, in its frame at the start of the scan.
@@ -130,7 +136,7 @@ class LidarScan(HitOutputs):
         order = np.argsort(self.pattern.times.ravel(), kind="stable")
         order = (np.arange(sensors)[:, None] * count + order).ravel()
         found = np.isfinite(_host(self.range).reshape(-1, self._kept)[order])
-        out = np.empty(int(found.sum()), dtype=POINT_TYPE)
+        out = np.empty(int(found.sum()), dtype=self._row_type(frame))
         for axis, name in enumerate(("x", "y", "z")):
             out[name] = points[order, :, axis][found]
         spread = np.broadcast_to
@@ -140,6 +146,15 @@ class LidarScan(HitOutputs):
         out["time"] = spread(self.pattern.times.ravel()[order % count, None], found.shape)[found]
         out["return_number"] = spread(np.arange(self._kept), found.shape)[found]
         return out
+
+    def _row_type(self, frame: str) -> np.dtype:
+        """The type of a row in a frame."""
+        wider = dict.fromkeys("xyz", "<f8") if frame == "world" else {}
+        if self.pattern.rings.min() < 0 or self.pattern.rings.max() > np.iinfo(np.uint16).max:
+            wider["ring"] = "<i4"
+        if max(map(abs, self.pattern.span)) >= LONG_TIME:
+            wider["time"] = "<f8"
+        return np.dtype([(name, wider.get(name, POINT_TYPE[name].str)) for name in POINT_TYPE.names])
 
 
 def _host(values: Any) -> np.ndarray:

@@ -23,6 +23,7 @@ import warp as wp
 
 from wrt.execution.executor import closest_of_relative
 from wrt.instances.instance_boxes import on_device
+from wrt.kernels.validation import as_int, as_real_array
 from wrt.meshes.placement import check_index
 from wrt.rays.ray_arrays import relative_rays
 from wrt.sensors.trajectory import Trajectory
@@ -255,13 +256,13 @@ def for_each_ray(
     for name, values in given.items():
         if values is None:
             continue
-        array, (least, most, dtype) = np.asarray(values), LIMITS[name]
+        array, (least, most, dtype) = as_real_array(name, values), LIMITS[name]
         if array.dtype.kind not in "iu":
             raise TypeError(f"{name} must hold integers, not {array.dtype}")
         if array.size and (array.min() < least or array.max() > most):
             raise ValueError(f"{name} must be from {least} to {most}, but ranges from {array.min()} to {array.max()}")
         if array.ndim == 0:
-            found[name] = values
+            found[name] = int(array)
             continue
         try:
             flat = np.broadcast_to(array, sensors).ravel()
@@ -296,17 +297,14 @@ def as_motions(motions: Any, scene: Queries, begin: float, end: float) -> Mappin
     return motions
 
 
-def check_slices(slices: Any) -> None:
-    """Refuses a wrong number of slices.
+def check_slices(slices: Any) -> int:
+    """The number of slices.
 
     Raises:
         TypeError: it is not a whole number.
         ValueError: it is out of range.
     """
-    if isinstance(slices, bool) or not isinstance(slices, (int, np.integer)):
-        raise TypeError(f"slices must be a whole number, not {type(slices).__name__}")
-    if not 1 <= slices <= MAX_SLICES:
-        raise ValueError(f"slices is {slices}; it must be from 1 to {MAX_SLICES}")
+    return as_int("slices", slices, 1, MAX_SLICES)
 
 
 def cut_slices(
@@ -323,7 +321,7 @@ def cut_slices(
     Raises:
         TypeError, ValueError: as `check_slices`.
     """
-    check_slices(slices)
+    slices = check_slices(slices)
     begin, duration = span[0], span[1] - span[0]
     if slices == 1 or duration == 0.0:
         return None, [Slice(0, times.size, start + begin + duration / 2, duration, None)]

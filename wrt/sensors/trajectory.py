@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import as_device, launch
+from wrt.kernels.runtime.launch import as_device, launch, refuse_capture
+from wrt.kernels.validation import host_array
 from wrt.memory import keep_alive
 from wrt.rays.rays import as_vectors
-from wrt.sensors.checks import check_matrix, check_real
+from wrt.sensors.checks import as_time, check_matrix, check_real
 
 if TYPE_CHECKING:
     from wrt.kernels.sensors.pose_paths import PosePath
@@ -196,6 +197,7 @@ class Trajectory:
         from wrt.kernels.sensors.pose_paths import poses_at
 
         device = wp.get_device("cpu")
+        refuse_capture("evaluating a trajectory", device)
         times = np.clip(times, self.times[0], self.times[-1])  # rounding at the ends
         wanted = wp.array(times, dtype=wp.float64, device=device)
         types = (wp.vec3d, wp.quatd, wp.vec3d, wp.vec3d)
@@ -272,7 +274,10 @@ def as_poses(pose: Any) -> Trajectory | StillPoses:
     Raises:
         TypeError, ValueError: as `as_trajectory` and `StillPoses`.
     """
-    return StillPoses(pose) if not isinstance(pose, Trajectory) and np.ndim(pose) > 2 else as_trajectory(pose)
+    if isinstance(pose, Trajectory):
+        return as_trajectory(pose)
+    pose = host_array("pose", pose)
+    return StillPoses(pose) if pose.ndim > 2 else as_trajectory(pose)
 
 
 def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:
@@ -312,6 +317,8 @@ def deskew(points: Any, times: Any, trajectory: Trajectory, time: float) -> Any:
     from wrt.kernels.sensors.pose_paths import points_to_frame, points_to_world
 
     device = points.device if isinstance(points, wp.array) else as_device("cpu")
+    refuse_capture("deskew", device)
+    time = as_time(time)
     is_warp, points = isinstance(points, wp.array), as_vectors(points, "points", device)
     shape = points.shape if is_warp else points.shape[:-1]
     wanted = check_real("times", times.numpy() if isinstance(times, wp.array) else times)

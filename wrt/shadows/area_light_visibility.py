@@ -11,6 +11,7 @@ import warp as wp
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.layout.light_samples import GROUP, LightSamples, pattern_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
+from wrt.kernels.validation import as_int, as_numbers, as_real_array, host_array
 from wrt.memory import empty
 from wrt.planning.plan import plan_for_query, traversal_config
 from wrt.planning.planner import find_plan
@@ -95,13 +96,10 @@ class AreaLightVisibility:
         Raises:
             TypeError, ValueError: as the class.
         """
-        for name, value, most in (("samples", samples, MAX_SAMPLES), ("patterns", patterns, MAX_PATTERNS)):
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-                raise TypeError(f"{name} must be an int, not {type(value).__name__}")
-            if not 1 <= value <= most:
-                raise ValueError(f"{name} is {value}; it must be from 1 to {most}")
+        samples, patterns = as_int("samples", samples, 1, MAX_SAMPLES), as_int("patterns", patterns, 1, MAX_PATTERNS)
+        seed = as_int("seed", seed, 0)
         start, u, v = (as_point(value, name) for value, name in ((corner, "corner"), (edge_u, "edge_u"), (edge_v, "edge_v")))
-        places = jittered(int(samples), int(patterns), seed)
+        places = jittered(samples, patterns, seed)
         return cls(scene, start + places[..., :1] * u + places[..., 1:] * v, triangle_test=triangle_test)
 
     @property
@@ -128,7 +126,7 @@ class AreaLightVisibility:
         Args:
             count: N.
         """
-        return pattern_of(np.arange(count, dtype=np.int64), self.patterns)
+        return pattern_of(np.arange(as_int("count", count, 0), dtype=np.int64), self.patterns)
 
     def shadow_rays(self, points: Any, t_min: Any = 0.0, t_max: Any = 1.0) -> Rays:
         """The rays that `occluded` answers: (..., S) rays from the points to their samples, which they reach at t = 1.
@@ -136,7 +134,7 @@ class AreaLightVisibility:
         Args:
             points, t_min, t_max: as of `occluded`.
         """
-        points = np.asarray(points.numpy() if isinstance(points, wp.array) else points)
+        points = as_real_array("points", points.numpy() if isinstance(points, wp.array) else points)
         flat = points.reshape(-1, 3)
         chosen = self.patterns_of(len(flat))
         if is_narrow(points):
@@ -149,7 +147,7 @@ class AreaLightVisibility:
             directions = (self._positions - center).astype(np.float32)[chosen] - near[:, None]
             origins = near.astype(np.float64) + center
         shape = (*points.shape[:-1], self.samples)
-        ranges = [bound if np.ndim(bound) == 0 else np.asarray(bound)[..., None] for bound in (t_min, t_max)]
+        ranges = [bound if np.ndim(bound) == 0 else host_array("t_min or t_max", bound)[..., None] for bound in (t_min, t_max)]
         each = np.broadcast_to(origins[:, None], directions.shape)
         return Rays(each.reshape(*shape, 3), directions.reshape(*shape, 3), *ranges)
 
@@ -159,7 +157,8 @@ class AreaLightVisibility:
         A point with a NaN or an infinity sees all samples, as its rays hit nothing.
 
         Args:
-            points: (..., 3). float64 points are rounded to float32 relative to the scene's centre.
+            points: (..., 3). float64 points are rounded to float32 relative to the scene's centre; for float32 points, which
+                lose more where the scene is far from 0, the samples are rounded to float32, too.
             t_min, t_max: scalars or (...) arrays, from the point at 0 to the sample at 1: hits count if t_min <= t <= t_max.
 
         Raises:
@@ -266,10 +265,7 @@ def is_narrow(points: np.ndarray) -> bool:
 
 def as_point(value: Any, name: str) -> np.ndarray:
     """(3,) float64, finite."""
-    try:
-        point = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"{name} must be three real numbers: {error}") from error
+    point = as_numbers(name, value, finite=False)
     if point.shape != (3,):
         raise ValueError(f"{name} must have shape (3,), not {point.shape}")
     if not np.isfinite(point).all():
@@ -279,10 +275,7 @@ def as_point(value: Any, name: str) -> np.ndarray:
 
 def check_samples(positions: Any) -> np.ndarray:
     """(K, S, 3) float64."""
-    try:
-        array = np.array(positions, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"positions must be an array of real numbers: {error}") from error
+    array = as_numbers("positions", positions, finite=False)
     array = array[None] if array.ndim == 2 else array
     if array.ndim != 3 or array.shape[2] != 3:
         raise ValueError(f"positions must have shape (K, S, 3) or (S, 3), not {np.shape(positions)}")

@@ -10,7 +10,8 @@ import warp as wp
 
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.layout.light_cells import CELL_BYTES, ENTRY_BYTES, FACES, MAX_RESOLUTION
-from wrt.kernels.runtime.launch import launch, specialise, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
+from wrt.kernels.validation import as_bool, as_int, as_numbers, as_real_array
 from wrt.memory import empty
 from wrt.planning.plan import plan_for_query, traversal_config
 from wrt.planning.planner import find_plan
@@ -83,8 +84,8 @@ class LightBuffer:
         check_scene(scene.state)
         self.scene = scene
         self._resolution = check_resolution(resolution)
-        self._query = Query(ANY, "brute", triangle_test, bool(cull_backfaces))
-        self._max_bytes = max_bytes
+        self._query = Query(ANY, "brute", triangle_test, as_bool("cull_backfaces", cull_backfaces))
+        self._max_bytes = as_int("max_bytes", max_bytes, 1)
         self._position = check_position(position)
         self._built_for: Any = None
         self._build()
@@ -148,7 +149,7 @@ class LightBuffer:
         """
         if isinstance(points, wp.array):
             points = points.numpy()
-        points = np.asarray(points)
+        points = as_real_array("points", points)
         if points.dtype.kind == "f" and points.dtype.itemsize <= 4:
             points = points.astype(np.float32)
             return Rays(points, (self._position - points.astype(np.float64)).astype(np.float32), t_min, t_max)
@@ -234,6 +235,7 @@ class LightBuffer:
 
         state = self.scene.state
         check_scene(state)
+        refuse_capture("building a light buffer", state.device)
         with use_threads(state.num_threads):
             ray = lay_out(Rays(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)), state.device, state.center)
             plan = plan_for_query(find_plan(state, buffers_of(ray), self._query).plan, ANY)
@@ -295,19 +297,12 @@ def check_resolution(resolution: Any) -> int | None:
     """A resolution as given, None for the default."""
     if resolution is None:
         return None
-    if isinstance(resolution, bool) or not isinstance(resolution, (int, np.integer)):
-        raise TypeError(f"resolution must be an int, not {type(resolution).__name__}")
-    if not 1 <= resolution <= MAX_RESOLUTION:
-        raise ValueError(f"resolution is {resolution}; it must be from 1 to {MAX_RESOLUTION}")
-    return int(resolution)
+    return as_int("resolution", resolution, 1, MAX_RESOLUTION)
 
 
 def check_position(position: Any) -> np.ndarray:
     """(3,) float64."""
-    try:
-        point = np.array(position, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"position must be three real numbers: {error}") from error
+    point = as_numbers("position", position, finite=False)
     if point.shape != (3,):
         raise ValueError(f"position must have shape (3,), not {point.shape}")
     if not np.isfinite(point).all():

@@ -41,6 +41,7 @@ class QueryCache:
         missed_savings: what rays so far would have saved with a wide form, in triangles that it could be made of.
         tables: what kernels read of instanced meshes, by kind of tree and triangle test; a tree above its queue points, by
             kind of triangle record.
+        distinct: what `SceneState.distinct` has found, one state or none; None as long as nobody asked.
     """
 
     def __init__(self) -> None:
@@ -49,6 +50,7 @@ class QueryCache:
         self.wide: Any = None
         self.missed_savings = 0.0
         self.tables: dict[tuple[str, str], Any] = {}
+        self.distinct: tuple[Any, ...] | None = None
         self._plans: dict[Hashable, Any] = {}
         self._choices: dict[Hashable, list[Any]] = {}
         _caches.add(self)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator, resolve_accelerator
-from wrt.kernels.runtime.launch import as_device, check_num_threads
+from wrt.kernels.runtime.launch import as_device, check_num_threads, refuse_capture
 from wrt.state.query_kinds import AUTO
 from wrt.tables import lookup
 
@@ -32,15 +32,17 @@ class Settings:
 def as_settings(
     accelerator: str | Accelerator, triangle_test: str, device: str | wp.Device | None, num_threads: int | None
 ) -> Settings:
-    """The checked settings of a caller; arguments and errors as in `wrt.Scene`."""
+    """The checked settings of a caller; arguments and errors as in `wrt.Scene`; RuntimeError while a graph is captured."""
     # Imported here, before any thread queries the scene: the modules of this package import one another, and threads that
     # enter it from two ends at a time fail.
     import wrt.kernels.traversal  # noqa: F401
 
+    target = as_device(device)
+    refuse_capture("building a scene", target)
     return Settings(
         accelerator=resolve_accelerator(accelerator),
         triangle_test=_as_test(triangle_test),
-        device=as_device(device),
+        device=target,
         num_threads=None if num_threads is None else check_num_threads(num_threads, "num_threads"),
     )
 

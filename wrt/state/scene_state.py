@@ -204,6 +204,19 @@ class SceneState:
             with use_threads(self.num_threads):
                 self.lazy_tree.finish()
 
+    def distinct(self) -> SceneState:
+        """The state without surfaces that repeat another exactly (`wrt.meshes.repeated_surfaces`), for queries that count
+        surfaces; this one, if there are none. Found by the first call."""
+        with self.cache.lock:
+            if self.cache.distinct is None:
+                other = self.find_distinct()
+                self.cache.distinct = () if other is self else (other,)
+            return self.cache.distinct[0].with_threads(self.num_threads) if self.cache.distinct else self
+
+    def find_distinct(self) -> SceneState:
+        """What `distinct` finds. Surfaces that nobody can repeat are distinct."""
+        return self
+
     def over(self, tree: Bvh) -> SceneState:
         """A copy of the scene whose tree, on the same device, holds some of its triangles; it has no influence areas."""
         return replace(self, built_tree=tree, lazy_tree=None, area_trees=None, cache=QueryCache())

@@ -1,91 +1,128 @@
 """One client: the thread that makes its pictures, its camera, and its part of the control panel.
 
-A picture is sent once the browser has answered for the one before, so a slow connection gets fewer pictures, not late ones. The
-answer is that to a read of the browser's storage, which it gives in the order of messages.
+Its life is in `wrt.viewer.session_life`. Whoever ends it (the browser that leaves, the viewer that closes, an error that
+nobody foresaw) calls `leave`, from any thread and in any state; it returns at once. What runs for the session ends by
+itself then, and the thread that makes pictures frees what it held as its last act.
+
+A picture is sent once the browser has answered for the one before, so a slow connection gets fewer pictures, not late ones.
 """
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from concurrent.futures import TimeoutError as NotYet
+from contextlib import suppress
 from dataclasses import replace
-from math import degrees, sqrt
-from typing import TYPE_CHECKING, Any
+from time import monotonic
+from typing import Any
 
 import numpy as np
 
 from wrt.kernels.runtime.launch import use_threads
+from wrt.viewer.browser import Browser, Pose
 from wrt.viewer.frame_loop import FrameLoop, FrameTimes, Superseded
 from wrt.viewer.pictures.looks import make_picture
 from wrt.viewer.pictures.wish import Wish
+from wrt.viewer.session_life import Life, SessionState
 from wrt.viewer.shared_scene import SharedScene
-
-if TYPE_CHECKING:
-    import viser
 
 __all__ = ["ClientSession"]
 
-MOST_PIXELS = 1920 * 1200
-"""Largest picture; a larger window shows it enlarged. It bounds the memory and the time of a client."""
+PANELS_AFTER = 1.0
+"""Seconds after which a client gets its panels if it has no picture yet; else it gets them with the first one."""
 
-COARSE_QUALITY, QUALITY = 75, 92
-"""Of JPEG pictures while something moves, and at rest."""
+FAILED = "The pictures of this page have ended: {error}. Load the page again."
+
+_log = logging.getLogger(__name__)
 
 
 class ClientSession:
-    """A client and its thread.
+    """A client and its threads.
 
     Args:
-        client: the client.
+        browser: the client's.
         shared: the scene.
         first: what the client sees at first; its camera and size are those of the client.
         options: of the integrator "ambient", as of `wrt.render`; and of the others.
+        furnish: furnish(session) makes the panels, on a thread of the session, after the first picture.
+        left: left(session) is told when nothing runs and nothing is held any more.
 
     Attributes:
+        life: where the session is.
         wish: what the client wants to see.
         picture: the picture that was made last.
         times: what it took.
         error: why there is none; None for no reason.
     """
 
-    def __init__(self, client: viser.ClientHandle, shared: SharedScene, first: Wish, options: dict[str, Any]) -> None:
-        self.client, self.shared = client, shared
+    def __init__(
+        self,
+        browser: Browser,
+        shared: SharedScene,
+        first: Wish,
+        options: dict[str, Any],
+        furnish: Callable[[ClientSession], None] = lambda session: None,
+        left: Callable[[ClientSession], None] = lambda session: None,
+    ) -> None:
+        self.browser, self.shared = browser, shared
+        self.life = Life()
         self.picture: Any = None
         self.times: FrameTimes | None = None
         self.error: Exception | None = None
         self.on_shown: Callable[[FrameTimes], None] = lambda times: None
         self.on_error: Callable[[Exception | None], None] = lambda error: None
-        self._options = options
-        self._received: Future | None = None
-        self._asking = ThreadPoolExecutor(max_workers=1, thread_name_prefix="wrt-received")
-        self._closed = False
-        self._begun = threading.Event()
-        self.wish = replace(first, version=shared.current[0], camera=pose_of(client.camera), size=size_of(client.camera))
-        self._loop = FrameLoop(self._make, self._show, self._report)
+        self._options, self._furnish, self._left = options, furnish, left
+        self._begun, self._room = threading.Event(), threading.Event()
+        self._room.set()
+        self._wishing = threading.Lock()
+        pose, size = browser.view()
+        self.wish = replace(first, version=shared.current[0], camera=pose or first.camera, size=size)
+        self._loop = FrameLoop(self._make, self._show, self._tell, self._ended)
+        self._furnisher = threading.Thread(target=self._make_panels, name="wrt-panels", daemon=True)
+
+    @property
+    def client(self) -> Any:
+        """viser's handle of the client."""
+        return self.browser.client
 
     def start(self) -> None:
-        """Begins to make pictures."""
-        self.shared.listen(self._follow)
-        self.client.camera.on_update(self._look)
-        self._loop.start()
-        self._loop.want(self.wish)
+        """Begins to make pictures; does nothing if the client has left.
 
-    def close(self) -> None:
-        """Ends the thread and frees all that the client held."""
-        if self._closed:
+        Raises:
+            RuntimeError: the system has no more threads. The session is over then.
+        """
+        if not self.life.move(SessionState.ARRIVED, SessionState.WATCHING):
             return
-        self._closed = True
-        self._begun.set()
-        self.shared.forget(self._follow)
-        self._loop.close()
-        self._asking.shutdown(wait=False, cancel_futures=True)
-        self.picture = self._received = None
+        self.shared.listen(self._follow)
+        self.browser.on_look(self._look)
+        self._loop.want(self.wish)
+        try:
+            self._furnisher.start()
+            self._loop.start()
+        except RuntimeError:
+            self.leave()
+            self._free()
+            raise
 
-    def wait_for_picture(self, timeout: float) -> None:
-        """Waits until the first picture is sent, an error has come instead, or so many seconds have passed."""
-        self._begun.wait(timeout)
+    def leave(self) -> None:
+        """Ends the session, whatever its state; returns at once, and may be called any number of times."""
+        if self.life.move(SessionState.WATCHING, SessionState.LEAVING):
+            self._loop.stop()
+            self._begun.set()
+            self._room.set()
+        elif self.life.move(SessionState.ARRIVED, SessionState.LEFT):  # nothing has begun
+            self._left(self)
+
+    def close(self, timeout: float = 5.0) -> bool:
+        """As `leave`, and waits until nothing runs any more, at most so many seconds; returns whether that is so."""
+        until = monotonic() + timeout
+        self.leave()
+        if self._loop.is_own_thread or threading.current_thread() is self._furnisher:  # it cannot wait for itself
+            return False
+        self.life.wait(SessionState.LEFT, timeout)
+        self._loop.close(max(0.0, until - monotonic()))
+        return not self.is_alive
 
     @property
     def is_idle(self) -> bool:
@@ -94,24 +131,26 @@ class ClientSession:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the thread runs."""
-        return self._loop.is_alive
+        """Whether a thread runs."""
+        return self._loop.is_alive or self._furnisher.is_alive()
 
     def change(self, **values: Any) -> None:
         """Changes fields of the wish."""
         self._tell(None)
-        self.wish = replace(self.wish, **values)
-        self._loop.want(self.wish)
+        self._want(**values)
 
-    async def _look(self, camera: viser.CameraHandle) -> None:
-        """The camera has moved. A coroutine, so that moves stay in their order."""
-        self.wish = replace(self.wish, camera=pose_of(camera), size=size_of(camera))
-        self._loop.want(self.wish)
+    def _want(self, **values: Any) -> None:
+        with self._wishing:
+            self.wish = replace(self.wish, **values)
+            self._loop.want(self.wish)
+
+    def _look(self, pose: Pose, size: tuple[int, int]) -> None:
+        """The camera has moved."""
+        self._want(camera=pose, size=size)
 
     def _follow(self) -> None:
         """The scene has changed."""
-        self.wish = replace(self.wish, version=self.shared.current[0])
-        self._loop.want(self.wish)
+        self._want(version=self.shared.current[0])
 
     def _make(self, wish: Wish, scale: float, is_coarse: bool) -> Any:
         with use_threads(self.shared.threads):
@@ -119,59 +158,55 @@ class ClientSession:
         return self.picture
 
     def _show(self, pixels: np.ndarray, times: FrameTimes) -> None:
-        self._wait_for_client()
-        quality = COARSE_QUALITY if times.is_coarse else QUALITY
-        self.client.scene.set_background_image(pixels, format="jpeg", jpeg_quality=quality)
-        self.client.flush()
-        self._received = self._asking.submit(self.client.local_storage.get_item, "received")
+        self._room.wait()
+        if self.life.is_over:
+            raise Superseded
+        self._room.clear()
+        self.browser.show(pixels, times.is_coarse, self._room.set)
+        if self.life.is_over:  # it has left in between: nobody will answer
+            raise Superseded
         self.times = times
         self._begun.set()
         self.on_shown(times)
 
-    def _wait_for_client(self) -> None:
-        """Returns when the client has the picture before.
-
-        Raises:
-            Superseded: the client has left.
-        """
-        while self._received is not None:
-            try:
-                self._received.result(timeout=0.5)
-                return
-            except NotYet:
-                if self._closed:
-                    raise Superseded from None
-            except RuntimeError:
-                if self._closed or not self._is_connected():
-                    self._closed = True
-                    raise Superseded from None
-                return  # the browser has no storage; it has answered all the same
-
-    def _is_connected(self) -> bool:
-        return self.client.client_id in self.client._viser_server.get_clients()
-
-    def _report(self, error: Exception) -> None:
-        self._begun.set()
-        self._tell(error)
-
     def _tell(self, error: Exception | None) -> None:
+        """Says why there is no picture; None for no reason any more."""
         self.error = error
+        self._begun.set()
         self.on_error(error)
 
+    def _make_panels(self) -> None:
+        self._begun.wait(PANELS_AFTER)
+        if self.life.is_over:
+            return
+        try:
+            self._furnish(self)
+        except Exception as error:
+            self._fail(error)
 
-def pose_of(camera: viser.CameraHandle) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...], float]:
-    """Position, look_at, up and field of view in degrees of a client's camera."""
-    w, x, y, z = (float(value) for value in camera.wxyz)
-    forward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])  # +z of the camera
-    down = np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])  # +y
-    position = np.asarray(camera.position, dtype=np.float64)
-    distance = float(np.linalg.norm(np.asarray(camera.look_at) - position)) or 1.0
-    point = position + distance * forward
-    return tuple(map(float, position)), tuple(map(float, point)), tuple(map(float, -down)), degrees(camera.fov)
+    def _ended(self, error: Exception | None) -> None:
+        """The last act of the thread that makes pictures."""
+        if error is not None:
+            self._fail(error)
+        self.leave()
+        if self._furnisher.ident is not None:
+            self._furnisher.join()
+        self._free()
 
+    def _fail(self, error: Exception) -> None:
+        """Ends the session for an error that no other wish would mend, and says so."""
+        if self.life.is_over:
+            return
+        self.error = error
+        _log.error("a browser gets no more pictures", exc_info=error)
+        with suppress(Exception):  # the browser may be what has failed
+            self.browser.notify("No more pictures", FAILED.format(error=f"{type(error).__name__}: {error}"))
+        self.leave()
 
-def size_of(camera: viser.CameraHandle) -> tuple[int, int]:
-    """Width and height of the picture for a client's window, at most `MOST_PIXELS` together."""
-    width, height = max(int(camera.image_width), 1), max(int(camera.image_height), 1)
-    shrink = min(1.0, sqrt(MOST_PIXELS / (width * height)))
-    return max(1, int(width * shrink)), max(1, int(height * shrink))
+    def _free(self) -> None:
+        self.shared.forget(self._follow)
+        self.browser.on_look(lambda pose, size: None)
+        self.on_shown, self.on_error = (lambda times: None), (lambda error: None)
+        self.picture = None
+        self.life.move(SessionState.LEAVING, SessionState.LEFT)
+        self._left(self)

@@ -79,6 +79,7 @@ class FrameLoop:
         make: make(wish, scale, is_coarse) -> `Picture`.
         show: show(pixels, times): sends a picture; waits until the client has received the one before.
         fail: fail(error): reports that a wish could not be fulfilled; the loop then waits for another.
+        ended: ended(error): the thread's last call; `error` is what `fail` raised, and None after `stop`.
     """
 
     def __init__(
@@ -86,8 +87,9 @@ class FrameLoop:
         make: Callable[[Any, float, bool], Picture],
         show: Callable[[Any, FrameTimes], None],
         fail: Callable[[Exception], None],
+        ended: Callable[[Exception | None], None] = lambda error: None,
     ) -> None:
-        self._make, self._show, self._fail = make, show, fail
+        self._make, self._show, self._fail, self._ended = make, show, fail, ended
         self._changed = threading.Condition()
         self._wish: Any = None
         self._wished_at = 0.0
@@ -109,13 +111,22 @@ class FrameLoop:
                 self._wish, self._wished_at = wish, perf_counter()
                 self._changed.notify_all()
 
-    def close(self, timeout: float = 5.0) -> None:
-        """Ends the picture under way and the thread."""
+    def stop(self) -> None:
+        """Ends the picture under way and the thread, without waiting for them. `show` must not wait any more then."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        if self._thread.is_alive() and self._thread is not threading.current_thread():
+
+    def close(self, timeout: float = 5.0) -> None:
+        """As `stop`, and waits for the thread, at most so many seconds."""
+        self.stop()
+        if self._thread.is_alive() and not self.is_own_thread:
             self._thread.join(timeout)
+
+    @property
+    def is_own_thread(self) -> bool:
+        """Whether the loop's thread asks."""
+        return self._thread is threading.current_thread()
 
     @property
     def is_alive(self) -> bool:
@@ -129,6 +140,17 @@ class FrameLoop:
             return self._wish is None or self._wish is self._done
 
     def _run(self) -> None:
+        failed = None
+        try:
+            self._answer_wishes()
+        except Exception as error:  # of `fail`: no other wish would mend it
+            failed = error
+        finally:
+            with self._changed:
+                self._closed = True
+            self._ended(failed)
+
+    def _answer_wishes(self) -> None:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._closed or self._wish is not self._done)

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import atexit
 import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wrt.imaging.cameras import PinholeCamera, check_point
 from wrt.imaging.integrators import INTEGRATORS
+from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.up_axis import default_up
 from wrt.scene.scene import Scene
+from wrt.viewer.browser import Browser
 from wrt.viewer.client_session import ClientSession
+from wrt.viewer.frame_loop import Superseded
 from wrt.viewer.panels.control_panel import ControlPanel
 from wrt.viewer.panels.pick_panel import PickPanel
 from wrt.viewer.panels.scene_panel import ScenePanel
@@ -35,8 +40,19 @@ __all__ = ["Viewer", "view"]
 MOST_CLIENTS = 16
 """Clients at a time that get pictures."""
 
-PANELS_AFTER = 1.0
-"""Seconds after which a client gets its panels if it has no picture yet; else it gets them with the first one."""
+MOST_LEAVING = 48
+"""Clients that have left while a thread still waits for something on their behalf, such as a kernel to be compiled. If
+there are more, new ones wait."""
+
+STOP_SECONDS = 5.0
+"""Longest wait of `Viewer.close` for pictures under way; one that waits for its kernels to be compiled takes longer, and
+ends then."""
+
+TOO_MANY = "{count} browsers look at this scene. This page shows it as soon as one of them leaves."
+
+NO_THREAD = "The system has no more threads for pictures ({error}). Load this page again later."
+
+MOST_PORT = 65535
 
 MOST_POINTS = 2_000_000
 """Points of a name."""
@@ -75,15 +91,18 @@ class Viewer:
         self.sessions: dict[int, ClientSession] = {}
         self.panels: dict[int, tuple[ControlPanel, PickPanel, TreePanel]] = {}
         self._lock = threading.Lock()
+        self._waiting: dict[int, Callable[[], None]] = {}
+        self._leaving: set[ClientSession] = set()
         self._first, self._options = first, dict(options)
         self._ended = threading.Event()
         self._web, self._server = server, server.viser
         set_camera(self._server, camera, up, scene)
         self._panel = ScenePanel(self._server, self.shared)
-        threading.Thread(target=self._prepare, name="wrt-prepare", daemon=True).start()
+        self._preparing = threading.Thread(target=self._prepare, name="wrt-prepare", daemon=True)
+        self._preparing.start()
         self._first_view = camera, up
-        self._server.on_client_connect(self._welcome)
-        self._server.on_client_disconnect(self._leave)
+        atexit.register(self.close)
+        server.welcome(self._welcome)
 
     @property
     def url(self) -> str:
@@ -103,7 +122,7 @@ class Viewer:
         Raises:
             ValueError: there is no animation, or fps is out of range.
         """
-        if not 0.0 < fps <= 60.0:
+        if not 0.0 < (fps := as_float("fps", fps)) <= 60.0:
             raise ValueError(f"fps is {fps}; it must be above 0 and at most 60")
         self._panel.play(fps)
 
@@ -126,10 +145,10 @@ class Viewer:
         Raises:
             ValueError: wrong shapes, or more than 2 million points.
         """
-        points = np.asarray(points, dtype=np.float64)
+        points, size = as_numbers("points", points, finite=False), as_float("size", size, finite=True)
         if points.ndim < 1 or points.shape[-1] != 3:
             raise ValueError(f"points must have shape (..., 3), not {points.shape}")
-        values = np.zeros(points.shape[:-1]) if values is None else np.asarray(values, dtype=np.float64)
+        values = np.zeros(points.shape[:-1]) if values is None else as_numbers("values", values, finite=False)
         if values.shape != points.shape[:-1]:
             raise ValueError(f"values have shape {values.shape}, but points have shape {points.shape}")
         points, values = points.reshape(-1, 3), values.ravel()
@@ -166,18 +185,26 @@ class Viewer:
             raise
 
     def close(self) -> None:
-        """Ends the server, all threads and all connections; a second call does nothing."""
-        if self._ended.is_set():
-            return
-        self._ended.set()
-        self.shared.pause()
+        """Ends the server, all threads and all connections; a second call does nothing.
+
+        It waits for pictures and frames under way at most 5 seconds, and for connections about as long.
+        """
         with self._lock:
-            sessions = [*self.sessions.values()]
-            self.sessions.clear()
-            self.panels.clear()
+            if self._ended.is_set():
+                return
+            self._ended.set()
+            sessions = [*self.sessions.values(), *self._leaving]
+            self._waiting.clear()
+        atexit.unregister(self.close)
+        until = monotonic() + STOP_SECONDS
         for session in sessions:
-            session.close()
+            session.leave()
+        self.shared.stop(STOP_SECONDS)
         self._web.close()
+        for session in sessions:
+            session.close(max(0.0, until - monotonic()))
+        if self._preparing is not threading.current_thread():
+            self._preparing.join(max(0.0, until - monotonic()))
 
     def __enter__(self) -> Viewer:
         return self
@@ -193,43 +220,91 @@ class Viewer:
 
     def _prepare(self) -> None:
         """Makes a small picture, so that kernels are loaded and normals computed while the browser loads the page."""
-        with suppress(ValueError, TypeError, RuntimeError):  # the client is told
-            if self._server.get_clients():  # one waits: its picture is made already
+        with suppress(ValueError, TypeError, RuntimeError, Superseded):  # the client is told
+            if self._web.browsers or self._ended.is_set():  # one waits: its picture is made already
                 return
             version, scene = self.shared.current
             wish = replace(self._first, version=version, size=(160, 120))
-            make_picture(scene, wish, 1.0, True, self._options.get(wish.integrator)).advance(lambda *_: None)
+            make_picture(scene, wish, 1.0, True, self._options.get(wish.integrator)).advance(self._check)
 
-    def _welcome(self, client: viser.ClientHandle) -> None:
-        """A browser has connected."""
+    def _check(self, *_: Any) -> None:
+        if self._ended.is_set():
+            raise Superseded
+
+    def _welcome(self, browser: Browser) -> None:
+        """A browser has come. Called on the server's event loop, as `_leave` is, so none leaves before it is here."""
+        browser.at_end(lambda: self._leave(browser.number))
+        self._admit(browser)
+
+    def _admit(self, browser: Browser) -> None:
+        """Begins a session, or asks the browser to wait for a place."""
         with self._lock:
             if self._ended.is_set():
                 return
-            if len(self.sessions) >= MOST_CLIENTS:
-                client.add_notification(
-                    "Too many viewers", f"{MOST_CLIENTS} browsers look at this scene. Close one, and load this page again."
-                )
+            if self._is_full:
+                self._waiting[browser.number] = browser.notify("Too many viewers", TOO_MANY.format(count=MOST_CLIENTS))
                 return
-            if not np.allclose(client.camera.position, self._first_view[0].position, rtol=1e-4):  # a slow browser is elsewhere
-                place_camera(client, *self._first_view)
-            session = ClientSession(client, self.shared, self._first, self._options)
-            self.sessions[client.client_id] = session
-        session.start()
-        session.wait_for_picture(PANELS_AFTER)
-        if client.client_id not in self.sessions:
-            return
+            session = ClientSession(browser, self.shared, self._first, self._options, self._furnish, self._session_left)
+            self.sessions[browser.number] = session
+        self._place_camera(browser)
+        try:
+            session.start()
+        except RuntimeError as error:
+            browser.notify("No pictures", NO_THREAD.format(error=error))
+
+    def _place_camera(self, browser: Browser) -> None:
+        """A browser that came before the scene, or was slow, looks from elsewhere: its camera is moved to the first view."""
+        camera, up = self._first_view
+        pose, _ = browser.view()
+        if pose is None or not np.allclose(pose[0], camera.position, rtol=1e-4):
+            with suppress(ValueError, AssertionError):  # what the browser said makes no sense to viser either
+                place_camera(browser.client, camera, up)
+
+    def _furnish(self, session: ClientSession) -> None:
+        """Makes the panels of a session."""
         panels = ControlPanel(session), PickPanel(session), TreePanel(session)
         with self._lock:
-            if client.client_id in self.sessions:
-                self.panels[client.client_id] = panels
+            if self.sessions.get(session.browser.number) is session:
+                self.panels[session.browser.number] = panels
 
-    def _leave(self, client: viser.ClientHandle) -> None:
-        """A browser has gone, perhaps in the middle of a picture."""
+    @property
+    def _is_full(self) -> bool:
+        return len(self.sessions) >= MOST_CLIENTS or len(self._leaving) >= MOST_LEAVING
+
+    def _leave(self, number: int) -> None:
+        """A browser has gone, perhaps in the middle of a picture. Another one gets its place at once."""
         with self._lock:
-            session = self.sessions.pop(client.client_id, None)
-            self.panels.pop(client.client_id, None)
-        if session is not None:
-            session.close()
+            self._waiting.pop(number, None)
+            self.panels.pop(number, None)
+            session = self.sessions.pop(number, None)
+            if session is None:
+                return
+            self._leaving.add(session)
+        session.leave()
+        self._admit_next()
+
+    def _session_left(self, session: ClientSession) -> None:
+        """Nothing runs for a session any more: its browser has gone, or its thread has failed."""
+        number = session.browser.number
+        with self._lock:
+            self._leaving.discard(session)
+            if self.sessions.get(number) is session:
+                del self.sessions[number]
+                self.panels.pop(number, None)
+        self._web.on_loop(self._admit_next)
+
+    def _admit_next(self) -> None:
+        """Gives free places to browsers that wait."""
+        while True:
+            with self._lock:
+                if not self._waiting or self._is_full:
+                    return
+                number, tell_no_more = next(iter(self._waiting.items()))
+                del self._waiting[number]
+            browser = self._web.browsers.get(number)
+            if browser is not None and browser.is_connected:
+                tell_no_more()
+                self._admit(browser)
 
 
 def view(
@@ -261,7 +336,8 @@ def view(
         scene: a `wrt.Scene` of any kind, or a `wrt.TriangleMesh`.
         block: whether to return only at the end, that is at a Ctrl-C. None: in scripts, but not in a notebook.
         host: network interface to listen on. Other computers cannot reach the default.
-        port: to listen on; if it is taken, a higher one. 0 for any.
+        port: to listen on; if it is taken, the next of the 99 above it that is not. 0 for any that is free. `Viewer.url` names
+            it.
         token: whether the address must hold a secret, which `Viewer.url` then does: whoever lacks it gets no picture and moves
             no control. True makes one at random; a string of at least 8 letters, digits, - and _ is one. None: if other
             computers can reach `host`. False lets everybody in, with a warning. Nothing is encrypted.
@@ -281,11 +357,14 @@ def view(
     Raises:
         ImportError: viser is missing.
         TypeError, ValueError: an argument has a wrong type or value.
+        OSError: no port is free, or the system lets nobody listen there.
     """
     check_viser()
     scene = Scene(scene) if isinstance(scene, TriangleMesh) else scene
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a wrt.Scene or a wrt.TriangleMesh, not {type(scene).__name__}")
+    port, samples, frames = as_int("port", port, 0, MOST_PORT), as_int("samples", samples, 1), as_int("frames", frames, 0)
+    block, open_browser = None if block is None else as_bool("block", block), as_bool("open_browser", open_browser)
     if animate is not None and frames < 1:
         raise ValueError(f"frames is {frames}; an animation needs the number of its frames")
     up = tuple(map(float, check_point("up", default_up(scene) if up is None else up)))
@@ -294,7 +373,11 @@ def view(
     for name in options:
         check_integrator(name, "options has")
     server = WebServer(host, port, token)
-    viewer = Viewer(scene, server, camera=camera, up=up, first=first, options=options, animate=animate, frames=frames)
+    try:
+        viewer = Viewer(scene, server, camera=camera, up=up, first=first, options=options, animate=animate, frames=frames)
+    except BaseException:
+        server.close()
+        raise
     if open_browser:
         server.open_browser()
     if not in_notebook() if block is None else block:

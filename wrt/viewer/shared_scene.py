@@ -46,22 +46,24 @@ class SharedScene:
         self.update_seconds = 0.0
         self._animate = animate
         self._lock = threading.RLock()
+        """Of changes, which may build a tree for minutes: nobody waits for it who only looks."""
+        self._listening = threading.Lock()
         self._listeners: list[Callable[[], None]] = []
         self._accelerator: Accelerator | None = None
         self.threads: int | None = scene.num_threads
         self._state: Any = None
-        self._version, self._shown = 0, scene
+        self._current = 0, scene
         self._paused = threading.Event()
         self._paused.set()
+        self._stopped = False
         self._player: threading.Thread | None = None
         self._switching = threading.Lock()
         self.refresh()
 
     @property
     def current(self) -> tuple[int, Scene]:
-        """The newest version and its scene."""
-        with self._lock:
-            return self._version, self._shown
+        """The newest version and its scene. Never waits for a change that is under way."""
+        return self._current
 
     @property
     def build_seconds(self) -> float:
@@ -71,12 +73,12 @@ class SharedScene:
 
     def listen(self, listener: Callable[[], None]) -> None:
         """Calls `listener` after each new version."""
-        with self._lock:
+        with self._listening:
             self._listeners.append(listener)
 
     def forget(self, listener: Callable[[], None]) -> None:
         """Calls `listener` no more."""
-        with self._lock:
+        with self._listening:
             if listener in self._listeners:
                 self._listeners.remove(listener)
 
@@ -89,7 +91,7 @@ class SharedScene:
         self._tell()
 
     def _tell(self) -> None:
-        with self._lock:
+        with self._listening:
             listeners = [*self._listeners]
         for listener in listeners:
             listener()
@@ -114,8 +116,8 @@ class SharedScene:
     def _show(self, shown: Scene, accelerator: Accelerator | None) -> None:
         if shown.num_threads is not None:
             shown.num_threads = None  # `threads` decides
-        self._accelerator, self._shown, self._state = accelerator, shown, self.scene.state
-        self._version += 1
+        self._accelerator, self._state = accelerator, self.scene.state
+        self._current = self._current[0] + 1, shown
 
     def rebuild(self, accelerator: str | Accelerator | None) -> None:
         """Shows the scene through another tree; None for its own.
@@ -141,7 +143,7 @@ class SharedScene:
         """
         with self._lock:
             self.threads = None if count is None else check_num_threads(count, "threads")
-            self._version += 1
+            self._current = self._current[0] + 1, self._current[1]
         self._tell()
 
     def move(self, index: int, transform: np.ndarray) -> None:
@@ -197,7 +199,7 @@ class SharedScene:
             self._player.start()
 
     def _play(self, rate: float, shown: Callable[[], None], failed: Callable[[Exception], None]) -> None:
-        while not self._paused.is_set():
+        while not (self._paused.is_set() or self._stopped):
             start = perf_counter()
             try:
                 self.show_frame((self.frame + 1) % self.frames)
@@ -220,6 +222,14 @@ class SharedScene:
             return
         with self._switching:
             self._end()
+
+    def stop(self, timeout: float) -> None:
+        """Ends the animation for good; waits for the frame under way, at most so many seconds."""
+        self._stopped = True
+        self._paused.set()
+        player = self._player
+        if player is not None and player is not threading.current_thread():
+            player.join(timeout)
 
     def _end(self) -> None:
         self._paused.set()

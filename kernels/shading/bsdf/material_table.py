@@ -12,6 +12,10 @@ MIRROR = wp.constant(1)
 DIELECTRIC = wp.constant(2)
 GLOSSY = wp.constant(3)
 
+REPEAT = wp.constant(0)
+CLAMP = wp.constant(1)
+MIRROR_REPEAT = wp.constant(2)
+
 TILE = wp.constant(64)
 """Edge of the tiles of images, in texels: 16 KB a tile."""
 
@@ -51,6 +55,8 @@ class Materials:
     """(T,) first texel of each image; its first tile if `tiled`."""
     texture_size: wp.array(dtype=wp.vec2i)
     """(T,) width and height."""
+    texture_wrap: wp.array(dtype=wp.vec2i)
+    """(T,) how each image goes on in u and v: `REPEAT`, `CLAMP` or `MIRROR_REPEAT`."""
     texels: wp.array(dtype=wp.uint32)
     """8 bits each of red, green, blue; row 0 is at the top, v = 1. If `tiled`, (places, TILE, TILE), flat."""
     tiled: bool
@@ -102,19 +108,42 @@ class Footprint:
 
 
 @wp.func
-def footprint(size: wp.vec2i, uv: wp.vec2):
-    """The texels at texture coordinates. u grows to the right, v upward; the image repeats."""
-    x = (uv[0] - wp.floor(uv[0])) * float(size[0]) - 0.5
-    y = (1.0 - (uv[1] - wp.floor(uv[1]))) * float(size[1]) - 0.5
+def folded(coordinate: float, wrap: int):
+    """A texture coordinate, brought into [0, 1]."""
+    found = coordinate - wp.floor(coordinate)
+    if wrap == CLAMP:
+        found = wp.clamp(coordinate, 0.0, 1.0)
+    if wrap == MIRROR_REPEAT:
+        found = 1.0 - wp.abs(coordinate - 2.0 * wp.floor(0.5 * coordinate) - 1.0)
+    return found
+
+
+@wp.func
+def texel_number(place: int, size: int, wrap: int):
+    """The number of a texel that may lie one beyond an edge.
+
+    Of an image that repeats, it is at the other edge; else at this one.
+    """
+    number = wp.clamp(place, 0, size - 1)
+    if wrap == REPEAT:
+        number = wp.where(place < 0, size - 1, wp.where(place < size, place, 0))
+    return number
+
+
+@wp.func
+def footprint(size: wp.vec2i, wrap: wp.vec2i, uv: wp.vec2):
+    """The texels at texture coordinates. u grows to the right, v upward."""
+    x = folded(uv[0], wrap[0]) * float(size[0]) - 0.5
+    y = (1.0 - folded(uv[1], wrap[1])) * float(size[1]) - 0.5
     left = wp.clamp(int(wp.floor(x)), -1, size[0] - 1)
     top = wp.clamp(int(wp.floor(y)), -1, size[1] - 1)
     found = Footprint()
     found.across = x - float(left)
     found.down = y - float(top)
-    found.right = wp.where(left + 1 < size[0], left + 1, 0)
-    found.bottom = wp.where(top + 1 < size[1], top + 1, 0)
-    found.left = wp.where(left < 0, size[0] - 1, left)
-    found.top = wp.where(top < 0, size[1] - 1, top)
+    found.right = texel_number(left + 1, size[0], wrap[0])
+    found.bottom = texel_number(top + 1, size[1], wrap[1])
+    found.left = texel_number(left, size[0], wrap[0])
+    found.top = texel_number(top, size[1], wrap[1])
     return found
 
 
@@ -143,7 +172,7 @@ def texel_place(materials: Materials, texture: int, column: int, row: int):
 @wp.func
 def texture_at(materials: Materials, texture: int, uv: wp.vec2, decode: int):
     """An image at texture coordinates, with bilinear interpolation."""
-    at = footprint(materials.texture_size[texture], uv)
+    at = footprint(materials.texture_size[texture], materials.texture_wrap[texture], uv)
     upper_left = texel(materials, texel_place(materials, texture, at.left, at.top), decode)
     upper_right = texel(materials, texel_place(materials, texture, at.right, at.top), decode)
     lower_left = texel(materials, texel_place(materials, texture, at.left, at.bottom), decode)

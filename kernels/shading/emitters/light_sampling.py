@@ -131,7 +131,7 @@ def sample_triangles(lights: Lights, shaded: ShadedMesh, materials: Materials, p
     target = record.corner + weights[0] * record.edge1 + weights[1] * record.edge2
     material = materials.of_face[face * materials.of_face_stride]
     radiance = materials.emission[material]
-    lift = wp.max(OFFSET * reach(target, shaded.mesh.low, shaded.mesh.high), wp.abs(record.sliver))
+    lift = OFFSET * reach(target, shaded.mesh.low, shaded.mesh.high)
     area = lights.triangle_power / wp.max(luminance(radiance), 1e-30)  # 1 / probability per area
     return on_flat(target, position, record.normal, area, radiance, materials.two_sided[material] != 0, lift)
 

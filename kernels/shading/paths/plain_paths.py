@@ -34,15 +34,18 @@ _END = """
 """
 """C++: the way out where no path goes on."""
 
-_PACK = f"""
+_PERMUTATION = {
+    16: """
 #if defined(__AVX512F__) && defined(__clang__)
-    auto order_of = [](unsigned mask) {{  // the lanes in the mask, then others
+    auto order_of = [](unsigned mask) {  // the lanes in the mask, then others
         vi order;
         WRT_UNROLLED for (int i = 0; i < W; ++i) order[i] = i;
         return (vi)__builtin_ia32_compresssi512_mask(order, order, (unsigned short)mask);
-    }};
-    auto packed = [](auto v, vi order) {{ return (decltype(v))__builtin_ia32_permvarsi512((vi)v, order); }};
-#elif defined(__AVX2__) && defined(__clang__)
+    };
+    auto packed = [](auto v, vi order) { return (decltype(v))__builtin_ia32_permvarsi512((vi)v, order); };
+#el""",
+    8: f"""
+#if defined(__AVX2__) && defined(__clang__)
     static const unsigned long long KEPT[256] = {{{KEPT_LANES}}};
     auto order_of = [](unsigned mask) {{
         typedef unsigned char bytes __attribute__((ext_vector_type(8)));
@@ -51,7 +54,18 @@ _PACK = f"""
         return __builtin_convertvector(lanes, vi);
     }};
     auto packed = [](auto v, vi order) {{ return (decltype(v))__builtin_ia32_permvarsi256((vi)v, order); }};
-#else
+#el""",
+}
+"""C++: the instructions that move so many lanes, where the target has them."""
+
+
+def pack_words(width: int) -> str:
+    """C++ of `packed(v, order_of(mask))`, the lanes of v in the mask moved to the front, after `lane_words(width)`.
+
+    The instruction is chosen by the width, and used if the target has it: the two are independent.
+    """
+    with_permutation = _PERMUTATION.get(width, "\n#")
+    return f"""{with_permutation}if 1
     auto order_of = [](unsigned mask) {{
         vi order = 0;
         int count = 0;
@@ -66,7 +80,7 @@ _PACK = f"""
 #endif
     auto packed3 = [&](const V3& v, vi order) {{ return V3{{packed(v.x, order), packed(v.y, order), packed(v.z, order)}}; }};
 """
-"""C++: `packed(v, order_of(mask))`, the lanes of v in the mask moved to the front."""
+
 
 _APPEND = """
     const unsigned on = bits_of(alive);
@@ -99,7 +113,7 @@ def make_shade_plain_paths(width: int) -> Any:
     head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
     parts = (CONSTANTS, _STEP, BEGIN, lane_words(width), KINDS, RECORDS, CROSSED, COLLECT, _END, POINTS, LAMPS, GATHER, SCATTER)
 
-    @wp.func_native(f"{head}{''.join(parts)}{ENDS}{_PACK}{_APPEND}\n#endif\n")
+    @wp.func_native(f"{head}{''.join(parts)}{ENDS}{pack_words(width)}{_APPEND}\n#endif\n")
     def shade_plain_paths(
         first: int,
         step: PathStep,

@@ -42,7 +42,7 @@ LAMPS = """
         const V3 target = lamp.corner + lamp.edge1 * (side * (1.0f - y)) + lamp.edge2 * (side * y);
         const V3 radiance = colors_of(materials.emission.data, numbers);
         const vf bright = 0.2126f * radiance.x + 0.7152f * radiance.y + 0.0722f * radiance.z;
-        const vf lift = larger(OFFSET * reach(target), size_of(lamp.sliver));
+        const vf lift = OFFSET * reach(target);
         const vf area = lights.triangle_power / larger(bright, all(1e-30f));
         on_flat(target, lamp.normal, area, radiance, load_ints(sided), lift, found);
     };

@@ -102,7 +102,7 @@ KINDS = """
 """C++: which rays are plain, by what happens to them: paths end where nothing is hit, and in the last generation."""
 
 RECORDS = """
-    struct Record { V3 corner, edge1, edge2, normal, inverse_heights; vf sliver; };
+    struct Record { V3 corner, edge1, edge2, normal, inverse_heights; vf curved; };
     const auto* table = scene.shaded.records.data;
     auto records_of = [&](const int* faces) {
         vf words[16];
@@ -213,16 +213,32 @@ POINTS = """
     vf u, v;
     load2(hits.uv.data + first, u, v);
     const V3 near = face.corner + face.edge1 * u + face.edge2 * v;
-    const vf offset = larger(OFFSET * reach(near), size_of(face.sliver));
-    auto inset = [&](vf share, vf inverse_height) {
-        const vf least = INSET * offset * inverse_height;
-        return larger(share, pick(3.0f * least < 1.0f, least, all(1.0f / 3.0f)));
-    };
-    const vf a0 = inset(1.0f - u - v, face.inverse_heights.x), a1 = inset(u, face.inverse_heights.y);
-    const vf a2 = inset(v, face.inverse_heights.z), sum = a0 + a1 + a2;
-    const V3 position = face.corner + face.edge1 * (a1 / sum) + face.edge2 * (a2 / sum);
+    const vf offset = OFFSET * reach(near);
+    const V3 inverse = face.inverse_heights;
+    vf w0 = 1.0f - u - v, w1 = u, w2 = v;
+    {
+        const vf room = smaller(INSET * offset, 0.5f / (inverse.x + inverse.y + inverse.z)), sum = w0 + w1 + w2;
+        const vf least0 = room * inverse.x, least1 = room * inverse.y, least2 = room * inverse.z;
+        const vi is_near = (w0 < least0) | (w1 < least1) | (w2 < least2);
+        w0 = w0 / sum; w1 = w1 / sum; w2 = w2 / sum;
+        if (is_any(is_near & (matte | mirror | glass))) {
+            const V3 edge0 = face.edge2 - face.edge1, edge1 = face.edge2 * -1.0f, edge2 = face.edge1;
+            const V3 across = cross(face.edge1, face.edge2);
+            const vf area = root(dot(across, across));
+            const vi moves = is_near & (area > 0.0f);
+            auto part = [&](vf least, vf share, vf over) { return larger(all(0.0f), least - share) / over / (over * area); };
+            for (int pass = 0; pass < 2; ++pass) {
+                const V3 step = edge0 * part(least0, w0, inverse.x) + edge1 * part(least1, w1, inverse.y)
+                    + edge2 * part(least2, w2, inverse.z);
+                w0 = pick(moves, w0 + dot(edge0, step) / area, w0);
+                w1 = pick(moves, w1 + dot(edge1, step) / area, w1);
+                w2 = pick(moves, w2 + dot(edge2, step) / area, w2);
+            }
+        }
+    }
+    const V3 position = face.corner + face.edge1 * w1 + face.edge2 * w2;
     V3 normal = face_normal, lit_from = position;
-    if (scene.shaded.is_smooth && is_any((matte | mirror | glass) & (face.sliver >= 0.0f))) {
+    if (scene.shaded.is_smooth && is_any((matte | mirror | glass) & (face.curved != 0.0f))) {
         auto corner_normals = [&](int corner) {
             float words[3][W];
             WRT_SCALAR for (int i = 0; i < W; ++i) {
@@ -233,9 +249,8 @@ POINTS = """
         };
         auto lift = [&](const V3& corner, const V3& n) { return n * -smaller(all(0.0f), dot(position - corner, n)); };
         const V3 na = corner_normals(0), nb = corner_normals(1), nc = corner_normals(2);
-        const vf w0 = a0 / sum, w1 = a1 / sum, w2 = a2 / sum;
         const V3 blend = na * w0 + nb * w1 + nc * w2;
-        const vi is_round = (face.sliver >= 0.0f) & (dot(blend, face_normal) > 0.0f) & (dot(blend, direction) < 0.0f);
+        const vi is_round = (face.curved != 0.0f) & (dot(blend, face_normal) > 0.0f) & (dot(blend, direction) < 0.0f);
         const V3 rise = lift(face.corner, na) * w0 + lift(face.corner + face.edge1, nb) * w1
             + lift(face.corner + face.edge2, nc) * w2;
         normal = pick3(is_round, blend / root(dot(blend, blend)), face_normal);

@@ -22,7 +22,7 @@ exact_module(__name__)
 def mark_texels(materials: Materials, texture: int, uv: wp.vec2, needed: wp.array(dtype=int)):
     """Marks the tiles of the four texels at texture coordinates. Threads may mark the same tile: they write the same value."""
     if texture >= 0:
-        at = footprint(materials.texture_size[texture], uv)
+        at = footprint(materials.texture_size[texture], materials.texture_wrap[texture], uv)
         needed[tile_of(materials, texture, at.left, at.top)] = 1
         needed[tile_of(materials, texture, at.right, at.top)] = 1
         needed[tile_of(materials, texture, at.left, at.bottom)] = 1

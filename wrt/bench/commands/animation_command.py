@@ -13,6 +13,7 @@ import numpy as np
 from wrt.bench.commands.command_options import json_option, progress, table_console, threads_option, usage_errors, write_json
 from wrt.bench.studies.animation_comparison import ANIMATIONS, REFERENCE, WAYS, Stage, WayFigures, compare_ways
 from wrt.cli.arguments import target_options
+from wrt.cli.number_types import Whole
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.scenes.colonnade import atrium
@@ -22,10 +23,10 @@ from wrt.scenes.colonnade import atrium
 @click.argument("name", default="figure", type=click.Choice([*ANIMATIONS]))
 @target_options
 @click.option("--way", "ways", multiple=True, type=click.Choice([*WAYS]), help="Repeat. [all]")
-@click.option("--frames", default=24, show_default=True, type=click.IntRange(1), help="Frames of a period.")
-@click.option("--detail", default=24, show_default=True, type=click.IntRange(3), help="Triangles grow with its square.")
-@click.option("--size", default=256, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=3, show_default=True, type=click.IntRange(1), help="Turns of each way.")
+@click.option("--frames", default=24, show_default=True, type=Whole(1), help="Frames of a period.")
+@click.option("--detail", default=24, show_default=True, type=Whole(3), help="Triangles grow with its square.")
+@click.option("--size", default=256, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
+@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Turns of each way.")
 @threads_option
 @json_option
 def animation_command(

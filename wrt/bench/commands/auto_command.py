@@ -23,6 +23,7 @@ from wrt.bench.studies.auto_cases import KINDS, SCENES, SIZES, scene_of
 from wrt.bench.studies.auto_choices import Choice, compare_choices
 from wrt.bench.studies.triangles.komatsu_tables import subdivided
 from wrt.cli.arguments import target_options
+from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.meshes.mesh import TriangleMesh
 
@@ -38,9 +39,9 @@ GOOD, BAD = 1.1, 1.3
 @target_options
 @click.option("--scene", "scenes", multiple=True, type=click.Choice([*SCENES]), help="May be repeated. [all]")
 @click.option("--kind", "kinds", multiple=True, type=click.Choice(KINDS), help="Kind of rays; may be repeated. [all]")
-@click.option("--size", "sizes", multiple=True, type=click.IntRange(8), help="Views have SIZE x SIZE pixels. [64 256 1024]")
-@click.option("--divide", default=0, show_default=True, type=click.IntRange(0, 4), help="Divide triangles in 4, so many times.")
-@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each engine.")
+@click.option("--size", "sizes", multiple=True, type=Whole(8), help="Views have SIZE x SIZE pixels. [64 256 1024]")
+@click.option("--divide", default=0, show_default=True, type=Whole(0, 4), help="Divide triangles in 4, so many times.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each engine.")
 @click.option("--open3d/--no-open3d", default=False, show_default=True, help="Time Open3D beside, if it is installed.")
 @threads_option
 @json_option

@@ -10,10 +10,11 @@ from typing import Any
 import click
 
 from wrt.bench.commands.command_options import json_option, load_model, progress, table_console, usage_errors, write_json
-from wrt.bench.core.benchmark_results import ModelResult, Report, machine
+from wrt.bench.core.benchmark_results import ModelResult, Question, Report, machine
 from wrt.bench.core.workloads import ORDERS, WORKLOADS, WorkloadMaker
 from wrt.bench.peers.peer_table import DEFAULT_PEERS, PEERS, make_peers
 from wrt.cli.arguments import start_warp, target_options
+from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import MAX_THREADS, get_num_threads
 from wrt.meshes.mesh import TriangleMesh
 
@@ -70,10 +71,10 @@ class BenchCommand(click.Command):
 @click.option(
     "--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; may be repeated. [all but flat]"
 )
-@click.option("--size", default=1024, show_default=True, type=click.IntRange(1), help="Views have SIZE x SIZE pixels.")
+@click.option("--size", default=1024, show_default=True, type=Whole(1), help="Views have SIZE x SIZE pixels.")
 @click.option("--order", default="tiles", show_default=True, type=click.Choice(ORDERS), help="Order of a view's pixels.")
-@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each contender.")
-@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads of each contender. [all cores]")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each contender.")
+@click.option("--threads", type=Whole(1, MAX_THREADS), help="CPU threads of each contender. [all cores]")
 @click.option("--device", default="cpu", show_default=True, help="Where wrt and wp.Mesh run, such as cuda:0.")
 @click.option("--builders/--no-builders", default=True, show_default=True, help="Compare builds.")
 @click.option("--startup/--no-startup", default=True, show_default=True, help="Compare start-up in fresh processes.")
@@ -114,12 +115,18 @@ def bench(
     materials; each has options of its own.
     """
     from wrt.bench.core.benchmark_plot import matplotlib_missing, save_plot
-    from wrt.bench.core.benchmark_report import print_report
+    from wrt.bench.core.benchmark_report import ReportPrinter
 
     if plot_file is not None and (reason := matplotlib_missing()) is not None:
         raise click.UsageError(reason)
     meshes = [load_model(name) for name in ((model,) if model else DEFAULT_MODELS)]
+    printer = ReportPrinter(table_console())
     with progress() as on_turn, usage_errors():
+
+        def show(report: Report, question: Question) -> None:
+            with on_turn.paused():
+                printer.add(report, question)
+
         report = run_benchmark(
             meshes,
             workloads=workloads or tuple(WORKLOADS),
@@ -132,8 +139,9 @@ def bench(
             builders=builders,
             startup=startup,
             on_turn=on_turn,
+            on_question=show,
         )
-    print_report(report, table_console())
+    printer.end(report)
     write_json(json_file, report.to_dict())
     if plot_file is not None:
         with usage_errors():
@@ -153,8 +161,13 @@ def run_benchmark(
     builders: bool = True,
     startup: bool = True,
     on_turn: Callable[[str], None] = lambda name: None,
+    on_question: Callable[[Report, Question], None] = lambda report, question: None,
 ) -> Report:
     """Asks all questions; arguments as on the command line.
+
+    Args:
+        on_turn: called with the name of each step when it begins.
+        on_question: called with the report so far and its latest question when that is answered.
 
     Raises:
         ValueError: unknown names, or a size that does not divide into tiles.
@@ -171,9 +184,13 @@ def run_benchmark(
         result = ModelResult(mesh.name or "mesh", mesh.triangle_count, mesh.vertex_count)
         report.models.append(result)
         made = WorkloadMaker(mesh, size=size, order=order).make(workloads)
-        result.questions += ask(found, mesh, made, rounds, on_turn)
+        for question in ask(found, mesh, made, rounds, on_turn):
+            result.questions.append(question)
+            on_question(report, question)
         if builders:
             result.questions.append(ask_builds(found, mesh, rounds, threads, device, on_turn))
+            on_question(report, result.questions[-1])
     if startup:
         report.startup = ask_startup(found, threads, device, rounds, on_turn)
+        on_question(report, report.startup)
     return report

@@ -24,6 +24,7 @@ from wrt.bench.studies.bounces.bounce_comparison import WAYS, BounceFigures, com
 from wrt.bench.studies.bounces.bounce_rays import BOUNCES
 from wrt.bench.studies.bounces.shading_streams_comparison import STREAM, StreamFigures, compare_shading, scene_of_materials
 from wrt.cli.arguments import target_options
+from wrt.cli.number_types import Whole
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.runtime.launch import get_num_threads, use_threads
 
@@ -40,9 +41,9 @@ MOST_BALLS = 255
 @click.command("bounces")
 @click.argument("models", nargs=-1)
 @target_options
-@click.option("--size", default=256, show_default=True, type=click.IntRange(8, 512), help="One path from SIZE x SIZE pixels.")
-@click.option("--bounces", default=BOUNCES, show_default=True, type=click.IntRange(1, 60), help="Number of the last bounce.")
-@click.option("--rounds", default=3, show_default=True, type=click.IntRange(1), help="Turns of each way.")
+@click.option("--size", default=256, show_default=True, type=Whole(8, 512), help="One path from SIZE x SIZE pixels.")
+@click.option("--bounces", default=BOUNCES, show_default=True, type=Whole(1, 60), help="Number of the last bounce.")
+@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Turns of each way.")
 @threads_option
 @json_option
 def bounces_command(
@@ -91,11 +92,11 @@ def print_verdicts(verdicts: Sequence[Verdict], console: Any) -> None:
 
 @click.command("shading")
 @target_options
-@click.option("--size", default=448, show_default=True, type=click.IntRange(8, 2048), help="SIZE x SIZE pixels.")
-@click.option("--balls", default=12, show_default=True, type=click.IntRange(1, MOST_BALLS), help="BALLS x BALLS materials.")
-@click.option("--depth", default=5, show_default=True, type=click.IntRange(1, 60), help="Generations of rays.")
-@click.option("--stream", default=STREAM, show_default=True, type=click.IntRange(1), help="Rays of a stream.")
-@click.option("--rounds", default=3, show_default=True, type=click.IntRange(1), help="Turns of each way.")
+@click.option("--size", default=448, show_default=True, type=Whole(8, 2048), help="SIZE x SIZE pixels.")
+@click.option("--balls", default=12, show_default=True, type=Whole(1, MOST_BALLS), help="BALLS x BALLS materials.")
+@click.option("--depth", default=5, show_default=True, type=Whole(1, 60), help="Generations of rays.")
+@click.option("--stream", default=STREAM, show_default=True, type=Whole(1), help="Rays of a stream.")
+@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Turns of each way.")
 @threads_option
 @json_option
 def shading_command(

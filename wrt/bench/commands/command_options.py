@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from wrt.atomic_files import write_text
+from wrt.cli.arguments import check_file
+from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import MAX_THREADS
 from wrt.meshes.mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.status import Status
+
+LINE_SECONDS = 10.0
+"""Seconds between lines about progress where stderr is no terminal."""
 
 SCENE_OPTIONS = {"teapot": {"level": 32, "ground": False}}
 """Where a scene's defaults do not suit: the teapot's ground would fill every view."""
 
-threads_option = click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
+threads_option = click.option("--threads", type=Whole(1, MAX_THREADS), help="CPU threads. [all cores]")
 json_option = click.option(
     "--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures."
 )
@@ -34,6 +43,7 @@ def load_model(name: str) -> TriangleMesh:
         if name in scenes.BUILTIN_SCENES and not Path(name).is_file():
             mesh = scenes.build(name, **SCENE_OPTIONS.get(name, {}))
             return TriangleMesh(mesh.vertices, mesh.faces, name=name)
+        check_file(Path(name))
         return TriangleMesh.load(name)
     except (FileNotFoundError, ValueError) as error:
         raise click.BadParameter(
@@ -62,20 +72,51 @@ def write_json(path: Path | None, figures: dict[str, Any]) -> None:
     """Writes plain data to a file, if one was asked for."""
     if path is not None:
         with usage_errors():
-            path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+            write_text(path, json.dumps(figures, indent=1) + "\n")
+
+
+class Steps:
+    """Says on stderr what is under way: the latest step at a terminal, and elsewhere a line every `LINE_SECONDS`.
+
+    Args:
+        status: what shows it at a terminal; None elsewhere.
+    """
+
+    def __init__(self, status: Status | None = None) -> None:
+        self._status, self._said = status, -inf
+
+    def __call__(self, name: str) -> None:
+        """Begins a step."""
+        text = f"bench: {name}"
+        if self._status is not None:
+            self._status.update(text)
+        elif time.monotonic() - self._said >= LINE_SECONDS:
+            self._said = time.monotonic()
+            click.echo(text, err=True)
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Shows nothing inside the `with` block, in which tables are printed."""
+        if self._status is not None:
+            self._status.stop()
+        try:
+            yield
+        finally:
+            if self._status is not None:
+                self._status.start()
 
 
 @contextmanager
-def progress() -> Iterator[Callable[[str], None]]:
-    """What to call with the name of each step: shown on stderr if that is a terminal."""
+def progress() -> Iterator[Steps]:
+    """What to call with the name of each step."""
     from rich.console import Console
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield lambda name: None
+        yield Steps()
         return
     with console.status("bench") as status:
-        yield lambda name: status.update(f"bench: {name}")
+        yield Steps(status)
 
 
 @contextmanager
@@ -86,7 +127,7 @@ def progress_bar(steps: int) -> Iterator[Callable[[str], None]]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield lambda name: None
+        yield Steps()
         return
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("bench", total=steps)

@@ -32,6 +32,7 @@ from wrt.bench.studies.kdtrees.layout_comparison import (
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.streaming import EXACT
 from wrt.cli.arguments import target_options
+from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.meshes.mesh import TriangleMesh
 
@@ -40,10 +41,10 @@ from wrt.meshes.mesh import TriangleMesh
 @click.argument("model", default="teapot")
 @target_options
 @click.option("--builder", "builders", multiple=True, type=click.Choice([*KDTREE_BUILDERS]), help="Repeat. [all]")
-@click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each builder.")
+@click.option("--size", default=512, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each builder.")
 @threads_option
-@click.option("--growth", type=click.IntRange(1000), metavar="N", help="Show growth too, from 10^3 to N triangles.")
+@click.option("--growth", type=Whole(1000), metavar="N", help="Show growth too, from 10^3 to N triangles.")
 @json_option
 def builders_command(
     model: str,
@@ -130,8 +131,8 @@ def print_growth(grown: Sequence[Growth], console: Any) -> None:
     "--builder", default="in_place", show_default=True, type=click.Choice([*KDTREE_BUILDERS]), help="Builder of the tree."
 )
 @click.option("--width", type=click.Choice([1, 2, 4, 8, 16]), help="Triangles a block; 1 for deep trees. [what suits the CPU]")
-@click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each layout.")
+@click.option("--size", default=512, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each layout.")
 @threads_option
 @click.option("--allocations", is_flag=True, help="Compare general with fixed-size allocation of nodes instead.")
 @click.option("--compact", is_flag=True, help="Compare nodes with and without indices of their children instead.")

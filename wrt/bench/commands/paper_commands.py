@@ -13,6 +13,7 @@ from wrt.bench.commands.command_options import json_option, load_model, progress
 from wrt.bench.core.benchmark_results import machine
 from wrt.bench.studies.triangles import komatsu_packets, komatsu_tables, pichler_tables, pichler_variants
 from wrt.cli.arguments import target_options
+from wrt.cli.number_types import Whole
 from wrt.meshes.mesh import TriangleMesh
 
 Rows = list[dict[str, Any]]
@@ -114,7 +115,7 @@ def report(tables: Mapping[str, str], chosen: Sequence[str], make: Callable[[str
     write_json(json_file, {"machine": machine("cpu"), "tables": found})
 
 
-rounds_option = click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each contender.")
+rounds_option = click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each contender.")
 
 
 @click.command("pichler")
@@ -123,7 +124,7 @@ rounds_option = click.option("--rounds", default=5, show_default=True, type=clic
 @click.option(
     "--scene", "scenes", multiple=True, type=click.Choice([*pichler_tables.SCENES]), help="Scenes; may be repeated. [all]"
 )
-@click.option("--size", type=click.IntRange(4), help="Views have SIZE x SIZE pixels, a multiple of 4. [each table's own]")
+@click.option("--size", type=Whole(4), help="Views have SIZE x SIZE pixels, a multiple of 4. [each table's own]")
 @rounds_option
 @json_option
 def pichler_command(
@@ -140,7 +141,7 @@ def pichler_command(
 @click.option(
     "--models", "folder", type=click.Path(file_okay=False, exists=True, path_type=Path), help="Folder of the Stanford models."
 )
-@click.option("--tests", default=1 << 23, show_default=True, type=click.IntRange(1 << 10), help="Tests of a call.")
+@click.option("--tests", default=1 << 23, show_default=True, type=Whole(1 << 10), help="Tests of a call.")
 @rounds_option
 @json_option
 def komatsu_command(

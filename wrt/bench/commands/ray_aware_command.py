@@ -31,6 +31,7 @@ from wrt.bench.studies.known_rays.ray_aware_comparison import (
     compare_traces,
 )
 from wrt.cli.arguments import target_options
+from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS as WALKS
 
@@ -49,8 +50,8 @@ same, told the area."""
 @click.command("ray-aware")
 @click.argument("model", default="atrium")
 @target_options
-@click.option("--size", default=1024, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each tree.")
+@click.option("--size", default=1024, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each tree.")
 @threads_option
 @click.option("--traversal", "traversals", multiple=True, type=click.Choice(["auto", *WALKS]), help="Repeat. [auto, single]")
 @json_option

@@ -19,6 +19,7 @@ from wrt.bench.commands.command_options import (
     usage_errors,
     write_json,
 )
+from wrt.bench.core.benchmark_plot import save_figure
 from wrt.bench.core.benchmark_results import machine
 from wrt.bench.peers.embree import Embree
 from wrt.bench.peers.embree_library import EMBREES
@@ -26,6 +27,7 @@ from wrt.bench.peers.peer_table import make_peers
 from wrt.bench.studies.build_sizes import SIZES, SizeFigures, measure_sizes
 from wrt.bench.studies.thread_scaling import JobFigures, measure_scaling, measure_schedules, powers_of_two
 from wrt.cli.arguments import target_options
+from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import get_num_threads
 
 BUILDING = ("embree", "open3d", "embreex", "warp_mesh")
@@ -34,7 +36,7 @@ BUILDING = ("embree", "open3d", "embreex", "warp_mesh")
 
 @click.command("scaling")
 @click.argument("model", default="teapot")
-@click.option("--rounds", default=7, show_default=True, type=click.IntRange(1), help="Turns of each number of threads.")
+@click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Turns of each number of threads.")
 @click.option("--plot", "plot_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write a picture.")
 @click.option("--embree/--no-embree", default=True, show_default=True, help="Time Embree 3 and 4 too, where found.")
 @threads_option
@@ -68,7 +70,7 @@ def scaling_command(
 
 @click.command("scheduling")
 @click.argument("model", default="teapot")
-@click.option("--rounds", default=7, show_default=True, type=click.IntRange(1), help="Turns of each schedule.")
+@click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Turns of each schedule.")
 @threads_option
 @json_option
 def scheduling_command(model: str, rounds: int, threads: int | None, json_file: Path | None) -> None:
@@ -121,14 +123,14 @@ def save_scaling_plot(figures: Sequence[JobFigures], path: Path) -> None:
     axes.set_xlabel("threads")
     axes.set_ylabel("speed, one thread = 1")
     axes.legend()
-    figure.savefig(path, dpi=150)
+    save_figure(figure, path)
 
 
 @click.command("build-sizes")
 @target_options
-@click.option("--triangles", "sizes", multiple=True, type=click.IntRange(2), help="Of a sheet; repeat. [1,000 to 3,000,000]")
+@click.option("--triangles", "sizes", multiple=True, type=Whole(2), help="Of a sheet; repeat. [1,000 to 3,000,000]")
 @click.option("--peer", "names", multiple=True, type=click.Choice([*BUILDING, "embree3", "embree4"]), help="Repeat. [all]")
-@click.option("--rounds", default=7, show_default=True, type=click.IntRange(1), help="Turns of each contender.")
+@click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Turns of each contender.")
 @threads_option
 @json_option
 def build_sizes_command(

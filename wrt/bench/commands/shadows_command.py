@@ -20,6 +20,7 @@ from wrt.bench.commands.command_options import (
 )
 from wrt.bench.studies.shadow_comparison import SAMPLES, ShadowFigures, compare_shadows
 from wrt.cli.arguments import target_options
+from wrt.cli.number_types import Real, Whole
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.layout.light_cells import MAX_RESOLUTION
 from wrt.kernels.runtime.launch import get_num_threads
@@ -31,11 +32,11 @@ from wrt.shadows.area_light_visibility import MAX_SAMPLES
 @click.command("shadows")
 @click.argument("model", default="atrium")
 @target_options
-@click.option("--light", nargs=3, type=float, help="Position. [the scene's, or above the model]")
-@click.option("--samples", multiple=True, type=click.IntRange(1, MAX_SAMPLES), help="Of the area light. [1 4 16 64 256]")
-@click.option("--resolution", type=click.IntRange(1, MAX_RESOLUTION), help="Cells along an edge. [by the number of triangles]")
-@click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Shadow rays from SIZE x SIZE pixels.")
-@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each engine.")
+@click.option("--light", nargs=3, type=Real(), help="Position. [the scene's, or above the model]")
+@click.option("--samples", multiple=True, type=Whole(1, MAX_SAMPLES), help="Of the area light. [1 4 16 64 256]")
+@click.option("--resolution", type=Whole(1, MAX_RESOLUTION), help="Cells along an edge. [by the number of triangles]")
+@click.option("--size", default=512, show_default=True, type=Whole(4), help="Shadow rays from SIZE x SIZE pixels.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each engine.")
 @threads_option
 @json_option
 def shadows_command(

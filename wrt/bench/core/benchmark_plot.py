@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from wrt.atomic_files import replaced
 from wrt.bench.core.benchmark_report import model_label, times
 from wrt.bench.core.benchmark_results import Question, Report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def matplotlib_missing() -> str | None:
@@ -36,7 +41,18 @@ def save_plot(report: Report, path: str | Path) -> None:
         for place, question in zip(line, questions, strict=False):
             draw_question(place, question)
         line[0].set_ylabel(model_label(model))
-    figure.savefig(path, dpi=150)
+    save_figure(figure, path)
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Writes a figure in the format of the suffix, PNG if there is none; an old file is replaced when the new one is complete.
+
+    Raises:
+        ValueError: matplotlib does not know the format.
+        OSError: the file cannot be written.
+    """
+    with replaced(path, streams=True) as file:
+        figure.savefig(file, format=Path(path).suffix.lower().lstrip(".") or "png", dpi=150)
 
 
 def draw_question(axes, question: Question) -> None:

@@ -1,4 +1,4 @@
-"""The report as tables: one for each question and model, with the ratio to wrt first."""
+"""The report as tables: one for each question and model, with the ratio to wrt first, printed when the question is answered."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ AGREEMENT = {
 }
 """Columns that compare a contender's answers with wrt's."""
 
+WIDTHS = {"rays": 20, "contender": 24, "time / wrt": 10, "Mrays/s": 7, "ms (min - max)": 22, "hits": 11}
+"""Least characters of columns, so that those of one table stand below those of the table before."""
+
 FOOTNOTES = {
     "closest": "time / wrt: per ray, median of the rounds' ratios; above 1 is slower than wrt. Rays are in each library's own "
     "form before the clock starts.\nsame triangle, same t: share of the rays that agree with wrt, t within 1e-5 of the box's "
@@ -38,33 +41,48 @@ FOOTNOTES = {
 }
 
 
-def print_report(report: Report, console: Console) -> None:
-    """Prints the machine, every table and what is missing."""
-    console.print(machine_line(report), highlight=False)
-    for model in report.models:
-        for kind in ("build", *AGREEMENT):
-            questions = [question for question in model.questions if question.kind == kind]
-            if questions:
-                table = build_table(questions[0]) if kind == "build" else ray_table(kind, questions)
-                print_table(table, f"{TITLES[kind]}: {model_label(model)}", kind, questions, console)
-    if report.startup is not None:
-        print_table(startup_table(report.startup), TITLES["startup"], "startup", [report.startup], console)
-    for name, note in notes(report).items():
-        console.print(f"{name}: {note}", style="dim", highlight=False, markup=False)
-    for name, reason in report.missing.items():
-        console.print(f"left out: {name} ({reason})", highlight=False, markup=False)
+class ReportPrinter:
+    """Prints the tables of a report while it grows: a comparison takes minutes.
 
+    Args:
+        console: where to.
+    """
 
-def print_table(table: Table, title: str, kind: str, questions: Iterable[Question], console: Console) -> None:
-    """A table under its title, then what its columns mean and who failed."""
-    console.print(f"\n[bold]{title}[/bold]", highlight=False)
-    console.print(table)
-    console.print(FOOTNOTES[kind], style="dim", highlight=False)
-    for question in questions:
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._title: str | None = None
+        self._kinds: list[str] = []
+
+    def add(self, report: Report, question: Question) -> None:
+        """Prints the table of a question that has been answered, the latest of the report; first the machine."""
+        if self._title is None:
+            self._console.print(machine_line(report), highlight=False)
+        title = TITLES[question.kind] + ("" if question.kind == "startup" else f": {model_label(report.models[-1])}")
+        if title != self._title:
+            self._console.print(f"\n[bold]{title}[/bold]", highlight=False)
+        self._title = title
+        self._kinds += [question.kind] if question.kind not in self._kinds else []
+        self._console.print(table_of(question))
         for row in question.rows:
             if row.error is not None:
                 where = f" on {question.workload}" if question.workload else ""
-                console.print(f"{row.name} did not take part{where}: {row.error}", highlight=False, markup=False)
+                self._console.print(f"{row.name} did not take part{where}: {row.error}", highlight=False, markup=False)
+
+    def end(self, report: Report) -> None:
+        """Prints what the columns mean, and what is missing."""
+        for kind in self._kinds:
+            self._console.print(f"\n{TITLES[kind]}. {FOOTNOTES[kind]}", style="dim", highlight=False)
+        for name, note in notes(report).items():
+            self._console.print(f"{name}: {note}", style="dim", highlight=False, markup=False)
+        for name, reason in report.missing.items():
+            self._console.print(f"left out: {name} ({reason})", highlight=False, markup=False)
+
+
+def table_of(question: Question) -> Table:
+    """The table of a question."""
+    if question.kind == "startup":
+        return startup_table(question)
+    return build_table(question) if question.kind == "build" else ray_table(question.kind, [question])
 
 
 def notes(report: Report) -> dict[str, str]:
@@ -92,7 +110,7 @@ def new_table(left: Iterable[str], right: Iterable[str], last: Iterable[str] = (
     table = Table(header_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for names, justify in ((left, "left"), (right, "right"), (last, "left")):
         for name in names:
-            table.add_column(name, justify=justify, no_wrap=True)
+            table.add_column(name, justify=justify, no_wrap=True, min_width=WIDTHS.get(name))
     return table
 
 

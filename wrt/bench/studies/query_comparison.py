@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -29,12 +29,14 @@ def ask(
     workloads: Iterable[Workload],
     rounds: int,
     on_turn: Callable[[str], None] = lambda name: None,
-) -> list[Question]:
-    """Builds every peer and traces every workload with it. The first peer is wrt, to which ratios and agreement refer."""
+) -> Iterator[Question]:
+    """Builds every peer and traces every workload with it, one after the other. The first peer is wrt, to which ratios and
+    agreement refer."""
     for peer in peers:
         on_turn(f"build {peer.name}")
         peer.build(mesh)
-    return [ask_one(peers, mesh, workload, rounds, on_turn) for workload in workloads]
+    for workload in workloads:
+        yield ask_one(peers, mesh, workload, rounds, on_turn)
 
 
 def ask_one(

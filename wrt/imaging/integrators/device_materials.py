@@ -15,7 +15,7 @@ from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.bsdf import material_table
 from wrt.kernels.shading.shading_point import FaceRecord, ShadedMesh, make_face_records
-from wrt.materials.material import KINDS, Material, Texture, check_materials
+from wrt.materials.material import KINDS, WRAPS, Material, Texture, check_materials
 from wrt.materials.mesh_materials import MeshMaterials, joined_materials
 from wrt.scene.scene import Scene
 
@@ -123,6 +123,8 @@ def _add_textures(
     table.corner_uv = wp.array(corner_uv.reshape(-1, 2), dtype=wp.vec2, device=device)
     sizes = np.array([texture.pixels.shape[1::-1] for texture in known], dtype=np.int32)
     table.texture_size = wp.array(sizes, dtype=wp.vec2i, device=device)
+    wraps = np.array([[WRAPS.index(wrap) for wrap in texture.wrap] for texture in known], dtype=np.int32)
+    table.texture_wrap = wp.array(wraps, dtype=wp.vec2i, device=device)
     levels = np.arange(256) / 255.0
     curved = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
     table.linear = wp.array(np.concatenate([levels, curved]).astype(np.float32), dtype=float, device=device)

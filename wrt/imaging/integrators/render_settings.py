@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from wrt.imaging.cameras import check_whole
 from wrt.imaging.integrators import INTEGRATORS
 from wrt.imaging.integrators.texture_tiles import SMALLEST_BUDGET
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS
 from wrt.kernels.shading.wavefront.picture import TONE_MAPPINGS
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
+from wrt.kernels.validation import as_int, convert_fields
 from wrt.materials.material import as_color
 from wrt.state.query_kinds import AUTO
 
@@ -82,9 +82,10 @@ class RenderSettings:
     triangle_test: str = AUTO
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         for name, minimum in (("samples", 1), ("depth", 1), ("seed", 0), ("wave", 1), ("texture_memory", SMALLEST_BUDGET)):
             if getattr(self, name) is not None:
-                check_whole(name, getattr(self, name), minimum)
+                as_int(name, getattr(self, name), minimum)
         choices = {"sampler": SAMPLERS, "pixel_filter": FILTERS, "fresnel": FRESNEL, "tone_mapping": TONE_MAPPINGS}
         for name, known in choices.items():
             if getattr(self, name) not in known:

@@ -20,11 +20,12 @@ from wrt.imaging.integrators.wavefront import SQUARE, Wave, pixel_samples, squar
 from wrt.imaging.lights.device_lights import check_lights, device_lights
 from wrt.imaging.lights.sky_image import Sky
 from wrt.imaging.rendering import Camera, check_types, default_light
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.shading.wavefront import picture, ray_queue
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS, CameraModel
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.shading.wavefront.scene_light import LitScene
+from wrt.kernels.validation import as_float
 from wrt.materials.material import Material
 from wrt.memory import empty
 from wrt.scene.scene import Scene
@@ -85,6 +86,7 @@ class Rendering:
         **options: Any,
     ) -> None:
         check_types(scene, camera)
+        refuse_capture("rendering", scene.device)
         if integrator not in INTEGRATORS[1:]:
             raise ValueError(f"unknown integrator {integrator!r}; choose from {', '.join(INTEGRATORS[1:])}")
         settings = RenderSettings() if settings is None else settings
@@ -162,6 +164,7 @@ class Rendering:
         Raises:
             TypeError, ValueError: `samples` is not a whole number of at least 1.
         """
+        refuse_capture("rendering", self._scene.device)
         goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
         with use_threads(self._scene.num_threads):
             while self.done < goal:
@@ -262,7 +265,7 @@ class Rendering:
         mapping = self.settings.tone_mapping if tone_mapping is None else tone_mapping
         if mapping not in picture.TONE_MAPPINGS:
             raise ValueError(f"unknown tone_mapping {mapping!r}; choose from {', '.join(picture.TONE_MAPPINGS)}")
-        factor = self.settings.exposure if exposure is None else exposure
+        factor = self.settings.exposure if exposure is None else as_float("exposure", exposure)
         number = picture.TONE_MAPPINGS.index(mapping)
         return self._shaped(self._of_pixels(picture.map_tones, wp.vec3, self._film, self.done, float(factor), number))
 

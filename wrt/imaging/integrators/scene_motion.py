@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from wrt.kernels.validation import as_numbers
 from wrt.meshes.instance import check_transform
 from wrt.scene.scene import Scene
 
@@ -72,7 +73,7 @@ class Motion:
 def _keys(name: str, index: int, pair: Any) -> tuple[np.ndarray, np.ndarray]:
     if not isinstance(pair, tuple | list) or len(pair) != 2:
         raise ValueError(f"{name}[{index}] must be a pair: when the shutter opens, and when it closes")
-    before, after = (np.asarray(key, dtype=np.float64) for key in pair)
+    before, after = (as_numbers("motion", key, finite=False) for key in pair)
     if before.shape != after.shape:
         raise ValueError(f"{name}[{index}] has keys of the shapes {before.shape} and {after.shape}; they must be equal")
     return before, after

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from wrt.imaging.cameras import check_point
+from wrt.kernels.validation import as_bool, as_float
 from wrt.materials.material import Color, as_color
 from wrt.meshes.placement import MAX_COORDINATE
 
@@ -82,12 +83,13 @@ class SpotLight(PointLight):
     ) -> None:
         super().__init__(position, intensity)
         self.direction = unit("look_at - position", check_point("look_at", look_at) - self.position)
+        angle = as_float("angle", angle)
         if not 0.0 < angle < 90.0:
             raise ValueError(f"angle is {angle}; half the angle of a spot light's cone must be between 0 and 90 degrees")
-        inner = 0.8 * angle if inner is None else inner
+        inner = 0.8 * angle if inner is None else as_float("inner", inner)
         if not 0.0 <= inner < angle:
             raise ValueError(f"inner is {inner}; it must be from 0 to below angle, which is {angle}")
-        self.angle, self.inner = float(angle), float(inner)
+        self.angle, self.inner = angle, inner
 
 
 class DirectionalLight:
@@ -171,17 +173,17 @@ class AreaLight:
         Raises:
             ValueError: a radius that is not above 0, or a value that is not finite or negative.
         """
-        if not 0.0 < radius <= MAX_COORDINATE:
+        if not 0.0 < (radius := as_float("radius", radius)) <= MAX_COORDINATE:
             raise ValueError(f"radius is {radius}; it must be above 0, and at most {MAX_COORDINATE:.3g}")
         zero = np.zeros(3)
-        return cls("sphere", place("center", center), zero, zero, float(radius), as_color("radiance", radiance), False)
+        return cls("sphere", place("center", center), zero, zero, radius, as_color("radiance", radiance), False)
 
     @classmethod
     def _flat(cls, shape: str, corner: Any, edge1: Any, edge2: Any, radiance: Any, two_sided: bool) -> AreaLight:
         corner, edge1, edge2 = (place(name, value) for name, value in (("corner", corner), ("edge1", edge1), ("edge2", edge2)))
         if not np.linalg.norm(np.cross(edge1, edge2)) > 0.0:
             raise ValueError("the lamp has no area: its edges are parallel, or zero")
-        return cls(shape, corner, edge1, edge2, 0.0, as_color("radiance", radiance), bool(two_sided))
+        return cls(shape, corner, edge1, edge2, 0.0, as_color("radiance", radiance), as_bool("two_sided", two_sided))
 
     @property
     def area(self) -> float:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from wrt.imaging.lights.lamps import unit
+from wrt.kernels.validation import as_float, as_real_array
 from wrt.materials.material import as_color
 
 __all__ = ["Sky"]
@@ -69,7 +70,7 @@ class Sky:
         Raises:
             ValueError: a wrong shape, values that are not finite or negative, no direction.
         """
-        texels = np.asarray(image, dtype=np.float32) * np.float32(scale)
+        texels = as_real_array("image", image).astype(np.float32) * np.float32(as_float("scale", scale, finite=True))
         if texels.ndim != 3 or texels.shape[2] != 3 or texels.size == 0:
             raise ValueError(f"image must have shape (H, W, 3), not {texels.shape}")
         if not (np.isfinite(texels).all() and texels.min() >= 0.0):

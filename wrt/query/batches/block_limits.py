@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from time import perf_counter
 from typing import Any
 
+from wrt.kernels.validation import as_int
+
 UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KIB": 1 << 10, "MIB": 1 << 20, "GIB": 1 << 30}
 """Units of memory, in bytes."""
 
@@ -18,11 +20,11 @@ def parse_memory(memory: int | str) -> int:
     """An amount of memory in bytes, from a number or a text such as "256 MB" or "1.5 GiB".
 
     Raises:
-        TypeError: neither an int nor a str.
+        TypeError: neither a whole number nor a str.
         ValueError: not positive, or not an amount of memory.
     """
-    if isinstance(memory, bool) or not isinstance(memory, (int, str)):
-        raise TypeError(f"memory must be an int, in bytes, or a text such as '256 MB', not {type(memory).__name__}")
+    if not isinstance(memory, str):
+        memory = as_int("memory", memory)  # bytes
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([KMG]?I?B|)\s*", str(memory).upper())
     if match is None or match[2] not in UNITS or not float(match[1]) > 0:
         raise ValueError(f"memory is {memory!r}; give a number of bytes from 1 up, or a text such as '256 MB' or '1.5 GiB'")

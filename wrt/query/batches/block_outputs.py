@@ -36,6 +36,8 @@ def check_out(out: Any, answer: Any, length: int, exact: bool) -> None:
         casting = "same_kind" if values.dtype.kind == "f" else "safe"
         if not np.can_cast(values.dtype, array.dtype, casting):
             raise ValueError(f"{name} holds {array.dtype}, which does not hold the answer; make it {values.dtype}")
+        if values is getattr(answer, "position", None) and array.dtype.itemsize < 8 and answer.is_far:
+            raise ValueError(f"{name} holds {array.dtype}, which would move positions so far from 0; make it float64")
 
 
 def _outputs(out: Any, answer: Any) -> list[tuple[str, Any, Any]]:

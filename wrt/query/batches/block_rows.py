@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.validation import as_float, as_int, convert_fields
 from wrt.query.hits import Hits
 from wrt.query.skip import SceneTriangles
 from wrt.rays.rays import Rays, leading_shape
@@ -47,7 +48,9 @@ class GeneratedRays:
     t_max: float = math.inf
 
     def __post_init__(self) -> None:
-        shape = tuple(int(n) for n in np.atleast_1d(self.shape))
+        convert_fields(self)
+        lengths = self.shape if isinstance(self.shape, Iterable) and np.shape(self.shape) else (self.shape,)
+        shape = tuple(as_int("shape", length) for length in lengths)
         if not callable(self.function):
             raise TypeError(f"function must be called as function(first, count), not be {type(self.function).__name__}")
         if not shape or min(shape) < 0:
@@ -96,6 +99,7 @@ def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Source:
             raise TypeError("pass either wrt.GeneratedRays, or origins and directions, not both")
         if np.ndim(t_min) or np.ndim(t_max):
             raise ValueError("t_min and t_max must be numbers if a function makes the rays; let it return wrt.Rays instead")
+        t_min, t_max = as_float("t_min", t_min), as_float("t_max", t_max)
         return replace(origins, t_min=max(origins.t_min, t_min), t_max=min(origins.t_max, t_max))
     if isinstance(origins, Rays):
         if directions is not None:

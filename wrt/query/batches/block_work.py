@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.atomic_files import replaced
 from wrt.query.batches.array_files import SMALL, opened, opened_by_workers
 from wrt.query.batches.block_rows import GeneratedRays, SkippedTriangles, cut_rows, is_cut
 from wrt.query.batches.reductions import BlockReduction
@@ -26,6 +27,10 @@ from wrt.rays.rays import Rays, leading_shape
 
 Deliver = Callable[[slice, Any], Any]
 """What is done with the answer to some rows; its result is what the client gets."""
+
+Examine = Callable[["BlockWork", slice, Rays, Mapping[str, Any], Mapping[str, Any]], Deliver]
+"""Called with the work, some rows, their rays, their mask, environment and skip, and what came with the task, before they are
+answered. Returns what is done with the answer."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,7 @@ class BlockWork:
         axes: number of leading axes of the batch.
         deliver: what is done with an answer; None to return it.
         threads, device: as of `Workers`.
+        examine: what looks at the rays of a block first, and says what is done with their answer in place of `deliver`.
     """
 
     scene: Any
@@ -82,6 +88,7 @@ class BlockWork:
     deliver: Deliver | None = None
     threads: int | None = None
     device: str | None = None
+    examine: Examine | None = None
 
     def run(self, rows: slice, sent: Mapping[str, Any]) -> Any:
         """The answer for some rows, delivered.
@@ -99,8 +106,9 @@ class BlockWork:
         else:
             whole = {name: opened(values) for name, values in vars(self.rays).items() if name not in sent}
             rays = Rays(**{**{name: self._cut(name, values, rows, sent) for name, values in whole.items()}, **rays_of(sent)})
+        deliver = self.deliver if self.examine is None else self.examine(self, rows, rays, cut, sent)
         answer = self.query.answer(self.scene, rays, cut)
-        return answer if self.deliver is None else self.deliver(rows, answer)
+        return answer if deliver is None else deliver(rows, answer)
 
     def _cut(self, name: str, values: Any, rows: slice, sent: Mapping[str, Any]) -> Any:
         if name in sent or values is None:
@@ -145,7 +153,8 @@ class PickledWork:
         path = Path(shared.path).with_name(f"work-{hash}.pickle")
         if len(data) <= SMALL or not is_seen:
             return PickledWork(data, path, hash)
-        path.write_bytes(data)
+        with replaced(path) as file:
+            file.write(data)
         return PickledWork(None, path, hash)
 
     def get(self) -> BlockWork:

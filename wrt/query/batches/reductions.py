@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import warp as wp
 
+from wrt.kernels.validation import as_numbers
 from wrt.query.batches.block_outputs import ATTRIBUTES
 from wrt.query.batches.exact_sums import ExactSum, exact_sum
 
@@ -105,7 +106,7 @@ class Histogram:
     edges: Any
 
     def __post_init__(self) -> None:
-        edges = np.asarray(self.edges, dtype=np.float64)
+        edges = as_numbers("edges", self.edges, finite=False)
         if edges.ndim != 1 or edges.size < 2 or not (np.diff(edges) > 0.0).all():
             raise ValueError("edges must be at least two increasing numbers")
         object.__setattr__(self, "edges", edges)

@@ -10,16 +10,19 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import secrets
 import shutil
 import tempfile
 import threading
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wrt.atomic_files import replaced
 from wrt.query.batches.workers import WarpSettings, Workers, process_device
 
 KEPT = 4
@@ -27,8 +30,8 @@ KEPT = 4
 
 _lock = threading.RLock()
 _kept: OrderedDict[Any, Any] = OrderedDict()
-_written: dict[str, SharedScene] = {}
-"""Scene files of this process in its temporary folders, by the scene's mark and folder."""
+_written: weakref.WeakKeyDictionary[Any, dict[str, SharedScene]] = weakref.WeakKeyDictionary()
+"""Files of this process by the state of a scene and by folder. An updated scene has another state."""
 
 received: dict[str, str] = {}
 """Files that this process was sent: path by hash."""
@@ -103,28 +106,30 @@ def share_scene(scene: Any, folder: str | Path | None) -> SharedScene:
         OSError: the file cannot be written.
         ValueError: the scene can neither be saved nor pickled.
     """
-    mark = scene.state.mark
-    key = f"{mark} {scene.state.triangle_test} {folder}"
+    scene = copy(scene)  # whatever becomes of the caller's, one state is written
     with _lock:
-        known = _written.get(key)
-        if known is not None and Path(known.path).is_file():
-            return known
+        files, key = _written.setdefault(scene.state, {}), str(folder)
+        if key in files and Path(files[key].path).is_file():
+            return files[key]
         if folder is None:
             place = Path(tempfile.mkdtemp(prefix="wrt-scene-"))
             weakref.finalize(scene.state, shutil.rmtree, place, ignore_errors=True)
-            weakref.finalize(scene.state, _written.pop, key, None)
         else:
             place = Path(folder)
             place.mkdir(parents=True, exist_ok=True)
-        path, load = place / f"scene-{mark}.npz", type(scene).load
+        path, load = place / f".scene-{secrets.token_hex(8)}", type(scene).load
         try:
             scene.save(path)
         except ValueError:
-            path, load = path.with_suffix(".pickle"), None
+            load = None
             function, arguments = scene.__reduce__()[:2]
-            path.write_bytes(pickle.dumps((function, arguments)))
-        _written[key] = SharedScene(str(path.absolute()), file_hash(path), load, str(scene.device), WarpSettings.here())
-        return _written[key]
+            with replaced(path) as file:
+                file.write(pickle.dumps((function, arguments)))
+        hash = file_hash(path)
+        named = path.with_name(f"scene-{hash}.{'pickle' if load is None else 'npz'}").absolute()
+        path.replace(named)
+        files[key] = SharedScene(str(named), hash, load, str(scene.device), WarpSettings.here())
+        return files[key]
 
 
 def file_hash(path: Path) -> str:
@@ -189,7 +194,8 @@ def scene_plugin(shared: SharedScene) -> Any:
             from wrt.query.batches import shared_files
 
             path = Path(worker.local_directory) / f"wrt-scene-{self.hash}{self.suffix}"
-            path.write_bytes(self.data)
+            with replaced(path) as file:
+                file.write(self.data)
             shared_files.received[self.hash] = str(path)
 
     return BringScene()

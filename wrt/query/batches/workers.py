@@ -25,6 +25,7 @@ import warp as wp
 from wrt.kernels.compilation.cores import available_cores
 from wrt.kernels.compilation.target import split_flags
 from wrt.kernels.runtime.launch import check_num_threads, get_num_threads, use_threads
+from wrt.kernels.validation import as_int, convert_fields
 
 BLOCKS_PER_SLOT = 2
 """Blocks that are submitted for each that an executor runs at a time: one to work on, and one that waits beside it."""
@@ -70,14 +71,12 @@ class Workers:
             kind = type(self.executor).__name__
             hint = "; call client.get_executor()" if hasattr(self.executor, "get_executor") else ""
             raise TypeError(f"executor must be a concurrent.futures.Executor, not {kind}{hint}")
+        convert_fields(self)
         if self.threads is not None:
             check_num_threads(self.threads, "threads")
         for name, least in (("window", 1), ("retries", 0)):
-            value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int)):
-                raise TypeError(f"{name} must be an int, not {type(value).__name__}")
-            if value is not None and value < least:
-                raise ValueError(f"{name} is {value}; it must be at least {least}")
+            if getattr(self, name) is not None:
+                as_int(name, getattr(self, name), least)
 
     @property
     def in_this_process(self) -> bool:
@@ -138,7 +137,8 @@ class ProcessPool(Executor):
     def __init__(self, workers: int | None = None, *, threads: int | None = None, devices: Sequence[str] | None = None) -> None:
         number = (len(devices) if devices else available_cores()) if workers is None else workers
         self._max_workers = check_num_threads(number, "workers")
-        self._threads = max(1, available_cores() // number) if threads is None else check_num_threads(threads, "threads")
+        share = max(1, available_cores() // self._max_workers)
+        self._threads = share if threads is None else check_num_threads(threads, "threads")
         self._devices, self._renewing = tuple(devices or ()), threading.Lock()
         self._pool = self._started()
 

@@ -24,8 +24,9 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
+from wrt.kernels.validation import as_int, as_numbers, as_real_array
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import find_center, moved_mesh, place_meshes
 from wrt.meshes.skeleton import Skeleton, skinned
@@ -87,8 +88,7 @@ class SkinnedScene(Scene):
         settings = as_settings(accelerator or Bvh(), AUTO, device, num_threads)
         if not isinstance(settings.accelerator, Bvh):
             check_kdtree(settings.accelerator)
-        if not (isinstance(samples, (int, np.integer)) and samples >= 1):
-            raise ValueError(f"samples is {samples!r}; it must be a whole number of at least 1")
+        samples, seed = as_int("samples", samples, 1), as_int("seed", seed, 0)
         self._rest, self._skeleton = TriangleMesh(vertices, faces), skeleton
         self._weights = check_weights(weights, self._rest.vertex_count, len(skeleton))
         with use_threads(settings.num_threads):
@@ -106,7 +106,8 @@ class SkinnedScene(Scene):
         Raises:
             ValueError: a wrong shape, or maps that `wrt.Instance` refuses.
         """
-        matrices, origins = as_maps(np.asarray(maps)[None], 1)
+        refuse_capture("showing another pose", self.device)
+        matrices, origins = as_maps(as_real_array("maps", maps)[None], 1)
         if matrices.shape[1] != len(self._skeleton):
             raise ValueError(f"maps has {matrices.shape[1]} bones, but the skeleton has {len(self._skeleton)}")
         whole = np.zeros((len(self._skeleton), 4, 4))
@@ -240,7 +241,7 @@ def check_weights(weights: Any, vertices: int, bones: int) -> np.ndarray:
     Raises:
         ValueError: another shape, negative weights or NaN, or rows that do not sum to 1.
     """
-    weights = np.asarray(weights, dtype=np.float64)
+    weights = as_numbers("weights", weights, finite=False)
     if weights.shape != (vertices, bones):
         raise ValueError(f"weights must be of shape ({vertices}, {bones}), vertices by bones, not {weights.shape}")
     if not ((weights >= 0.0).all() and np.allclose(weights.sum(axis=1), 1.0, atol=1e-4)):

@@ -22,8 +22,9 @@ from wrt.viewer.pictures.wish import Wish
 
 __all__ = ["BEAUTY", "LOOKS", "Light", "make_picture"]
 
-COARSE_AMBIENT_RAYS = 2
-"""Ambient rays of coarse pictures."""
+COARSE_AMBIENT_RAYS, COARSE_RADIUS = 2, 2
+"""Ambient rays of coarse pictures, and the rows and columns within which pixels share them: two rays alone are both blocked
+at every other pixel of a dark cloister, which made it black and white."""
 
 TILE, WAVE = 1 << 14, 1 << 14
 """Rays of "ambient" and of the others that are traced at a time: a picture that is no longer wanted ends after them."""
@@ -50,6 +51,7 @@ class Light:
         if wish.integrator == "ambient":
             if is_coarse:
                 given["ambient_samples"] = min(COARSE_AMBIENT_RAYS, given.get("ambient_samples", COARSE_AMBIENT_RAYS))
+                given["ambient_radius"] = max(COARSE_RADIUS, given.get("ambient_radius", 0))
             self._made = AmbientRendering(scene, camera, tile_pixels=TILE, **given)
             self._rays_a_sample = (2 + given.get("ambient_samples", 16)) * camera.width * camera.height
         else:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from wrt.bench.core.benchmark_plot import save_figure
 from wrt.bench.core.benchmark_report import new_table, times
 from wrt.bench.studies.triangles.triangle_test_comparison import REFERENCE, Ratio, TestResult, TestsReport
 
@@ -125,4 +126,4 @@ def save_tests_plot(report: TestsReport, path: str | Path) -> None:
         axes.set_xlabel(f"time / {REFERENCE}", fontsize="small")
         axes.tick_params(labelsize="small")
     figure.axes[0].invert_yaxis()
-    figure.savefig(path, dpi=150)
+    save_figure(figure, path)

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.executor import trace
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.memory import empty, new_rays
 from wrt.planning.planner import make_plan
 from wrt.rays.coherence import detect_coherence
@@ -28,6 +28,8 @@ ROUNDING = 2.0**-23
 
 def visible(scene: SceneState, points_a: Any, points_b: Any) -> Any:
     """Whether pairs of points see each other; see `wrt.Scene.visible`."""
+    refuse_capture("visible", scene.device)
+    scene.require("count")
     is_warp = isinstance(points_a, wp.array) or isinstance(points_b, wp.array)
     a, b = _as_points(points_a, "points_a", scene.device), _as_points(points_b, "points_b", scene.device)
     try:

@@ -1,0 +1,101 @@
+"""Graph captures: kernels are recorded and do not run, so what needs their results at once is refused before anything happens.
+
+A sensor's scan failed with an inner error of Warp; `visible`, the rays of cameras and casters, and trajectories gave the
+contents of memory that nothing had been written to; an update built a tree of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import public_calls
+import pytest
+import warp as wp
+
+import wrt
+from wrt.known_rays.ray_casters import CircularCapCaster
+
+MESH = public_calls.mesh()
+
+
+@pytest.fixture(scope="module")
+def scene() -> wrt.Scene:
+    return wrt.Scene(MESH, device="cpu")
+
+
+def on_device(values: np.ndarray) -> wp.array:
+    return wp.array(values, dtype=wp.vec3, device="cpu")
+
+
+REFUSED = {
+    "scan": lambda scene: public_calls.lidar().scan(scene, public_calls.pose()),
+    "capture": lambda scene: public_calls.camera().capture(scene, public_calls.pose()),
+    "render": lambda scene: wrt.render(scene, public_calls.pinhole()),
+    "render paths": lambda scene: wrt.render(scene, public_calls.pinhole(), integrator="path", samples=1),
+    "advance": lambda scene: public_calls.rendering().advance(),
+    "contains": lambda scene: scene.contains(on_device(public_calls.rays()[0])),
+    "visible": lambda scene: scene.visible(*map(on_device, public_calls.rays())),
+    "intersect_all": lambda scene: scene.intersect_all(*map(on_device, public_calls.rays())),
+    "verify": lambda scene: scene.verify(8),
+    "update": lambda scene: scene.update(0, vertices=MESH.vertices + 1),
+    "instances": lambda scene: public_calls.instances().update(0, mask=2),
+    "add": lambda scene: public_calls.instances().add(wrt.Instance(MESH)),
+    "remove": lambda scene: public_calls.instances().remove(0),
+    "Scene": lambda scene: wrt.Scene(MESH, device="cpu"),
+    "instances made": lambda scene: wrt.Scene([wrt.Instance(MESH)], device="cpu"),
+    "show": lambda scene: public_calls.fuzzy().show(1),
+    "LightBuffer": lambda scene: wrt.LightBuffer(scene, (0, 0, 9)),
+    "rays of a camera": lambda scene: public_calls.pinhole().rays(),
+    "rays of a caster": lambda scene: CircularCapCaster(**public_calls.AIM, angle=20).rays(4),
+    "trajectory": lambda scene: public_calls.trajectory().at([0.5]),
+    "deskew": lambda scene: wrt.sensors.deskew(np.zeros((1, 3)), [0.0], public_calls.trajectory(), 0.0),
+    "project": lambda scene: public_calls.camera().lens.project([0, 0, 1]),
+    "affine": lambda scene: public_calls.area().affine(*public_calls.rays()),
+    "attribute": lambda scene: public_calls.hits().position,
+    "parts": lambda scene: public_calls.parts().occluded(*map(on_device, public_calls.rays())),
+}
+
+
+KNOWN = ("lidar", "camera", "pinhole", "pose", "rendering", "rays", "instances", "fuzzy", "trajectory", "area", "parts")
+
+
+@pytest.mark.parametrize("call", REFUSED)
+def test_what_needs_results_at_once_is_refused(scene, call):
+    for known in (
+        "lidar",
+        "camera",
+        "pinhole",
+        "pose",
+        "rendering",
+        "rays",
+        "instances",
+        "fuzzy",
+        "trajectory",
+        "area",
+        "parts",
+    ):
+        getattr(public_calls, known)()
+    public_calls.hits().__dict__.pop("position", None)
+    before, bounds = public_calls.fuzzy().frame, scene.bounds
+    with wp.ScopedCapture(device="cpu"), pytest.raises(RuntimeError, match=r"part of a graph.*before or after the capture"):
+        REFUSED[call](scene)
+    assert public_calls.fuzzy().frame == before
+    assert len(public_calls.instances().instances) == 2
+    np.testing.assert_array_equal(scene.bounds, bounds)
+
+
+def test_queries_in_warp_arrays_are_recorded(scene):
+    """Each launch of the graph answers the rays as they are then."""
+    origins, directions = map(on_device, public_calls.rays())
+    queries = {
+        "t": lambda: scene.intersect(origins, directions).t,
+        "precise": lambda: scene.intersect(origins, directions, precise=True).t,
+        "occluded": lambda: scene.occluded(origins, directions),
+        "count": lambda: scene.count(origins, directions),
+        "position": lambda: scene.intersect(origins, directions).position,
+    }
+    expected = {name: query().numpy() for name, query in queries.items()}
+    with wp.ScopedCapture(device="cpu") as capture:
+        found = {name: query() for name, query in queries.items()}
+    wp.capture_launch(capture.graph)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name].numpy(), values)

@@ -1,0 +1,1 @@
+"""What a job is: its scene, its rays and its options, as hashes and as text that is the same in every process."""

@@ -1,0 +1,115 @@
+"""OFF: vertices and polygons as text, with colours of vertices (COFF).
+
+The first word tells what a vertex has: C for a colour of three or four numbers, N for a normal, ST for texture coordinates. A
+vertex is its line's first three numbers. Colours of faces are skipped. Files in four or n dimensions, and binary ones, are
+refused.
+
+References:
+    Geometry Center: Geomview manual, object file formats. University of Minnesota, 1996.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from wrt.materials.material import Material
+from wrt.materials.mesh_materials import MeshMaterials
+from wrt.materials.trimesh_materials import to_linear
+from wrt.meshes.files.corner_values import checked_colors, checked_uv
+from wrt.meshes.files.mesh_source import FileMesh, MeshSource
+from wrt.meshes.files.text_lines import parse_numbers, plain_text, words_per_line
+from wrt.meshes.files.triangulation import triangulate
+from wrt.meshes.up_axis import stated_up
+
+__all__ = ["read_off"]
+
+FIRST_WORD = re.compile(rb"(?P<st>ST)?(?P<color>C)?(?P<normal>N)?(?P<four>4)?(?P<n>n)?OFF(?P<binary> BINARY)?(?=[ \n]|$)")
+
+
+def read_off(data: bytes, source: MeshSource) -> FileMesh:
+    """Reads a file.
+
+    Raises:
+        ValueError: it is no OFF file or of a kind that is not read, is cut off, or its faces refer to vertices that it has not.
+    """
+    remarks = [line.strip()[1:] for line in data[: 1 << 12].decode("latin-1").splitlines() if line.lstrip().startswith("#")]
+    text = re.sub(rb"#[^\n]*", b"", plain_text(data)).lstrip()
+    word = FIRST_WORD.match(text)
+    if word is None:
+        raise ValueError(f"it begins with {text[:20].decode(errors='replace')!r} and not with the word OFF")
+    for group, what in (
+        ("four", "vertices of four coordinates"),
+        ("n", "vertices of any dimension"),
+        ("binary", "binary numbers"),
+    ):
+        if word[group]:
+            raise ValueError(f"its first word '{word[0].decode()}' announces {what}, which are not read; save it as plain OFF")
+    text = re.sub(rb"\n[ \n]*\n", b"\n", text[word.end() :].lstrip())
+    counts_line, _, body = text.partition(b"\n")
+    counts = parse_numbers(counts_line, np.int64, "the line of counts")
+    if len(counts) < 2 or counts.min() < 0:
+        raise ValueError("it has no line with the numbers of vertices and faces")
+    return _mesh(body, int(counts[0]), int(counts[1]), word, remarks, source)
+
+
+def _mesh(
+    body: bytes, vertex_count: int, face_count: int, word: re.Match[bytes], remarks: list[str], source: MeshSource
+) -> FileMesh:
+    words = words_per_line(body)
+    if len(words) < vertex_count + face_count:
+        raise ValueError(
+            f"it announces {vertex_count} vertices and {face_count} faces, and has {len(words)} lines for "
+            "them; is the file complete?"
+        )
+    if len(words) > vertex_count + face_count:
+        source.warn(f"{len(words) - vertex_count - face_count} lines behind the last face are not read")
+    numbers = parse_numbers(body, np.float64, "the file")
+    if len(numbers) != words.sum():
+        raise ValueError("it holds a word that is no number")
+    first = np.cumsum(words) - words
+    if vertex_count == 0 or words[:vertex_count].min() < 3:
+        raise ValueError(
+            "no triangles in it: it has no vertices" if vertex_count == 0 else "a vertex has fewer than three numbers"
+        )
+    vertices = numbers[first[:vertex_count, None] + np.arange(3)]
+    begin, widths = first[vertex_count : vertex_count + face_count], words[vertex_count : vertex_count + face_count]
+    lengths = numbers[begin]
+    if (~((lengths >= 0) & (lengths == np.floor(lengths)) & (lengths < widths))).any():
+        bad = int(np.argmax(~((lengths >= 0) & (lengths == np.floor(lengths)) & (lengths < widths))))
+        raise ValueError(f"face {bad} announces {lengths[bad]:g} corners and has {int(widths[bad]) - 1} numbers")
+    lengths = lengths.astype(np.int64)
+    corner = np.arange(int(lengths.sum())) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    indices = numbers[np.repeat(begin + 1, lengths) + corner]
+    whole = np.rint(np.nan_to_num(indices, nan=-1.5, posinf=1e18, neginf=-1e18)).astype(np.int64)
+    if (whole != indices).any():
+        raise ValueError(f"a face refers to vertex {indices[whole != indices][0]:g}, which is no index")
+    if not (lengths >= 3).any():
+        raise ValueError("no triangles in it: it has no faces")
+    few = int(np.count_nonzero(lengths < 3))
+    if few:
+        source.warn(f"{few} faces of fewer than three corners are left out")
+    places, _ = triangulate(vertices, whole, lengths)
+    mesh = FileMesh(vertices, whole[places], up=stated_up(remarks))
+    if source.materials is not False:
+        mesh.materials = _materials(numbers, first[:vertex_count], words[:vertex_count], word, mesh.faces, source)
+    return mesh
+
+
+def _materials(
+    numbers: np.ndarray, first: np.ndarray, words: np.ndarray, word: re.Match[bytes], faces: np.ndarray, source: MeshSource
+) -> MeshMaterials | None:
+    """Colours and texture coordinates of vertices, which stand behind positions and normals."""
+    at = 3 + 3 * bool(word["normal"])
+    least, behind = int(words.min()), 2 * bool(word["st"])
+    colors = uv = None
+    if word["color"] and least >= at + 3 + behind:
+        given = numbers[first[:, None] + np.arange(at, at + 3)]
+        levels = given / 255.0 if np.nanmax(given, initial=0.0) > 1.0 else given
+        colors = np.ascontiguousarray(to_linear(checked_colors(levels, "colours of vertices", source))[faces])
+    if word["st"] and least >= at + behind:
+        uv = checked_uv(numbers[(first + words - 2)[:, None] + np.arange(2)][faces], source)
+    if colors is None and uv is None:
+        return None
+    return MeshMaterials((Material() if colors is None else Material(color=1.0),), None, uv, colors)

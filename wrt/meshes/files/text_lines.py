@@ -1,0 +1,152 @@
+"""Text files as lines of numbers, by whole arrays of bytes: a Python loop over lines would take longer than all else.
+
+Line ends of all systems, tabs, a byte order mark, comments from "#" on, and lines that "\\" continues are made plain first.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+
+__all__ = ["TextLines", "parse_numbers", "plain_text", "ranges", "without", "words_of", "words_per_line"]
+
+BLANKS = bytes.maketrans(b"\t\v\f", b"   ")
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+def plain_text(data: bytes) -> bytes:
+    """Text with "\\n" at the end of each line, blanks between words, and no comments behind a blank or at the start of a line.
+
+    Raises:
+        ValueError: it is UTF-16 and broken.
+    """
+    if data.startswith(UTF_16):
+        data = data.decode("utf-16").encode()
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    data = data.translate(BLANKS)
+    data = without(data, b"#", lambda before: before in b" \n")
+    if b"\\" in data:
+        data = re.sub(rb"\\ *\n", b" ", data)
+    if b"\n " in data or data.startswith(b" "):
+        data = re.sub(rb"(?m)^ +", b"", data)
+    return data if data.endswith(b"\n") else data + b"\n"
+
+
+def without(data: bytes, word: bytes, begins: Callable[[bytes], bool], stop: bytes | None = None) -> bytes:
+    """A text without what begins with a word, up to the end of the line.
+
+    Args:
+        data: the text.
+        word: with which a piece begins.
+        begins: whether one does, by the character before it (b"" at the start of the text).
+        stop: another word at which it ends; None for none.
+    """
+    pieces, kept, at = [], 0, data.find(word)
+    while at >= 0:
+        end = at + len(word)
+        if begins(data[max(at - 1, 0) : at]):
+            line = data.find(b"\n", at)
+            end = len(data) if line < 0 else line
+            other = -1 if stop is None else data.find(stop, at, end)
+            end = end if other < 0 else other
+            pieces.append(data[kept:at])
+            kept = end
+        at = data.find(word, end)
+    return data if kept == 0 and not pieces else b"".join([*pieces, data[kept:]])
+
+
+class TextLines:
+    """The lines of a text that `plain_text` returned.
+
+    Attributes:
+        text: the bytes.
+        starts, ends: (L,) where each line begins, and its "\\n".
+    """
+
+    def __init__(self, text: bytes) -> None:
+        self.text = text
+        self._bytes = np.frombuffer(text, dtype=np.uint8)
+        self.ends = np.flatnonzero(self._bytes == 10)
+        self.starts = np.concatenate([[0], self.ends[:-1] + 1])
+
+    def of_keyword(self, keyword: bytes) -> np.ndarray:
+        """(L,) bool: whether a line is a keyword, a blank and more."""
+        last = len(self._bytes) - 1
+        found = np.ones(len(self.starts), dtype=bool)
+        for place, byte in enumerate(keyword + b" "):
+            found &= self._bytes[np.minimum(self.starts + place, last)] == byte
+        return found & (self.ends - self.starts > len(keyword))
+
+    def line(self, number: int) -> bytes:
+        """A line, without its end."""
+        return self.text[self.starts[number] : self.ends[number]]
+
+    def some(self, lines: np.ndarray, keyword: int = 0) -> bytes:
+        """The text of some lines, by a mask (L,), with the first characters of each, its keyword, blank."""
+        begins, lengths = self.starts[lines], (self.ends - self.starts)[lines] + 1
+        found = ranges(self._bytes, begins, begins + lengths)
+        places = np.cumsum(lengths) - lengths
+        for place in range(keyword):
+            found[places + place] = 32
+        return found.tobytes()
+
+
+def ranges(array: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """The bytes of some ranges of an array, in order; ranges do not overlap."""
+    edges = np.zeros(len(array) + 1, dtype=np.int8)
+    edges[begins] += 1
+    edges[ends] -= 1
+    return array[np.cumsum(edges[:-1], dtype=np.int8).view(bool)]
+
+
+def words_of(text: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) where each word of a text begins, and (N,) where it ends."""
+    inside = np.zeros(len(text) + 2, dtype=bool)
+    np.greater(np.frombuffer(text, dtype=np.uint8), 32, out=inside[1:-1])
+    edges = np.flatnonzero(inside[1:] != inside[:-1])
+    return edges[0::2], edges[1::2]
+
+
+def words_per_line(text: bytes) -> np.ndarray:
+    """(L,) how many words each line of a text has."""
+    array = np.frombuffer(text, dtype=np.uint8)
+    if len(array) == 0:
+        return np.zeros(0, dtype=np.int64)
+    inside = array > 32
+    begins = inside.copy()
+    begins[1:] &= ~inside[:-1]
+    ends = np.flatnonzero(array == 10)
+    total = np.cumsum(begins, dtype=np.int32)[ends]
+    return np.diff(total, prepend=0)
+
+
+def parse_numbers(text: bytes, dtype: type, what: str) -> np.ndarray:
+    """All numbers of a text, in order; those of Python's float or int.
+
+    Args:
+        text: words between blanks and line ends.
+        dtype: np.float64 or np.int64.
+        what: to call them in messages.
+
+    Raises:
+        ValueError: a word is no number.
+    """
+    if not text.strip():
+        return np.zeros(0, dtype=dtype)
+    try:
+        found = np.fromstring(text, dtype=dtype, sep=" ")
+        if dtype is np.float64 or len(found) == int(words_per_line(text if text.endswith(b"\n") else text + b"\n").sum()):
+            return found
+    except ValueError:
+        pass
+    kind = float if dtype is np.float64 else int
+    for word in text.split():
+        try:
+            kind(word)
+        except ValueError:
+            raise ValueError(f"{what} holds {word[:40].decode(errors='replace')!r}, which is no number") from None
+    raise ValueError(f"{what} holds words that are no numbers")

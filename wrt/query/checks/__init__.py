@@ -1,0 +1,1 @@
+"""Checks of single queries against references."""

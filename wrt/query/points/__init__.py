@@ -1,0 +1,1 @@
+"""Queries of points: on triangles, and between each other."""

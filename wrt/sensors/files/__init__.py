@@ -1,0 +1,1 @@
+"""Files of sensors' measurements: tables of points, LAS, and ROS 2 bags."""
