@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from native_guards import has_assembly, x86_without_guard
 
 from wrt.kernels.runtime import native
 
@@ -51,6 +52,12 @@ def test_headers_are_formatted():
     command = [sys.executable, "-c", "from clang_format import clang_format; clang_format()", "--dry-run", "-Werror", style]
     done = subprocess.run([*command, *files], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+def test_headers_are_for_every_cpu():
+    for header in HEADERS:
+        assert not has_assembly(header.read_text())
+        assert not x86_without_guard(header.read_text()), header.name
 
 
 def test_headers_come_once_and_after_what_they_include():

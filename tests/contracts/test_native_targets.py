@@ -15,12 +15,10 @@ import warp as wp
 from native_guards import has_assembly, x86_without_guard
 
 from wrt.kernels.compilation.target import AVX2, AVX512, TARGETS, WIDTHS, cpu_features
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.board import NATIVE
 from wrt.kernels.shading.paths.plain_paths import pack_words
 from wrt.kernels.simd.lane_vectors import vector_words
-from wrt.kernels.simd.lanes import FOR_LANES
-from wrt.kernels.traversal.interleaved.child_order import push_reversed, push_sorted
-from wrt.kernels.traversal.stream.stream_lists import BLOCK_LANES
 
 
 def test_what_is_no_snippet_for_every_cpu():
@@ -44,12 +42,12 @@ WORDS = {
         + pack_words(width)
         + "save(to, packed(load_ints(from), order_of(mask))); (void)packed3; return __builtin_popcount(mask);"
     ),
-    "append": lambda width: BLOCK_LANES + "return wrt_append(to, from, mask);",
-    "reversed": lambda width: push_reversed(width) + "wrt_push(to, from, mask); return __builtin_popcount(mask);",
+    "append": lambda width: "return wrt::append<wrt::block_lanes(W)>(to, from, mask);",
+    "reversed": lambda width: "wrt::push_reversed<W>(to, from, mask); return __builtin_popcount(mask);",
     "sorted": lambda width: (
         "int key[W]; for (int i = 0; i < W; ++i) key[i] = mask >> i & 1u ? ((100 - i) << 4) | i : -1;"
-        + push_sorted(width)
-        + "const int n = wrt_push(key, mask, from, to); for (int i = 0; i < n; ++i) to[i] = to[DEPTH + i]; return n;"
+        "const int n = wrt::push_sorted<W, DEPTH>(key, mask, from, to); "
+        "for (int i = 0; i < n; ++i) to[i] = to[DEPTH + i]; return n;"
     ),
 }
 """C++ that moves those of W numbers together that a mask selects; "reversed" puts the lowest last."""
@@ -66,9 +64,10 @@ def test_width_and_target_are_independent(width, level, tmp_path):
     wp.init()
     for name, words in WORDS.items():
         source, code = tmp_path / f"{name}.cpp", tmp_path / f"{name}.o"
-        head = FOR_LANES.strip()
+        head = native.text_of(("interleaved.h",))
         source.write_text(
-            f'typedef __SIZE_TYPE__ size_t;\n{head}\nextern "C" int probe(const int* from, unsigned mask, int* to) {{\n'
+            f"typedef __SIZE_TYPE__ size_t;\n#define CUDA_CALLABLE\n{head}\n"
+            'extern "C" int probe(const int* from, unsigned mask, int* to) {\n'
             f"    constexpr int W = {width}, DEPTH = 64;\n{words(width)}\n}}\n"
         )
         wp._src.build.build_cpu(str(code), str(source), extra_flags=flags or " ".join(TARGETS[level].flags), fuse_fp=False)

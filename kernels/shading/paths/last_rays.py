@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from wrt.kernels.compilation.target import lane_width
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.emitters.light_table import Lights
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
@@ -18,7 +19,6 @@ from wrt.kernels.shading.wavefront.lane_words import lane_words
 from wrt.kernels.shading.wavefront.plain_step import CONSTANTS, CROSSED
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue
 from wrt.kernels.shading.wavefront.scene_light import LitScene, sky_light
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -74,10 +74,10 @@ _PART = """
 @cache
 def make_part_range(width: int) -> Any:
     """`part_range` for so many lanes."""
-    head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
+    head = f"#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
     parts = f"{CONSTANTS}const bool is_sobol = false;{lane_words(width)}{CROSSED}{_MEETS}{MOVE}{_PART}"
 
-    @wp.func_native(f"{head}{parts}\n#endif\n")
+    @native.func_native("lanes.h", f"{head}{parts}\n#endif\n")
     def part_range(
         begin: int,
         stop: int,

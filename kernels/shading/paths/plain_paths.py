@@ -11,6 +11,7 @@ import warp as wp
 
 from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.shading.wavefront.lane_words import lane_words
 from wrt.kernels.shading.wavefront.path_step import PathStep
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
@@ -18,8 +19,6 @@ from wrt.kernels.shading.wavefront.plain_lamps import GATHER, LAMPS
 from wrt.kernels.shading.wavefront.plain_step import BEGIN, COLLECT, CONSTANTS, CROSSED, ENDS, KINDS, POINTS, RECORDS, SCATTER
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
-from wrt.kernels.simd.lanes import FOR_LANES
-from wrt.kernels.traversal.stream.stream_lists import KEPT_LANES
 
 _STEP = """
     const int generation = step.generation, roulette = step.roulette;
@@ -44,16 +43,12 @@ _PERMUTATION = {
     };
     auto packed = [](auto v, vi order) { return (decltype(v))__builtin_ia32_permvarsi512((vi)v, order); };
 #el""",
-    8: f"""
+    8: """
 #if defined(__AVX2__) && defined(__clang__)
-    static const unsigned long long KEPT[256] = {{{KEPT_LANES}}};
-    auto order_of = [](unsigned mask) {{
-        typedef unsigned char bytes __attribute__((ext_vector_type(8)));
-        bytes lanes;
-        __builtin_memcpy(&lanes, KEPT + mask, sizeof(lanes));
-        return __builtin_convertvector(lanes, vi);
-    }};
-    auto packed = [](auto v, vi order) {{ return (decltype(v))__builtin_ia32_permvarsi256((vi)v, order); }};
+    auto order_of = [](unsigned mask) {
+        return __builtin_convertvector(wrt::load<wrt::Vector<unsigned char, 8>>(wrt::FIRST_LANES_FIRST.of + mask), vi);
+    };
+    auto packed = [](auto v, vi order) { return (decltype(v))__builtin_ia32_permvarsi256((vi)v, order); };
 #el""",
 }
 """C++: the instructions that move so many lanes, where the target has them."""
@@ -110,10 +105,10 @@ _APPEND = """
 @cache
 def make_shade_plain_paths(width: int) -> Any:
     """`shade_plain_paths` for so many lanes."""
-    head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
+    head = f"#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
     parts = (CONSTANTS, _STEP, BEGIN, lane_words(width), KINDS, RECORDS, CROSSED, COLLECT, _END, POINTS, LAMPS, GATHER, SCATTER)
 
-    @wp.func_native(f"{head}{''.join(parts)}{ENDS}{pack_words(width)}{_APPEND}\n#endif\n")
+    @native.func_native("lanes.h", f"{head}{''.join(parts)}{ENDS}{pack_words(width)}{_APPEND}\n#endif\n")
     def shade_plain_paths(
         first: int,
         step: PathStep,

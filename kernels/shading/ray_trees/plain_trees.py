@@ -13,6 +13,7 @@ import warp as wp
 
 from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.shading.sampling import MIX_1
 from wrt.kernels.shading.wavefront.lane_words import lane_words
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
@@ -20,7 +21,6 @@ from wrt.kernels.shading.wavefront.plain_step import CONSTANTS, KINDS, POINTS, R
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 from wrt.kernels.shading.wavefront.tree_step import TreeStep
-from wrt.kernels.simd.lanes import FOR_LANES
 
 _BEGIN = f"""
     const auto& materials = scene.materials;
@@ -134,10 +134,10 @@ def _mingle(width: int) -> str:
 @cache
 def make_shade_plain_trees(width: int) -> Any:
     """`shade_plain_trees` for so many lanes."""
-    head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n{_mingle(width)}"
+    head = f"#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n{_mingle(width)}"
     parts = (CONSTANTS, _BEGIN, lane_words(width), KINDS, RECORDS, _END, POINTS, _SEND)
 
-    @wp.func_native(f"{head}{''.join(parts)}\n#undef MINGLE_LOW\n#undef MINGLE_HIGH\n#endif\n")
+    @native.func_native("lanes.h", f"{head}{''.join(parts)}\n#undef MINGLE_LOW\n#undef MINGLE_HIGH\n#endif\n")
     def shade_plain_trees(
         first: int,
         begin: int,

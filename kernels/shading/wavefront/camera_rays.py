@@ -21,12 +21,12 @@ from typing import Any
 import warp as wp
 
 from wrt.kernels.compilation.target import lane_width
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.pixel_rays import View
 from wrt.kernels.shading.wavefront.lane_words import lane_words
 from wrt.kernels.shading.wavefront.pixel_samples import FILTER, LENS, RANDOM, SOBOL, PixelSamples, pixel_hash, pixel_point
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
-from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
 
@@ -184,9 +184,9 @@ _START = """
 def make_start_lanes(width: int) -> Any:
     """`start_lanes` for so many lanes."""
     constants = f"constexpr int BOX = {BOX}, SOBOL = {SOBOL}, RANDOM = {RANDOM}, FILTER = {FILTER};\n"
-    head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n{constants}"
+    head = f"#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n{constants}"
 
-    @wp.func_native(f"{head}{_GUARD}{lane_words(width)}{_START}\n#endif\n")
+    @native.func_native("lanes.h", f"{head}{_GUARD}{lane_words(width)}{_START}\n#endif\n")
     def start_lanes(
         first: int,
         camera: CameraModel,

@@ -17,6 +17,7 @@ import warp as wp
 from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.spawn import INSET
+from wrt.kernels.runtime import native
 from wrt.kernels.shading.bsdf.ggx import SMALLEST_ALPHA
 from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, DIFFUSE, MIRROR
 from wrt.kernels.shading.emitters.light_table import (
@@ -34,7 +35,6 @@ from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE
 from wrt.kernels.shading.wavefront.plain_lamps import GATHER, LAMPS
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
-from wrt.kernels.simd.lanes import FOR_LANES
 
 MOST_LAMPS = 8
 """Scenes with more lamps have no plain rays: each lamp costs all lanes."""
@@ -334,10 +334,10 @@ _WRITE = """
 @cache
 def make_shade_plain(width: int) -> Any:
     """`shade_plain` for so many lanes."""
-    head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
+    head = f"#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
     parts = (CONSTANTS, BEGIN, lane_words(width), KINDS, RECORDS, CROSSED, COLLECT, _END, POINTS, LAMPS, GATHER, SCATTER)
 
-    @wp.func_native(f"{head}{''.join(parts)}{ENDS}{_WRITE}\n#endif\n")
+    @native.func_native("lanes.h", f"{head}{''.join(parts)}{ENDS}{_WRITE}\n#endif\n")
     def shade_plain(
         first: int,
         generation: int,

@@ -74,14 +74,6 @@ def load_candidate(pairs: wp.ref[Pairs], p: int, slot: wp.ref[int]) -> int:
     ...
 
 
-def kept_lanes(mask: int) -> int:
-    """Indices of the bits that are set in a mask of 8, one a byte, the first in the lowest byte; 0 in the bytes left over."""
-    return sum(lane << 8 * place for place, lane in enumerate(lane for lane in range(8) if mask >> lane & 1))
-
-
-KEPT_LANES = ", ".join(f"{kept_lanes(mask):#x}ull" for mask in range(256))
-"""The table of `kept_lanes`, as C++."""
-
 LISTS = f"    constexpr int L = {LIST_LANES}, RAY_BITS = {RAY_BITS}, RAY = (1 << RAY_BITS) - 1;\n"
 """C++ constants of lists: elements that are filtered at a time, and the bits of a word that are the ray's number."""
 
