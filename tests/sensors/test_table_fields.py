@@ -73,8 +73,8 @@ def test_tables_have_wider_fields_where_they_are_needed(scene):
     [
         ("ring", np.array([3, 70000], np.int32), "70000.* from 0 to 65535"),
         ("ring", np.array([-1, 0], np.int16), "-1.* from 0 to 65535"),
-        ("intensity", np.array([0.5, 1.5], np.float32), "1.5.* from 0 to 1"),
-        ("intensity", np.array([0.5, np.nan]), "nan.* from 0 to 1"),
+        ("intensity", np.array([0.5, -0.5], np.float32), "-0.5.* 0 or more"),
+        ("intensity", np.array([0.5, np.nan]), "nan.* 0 or more"),
         ("return_number", np.array([0, 15], np.uint8), "15.* from 0 to 14"),
         ("return_number", np.array([0, 255], np.uint8), "255.* from 0 to 14"),
         ("classification", np.array([2, 300], np.int32), "300.* from 0 to 255"),
@@ -92,6 +92,14 @@ def test_las_fields_do_not_wrap(tmp_path, name, values, wanted):
     with pytest.raises(ValueError, match=f"(?s){name}.*{wanted}"):
         write_points(tmp_path / "scan.las", table_with(**fields))
     assert (tmp_path / "scan.las").read_bytes() == b"old"
+
+
+def test_las_saturates_as_detectors_do(tmp_path):
+    """A preset gives intensities above 1 nearer than its reference range; they were clipped without a word."""
+    laspy = pytest.importorskip("laspy", reason='laspy is not installed: pip install "wrt[sensors]"')
+    with pytest.warns(UserWarning, match=r"1 of 2 intensities are above 1, up to 1\.5"):
+        write_points(tmp_path / "scan.las", table_with(intensity=np.array([0.5, 1.5], np.float32)))
+    assert np.asarray(laspy.read(tmp_path / "scan.las").intensity).tolist() == [32768, 65535]
 
 
 def test_las_keeps_what_fits(tmp_path):

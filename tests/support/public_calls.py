@@ -224,7 +224,7 @@ def with_shown(show: Any) -> None:
     try:
         wrt.show_compiling(show)
     finally:
-        wrt.show_compiling(False)
+        wrt.show_compiling(None)
 
 
 def run_job(most: Any) -> int:

@@ -10,6 +10,7 @@ References:
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Callable
 from math import floor, log10
 from typing import BinaryIO
@@ -132,13 +133,17 @@ def fitting(dimension: object, values: np.ndarray) -> np.ndarray:
 
 
 def _intensity(values: np.ndarray) -> tuple[str, np.ndarray]:
-    wrong = ~((values >= 0.0) & (values <= 1.0))
+    wrong = ~(values >= 0.0)
     if wrong.any():
-        raise ValueError(
-            f"points['intensity'] holds {values[wrong][0]}; it must be from 0 to 1 in LAS files: divide it by the largest, or "
-            "choose a larger reference_range of the lidar"
+        raise ValueError(f"points['intensity'] holds {values[wrong][0]}; it must be 0 or more in LAS files")
+    above = values > 1.0
+    if above.any():
+        warnings.warn(
+            f"{above.sum():,} of {values.size:,} intensities are above 1, up to {values.max():.3g}, and become 65535, the largest "
+            "of a LAS file; divide them by the largest, or choose a smaller reference_range of the lidar, to keep them apart",
+            stacklevel=6,
         )
-    return "intensity", np.round(65535.0 * values).astype(np.uint16)
+    return "intensity", np.round(65535.0 * np.minimum(values, 1.0)).astype(np.uint16)
 
 
 def _ring(values: np.ndarray) -> tuple[str, np.ndarray]:
