@@ -39,10 +39,9 @@ def write_points(path: str | Path, points: Any) -> None:
     * .ply and .pcd hold all fields, in binary; coordinates are float64 if the table's are, as those of the world.
     * .bin is KITTI's: rows of four float32, x, y, z and intensity, relative to the sensor.
     * .las and .laz hold coordinates as integers of 32 bits, with an offset and a step that follow from the data: 0.1 mm, less
-      for points closer together than 1 m, 1 mm if they are further apart than 214 km. Intensities in [0, 1] become 16 bits (larger ones the largest, with a
-      warning), the
-      ring the point source, time the GPS time. Other fields of LAS, such as classification, keep their names, and all others
-      are extra bytes.
+      for points closer together than 1 m, 1 mm if they are further apart than 214 km. Intensities in [0, 1] become 16 bits
+      (larger ones the largest, with a warning), the ring the point source, time the GPS time. Other fields of LAS, such as
+      classification, keep their names, and all others are extra bytes.
 
     An existing file is replaced when the new one is complete; a pipe is written through.
 
