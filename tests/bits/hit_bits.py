@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 
 import numpy as np
 from conftest import ENGINE_TESTS, SCENES, mixed_rays
@@ -60,7 +60,10 @@ def tests_of(traversal: str, query: str) -> tuple[str, ...]:
 
 
 def hit_hashes(
-    scenes: tuple[str, ...] = SCENE_NAMES, traversals: tuple[str, ...] = tuple(TRAVERSALS)
+    scenes: Collection[str] = SCENE_NAMES,
+    traversals: Collection[str] = tuple(TRAVERSALS),
+    triangle_tests: Collection[str] = tuple(TRIANGLE_TESTS),
+    queries: Collection[str] = QUERIES,
 ) -> Iterator[tuple[str, str, str]]:
     """(case, engine, hash) for every engine and case."""
     for scene_name in scenes:
@@ -72,8 +75,8 @@ def hit_hashes(
                 way = TRAVERSALS[traversal]
                 if kind not in way.trees:
                     continue
-                for query in (query for query in QUERIES if way.supports(query, kind)):
-                    for test in tests_of(traversal, query):
+                for query in (query for query in queries if way.supports(query, kind)):
+                    for test in (name for name in tests_of(traversal, query) if name in triangle_tests):
                         own = way.needs_shared_origin or TRIANGLE_TESTS[test].needs_shared_origin
                         found = QUERY_HASHES[query](scene, rays[own], traversal=traversal, triangle_test=test)
                         origins = "one origin" if own else "own origins"

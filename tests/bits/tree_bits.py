@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from conftest import SCENES
 
@@ -40,11 +40,15 @@ def tree_hash(tree: trees.KdTree | trees.Bvh) -> str:
     return digest(*arrays, tree.primitive)
 
 
-def tree_hashes(scenes: tuple[str, ...] = SCENE_NAMES, threads: tuple[int, ...] = (1, 2, 5)) -> Iterator[tuple[str, str, str]]:
-    """(case, number of threads, hash) for every builder."""
+def tree_hashes(
+    scenes: Collection[str] = SCENE_NAMES, threads: Collection[int] = (1, 2, 5), names: Collection[str] | None = None
+) -> Iterator[tuple[str, str, str]]:
+    """(case, number of threads, hash) for every build, or for those of some names."""
     for scene_name in scenes:
         mesh = SCENES[scene_name]()
         for name, description in builds(mesh):
+            if names is not None and name not in names:
+                continue
             for count in threads:
                 scene = wrt.Scene(mesh, description, device="cpu", num_threads=count)
                 scene.complete()

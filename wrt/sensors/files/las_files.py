@@ -140,7 +140,8 @@ def _intensity(values: np.ndarray) -> tuple[str, np.ndarray]:
     if above.any():
         warnings.warn(
             f"{above.sum():,} of {values.size:,} intensities are above 1, up to {values.max():.3g}, and become 65535, the "
-            "largest of a LAS file; divide them by the largest, or choose a smaller reference_range of the lidar, to keep them apart",
+            "largest of a LAS file; to keep them apart, divide them by the largest, or choose a smaller reference_range of the "
+            "lidar",
             stacklevel=6,
         )
     return "intensity", np.round(65535.0 * np.minimum(values, 1.0)).astype(np.uint16)
