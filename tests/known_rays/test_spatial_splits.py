@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.triangle_boxes import boxes_of, triangle_boxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import use_threads
+from wrt.planning.plan import stack_levels
 
 
 def described(mesh: wrt.TriangleMesh, kind: str = "point", share: float = 0.5, **options) -> wrt.ProjectedBvh:
@@ -65,6 +67,20 @@ def test_every_ray_has_its_hits(name, kind, options):
     np.testing.assert_array_equal(lists.primitive_id, all_expected.primitive_id)
     assert expected.is_hit.any()
     assert counts.max() > 1
+
+
+def test_few_rays_do_not_take_the_queries_of_other_trees():
+    """Queries of few rays outlive their scenes and serve others of the kind: after a scene of as many lanes and levels was
+    gone, crossings of triangles in several leaves were counted several times."""
+    mesh, rays, _, counts = scene_and_rays("random_triangles")
+    few = [array[:8] for array in rays]
+    plain = wrt.Scene(mesh, wrt.Bvh(width=8, max_leaf_triangles=1))
+    scene = wrt.Scene(mesh, described(mesh, "point inside", 2.0, max_leaf_triangles=2, axes="facing"))
+    assert stack_levels(plain.depth) == stack_levels(scene.depth)
+    np.testing.assert_array_equal(plain.count(*few), counts[:8])
+    del plain
+    gc.collect()
+    np.testing.assert_array_equal(scene.count(*few), counts[:8])
 
 
 def check(tree, mesh: wrt.TriangleMesh, share: float, leaf_limit: int) -> None:

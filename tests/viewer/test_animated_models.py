@@ -129,6 +129,7 @@ def test_view_says_what_is_wrong_and_ends_its_server(monkeypatch, capsys, tmp_pa
     assert "no mesh file" in said.err
     port = int(said.out.split()[0].rsplit(":", 1)[1])
     with socket.socket() as free:
+        free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a connection that has just ended does not count
         free.bind(("127.0.0.1", port))
 
 

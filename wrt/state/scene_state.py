@@ -139,7 +139,7 @@ class SceneState:
     def shares_few_rays(self) -> bool:
         """Whether few rays are answered as in all other scenes of the kind: then they share plans and prepared queries."""
         alone = self.is_plain and self.accelerator.kind == "bvh" and self.lazy_tree is None and self.area_trees is None
-        return alone and not self.only_single and self.device.is_cpu
+        return alone and not self.only_single and not self.shares_leaves and self.device.is_cpu
 
     @cached_property
     def few_rays(self) -> int:
