@@ -24,7 +24,7 @@ The distance is `OFFSET` R, 8 u R: the two differ by less than what a rounding i
 **Steep rays.** The sign of t is that of the sum of three products of areas and depths, which is rounded, too. That matters
 where t is small, which it is for steep rays. If all roundings reached their limits with the same sign, steep rays would need 25
 u R. No search came close to this: needles and other triangles in random positions need at most 4 u R, and those that a climbing
-search found 8.3 u R. So nobody pays for it: the origin is tested with the triangle itself, and the distance is doubled while
+search found 8.8 u R. So nobody pays for it: the origin is tested with the triangle itself, and the distance is doubled while
 the ray meets it. The test is the one that all engines agree with to the bit. In an instance that is stretched by different
 factors along different axes, where rounding happens in another space than that of R, the same loop finds the distance.
 
