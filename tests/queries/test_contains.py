@@ -59,7 +59,7 @@ def test_contains_on_the_bunny():
 
 @pytest.mark.parametrize("direction", inside.DIRECTIONS[:2])
 def test_contains_votes_where_the_mesh_has_a_hole(direction):
-    """A sphere without one of its triangles: the ray that leaves through the hole is outvoted, be it the first or the second."""
+    """A sphere without one of its triangles: the ray that leaves through the hole is outvoted, the first or the second."""
     body = BODIES["icosphere"]
     way = np.array(direction)
     hole = int(np.argmax(body.triangles_center @ way))
