@@ -231,5 +231,69 @@ inline CUDA_CALLABLE void read_records(const float* const* from, int first, floa
 #endif
 }
 
+template <class F> inline CUDA_CALLABLE F absolute(F x)
+{
+#if WRT_VECTORS
+    return __builtin_elementwise_abs(x);
+#else
+    return WRT_ABS(x);
+#endif
+}
+
+#if WRT_VECTORS
+// Vectors of W lanes, for what plain loops over lanes cannot say: vectors stay in registers between two steps, and lanes can be
+// permuted. `mask ? a : b` selects lane by lane.
+
+template <int W> using Floats = Vector<float, W>;
+template <int W> using Ints = Vector<int, W>;
+
+/// A bit for each lane that is not 0.
+template <int W> inline unsigned bits_of(Ints<W> mask)
+{
+    const auto set = __builtin_convertvector(mask != 0, Vector<bool, W>);
+    unsigned own = 0;
+    __builtin_memcpy(&own, &set, sizeof(set));
+    return own & ((1u << W) - 1u);
+}
+
+/// Saves those lanes of v whose mask is not 0. Without AVX-512 the other lanes are read as volatile: Clang would make a masked
+/// store of it, which takes tens of cycles on AMD's CPUs (notebooks/records/2026-11-26-masked-stores.md).
+template <int W, class V> inline void replace(void* to, Ints<W> mask, V v)
+{
+    typedef int Unaligned __attribute__((ext_vector_type(W), aligned(4)));
+#if defined(__AVX512F__)
+    const Ints<W> before = *(const Unaligned*)to;
+#else
+    const Ints<W> before = *(const volatile Unaligned*)to;
+#endif
+    *(Unaligned*)to = mask ? __builtin_bit_cast(Ints<W>, v) : before;
+}
+
+/// The lanes `which` (0 to W - 1) of the W floats at `row`: one permutation where W floats are a register of x86-64.
+template <int W> inline Floats<W> chosen(const void* row, Ints<W> which)
+{
+#if defined(__AVX2__)
+    if constexpr (W == 8) return (Floats<W>)__builtin_ia32_permvarsi256(load<Ints<W>>(row), which);
+#endif
+#if defined(__AVX512F__)
+    if constexpr (W == 16) return (Floats<W>)__builtin_ia32_permvarsi512(load<Ints<W>>(row), which);
+#endif
+    Floats<W> v;
+    WRT_SCALAR
+    for (int i = 0; i < W; ++i) v[i] = ((const float*)row)[which[i]];
+    return v;
+}
+
+/// a b + c, rounded once where the CPU can.
+template <class V> inline V sum_of_product(V a, V b, V c)
+{
+#if defined(__FMA__) || defined(__ARM_FEATURE_FMA)
+    return __builtin_elementwise_fma(a, b, c);
+#else
+    return a * b + c;
+#endif
+}
+#endif
+
 }  // namespace
 }  // namespace wrt

@@ -1,5 +1,6 @@
 // Instantiates what kernels/native/*.h declare, so that a compiler checks the headers on their own. WIDTH: lanes.
 #include "interleaved.h"
+#include "woop_packets.h"
 
 struct Vec3 {
     float c[3];
@@ -73,4 +74,49 @@ void records(const float* const* from, float* columns, float* to)
 {
     read_records(from, 0, columns);
     write_records(columns, to, 24, 0xffffu);
+}
+
+struct WoopRay {
+    Vec3 origin;
+    int x, y, z;
+    Vec3 shear;
+};
+
+unsigned watertight(const float* of, const WoopRay& ray, float* t, float (*words)[WIDTH], const float (*corner)[WIDTH])
+{
+    Woop::prepare<WIDTH>(words, of, of, of, of, of, of);
+    Woop::test<WIDTH>(words, corner, t, t, t);
+    return woop_block<WIDTH, Inclusive, true>(of, 1, ray, t, t, t) + woop_block<WIDTH, Crossing, true>(of, 1, ray, t, t, t)
+        + woop_block<WIDTH, Crossing, false>(of, 1, ray, t, t, t) + woop_lines<WIDTH>(of, 1, ray);
+}
+
+unsigned steps(const float* of, int* inside)
+{
+    const auto first = [&](int i) { return of[i] > 0.0f; };
+    const auto second = [&](int i) { return of[i] < 1.0f; };
+    return block_steps<WIDTH>(~0u, first, second) + block_steps<WIDTH>(~0u, first) + packet_steps<WIDTH>(inside, first, second)
+        + packet_steps<WIDTH>(inside, first);
+}
+
+bool watertight_packets(const WoopRays& rays, const float* corner, int* inside, WoopRay& ray)
+{
+    woop_ray<true>(rays, 1, ray);
+    woop_ray<false>(rays, 1, ray);
+    WoopPacket<WIDTH, true> one(rays);
+    WoopPacket<WIDTH, false> other(rays);
+    one.begin(corner, 1), other.begin(corner, 2);
+    return one.meet(0, inside) && other.meet(0, inside) && one.hit(1, 1).t < other.hit(1, 1).t
+        && along_main_axis(true, false, corner[0], corner[1], corner[2]) > 0.0f;
+}
+
+bool watertight_pairs(const WoopRays& rays, const float (*corners)[WIDTH], Ints<WIDTH> which, Ints<WIDTH>& inside)
+{
+    WoopPairs<WIDTH, true> one(rays);
+    WoopPairs<WIDTH, false> other(rays);
+    one.begin(1), other.begin(2);
+    TriangleHit<Floats<WIDTH>> hit;
+    inside = one.may_meet(corners[0], 0) & other.may_meet(corners[0], 0);
+    const Floats<WIDTH> row = load<Floats<WIDTH>>(corners[0]);
+    replace<WIDTH>(&inside, which, sum_of_product(row, row, row));
+    return one.test(corners, which, inside, 0, inside, hit) && other.test(corners, which, inside, 0, inside, hit);
 }

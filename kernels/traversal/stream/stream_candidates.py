@@ -10,7 +10,7 @@ per lane. Rays are loaded by vector loads and a transposition (`kernels/native/l
 faster than gathers. Candidates within the range of their rays are then merged one after the other, so that a ray with several
 of them keeps the best. Figures: notebooks/records/2026-11-22-stream-candidates.md.
 
-A triangle test supplies its code for these lanes in `TestForm.candidate_lanes`. For other tests, for queries for all hits, and
+A triangle test supplies its code for these lanes in `TestForm.native`. For other tests, for queries for all hits, and
 with back-face culling, candidates are evaluated one after the other by the scalar test (`triangle_step`), with the same bits.
 """
 
@@ -96,7 +96,7 @@ _TAKE_CLOSEST = """
 
 def evaluates_in_lanes(config: TraversalConfig) -> bool:
     """Whether candidates are evaluated 16 at a time."""
-    return bool(TRIANGLE_TESTS[config.triangle_test].candidate_lanes) and not config.crossing and not config.cull_backfaces
+    return bool(TRIANGLE_TESTS[config.triangle_test].native) and not config.crossing and not config.cull_backfaces
 
 
 def evaluation(config: TraversalConfig) -> str:
@@ -105,7 +105,9 @@ def evaluation(config: TraversalConfig) -> str:
     It reads words[c][i] of their rays, corner[c][i] and, for closest hits, primitive[i] of their triangles. Lane i is candidate
     first + i of `count`, of ray owner[first + i].
     """
-    code = _EVALUATE.replace("CANDIDATE_LANES", TRIANGLE_TESTS[config.triangle_test].candidate_lanes)
+    code = _EVALUATE.replace(
+        "CANDIDATE_LANES", f"{TRIANGLE_TESTS[config.triangle_test].native}::test<L>(words, corner, t, u, v);"
+    )
     code = code.replace("VERTEX_BOX", vertex_box("corner[0]", "i")).replace("BOX_INTERVAL", BOX_INTERVAL)
     return code.replace("TAKE", _TAKE_ANY if config.query == ANY else _TAKE_CLOSEST)
 
@@ -124,7 +126,7 @@ def test_in_lanes(config: TraversalConfig) -> wp.Function:
     """`func(records, primitives, rays, pairs, count)`: evaluates the first `count` candidates and merges their hits."""
     StreamRay, code = stream_ray(config.triangle_test), _TEST.replace("EVALUATE", evaluation(config))
 
-    @native.func_native("lanes.h", lane_constants(config) + code)
+    @native.func_native("triangle.h", lane_constants(config) + code)
     def test_in_lanes_native(
         records: wp.array(dtype=float),
         primitives: wp.array(dtype=int),

@@ -65,7 +65,7 @@ def leaf_in_lanes(config: TraversalConfig) -> wp.Function:
     word of `wrt.kernels.layout.bvh_nodes`."""
     StreamRay, code = stream_ray(config.triangle_test), _TEST_LEAF.replace("EVALUATE", evaluation(config))
 
-    @native.func_native("lanes.h", lane_constants(config) + code)
+    @native.func_native("triangle.h", lane_constants(config) + code)
     def test_leaf_native(
         records: wp.array(dtype=float),
         primitives: wp.array(dtype=int),

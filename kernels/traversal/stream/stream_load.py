@@ -3,7 +3,7 @@
 The rays of a stream are stored one after the other, each with all its numbers, because filters and tests read them like that.
 Here they are computed component by component, 16 rays to a vector, and then transposed (`kernels/native/lanes.h`), so that a
 ray is written by one or two vector stores. The per-ray data of the triangle test is included if the test supplies
-`TestForm.prepare_lanes`; other tests prepare one ray after the other. The arithmetic is that of `load_ray`, `ray_slabs` and
+`TestForm.native`; other tests prepare one ray after the other. The arithmetic is that of `load_ray`, `ray_slabs` and
 `prepare`, to the bit. Figures: notebooks/records/2026-11-21-streams.md.
 
 Invalid rays are not stored, so a stream is loaded from as many rays as fill it. For a wide BVH, neither are rays that meet no
@@ -198,7 +198,7 @@ def constants(triangle_test: str) -> str:
     Raises:
         ValueError: a ray with the state of this triangle test does not fit into one or two vectors of 16 words.
     """
-    words, prepared = ray_words(triangle_test), bool(TRIANGLE_TESTS[triangle_test].prepare_lanes)
+    words, prepared = ray_words(triangle_test), bool(TRIANGLE_TESTS[triangle_test].native)
     if not 16 <= words <= (32 if prepared else words):
         raise ValueError(f"triangle test {triangle_test!r} needs {words} words per ray; streams store 16 to 32 words per ray")
     return f"""{LISTS}
@@ -219,7 +219,7 @@ def written(triangle_test: str, root: str = "", listing: str = "", number: str =
         number: C++ of the number of ray k, after the first ray of the stream.
     """
     test = TRIANGLE_TESTS[triangle_test]
-    code = ("" if test.prepare_lanes else _KEEP) + _WRITE.replace("WRT_PREPARE", test.prepare_lanes)
+    code = ("" if test.native else _KEEP) + _WRITE.replace("WRT_PREPARE", f"{test.native}::prepare<L>(words, dx, dy, dz, ox, oy, oz);" if test.native else "")
     code = code.replace("WRT_NUMBER", number)
     return code.replace("WRT_ROOT", root).replace("WRT_LIST", listing)
 
@@ -232,7 +232,7 @@ def load_lanes(triangle_test: str) -> wp.Function:
     Those that are valid are appended to the `size` rays of the stream; their bits are returned. own: see `written`.
     """
 
-    @native.func_native("lanes.h", constants(triangle_test) + FETCH + written(triangle_test))
+    @native.func_native("triangle.h", constants(triangle_test) + FETCH + written(triangle_test))
     def load_lanes_native(
         batch: RayBatch,
         first: int,
@@ -250,7 +250,7 @@ def load_lanes(triangle_test: str) -> wp.Function:
 
 @cache
 def prepare_one_by_one(triangle_test: str) -> wp.Function:
-    """`wp.func(stream, size, bits, own)`: stores what a triangle test without `prepare_lanes` needs, and the numbers of the
+    """`wp.func(stream, size, bits, own)`: stores what a triangle test without a `native` form needs, and the numbers of the
     rays, after `written` has stored the rest. own: see `KEPT_SIZE`."""
     test = TRIANGLE_TESTS[triangle_test]
     StreamRay, RayState, prepare = stream_ray(triangle_test), test.ray_state, test.prepare
@@ -294,7 +294,7 @@ def load_stream(triangle_test: str, room: int) -> wp.Function:
     Args (of the function): low, high: bounds of the scene.
     """
     StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test)
-    prepared = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes)
+    prepared = bool(TRIANGLE_TESTS[triangle_test].native)
     prepare_kept, group = prepare_one_by_one(triangle_test), min(room, LIST_LANES)
 
     @wp.func

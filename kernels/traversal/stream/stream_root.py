@@ -174,7 +174,7 @@ def load_lanes(triangle_test: str, width: int, order: int, boxes: bool) -> wp.Fu
     else:
         code = "    if (count == 0) return 0;\n" + FETCH + written(triangle_test, _TEST, _LIST)
 
-    @native.func_native("lanes.h", head + code)
+    @native.func_native("triangle.h", head + code)
     def load_native(
         batch: RayBatch,
         first: int,
@@ -212,7 +212,7 @@ def load_root(triangle_test: str, room: int, width: int, order: int, boxes: bool
         ray meets.
     """
     StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test, width, order, boxes)
-    prepared = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes)
+    prepared = bool(TRIANGLE_TESTS[triangle_test].native)
     lanes_size = (width + 1) * LIST_LANES + (box_memory(width) if boxes else 0)
     prepare_kept, group = prepare_one_by_one(triangle_test), min(room, LIST_LANES)
     begin_list, end_list = begin_root(width, order, boxes), end_root(width, order)
