@@ -36,10 +36,20 @@ template <class Vec3> inline CUDA_CALLABLE float reach(const Vec3& low, const Ve
     return far;
 }
 
+/// Whether a direction is finite and long enough.
+inline CUDA_CALLABLE bool is_direction(float x, float y, float z)
+{
+    const int size_x = size_bits(x), size_y = size_bits(y), size_z = size_bits(z);
+    int size = size_x > size_y ? size_x : size_y;
+    size = size > size_z ? size : size_z;
+    const int least = size_bits(SHORTEST), beyond = size_bits(WRT_INFINITY);
+    return (size >= least) & (size < beyond);
+}
+
 /// The components of a packet, RAYS floats each (wrt.kernels.traversal.packet.rays.packet_layout). state: the first of those
 /// that a triangle test keeps.
-template <int RAYS, int WIDTH, bool SHARED_ORIGIN> struct Packet {
-    static constexpr int P = RAYS, W = WIDTH, COMPONENTS = SHARED_ORIGIN ? 11 : 17;
+template <int RAYS, int LANES, bool SHARED_ORIGIN> struct Packet {
+    static constexpr int P = RAYS, W = LANES, COMPONENTS = SHARED_ORIGIN ? 11 : 17;
     static constexpr bool SHARED = SHARED_ORIGIN;
     /// Rows of components that are moved from one packet to another.
     enum Row { ROW_T_MIN = 3, ROW_T, ROW_PRIMITIVE, ROW_U, ROW_V, ROW_KEPT = 16 };

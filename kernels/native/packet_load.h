@@ -54,11 +54,8 @@ inline CUDA_CALLABLE void fill_packet(
         drop_negligible(x, y, z);
         const float last = rays.most[k] > FARTHEST ? FARTHEST : rays.most[k];
         const float ox = SHARED ? ox0 : rays.from_x[k], oy = SHARED ? oy0 : rays.from_y[k], oz = SHARED ? oz0 : rays.from_z[k];
-        const int size_x = size_bits(x), size_y = size_bits(y), size_z = size_bits(z);
-        int size = size_x > size_y ? size_x : size_y;
-        size = size > size_z ? size : size_z;
-        const bool valid = (size >= size_bits(SHORTEST)) & (size < size_bits(WRT_INFINITY)) & (ox - ox == 0.0f)
-            & (oy - oy == 0.0f) & (oz - oz == 0.0f) & (rays.least[k] >= 0.0f) & (rays.least[k] <= last);
+        const bool valid = is_direction(x, y, z) & (ox - ox == 0.0f) & (oy - oy == 0.0f) & (oz - oz == 0.0f)
+            & (rays.least[k] >= 0.0f) & (rays.least[k] <= last);
         if (!SHARED) {
             packet.origin_x[k] = ox;
             packet.origin_y[k] = oy;
