@@ -41,29 +41,6 @@ PACKET_VALUES = {
 
 
 @dataclass(frozen=True)
-class PairForm:
-    """W rays x a triangle for each: pieces of C++ with vectors (`wrt.kernels.simd.lane_vectors`), for Clang on the CPU.
-
-    Free variables: those of `PacketForm` but `k` and `i`; `f` is the first of the W rays, `pass` the current pass. Lanes of
-    `vi` masks are 0 or -1.
-
-    Attributes:
-        rays: once, before all pairs.
-        axes: for each pass.
-        may_meet: for the triangle at `corner`, as of `PacketForm`, and the rays from f on: declares `vi may_meet`, 0 only where
-            the ray's line certainly misses the triangle.
-        test: for the rays from f on and the lanes `which` of a block, where `paired` is not 0. Row c of the block's vertices is
-            `corners[c]`, less the origin if it is `SHARED`. Declares `vi inside`, the lanes whose line meets the triangle, and
-            `vf at, hit_u, hit_v`; executes `continue` if there are none.
-    """
-
-    rays: str
-    axes: str
-    may_meet: str
-    test: str
-
-
-@dataclass(frozen=True)
 class PacketForm:
     """W rays x one triangle: pieces of C++ that `wrt.kernels.traversal.packet` puts into its lane loops.
 
@@ -82,7 +59,10 @@ class PacketForm:
         hit: per ray, sets `at`, `hit_u`, `hit_v`.
         ray: for the single ray k; sets the members of `ray`, the struct that the test's `prepare` returns, which `block_test`
             reads.
-        pairs: the same test for rays that have a triangle each; None for a test without it.
+        rays: once, before all else.
+        pairs: C++ expression, after `rays`, of the same test for rays that have a triangle each (`WoopPairs` in
+            kernels/native/woop_packets.h), for Clang on the CPU; empty for a test without it.
+        headers: those of kernels/native that the pieces use.
         certain: whether a ray that passes well inside a triangle always hits it, for whatever triangle is large enough as seen
             from the ray's origin (`wrt.kernels.traversal.packet.leaves.covering_triangle`).
     """
@@ -94,7 +74,9 @@ class PacketForm:
     inside: str
     hit: str
     ray: str
-    pairs: PairForm | None = None
+    rays: str = ""
+    pairs: str = ""
+    headers: str = ""
     certain: bool = False
 
 
