@@ -1,37 +1,16 @@
 // One ray and the W triangles of a block: the consistency rule, back faces, and mailboxes.
 #pragma once
-#include "box.h"
+#include "ray.h"
 
 namespace wrt {
 namespace {
-
-/// The normal of a triangle in float64, whose nine components are W apart.
-template <int W> inline CUDA_CALLABLE void normal_of(const float* r, double* normal)
-{
-    const float ax = r[0], ay = r[W], az = r[2 * W], bx = r[3 * W], by = r[4 * W], bz = r[5 * W];
-    const float cx = r[6 * W], cy = r[7 * W], cz = r[8 * W];
-    const double ux = (double)bx - ax, uy = (double)by - ay, uz = (double)bz - az;
-    const double vx = (double)cx - ax, vy = (double)cy - ay, vz = (double)cz - az;
-    normal[0] = uy * vz - uz * vy;
-    normal[1] = uz * vx - ux * vz;
-    normal[2] = ux * vy - uy * vx;
-}
-
-/// Whether a ray comes from the side that a normal points to; false if the triangle is seen edge-on. The direction is derived
-/// from 1 / direction, which every traversal has.
-inline CUDA_CALLABLE bool faces(const double* normal, float ix, float iy, float iz)
-{
-    const double along_x = normal[0] * (double)(1.0f / ix), along_y = normal[1] * (double)(1.0f / iy);
-    const double along_z = normal[2] * (double)(1.0f / iz);
-    return (along_x + along_y) + along_z < 0.0;
-}
 
 /// Whether a ray comes from the side from which a triangle is wound counter-clockwise.
 template <int W> inline CUDA_CALLABLE bool comes_from_front(const float* corner, const BoxRay& ray)
 {
     double normal[3];
-    normal_of<W>(corner, normal);
-    return faces(normal, ray.inverse[0], ray.inverse[1], ray.inverse[2]);
+    face_normal<W>(corner, normal);
+    return is_front(normal, ray.inverse[0], ray.inverse[1], ray.inverse[2]);
 }
 
 /// Clamps t to the triangles' own boxes; returns the lanes of `mask` that are hits, with t_min <= t <= t_max. CULLING: only those

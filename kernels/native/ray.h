@@ -29,7 +29,7 @@ inline CUDA_CALLABLE float largest_size(float x, float y, float z)
 }
 
 /// Sets the negligible components of a direction to 0; NaN is kept (`usable_direction`).
-inline CUDA_CALLABLE void clear_negligible(float& x, float& y, float& z)
+inline CUDA_CALLABLE void drop_negligible(float& x, float& y, float& z)
 {
     const float size = largest_size(x, y, z), least = (size > LEAST_SIZE ? size : LEAST_SIZE) * NEGLIGIBLE;
     x = WRT_ABS(x) < least ? 0.0f : x;
@@ -46,7 +46,7 @@ inline CUDA_CALLABLE bool is_ray(float x, float y, float z, float px, float py, 
 }
 
 /// How far the box from `low` to `high` extends from a point along an axis.
-template <class Vec> inline CUDA_CALLABLE float reach_of(const Vec& low, const Vec& high, float x, float y, float z)
+template <class Vec> inline CUDA_CALLABLE float reach(const Vec& low, const Vec& high, float x, float y, float z)
 {
     float far = WRT_ABS(low.c[0] - x), f;
     f = WRT_ABS(high.c[0] - x), far = f > far ? f : far;
@@ -57,12 +57,33 @@ template <class Vec> inline CUDA_CALLABLE float reach_of(const Vec& low, const V
     return far;
 }
 
-/// What box tests need of a ray with this reach (`ray_slabs`).
-inline CUDA_CALLABLE BoxRay box_ray(float x, float y, float z, float px, float py, float pz, float reach)
+/// What box tests need of a ray, whose reach is `far` (`ray_slabs`).
+inline CUDA_CALLABLE BoxRay box_ray(float x, float y, float z, float px, float py, float pz, float far)
 {
-    const float slack = SLACK * reach, jx = 1.0f / x, jy = 1.0f / y, jz = 1.0f / z;
+    const float slack = SLACK * far, jx = 1.0f / x, jy = 1.0f / y, jz = 1.0f / z;
     const float step_x = jx < 0.0f ? -slack : slack, step_y = jy < 0.0f ? -slack : slack, step_z = jz < 0.0f ? -slack : slack;
     return {{jx, jy, jz}, {px + step_x, py + step_y, pz + step_z}, {px - step_x, py - step_y, pz - step_z}};
+}
+
+/// The normal of a triangle, in float64. triangle: its first component, those of a block of W triangles being W floats apart.
+template <int W> inline CUDA_CALLABLE void face_normal(const float* triangle, double* normal)
+{
+    double u[3], v[3];
+    for (int a = 0; a < 3; ++a) {
+        u[a] = (double)triangle[(3 + a) * W] - triangle[a * W];
+        v[a] = (double)triangle[(6 + a) * W] - triangle[a * W];
+    }
+    normal[0] = u[1] * v[2] - u[2] * v[1];
+    normal[1] = u[2] * v[0] - u[0] * v[2];
+    normal[2] = u[0] * v[1] - u[1] * v[0];
+}
+
+/// Whether a ray comes from the front of a triangle; its direction is derived from 1 / direction, which every traversal has.
+inline CUDA_CALLABLE bool is_front(const double* normal, float ix, float iy, float iz)
+{
+    const double along_x = normal[0] * (double)(1.0f / ix), along_y = normal[1] * (double)(1.0f / iy);
+    const double along_z = normal[2] * (double)(1.0f / iz);
+    return (along_x + along_y) + along_z < 0.0;
 }
 
 /// A coordinate relative to the centre of the scene.
@@ -156,7 +177,7 @@ template <int L> inline CUDA_CALLABLE void check_lanes(RayLanes<L>& rays)
 {
     WRT_FOR (L, k) {
         float x = rays.given_direction[0][k], y = rays.given_direction[1][k], z = rays.given_direction[2][k];
-        clear_negligible(x, y, z);
+        drop_negligible(x, y, z);
         rays.direction[0][k] = x, rays.direction[1][k] = y, rays.direction[2][k] = z;
     }
     WRT_FOR (L, k) {
@@ -187,7 +208,7 @@ inline CUDA_CALLABLE void write_rows(const RayLanes<L>& rays, const Vec& low, co
     WRT_FOR (L, k) {
         const float x = rays.direction[0][k], y = rays.direction[1][k], z = rays.direction[2][k];
         const float px = rays.origin[0][k], py = rays.origin[1][k], pz = rays.origin[2][k];
-        const BoxRay ray = box_ray(x, y, z, px, py, pz, reach_of(low, high, px, py, pz));
+        const BoxRay ray = box_ray(x, y, z, px, py, pz, reach(low, high, px, py, pz));
         words[0][k] = ray.inverse[0], words[1][k] = ray.inverse[1], words[2][k] = ray.inverse[2];
         words[RayRows::IN][k] = ray.in[0], words[RayRows::IN + 1][k] = ray.in[1], words[RayRows::IN + 2][k] = ray.in[2];
         words[RayRows::OUT][k] = ray.out[0], words[RayRows::OUT + 1][k] = ray.out[1], words[RayRows::OUT + 2][k] = ray.out[2];

@@ -86,13 +86,14 @@ template <int W, Order ORDER, int L> struct RootTest {
     }
 
     /// After the last rays of a stream: writes the keys of the root's children; returns the bits of the leaves that a ray meets.
-    /// greatest: of each child, of its row of `last`.
-    static CUDA_CALLABLE unsigned end(const int* children, const float* lanes, const float* greatest, int* keys)
+    static CUDA_CALLABLE unsigned end(const int* children, const float* lanes, int* keys)
     {
         const int* const any_of = (const int*)(lanes + W * L);
         unsigned reached = 0, leaves = 0;
         for (int k = 0; k < L; ++k) reached |= (unsigned)any_of[k];
         for (int c = 0; c < W; ++c) leaves |= children[c] < 0 ? 1u << c : 0u;
+        float greatest[W];  // of each child
+        if (ORDER != Order::NONE) row_maxima<W>((const float (*)[L])lanes, greatest);
         for (int c = 0; c < W; ++c) {
             const int entry
                 = ORDER == Order::NONE ? 0 : __builtin_bit_cast(int, ORDER == Order::NEAR ? -greatest[c] : greatest[c]);

@@ -121,23 +121,6 @@ BOX_INTERVAL = """
 """C++ after box.h: enter .. leave, the interval of t in which a ray (ix, in_x, out_x ..: its `RaySlabs`) is in the widened box
 low .. high; `at` is clamped to it, as in `clamp_to_box`."""
 
-FRONT = """
-    auto wrt_normal = [](const float* r, int apart, double* normal) {  // r: the nine components of a triangle
-        const float ax = r[0], ay = r[apart], az = r[2 * apart], bx = r[3 * apart], by = r[4 * apart], bz = r[5 * apart];
-        const float cx = r[6 * apart], cy = r[7 * apart], cz = r[8 * apart];
-        const double ux = (double)bx - ax, uy = (double)by - ay, uz = (double)bz - az;
-        const double vx = (double)cx - ax, vy = (double)cy - ay, vz = (double)cz - az;
-        normal[0] = uy * vz - uz * vy; normal[1] = uz * vx - ux * vz; normal[2] = ux * vy - uy * vx;
-    };
-    auto wrt_front = [](const double* normal, float ix, float iy, float iz) {
-        const double along_x = normal[0] * (double)(1.0f / ix), along_y = normal[1] * (double)(1.0f / iy);
-        const double along_z = normal[2] * (double)(1.0f / iz);
-        return (along_x + along_y) + along_z < 0.0;
-    };
-"""
-"""C++ of `comes_from_front`: the normal of a triangle, and the side from which a ray with 1 / direction ix, iy, iz comes. The
-direction is derived from its inverse, which every traversal has."""
-
 
 @native.func_native("leaf.h", "return wrt::comes_from_front<1>((const float*)&corners, wrt::box_ray(slabs));")
 def comes_from_front(slabs: wp.ref[RaySlabs], corners: wp.ref[Corners]) -> bool:

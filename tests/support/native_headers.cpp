@@ -159,7 +159,7 @@ unsigned root(const Batch& batch, const Vec3& low, Ray* stream, int* list, float
     state.used = Test::begin(list, -1, lanes);
     RootGrid<WIDTH, 16>(lanes).begin(lanes, state.used, low, low, batch.center);
     return load_root<Woop, WIDTH, ORDER, BOXES, 16>(batch, 1, 2, low, low, stream, lanes, list, lanes, lanes, state)
-        + Test::end(list, lanes, lanes, list);
+        + Test::end(list, lanes, list);
 }
 
 unsigned roots(const Batch& batch, const Vec3& low, Ray* stream, int* list, float* lanes, RootLoad& state)

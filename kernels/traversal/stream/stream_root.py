@@ -24,7 +24,6 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.lanes import count_bits
-from wrt.kernels.simd.row_maxima import row_maxima
 from wrt.kernels.traversal.stream.stream_boxes import ERROR, box_memory
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE
@@ -73,11 +72,9 @@ def begin_root(width: int, order: int, boxes: bool) -> wp.Function:
 def end_root(width: int, order: int) -> wp.Function:
     """`func(children, lanes, keys) -> leaves`: after the last rays of a stream; writes the keys of the root's children, and
     returns the bits of the leaves that a ray meets."""
-    rows = [f"(lanes.data + {c * LIST_LANES})" for c in range(width)]
-    maxima = "" if order == NONE else row_maxima(rows, LIST_LANES, "greatest")
-    end = f"return {root_test(width, order)}::end(children.data, lanes.data, greatest, keys.data);"
+    call = f"{root_test(width, order)}::end(children.data, lanes.data, keys.data)"
 
-    @native.func_native("stream_root.h", f"float greatest[{width}] = {{}};\n{maxima}{end}")
+    @native.func_native("stream_root.h", f"return {call};")
     def end_native(children: wp.array(dtype=int), lanes: wp.array(dtype=float), keys: wp.array(dtype=int)) -> wp.uint32: ...
 
     return end_native
