@@ -1,40 +1,12 @@
 // Packets: the rays of a batch that form one, their components in memory, and ends of intervals over them.
 #pragma once
-#include "box.h"
+#include "ray.h"
 
 namespace wrt {
 namespace {
 
-// Constants of wrt.kernels.layout.ray_batch and of wrt.kernels.simd.boxes.
-constexpr float NEGLIGIBLE = 0x1p-100f, SHORTEST = 0x1p-126f, FARTHEST = 0x1.fffffep127f, LEAST_SIZE = 0x1p-26f;
-constexpr float SLACK = 0x1p-20f;
-
-/// Sets negligible components of a direction to 0 (`usable_direction` of wrt.kernels.layout.ray_batch).
-inline CUDA_CALLABLE void drop_negligible(float& x, float& y, float& z)
-{
-    const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
-    float size = size_x > size_y ? size_x : size_y;
-    size = size > size_z ? size : size_z;
-    const float least = (size > LEAST_SIZE ? size : LEAST_SIZE) * NEGLIGIBLE;
-    x = size_x < least ? 0.0f : x;
-    y = size_y < least ? 0.0f : y;
-    z = size_z < least ? 0.0f : z;
-}
-
 /// The size of a float as an integer in the order of the floats; NaN and infinity are beyond all numbers.
 inline CUDA_CALLABLE int size_bits(float x) { return __builtin_bit_cast(int, x) & 0x7fffffff; }
-
-/// How far the box from `low` to `high` extends from a point along an axis.
-template <class Vec3> inline CUDA_CALLABLE float reach(const Vec3& low, const Vec3& high, float x, float y, float z)
-{
-    float far = WRT_ABS(low.c[0] - x), f;
-    f = WRT_ABS(high.c[0] - x), far = f > far ? f : far;
-    f = WRT_ABS(low.c[1] - y), far = f > far ? f : far;
-    f = WRT_ABS(high.c[1] - y), far = f > far ? f : far;
-    f = WRT_ABS(low.c[2] - z), far = f > far ? f : far;
-    f = WRT_ABS(high.c[2] - z), far = f > far ? f : far;
-    return far;
-}
 
 /// Whether a direction is finite and long enough.
 inline CUDA_CALLABLE bool is_direction(float x, float y, float z)
@@ -274,27 +246,6 @@ template <class Size> inline CUDA_CALLABLE int largest_axis(Size x, Size y, Size
     const bool xy = x >= y, xz = x >= z, yz = y >= z;
     const bool main_x = xy & xz, main_y = !xy & yz;
     return main_x ? 1 : main_y ? 2 : 4;
-}
-
-/// The normal of a triangle, in float64. triangle: its first component, those of a block of W triangles being W floats apart.
-template <int W> inline CUDA_CALLABLE void face_normal(const float* triangle, double* normal)
-{
-    double u[3], v[3];
-    for (int a = 0; a < 3; ++a) {
-        u[a] = (double)triangle[(3 + a) * W] - triangle[a * W];
-        v[a] = (double)triangle[(6 + a) * W] - triangle[a * W];
-    }
-    normal[0] = u[1] * v[2] - u[2] * v[1];
-    normal[1] = u[2] * v[0] - u[0] * v[2];
-    normal[2] = u[0] * v[1] - u[1] * v[0];
-}
-
-/// Whether a ray comes from the front of a triangle; its direction is derived from 1 / direction, which every traversal has.
-inline CUDA_CALLABLE bool is_front(const double* normal, float ix, float iy, float iz)
-{
-    const double along_x = normal[0] * (double)(1.0f / ix), along_y = normal[1] * (double)(1.0f / iy);
-    const double along_z = normal[2] * (double)(1.0f / iz);
-    return (along_x + along_y) + along_z < 0.0;
 }
 
 /// The number of an axis that is given by its bit.

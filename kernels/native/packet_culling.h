@@ -6,17 +6,6 @@
 namespace wrt {
 namespace {
 
-/// The exact box of a triangle. triangle: its first component, those of a block of W triangles being W floats apart.
-template <int W> inline CUDA_CALLABLE void vertex_box(const float* triangle, float* low, float* high)
-{
-    for (int a = 0; a < 3; ++a) {
-        const float p = triangle[a * W], q = triangle[(3 + a) * W], r = triangle[(6 + a) * W];
-        const float least = q < r ? q : r, most = q > r ? q : r;
-        low[a] = p < least ? p : least;
-        high[a] = p > most ? p : most;
-    }
-}
-
 template <class Bounds> inline CUDA_CALLABLE BoxRays box_rays(const Bounds& bounds)
 {
     BoxRays rays;

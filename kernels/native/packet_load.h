@@ -180,11 +180,7 @@ inline CUDA_CALLABLE void widen_by_run(const Batch& batch, int begin, int here, 
         drop_negligible(x, y, z);
         rays.most[k] = rays.most[k] > FARTHEST ? FARTHEST : rays.most[k];
         const float px = rays.from_x[k], py = rays.from_y[k], pz = rays.from_z[k];
-        const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
-        float size = size_x > size_y ? size_x : size_y;
-        size = size > size_z ? size : size_z;
-        const bool valid = (x - x == 0.0f) & (y - y == 0.0f) & (z - z == 0.0f) & (px - px == 0.0f) & (py - py == 0.0f)
-            & (pz - pz == 0.0f) & (size >= SHORTEST) & (rays.least[k] >= 0.0f) & (rays.least[k] <= rays.most[k]);
+        const bool valid = is_ray(x, y, z, px, py, pz, rays.least[k], rays.most[k]);
         own.active += valid ? 1 : 0;
         own.to_x.widen(x, valid), own.to_y.widen(y, valid), own.to_z.widen(z, valid);
         own.from_x.widen(px, valid), own.from_y.widen(py, valid), own.from_z.widen(pz, valid);

@@ -258,6 +258,8 @@ struct ShearedRows {
 
 /// The watertight test for L rays of a stream, and for L pairs of a ray and a triangle. words: the rows of the rays.
 struct Woop {
+    static constexpr bool PREPARES = true;
+
     /// From directions and origins; the first three rows are 1 / directions.
     template <int L>
     static CUDA_CALLABLE void prepare(

@@ -231,7 +231,7 @@ def make_answer(triangle_test: str) -> wp.Function:
     rounds = _ROUNDS.replace("CANDIDATE_LANES", f"{test.native}::test<L>(words, corner, t, u, v);")
     rounds = rounds.replace("VERTEX_BOX", vertex_box("corner[0]", "i")).replace("BOX_INTERVAL", BOX_INTERVAL)
 
-    @native.func_native("triangle.h", constants + find + _CELLS + prepare + rounds)
+    @native.func_native("ray.h triangle.h", constants + find + _CELLS + prepare + rounds)
     def answer_native(
         cells: LightCells,
         records: wp.array(dtype=float),

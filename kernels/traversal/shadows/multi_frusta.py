@@ -54,6 +54,7 @@ FRUSTA = 16
 FLUSHED = 2.0**-90
 """Fraction of a direction's size below which a component may be flushed to 0, with room for rounding (`NEGLIGIBLE`)."""
 
+
 @cache
 def make_trace(config: TraversalConfig, each: bool) -> wp.Function:
     """`wp.func(tree, boxes, records, ids, rays, light, begin, count, occluded, counts)`: traces frusta begin .. begin + count -

@@ -148,9 +148,7 @@ def store_rays(layout: PacketLayout, any_hit: bool) -> wp.Function:
 def store_candidate(layout: PacketLayout, any_hit: bool) -> wp.Function:
     """`wp.func(memory, k, best)`: ray k of the packet has this hit, or none; in any-hit queries it is then done."""
 
-    @native.func_native(
-        "packet_parts.h", f"wrt::store_hit<{cpp(any_hit)}>({layout.type}(memory.packet.data), k, best_of_ray);"
-    )
+    @native.func_native("packet_parts.h", f"wrt::store_hit<{cpp(any_hit)}>({layout.type}(memory.packet.data), k, best_of_ray);")
     def store_candidate_native(memory: wp.ref[PacketMemory], k: int, best_of_ray: wp.ref[Candidate]): ...
 
     return store_candidate_native

@@ -179,9 +179,10 @@ def intersect_crossing(ray: ShearedRay, corners: Corners):
     return interpolate(ray, wp.vec3(a[2], b[2], c[2]), areas)
 
 
-GUARDS = (
-    f"static_assert(wrt::THIN == {float(THIN)!r}f && wrt::SMALL_AREA == {float(SMALL)!r}f && wrt::AREA_LIFT == {float(LIFT)!r});\n"
-)
+GUARDS = f"""
+    static_assert(wrt::THIN == {float(THIN)!r}f && wrt::SMALL_AREA == {float(SMALL)!r}f);
+    static_assert(wrt::AREA_LIFT == {float(LIFT)!r});
+"""
 """C++: constants that kernels/native has too."""
 
 

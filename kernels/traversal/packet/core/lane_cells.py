@@ -23,9 +23,7 @@ def enter_cell(layout: PacketLayout) -> wp.Function:
     The intervals are clipped to the rays' ranges and best hits.
     """
 
-    @native.func_native(
-        "packet_cells.h", f"return wrt::enter_cell({layout.packet}, bounds, low, high, cells.data);"
-    )
+    @native.func_native("packet_cells.h", f"return wrt::enter_cell({layout.packet}, bounds, low, high, cells.data);")
     def enter_cell_native(
         packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], low: wp.vec3, high: wp.vec3, cells: wp.array(dtype=float)
     ) -> int: ...
@@ -41,9 +39,7 @@ def split_cell(layout: PacketLayout) -> wp.Function:
     of the rays that visit both.
     """
 
-    @native.func_native(
-        "packet_cells.h", f"return wrt::split_cell({layout.packet}, bounds, axis, position, cells.data);"
-    )
+    @native.func_native("packet_cells.h", f"return wrt::split_cell({layout.packet}, bounds, axis, position, cells.data);")
     def split_cell_native(
         packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], axis: int, position: float, cells: wp.array(dtype=float)
     ) -> int: ...

@@ -67,7 +67,9 @@ def start(layout: PacketLayout) -> wp.Function:
 def cull_boxes(layout: PacketLayout) -> wp.Function:
     """`Culling.boxes`: frustum of the packet x W child boxes; keys as in `wrt.kernels.simd.box_lanes.ray_boxes`."""
 
-    @native.func_native("packet_frusta.h", f"return wrt::frustum_keys<{layout.width}>({layout.box}, bounds, keys.data + first);")
+    @native.func_native(
+        "packet_frusta.h", f"return wrt::frustum_keys<{layout.width}>({layout.box}, bounds, keys.data + first);"
+    )
     def frustum_boxes(
         boxes: wp.array(dtype=float),
         node: int,

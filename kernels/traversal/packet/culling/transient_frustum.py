@@ -47,9 +47,7 @@ def start(layout: PacketLayout) -> wp.Function:
 def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: sets the frustum of the rays that meet a leaf's box; returns 0 if none does."""
 
-    @native.func_native(
-        "packet_frusta.h", f"return wrt::set_transient_frustum({layout.box} + lane, {layout.packet}, bounds);"
-    )
+    @native.func_native("packet_frusta.h", f"return wrt::set_transient_frustum({layout.box} + lane, {layout.packet}, bounds);")
     def transient_frustum(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...

@@ -44,7 +44,9 @@ def test_block(layout: PacketLayout, any_hit: bool, cull_backfaces: bool) -> wp.
     In any-hit queries a ray with a hit gets t = -inf. If back faces are culled, triangles are hit only from their front.
     """
 
-    @native.func_native(f"packet_leaves.h {layout.headers}", f"{layout.own}{layout.names}\n{block_code(layout, any_hit, cull_backfaces)}")
+    @native.func_native(
+        f"packet_leaves.h {layout.headers}", f"{layout.own}{layout.names}\n{block_code(layout, any_hit, cull_backfaces)}"
+    )
     def packet_block(
         records: wp.array(dtype=float),
         ids: wp.array(dtype=int),
