@@ -166,27 +166,21 @@ template <int N, int Block = 2, int Distance = 1> inline Vector<int, N> sort(Vec
 using Row = Vector<float, 16>;
 
 /// Exchanges blocks between two rows that are Distance apart.
-template <int Distance, int... I> inline void exchange(Row& upper, Row& lower, Numbers<int, I...>)
+template <int Distance, class V, int... I> inline void exchange(V& upper, V& lower, Numbers<int, I...>)
 {
-    const Row a = upper, b = lower;
-    upper = __builtin_shufflevector(a, b, (I & Distance ? I - Distance + 16 : I)...);
-    lower = __builtin_shufflevector(a, b, (I & Distance ? I + 16 : I + Distance)...);
+    constexpr int N = sizeof...(I);
+    const V a = upper, b = lower;
+    upper = __builtin_shufflevector(a, b, (I & Distance ? I - Distance + N : I)...);
+    lower = __builtin_shufflevector(a, b, (I & Distance ? I + N : I + Distance)...);
 }
 
-/// One step of Eklundh's transposition.
-template <int Distance> inline void exchange_rows(Row* rows)
+/// Transposes N rows of N numbers, by Eklundh's steps from `Distance` on.
+template <int N, int Distance = 1, class V> inline void transpose(V* rows)
 {
     WRT_UNROLLED
-    for (int i = 0; i < 16; ++i)
-        if (!(i & Distance)) exchange<Distance>(rows[i], rows[i + Distance], Lanes<16>());
-}
-
-inline void transpose(Row* rows)
-{
-    exchange_rows<1>(rows);
-    exchange_rows<2>(rows);
-    exchange_rows<4>(rows);
-    exchange_rows<8>(rows);
+    for (int i = 0; i < N; ++i)
+        if (!(i & Distance)) exchange<Distance>(rows[i], rows[i + Distance], Lanes<N>());
+    if constexpr (2 * Distance < N) transpose<N, 2 * Distance>(rows);
 }
 #endif
 
@@ -197,7 +191,7 @@ inline CUDA_CALLABLE void write_records(const float* columns, float* to, int wor
 #if WRT_VECTORS
     Row rows[16];
     for (int c = 0; c < 16; ++c) rows[c] = load<Row>(columns + c * 16);
-    transpose(rows);
+    transpose<16>(rows);
     if (kept == 0xffffu) {
         WRT_UNROLLED
         for (int k = 0; k < 16; ++k) save(to + k * words, rows[k]);
@@ -223,7 +217,7 @@ inline CUDA_CALLABLE void read_records(const float* const* from, int first, floa
     Row rows[16];
     WRT_UNROLLED
     for (int k = 0; k < 16; ++k) rows[k] = load<Row>(from[k] + first);
-    transpose(rows);
+    transpose<16>(rows);
     for (int c = 0; c < 16; ++c) save(columns + c * 16, rows[c]);
 #else
     for (int k = 0; k < 16; ++k)
