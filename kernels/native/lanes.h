@@ -235,27 +235,21 @@ template <int N, int W> inline CUDA_CALLABLE void row_maxima(const float (*rows)
 using Row = Vector<float, 16>;
 
 /// Exchanges blocks between two rows that are Distance apart.
-template <int Distance, int... I> inline void exchange(Row& upper, Row& lower, Numbers<int, I...>)
+template <int Distance, class V, int... I> inline void exchange(V& upper, V& lower, Numbers<int, I...>)
 {
-    const Row a = upper, b = lower;
-    upper = __builtin_shufflevector(a, b, (I & Distance ? I - Distance + 16 : I)...);
-    lower = __builtin_shufflevector(a, b, (I & Distance ? I + 16 : I + Distance)...);
+    constexpr int N = sizeof...(I);
+    const V a = upper, b = lower;
+    upper = __builtin_shufflevector(a, b, (I & Distance ? I - Distance + N : I)...);
+    lower = __builtin_shufflevector(a, b, (I & Distance ? I + N : I + Distance)...);
 }
 
-/// One step of Eklundh's transposition.
-template <int Distance> inline void exchange_rows(Row* rows)
+/// Transposes N rows of N numbers, by Eklundh's steps from `Distance` on.
+template <int N, int Distance = 1, class V> inline void transpose(V* rows)
 {
     WRT_UNROLLED
-    for (int i = 0; i < 16; ++i)
-        if (!(i & Distance)) exchange<Distance>(rows[i], rows[i + Distance], Lanes<16>());
-}
-
-inline void transpose(Row* rows)
-{
-    exchange_rows<1>(rows);
-    exchange_rows<2>(rows);
-    exchange_rows<4>(rows);
-    exchange_rows<8>(rows);
+    for (int i = 0; i < N; ++i)
+        if (!(i & Distance)) exchange<Distance>(rows[i], rows[i + Distance], Lanes<N>());
+    if constexpr (2 * Distance < N) transpose<N, 2 * Distance>(rows);
 }
 #endif
 
@@ -266,7 +260,7 @@ inline CUDA_CALLABLE void write_records(const float* columns, float* to, int wor
 #if WRT_VECTORS
     Row rows[16];
     for (int c = 0; c < 16; ++c) rows[c] = load<Row>(columns + c * 16);
-    transpose(rows);
+    transpose<16>(rows);
     if (kept == 0xffffu) {
         WRT_UNROLLED
         for (int k = 0; k < 16; ++k) save(to + k * words, rows[k]);
@@ -292,7 +286,7 @@ inline CUDA_CALLABLE void read_records(const float* const* from, int first, floa
     Row rows[16];
     WRT_UNROLLED
     for (int k = 0; k < 16; ++k) rows[k] = load<Row>(from[k] + first);
-    transpose(rows);
+    transpose<16>(rows);
     for (int c = 0; c < 16; ++c) save(columns + c * 16, rows[c]);
 #else
     for (int k = 0; k < 16; ++k)
@@ -317,12 +311,13 @@ template <int W> using Floats = Vector<float, W>;
 template <int W> using Ints = Vector<int, W>;
 
 /// A bit for each lane that is not 0.
-template <int W> inline unsigned bits_of(Ints<W> mask)
+template <class M> inline unsigned bits_of(M mask)
 {
-    const auto set = __builtin_convertvector(mask != 0, Vector<bool, W>);
+    constexpr int N = sizeof(M) / sizeof(int);
+    const auto set = __builtin_convertvector(mask != 0, Vector<bool, N>);
     unsigned own = 0;
     __builtin_memcpy(&own, &set, sizeof(set));
-    return own & ((1u << W) - 1u);
+    return own & ((1u << N) - 1u);
 }
 
 /// Saves those lanes of v whose mask is not 0. Without AVX-512 the other lanes are read as volatile: Clang would make a masked

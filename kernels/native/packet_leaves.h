@@ -250,7 +250,7 @@ template <int W> struct BlockRows {
 template <int P, int W, bool SHARED>
 inline void drop_backs(const Packet<P, W, SHARED>& packet, const float* block, int f, Ints<W> which, Ints<W>& hit)
 {
-    for (unsigned left = bits_of<W>(hit); left; left &= left - 1u) {
+    for (unsigned left = bits_of(hit); left; left &= left - 1u) {
         const int i = lowest_bit(left), k = f + i;
         double normal[3];
         face_normal<W>(block + which[i], normal);
@@ -306,7 +306,7 @@ inline void test_pairs(
     BlockRows<W> rows;
     rows.template load_block<SHARED>(bounds, shared, block);
     for (int f = 0; f < P; f += W)
-        for (Ints<W> left = load<Ints<W>>(pairs + f); bits_of<W>(left);) {
+        for (Ints<W> left = load<Ints<W>>(pairs + f); bits_of(left);) {
             const Ints<W> lowest = left & -left, paired = left != 0;
             const Ints<W> exponent = ((Ints<W>)__builtin_convertvector(lowest, Floats<W>) >> 23) - 127;  // of a power of 2
             left = left ^ lowest;

@@ -266,7 +266,7 @@ template <int W> inline Vector<int, W> covering(const RayShaft& shaft, const flo
     const vf margin = CLOSEST * reach * fastest;
     Vector<int, W> covered = (slowest > LEAST_AREA * unit) & (reach > SMALLEST) & (reach < LARGEST)
         & (nearest > shaft.first_t * fastest + margin) & (farthest < shaft.last_t * slowest - margin);
-    if (!bits_of<W>(covered)) return covered;
+    if (!bits_of(covered)) return covered;
     WRT_UNROLLED
     for (int v = 0; v < 3; ++v) {
         vf moment[3], across[3], length = (vf)0.0f, inside = length, radius = length;
@@ -295,11 +295,11 @@ inline CUDA_CALLABLE int covered_packets(const Batch& rays, int first, int limit
     if (row.packets < 2 || rays.t_min_stride || rays.t_max_stride) return 0;
     RayExtremes<W> found;
     find_extremes<SHARED, false, true>(rays, row, found);
-    if (bits_of<W>(found.odd != 0.0f)) return 0;
+    if (bits_of(found.odd != 0.0f)) return 0;
     const RayShaft shaft = shaft_of(rays, found);
     if (!(rays.t_min.data[0] >= 0.0f)) return 0;
     for (int piece = 0; piece < blocks; ++piece)
-        if (bits_of<W>(covering<W>(shaft, records + (size_t)(block + piece) * (RECORD * W)))) return row.packets;
+        if (bits_of(covering<W>(shaft, records + (size_t)(block + piece) * (RECORD * W)))) return row.packets;
 #endif
     return 0;
 }

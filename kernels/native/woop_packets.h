@@ -172,14 +172,14 @@ template <int W, bool SHARED> struct WoopPairs {
               });
         Areas<Floats<W>> w = areas_of(s);
         inside = on_one_side(w) & paired & (load<Ints<W>>(rays.main_axis + f) == z);
-        for (unsigned left = bits_of<W>(inside & some_zero(w)); left; left &= left - 1u) {
+        for (unsigned left = bits_of(inside & some_zero(w)); left; left &= left - 1u) {
             const int i = lowest_bit(left);
             Areas<float> own;
             inside[i] = Inclusive::decide(lane_of(s, i), own) ? -1 : 0;
             w.a[i] = own.a, w.b[i] = own.b, w.c[i] = own.c;
         }
-        if (!bits_of<W>(inside)) return false;
-        for (unsigned left = bits_of<W>(inside & is_thin(w, size_of(s))); left; left &= left - 1u) {
+        if (!bits_of(inside)) return false;
+        for (unsigned left = bits_of(inside & is_thin(w, size_of(s))); left; left &= left - 1u) {
             const int i = lowest_bit(left);
             const Areas<float> own = precise_areas(lane_of(s, i), {w.a[i], w.b[i], w.c[i]});
             w.a[i] = own.a, w.b[i] = own.b, w.c[i] = own.c;

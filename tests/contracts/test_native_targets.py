@@ -17,8 +17,6 @@ from native_guards import has_assembly, x86_without_guard
 from wrt.kernels.compilation.target import AVX2, AVX512, TARGETS, WIDTHS, cpu_features
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.board import NATIVE
-from wrt.kernels.shading.paths.plain_paths import pack_words
-from wrt.kernels.simd.lane_vectors import vector_words
 
 
 def test_what_is_no_snippet_for_every_cpu():
@@ -37,10 +35,7 @@ def test_threads_relax_by_a_builtin_on_arm():
 
 WORDS = {
     "packed": lambda width: (
-        vector_words(width)
-        + "struct V3 { vf x, y, z; };"
-        + pack_words(width)
-        + "save(to, packed(load_ints(from), order_of(mask))); (void)packed3; return __builtin_popcount(mask);"
+        "wrt::save(to, wrt::packed(wrt::load<wrt::Ints<W>>(from), wrt::lanes_of<W>(mask))); return __builtin_popcount(mask);"
     ),
     "append": lambda width: "return wrt::append<wrt::block_lanes(W)>(to, from, mask);",
     "reversed": lambda width: "wrt::push_reversed<W>(to, from, mask); return __builtin_popcount(mask);",
@@ -64,7 +59,7 @@ def test_width_and_target_are_independent(width, level, tmp_path):
     wp.init()
     for name, words in WORDS.items():
         source, code = tmp_path / f"{name}.cpp", tmp_path / f"{name}.o"
-        head = native.text_of(("interleaved.h",))
+        head = native.text_of(("interleaved.h", "shading_vectors.h"))
         source.write_text(
             f"typedef __SIZE_TYPE__ size_t;\n#define CUDA_CALLABLE\n{head}\n"
             'extern "C" int probe(const int* from, unsigned mask, int* to) {\n'

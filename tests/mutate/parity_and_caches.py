@@ -93,9 +93,9 @@ MUTATIONS = [
         promise="Native code has no instructions in assembly",
     ),
     Mutation(
-        path="kernels/shading/paths/plain_paths.py",
-        old='    with_permutation = _PERMUTATION.get(width, "\\n#")\n',
-        new="    with_permutation = _PERMUTATION[16]\n",
+        path="kernels/native/shading_vectors.h",
+        old="    if constexpr (W == 16) return (V)__builtin_ia32_permvarsi512((M)v, lanes);",
+        new="    return (V)__builtin_ia32_permvarsi512((M)v, lanes);",
         tests=f"{TARGETS}::test_width_and_target_are_independent[8-x86-64-v4]",
         promise="Any number of lanes compiles for any target",
     ),

@@ -15,69 +15,20 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.emitters.light_table import Lights
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
-from wrt.kernels.shading.wavefront.lane_words import lane_words
-from wrt.kernels.shading.wavefront.plain_step import CONSTANTS, CROSSED
+from wrt.kernels.shading.wavefront.lane_code import in_lanes
+from wrt.kernels.shading.wavefront.plain_step import LIGHTS
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue
 from wrt.kernels.shading.wavefront.scene_light import LitScene, sky_light
 
 exact_module(__name__)
 
-MOVE = """
-    auto octant = [&](int i) {
-        const int* d = (const int*)(source.direction.data + i);
-        return (int)((unsigned)d[0] >> 31 | (unsigned)d[1] >> 31 << 1 | (unsigned)d[2] >> 31 << 2);
-    };
-    auto move_ray = [&](int i, auto& target, int place) {
-        target.origin.data[place] = source.origin.data[i];
-        target.direction.data[place] = source.direction.data[i];
-        target.weight.data[place] = source.weight.data[i];
-        target.density.data[place] = source.density.data[i];
-        target.slot.data[place] = source.slot.data[i];
-        target.media.data[place] = source.media.data[i];
-    };
-"""
-"""C++: `octant(i)` of the direction of a ray of the queue `source`, and `move_ray(i, target, place)` to another place."""
-
-_MEETS = """
-    auto meets_box = [&](const V3& start, const V3& direction) {
-        const V3 away = {1.0f / direction.x, 1.0f / direction.y, 1.0f / direction.z};
-        const V3 a = (all3(lights.triangle_low) - start) * away, b = (all3(lights.triangle_high) - start) * away;
-        const vf near = larger(larger(smaller(a.x, b.x), smaller(a.y, b.y)), smaller(a.z, b.z));
-        const vf far = smaller(smaller(larger(a.x, b.x), larger(a.y, b.y)), larger(a.z, b.z));
-        return (near <= far) & (far >= 0.0f);
-    };
-    for (int i = begin; i < stop; i += W) {  // what lies beyond the last ray is written over
-        const V3 start = load3(source.origin.data + i), direction = load3(source.direction.data + i);
-        vi meets = 0;
-        for (int e = 0; e < lights.areas; ++e) {
-            vf density;
-            meets = meets | crossed(e, start, direction, all(WRT_INFINITY), density);
-        }
-        if (lights.triangle_entry >= 0) meets = meets | meets_box(start, direction);
-        save(is_met.data + i, meets);
-    }
-"""
-
-_PART = """
-    int next[9] = {}, kept = begin;
-    for (int i = begin; i < stop; ++i) next[octant(i) + 1] += is_met.data[i] == 0;
-    next[0] = begin;
-    for (int k = 0; k < 8; ++k) next[k + 1] += next[k];
-    for (int i = begin; i < stop; ++i) {
-        if (is_met.data[i] != 0) move_ray(i, source, kept++);
-        else if (has_sky) move_ray(i, target, next[octant(i)]++);
-    }
-    return kept - begin;
-"""
-
 
 @cache
 def make_part_range(width: int) -> Any:
     """`part_range` for so many lanes."""
-    head = f"#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
-    parts = f"{CONSTANTS}const bool is_sobol = false;{lane_words(width)}{CROSSED}{_MEETS}{MOVE}{_PART}"
+    call = f"wrt::part_last_rays<{width}>(begin, stop, has_sky, lights, source, is_met.data, target)"
 
-    @native.func_native("lanes.h", f"{head}{parts}\n#endif\n")
+    @native.func_native("last_rays.h", in_lanes(call, LIGHTS))
     def part_range(
         begin: int,
         stop: int,

@@ -10,13 +10,14 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.shading.paths.last_rays import MOVE
 from wrt.kernels.shading.paths.plain_paths import WIDTH, shade_plain_paths
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
-from wrt.kernels.shading.wavefront.path_step import UNKNOWN, PathStep, follow_path
+from wrt.kernels.shading.wavefront.path_step import UNKNOWN, follow_path
 from wrt.kernels.shading.wavefront.picture import Film, develop_pixel
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
+from wrt.kernels.shading.wavefront.plain_step import PathStep
 from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, fetch_hits
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
@@ -80,17 +81,7 @@ def make_step_tile() -> wp.Kernel:
     return step_tile
 
 
-@wp.func_native("""
-    for (int i = begin; i < stop; ++i) {
-        const wp::vec3& lit = rays.lit.data[i];
-        wp::vec3& sum = rays.radiance.data[lit_slot.data[i]];
-        const float x = sum.c[0] + lit.c[0], y = sum.c[1] + lit.c[1], z = sum.c[2] + lit.c[2];
-        const bool is_free = !blocked.data[i];  // a branch would be taken at random
-        sum.c[0] = is_free ? x : sum.c[0];
-        sum.c[1] = is_free ? y : sum.c[1];
-        sum.c[2] = is_free ? z : sum.c[2];
-    }
-""")
+@native.func_native("ray_queues.h", "wrt::gather_paths(begin, stop, blocked, rays, lit_slot);")
 def gather_range(begin: int, stop: int, blocked: wp.array(dtype=wp.bool), rays: Gathered, lit_slot: wp.array(dtype=int)):
     """Adds the light of the shadow rays begin .. stop - 1 that nothing blocks to their samples."""
     ...
@@ -105,13 +96,7 @@ def gather_lit(
     gather_range((first + wp.tid()) * size, stop, blocked, rays, lit_slot)
 
 
-@wp.func_native(f"""{MOVE}
-    int next[9] = {{}};
-    for (int i = begin; i < stop; ++i) ++next[octant(i) + 1];
-    next[0] = begin;
-    for (int k = 0; k < 8; ++k) next[k + 1] += next[k];
-    for (int i = begin; i < stop; ++i) move_ray(i, target, next[octant(i)]++);
-""")
+@native.func_native("ray_queues.h", "wrt::order_rays(begin, stop, source, target);")
 def order_range(begin: int, stop: int, source: RayQueue, target: RayQueue):
     """Copies the rays begin .. stop - 1 to another queue, in the order of the octants of their directions."""
     ...

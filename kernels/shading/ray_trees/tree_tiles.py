@@ -9,6 +9,7 @@ may bring light. Mirrors and smooth glass have none. The memory of a tile belong
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.ray_trees.plain_trees import WIDTH, shade_plain_trees
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
@@ -21,21 +22,7 @@ from wrt.kernels.shading.wavefront.tree_step import ShadowList, TreeStep, shade_
 exact_module(__name__)
 
 
-@wp.func_native("""
-    int to = place;
-    unsigned any = 0;
-    for (int k = 2 * begin; k < 2 * end; ++k) any |= (unsigned)goes_on.data[k];
-    if (!any) return to;
-    for (int k = 2 * begin; k < 2 * end; ++k) {  // a branch would be taken at random: rays that end are overwritten
-        queue.origin.data[to] = scratch.origin.data[k];
-        queue.direction.data[to] = scratch.direction.data[k];
-        queue.weight.data[to] = scratch.weight.data[k];
-        queue.slot.data[to] = scratch.slot.data[k];
-        queue.media.data[to] = scratch.media.data[k];
-        to += goes_on.data[k];
-    }
-    return to;
-""")
+@native.func_native("ray_queues.h", "return wrt::append_rays(begin, end, scratch, goes_on, queue, place);")
 def append_rays(begin: int, end: int, scratch: RayQueue, goes_on: wp.array(dtype=int), queue: RayQueue, place: int) -> int:
     """Copies those of the rays 2 begin .. 2 end - 1 that go on to the places from `place` on; returns the first one after them.
     It may write to the place after those of the rays."""
@@ -124,29 +111,7 @@ def end_tile(
     memories.traced[memory] += stop - begin
 
 
-@wp.func_native("""
-    const int shadow_end = begin + shadows;
-    int shadow = begin;
-    for (int i = begin; i < stop;) {
-        const int own = slot.data[i];
-        int end = i, shadow_of = shadow;
-        while (end < stop && slot.data[end] == own) ++end;
-        while (shadow < shadow_end && listed.ray.data[shadow] < end) ++shadow;
-        wp::vec3 sum = rays.radiance.data[own];
-        auto add = [&](const wp::vec3& light) { sum.c[0] += light.c[0]; sum.c[1] += light.c[1]; sum.c[2] += light.c[2]; };
-        if (shadow_of == shadow) {
-            for (int j = i; j < end; ++j) add(rays.emitted.data[j]);
-        } else for (int lamp = 0; lamp < lamps; ++lamp) {  // as many passes as `gather` makes
-            for (int j = i, k = shadow_of; j < end; ++j) {
-                if (lamp == 0) add(rays.emitted.data[j]);
-                for (; k < shadow && listed.ray.data[k] == j; ++k)
-                    if (listed.lamp.data[k] == first_lamp + lamp && !blocked.data[k]) add(rays.lit.data[k]);
-            }
-        }
-        rays.radiance.data[own] = sum;
-        i = end;
-    }
-""")
+@native.func_native("ray_queues.h", "wrt::gather_trees(begin, stop, shadows, first_lamp, lamps, slot, blocked, rays, listed);")
 def gather_range(
     begin: int,
     stop: int,

@@ -5,7 +5,7 @@
     ray_at_hit.py     a ray with what it hit, and the key of its random numbers
     path_step.py      one step of path tracing (in tiles: `wrt.kernels.shading.paths`)
     plain_step.py     the same for W rays in lanes, on matte surfaces, mirrors and smooth glass
-    plain_lamps.py    the lamps for them
+    lane_code.py      C++ around calls of what is in lanes
     shading_streams.py  rays filtered by what they hit, and one code for each stream
     texture_demand.py the tiles of images that rays need
     tree_step.py      one step of Whitted's and of distribution ray tracing (in tiles: `wrt.kernels.shading.ray_trees`)

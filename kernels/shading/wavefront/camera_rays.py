@@ -24,7 +24,7 @@ from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.pixel_rays import View
-from wrt.kernels.shading.wavefront.lane_words import lane_words
+from wrt.kernels.shading.wavefront.lane_code import in_lanes, same
 from wrt.kernels.shading.wavefront.pixel_samples import FILTER, LENS, RANDOM, SOBOL, PixelSamples, pixel_hash, pixel_point
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
 
@@ -137,56 +137,12 @@ def start_ray(
     radiance[i] = wp.vec3()
 
 
-_GUARD = """
-    if (!camera.is_perspective || camera.lens_right.c[0] != 0.0 || camera.lens_right.c[1] != 0.0
-        || camera.lens_right.c[2] != 0.0) return 0;
-    if (!camera.at_center && (camera.filter != BOX || (source.sampler != SOBOL && source.sampler != RANDOM))) return 0;
-    const bool is_sobol = source.sampler == SOBOL;
-"""
-
-_START = """
-    vi slot;
-    for (int i = 0; i < W; ++i) slot[i] = first + i;
-    const vi number = quotient(slot, wave.samples);
-    int pixels[W];
-    save(pixels, number);
-    WRT_SCALAR for (int i = 0; i < W; ++i) pixels[i] = wave.order.data[wave.first_pixel + pixels[i]];
-    const vi pixel = load_ints(pixels), row = quotient(pixel, camera.view.width);
-    vf x = all(0.0f), y = x;
-    if (!camera.at_center) {
-        const vu sample = (vu)(wave.first_sample + slot - number * wave.samples);
-        pixel_point(mix((vu)pixel, (vu)source.seed), sample, FILTER, x, y);
-        x = x - 0.5f;
-        y = y - 0.5f;
-    }
-    auto wide = [](auto v) { return __builtin_convertvector(v, vd); };
-    const vd across = wide(pixel - row * camera.view.width) + 0.5 + wide(x), below = wide(row) + 0.5 + wide(y);
-    const vd to_right = 2.0 * across / (double)camera.view.width - 1.0, up = 1.0 - 2.0 * below / (double)camera.view.height;
-    vd d[3];
-    WRT_UNROLLED for (int k = 0; k < 3; ++k)
-        d[k] = camera.view.forward.c[k] + (to_right * camera.view.right.c[k] + up * camera.view.up.c[k]);
-    const vd length = __builtin_elementwise_sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
-    auto narrow = [&](vd v) { return __builtin_convertvector(v / length, vf); };
-    auto origin = [&](int k) { return all((float)(camera.view.position.c[k] - camera.center.c[k])); };
-    const vf nothing = all(0.0f), full = all(1.0f);
-    save3(queue.origin.data + first, V3{origin(0), origin(1), origin(2)});
-    save3(queue.direction.data + first, V3{narrow(d[0]), narrow(d[1]), narrow(d[2])});
-    save3(queue.weight.data + first, V3{full, full, full});
-    save(queue.density.data + first, nothing);
-    save(queue.slot.data + first, slot);
-    __builtin_memset(queue.media.data + first, 0, 8 * W);
-    save3(radiance.data + first, V3{nothing, nothing, nothing});
-    return W;
-"""
-
-
 @cache
 def make_start_lanes(width: int) -> Any:
     """`start_lanes` for so many lanes."""
-    constants = f"constexpr int BOX = {BOX}, SOBOL = {SOBOL}, RANDOM = {RANDOM}, FILTER = {FILTER};\n"
-    head = f"#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n{constants}"
+    call = f"wrt::start_rays<{width}>(first, camera, source, wave, queue, radiance)"
 
-    @native.func_native("lanes.h", f"{head}{_GUARD}{lane_words(width)}{_START}\n#endif\n")
+    @native.func_native("camera_rays.h", in_lanes(call, same(BOX=BOX, FILTER=FILTER, SOBOL=SOBOL, RANDOM=RANDOM)))
     def start_lanes(
         first: int,
         camera: CameraModel,

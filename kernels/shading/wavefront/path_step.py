@@ -20,7 +20,7 @@ from wrt.kernels.shading.emitters.environment import find_interval
 from wrt.kernels.shading.emitters.light_table import entry_probability
 from wrt.kernels.shading.shading_point import ShadingPoint, leaving_origin, shading_point
 from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, PixelSamples, pixel_point, single_number
-from wrt.kernels.shading.wavefront.plain_step import WIDTH, shade_plain
+from wrt.kernels.shading.wavefront.plain_step import WIDTH, PathStep, shade_plain
 from wrt.kernels.shading.wavefront.ray_at_hit import (
     AHEAD,
     RayAtHit,
@@ -50,20 +50,6 @@ UNKNOWN = wp.constant(-1)
 
 MISSED = wp.constant(-2)
 """The ray hit nothing. Kinds of material stand for themselves."""
-
-
-@wp.struct
-class PathStep:
-    """The step of a generation."""
-
-    generation: int
-    """0 for camera rays."""
-    is_last: bool
-    """Whether paths end here, and only collect what the surface emits."""
-    roulette: int
-    """First generation whose rays may end by Russian roulette."""
-    samples_lights: bool
-    """whether lamps are sampled; without, light is found by scattering only."""
 
 
 @wp.func
@@ -230,21 +216,7 @@ def path_step(
         fetch_hits(scene, hits, here + AHEAD, wp.min(here + AHEAD + size, end))
         done = wp.uint32(0)
         if size > 1 and here + size <= end:
-            done = shade_plain(
-                here,
-                step.generation,
-                step.is_last,
-                step.roulette,
-                step.samples_lights,
-                scene,
-                source,
-                wave,
-                queue,
-                hits,
-                rays,
-                following,
-                goes_on,
-            )
+            done = shade_plain(here, step, scene, source, wave, queue, hits, rays, following, goes_on)
         for i in range(here, wp.min(here + size, end)):
             if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
                 found = follow_path(i, UNKNOWN, i, i, step, scene, source, wave, queue, hits, rays, following)

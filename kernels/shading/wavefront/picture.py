@@ -12,6 +12,7 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.scattering import luminance
 from wrt.kernels.shading.film import display
@@ -25,23 +26,7 @@ TONE_MAPPINGS = ("linear", "srgb", "reinhard", "aces")
 LINEAR, SRGB, REINHARD, ACES = (wp.constant(number) for number in range(4))
 
 
-@wp.func_native("""
-    const float* value = (const float*)(radiance.data + first);
-    float r = total.c[0], g = total.c[1], b = total.c[2], square = squares;
-    for (int sample = 0; sample < samples; ++sample, value += 3) {
-        float x = value[0], y = value[1], z = value[2];
-        const float most = wp::max(x, wp::max(y, z));
-        if (most > limit) {
-            const float share = limit / most;
-            x *= share; y *= share; z *= share;
-        }
-        r += x; g += y; b += z;
-        const float brightness = 0.2126f * x + 0.7152f * y + 0.0722f * z;
-        square += brightness * brightness;
-    }
-    total = wp::vec3(r, g, b);
-    squares = square;
-""")
+@native.func_native("ray_queues.h", "wrt::add_samples(radiance.data + first, samples, limit, total, squares);")
 def add_samples(
     radiance: wp.array(dtype=wp.vec3),
     first: int,

@@ -3,6 +3,7 @@
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples, pixel_hash
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
@@ -50,22 +51,7 @@ AHEAD = wp.constant(16)
 """Rays by which a step is ahead of itself when it fetches what it will read."""
 
 
-@wp.func_native("""
-#if !defined(__CUDA_ARCH__)
-    if (scene.shaded.records.shape[0] < 256) return;  // 16 KB, or none
-    const auto fetch = [](const void* line) { __builtin_prefetch(line); };
-    for (int i = begin; i < end; ++i) {
-        const int hit = hits.primitive.data[i], face = hit < 0 ? 0 : hit;  // a branch would be taken at random
-        fetch(scene.shaded.records.data + face);
-        fetch((const char*)(scene.shaded.records.data + face) + 60);
-        fetch(scene.materials.of_face.data + face * scene.materials.of_face_stride);
-        if (scene.shaded.is_smooth) {
-            const char* normals = (const char*)(scene.shaded.corner_normals.data + 3 * face);
-            fetch(normals); fetch(normals + 35);
-        }
-    }
-#endif
-""")
+@native.func_native("ray_queues.h", "wrt::fetch_hits(scene, hits, begin, end);")
 def fetch_hits(scene: LitScene, hits: HitBatch, begin: int, end: int):
     """Fetches the triangles of the hits begin .. end - 1 into the caches of a core: records, numbers of materials, normals.
 
