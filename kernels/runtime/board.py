@@ -93,16 +93,17 @@ SIZES = {"Board": BOARD_WORDS, "JobSlot": SLOT_WORDS, "Job": ctypes.sizeof(Job) 
 """Words of structs of the header."""
 
 VALUES = {f"Schedule::{schedule.name.upper()}": schedule.code for schedule in SCHEDULES.values()}
-VALUES |= {"Phase::IDLE": IDLE, "Board::SLOTS": SLOTS, "wrt::MAX_ARGUMENT_BYTES": MAX_ARGUMENT_BYTES}
+VALUES |= {"Phase::IDLE": IDLE, "Board::SLOTS": SLOTS}
 """Constants of the header."""
 
 
 def layout_checks() -> str:
     """C++ that compiles if the header has the layout and the constants of this module."""
-    equal = [f"__builtin_offsetof({kind}, {name}) == 8 * {at}" for kind, names in PLACES.items() for name, at in names.items()]
-    equal += [f"sizeof({kind}) == 8 * {words}" for kind, words in SIZES.items()]
-    equal += [f"(int){name} == {value}" for name, value in VALUES.items()]
-    return "using namespace wrt::pool;\n" + "".join(f"static_assert({each});\n" for each in equal)
+    places = [(f"wrt::pool::{kind}", name, at) for kind, names in PLACES.items() for name, at in names.items()]
+    equal = [f"__builtin_offsetof({kind}, {name}) == 8 * {at}" for kind, name, at in places]
+    equal += [f"sizeof(wrt::pool::{kind}) == 8 * {words}" for kind, words in SIZES.items()]
+    equal += [f"(int)wrt::pool::{name} == {value}" for name, value in VALUES.items()]
+    return "".join(f"static_assert({each});\n" for each in [*equal, f"wrt::MAX_ARGUMENT_BYTES == {MAX_ARGUMENT_BYTES}"])
 
 
 def on_cpu(code: str) -> str:
@@ -110,28 +111,31 @@ def on_cpu(code: str) -> str:
     return f"#if !defined(__CUDA_ARCH__)\n{code}\n#endif\n    return 0;\n"
 
 
-BOARD = "(*(wrt::pool::Board*)board.data)"
+BOARD = "auto& b = *(wrt::pool::Board*)board.data;\n"
 
 
-@native.func_native("pool.h", on_cpu(f"wrt::pool::serve<{BOUNDS}>({BOARD}, helper);"))
+@native.func_native("pool.h", on_cpu(f"{BOARD}wrt::pool::serve<{BOUNDS}>(b, helper);"))
 def serve_native(board: wp.array(dtype=wp.int64), helper: wp.int64) -> int:
     """The loop of the helper with a number; returns when the board is closed."""
     ...
 
 
-@native.func_native("pool.h", on_cpu(f"{layout_checks()}lead<{BOUNDS}>({BOARD}, {BOARD}.slots[slot], (const Job*)job);"))
+LEAD = f"wrt::pool::lead<{BOUNDS}>(b, b.slots[slot], (const wrt::pool::Job*)job);"
+
+
+@native.func_native("pool.h", on_cpu(f"{layout_checks()}{BOARD}{LEAD}"))
 def lead_native(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) -> int:
     """Begins the job at address `job` in a slot, or continues the current one and those that follow it."""
     ...
 
 
-@native.func_native("pool.h", on_cpu(f"wrt::pool::stop({BOARD}.slots[slot]);"))
+@native.func_native("pool.h", on_cpu(f"{BOARD}wrt::pool::stop(b.slots[slot]);"))
 def stop_native(board: wp.array(dtype=wp.int64), slot: wp.int64) -> int:
     """Stops the job of a slot: no thread takes another chunk."""
     ...
 
 
-@native.func_native("pool.h", on_cpu(f"wrt::pool::close({BOARD});"))
+@native.func_native("pool.h", on_cpu(f"{BOARD}wrt::pool::close(b);"))
 def close_native(board: wp.array(dtype=wp.int64)) -> int:
     """Makes all helpers return."""
     ...
