@@ -52,6 +52,7 @@ from functools import cache
 import numpy as np
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
@@ -176,15 +177,7 @@ def no_split():
     return split
 
 
-LEAF_COST = """
-    const auto leaf_cost = [&](int triangles) {
-        return cost.block * (float)((triangles + (1 << cost.unit_bits) - 1) >> cost.unit_bits);
-    };
-"""
-"""Head of a native function with a `SplitCost` named cost: defines a lambda leaf_cost with the value of `leaf_cost`."""
-
-
-@wp.func_native(LEAF_COST + "return leaf_cost(triangles);")
+@native.func_native("cost.h", "return wrt::leaf_cost(cost, triangles);")
 def leaf_cost(cost: SplitCost, triangles: int) -> float:
     """Cost of a leaf."""
     ...
@@ -210,22 +203,7 @@ def axis_frame(cost: SplitCost, axis: int, low: wp.vec3, high: wp.vec3, triangle
     return frame
 
 
-PLANE_COST = (
-    LEAF_COST
-    + """
-    const auto plane_cost = [&](float position, int left, int right) {
-        const float area_left = (frame.face + (position - frame.low) * frame.perimeter) * frame.inverse_area;
-        const float area_right = (frame.face + (frame.high - position) * frame.perimeter) * frame.inverse_area;
-        const float split_cost = frame.base + (area_left * leaf_cost(left) + area_right * leaf_cost(right));
-        return left == 0 || right == 0 ? split_cost * cost.empty_factor : split_cost;
-    };
-"""
-)
-"""Head of a native function with a `SplitCost` named cost and an `AxisFrame` named frame: defines a lambda plane_cost with the
-value of `plane_cost`."""
-
-
-@wp.func_native(PLANE_COST + "return plane_cost(position, left, right);")
+@native.func_native("cost.h", "return wrt::plane_cost(cost, frame, position, left, right);")
 def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int) -> float:
     """Cost of a split into children with these numbers of triangles."""
     ...

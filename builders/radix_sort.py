@@ -14,6 +14,7 @@ References:
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.options import exact_module
 
@@ -27,23 +28,12 @@ MIN_CHUNK = 4096
 
 CHUNKS_PER_THREAD = 2
 
-KEY = """
-    auto wrt_digit = [&](int i) {
-        const unsigned bits = __builtin_bit_cast(unsigned, keys.data[(size_t)row * keys.shape[1] + source + i]);
-        return (((bits >> 31) ? ~bits : bits | 0x80000000u) >> shift) & 255u;
-    };
-"""
 
-
-@wp.func_native(
-    KEY
-    + """
-    unsigned counts[256];
-    for (int digit = 0; digit < 256; ++digit) counts[digit] = 0;
-    for (int i = begin; i < end; ++i) ++counts[wrt_digit(i)];
-    int* const out = places.data + (size_t)row * places.shape[1] + chunk;
-    for (int digit = 0; digit < 256; ++digit) out[(size_t)digit * chunks] = (int)counts[digit];
-"""
+@native.func_native(
+    "sorting.h",
+    "const float* from = keys.data + (size_t)row * keys.shape[1] + source + begin;\n"
+    "int* to = places.data + (size_t)row * places.shape[1] + chunk;\n"
+    "wrt::count_digits(from, end - begin, shift, to, chunks);",
 )
 def count_range(
     keys: wp.array2d(dtype=float),
@@ -60,19 +50,12 @@ def count_range(
     ...
 
 
-@wp.func_native(
-    KEY
-    + """
-    int next[256];
-    const int* const in = places.data + (size_t)row * places.shape[1] + chunk;
-    for (int digit = 0; digit < 256; ++digit) next[digit] = in[(size_t)digit * chunks];
-    const size_t at = (size_t)row * keys.shape[1];
-    for (int i = begin; i < end; ++i) {
-        const size_t to = at + target + next[wrt_digit(i)]++;
-        keys.data[to] = keys.data[at + source + i];
-        values.data[to] = values.data[at + source + i];
-    }
-"""
+@native.func_native(
+    "sorting.h",
+    "const size_t at = (size_t)row * keys.shape[1], from = at + source + begin, to = at + target;\n"
+    "const int* next = places.data + (size_t)row * places.shape[1] + chunk;\n"
+    "float* keys_to = keys.data + to;\n"
+    "wrt::move_digits(keys.data + from, values.data + from, end - begin, shift, next, chunks, keys_to, values.data + to);",
 )
 def move_range(
     keys: wp.array2d(dtype=float),

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 
@@ -27,18 +28,7 @@ class Boxes:
     high: wp.array2d(dtype=float)
 
 
-@wp.func_native("""
-    const int* face = (const int*)&faces.data[i];
-    const size_t n = boxes.low.shape[1];
-    const float* p[3];
-    for (int corner = 0; corner < 3; ++corner) p[corner] = (const float*)&vertices.data[face[corner]];
-    for (int axis = 0; axis < 3; ++axis) {
-        const float a = p[0][axis], b = p[1][axis], c = p[2][axis];
-        const float least = b < c ? b : c, most = b > c ? b : c;
-        boxes.low.data[axis * n + i] = (a < least ? a : least) + 0.0f;
-        boxes.high.data[axis * n + i] = (a > most ? a : most) + 0.0f;
-    }
-""")
+@native.func_native("reference.h", "wrt::write_box((const float*)vertices.data, (const int*)faces.data, boxes, i);")
 def store_box(vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes, i: int):
     """Writes the box of triangle i. Native, because Warp's indexing computes the address of each element anew.
 

@@ -82,38 +82,11 @@ def high_of(tree: BinaryTree, node: int):
 
 
 @native.func_native(
-    "lanes.h",
-    f"""
-    constexpr int W = 8;
-    const size_t base = (size_t)slot * {SLOT_BINS} + axis * bins;
-    const float* grid = scratch.box.data + base * 8;
-    const int stride = 2 * bins;
-    float* to = boxes.data;
-    float grown[W];
-    WRT_FOR_LANES(j) grown[j] = INFINITY;
-    int before = 0;
-    for (int b = 0; b < bins; ++b) {{
-        for (int j = 0; j < 3; ++j) {{ to[j * stride + b] = grown[j]; to[(j + 3) * stride + b] = -grown[4 + j]; }}
-        scratch.left.data[base + b] = before;
-        const float* __restrict__ box = grid + b * 8;
-        WRT_FOR_LANES(j) grown[j] = box[j] < grown[j] ? box[j] : grown[j];
-        before += scratch.count.data[base + b];
-    }}
-    WRT_FOR_LANES(j) grown[j] = INFINITY;
-    for (int b = bins - 1; b >= 0; --b) {{
-        const float* __restrict__ box = grid + b * 8;
-        WRT_FOR_LANES(j) grown[j] = box[j] < grown[j] ? box[j] : grown[j];
-        for (int j = 0; j < 3; ++j) {{
-            to[j * stride + bins + b] = grown[j];
-            to[(j + 3) * stride + bins + b] = -grown[4 + j];
-        }}
-    }}
-    WRT_FOR(stride, i) {{
-        const float x = to[3 * stride + i] - to[i], y = to[4 * stride + i] - to[stride + i];
-        const float z = to[5 * stride + i] - to[2 * stride + i];
-        weights.data[i] = others * (x * y + y * z + z * x);
-    }}
-""",
+    "bins.h",
+    f"const size_t base = (size_t)slot * {SLOT_BINS} + axis * bins;\n"
+    "const int* counts = scratch.count.data + base;\n"
+    "float* grid = scratch.box.data + base * 8;\n"
+    "wrt::sweep_axis(grid, counts, scratch.left.data + base, bins, others, boxes.data, weights.data);",
 )
 def sweep_axis(
     scratch: Scratch,

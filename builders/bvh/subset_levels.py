@@ -78,36 +78,9 @@ def boxes_at(triangles: TriangleBoxes, ids: np.ndarray) -> TriangleBoxes:
 
 
 @native.func_native(
-    "lanes.h",
-    f"""
-    constexpr int W = {LANES};
-    float center[3][W];
-    int node[W], pair[W];
-    for (int i = 0; i < W; ++i) {{
-        const int triangle = begin + i < end ? begin + i : end - 1;
-        const float* from = references.data + (size_t)triangle * 8;
-        for (int j = 0; j < 3; ++j) center[j][i] = from[j] - from[4 + j];
-        node[i] = 0;
-        pair[i] = pairs.data[0];
-    }}
-    int open = pair[0];
-    for (int depth = 0; open && depth < limit; ++depth) {{
-        WRT_FOR_LANES(i) {{
-            const float* plane = planes.data + (size_t)pair[i] * 4;
-            const float at = plane[0] * center[0][i] + plane[1] * center[1][i] + plane[2] * center[2][i];
-            const int right = at > plane[3];
-            node[i] = pair[i] ? 2 * pair[i] + right : node[i];
-            pair[i] = pairs.data[node[i]];
-        }}
-        open = 0;
-        WRT_FOR_LANES(i) open |= pair[i];
-    }}
-    for (int i = 0; i < W && begin + i < end; ++i) {{
-        const int key = ranges.data[node[i]].c[0];
-        memcpy(keys.data + begin + i, &key, 4);
-        values.data[begin + i] = begin + i;
-    }}
-""",
+    "bins.h",
+    "const float *from = references.data, *plane = planes.data;\n"
+    f"wrt::find_block<{LANES}>(from, begin, end, plane, pairs.data, ranges.data, limit, keys.data, values.data);",
 )
 def find_block(
     references: wp.array(dtype=float),

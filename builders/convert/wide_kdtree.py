@@ -56,9 +56,9 @@ from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtree
 from wrt.builders.bvh.phases.collapse import collapse
 from wrt.builders.tree import Bvh, KdTree, Phases
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
-from wrt.builders.triangle_references import ID_OFFSET
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 
@@ -190,20 +190,7 @@ def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: C
     cells.totals[1] = whole
 
 
-@wp.func_native(
-    f"""
-    const size_t n = boxes.low.shape[1];
-    float* to = references.data + (size_t)i * 8;
-    for (size_t axis = 0; axis < 3; ++axis) {{
-        const float from_low = boxes.low.data[axis * n + triangle], from_high = boxes.high.data[axis * n + triangle];
-        to[axis] = from_low > low.c[axis] ? from_low : low.c[axis];
-        to[4 + axis] = -(from_high < high.c[axis] ? from_high : high.c[axis]);
-    }}
-    const int bits = triangle + {ID_OFFSET};
-    memcpy(to + 3, &bits, 4);
-    to[7] = 0.0f;
-"""
-)
+@native.func_native("reference.h", "wrt::write_clipped(boxes, triangle, low, high, references.data + (size_t)i * 8);")
 def write_clipped(boxes: Boxes, triangle: int, low: wp.vec3, high: wp.vec3, references: wp.array(dtype=float), i: int):
     """Writes reference number i: a triangle's box, clipped to a cell."""
     ...

@@ -96,23 +96,10 @@ def place_samples(lists: ReferenceLists, number: int, frame: Frame, axis: int):
 
 
 @native.func_native(
-    "lanes.h",
-    f"""
-    constexpr int W = {int(SAMPLES)};
-    const float* __restrict__ position = lists.value.data + (size_t)number * lists.value.shape[1];
-    const float* __restrict__ from = lists.reference.data + (size_t)first * 8 + axis;
-    int left[W], right[W];
-    WRT_FOR_LANES(j) {{ left[j] = 0; right[j] = 0; }}
-    for (int i = 0; i < count; ++i, from += 8) {{
-        const float low = from[0], high = -from[4];
-        WRT_FOR_LANES(j) {{
-            left[j] += low < position[j];
-            right[j] += high > position[j];
-        }}
-    }}
-    int* to = lists.counter.data + (size_t)number * lists.counter.shape[1] + at;
-    for (int j = 0; j < W; ++j) {{ to[j] = left[j]; to[W + j] = right[j]; }}
-""",
+    "scan.h",
+    "const float* position = lists.value.data + (size_t)number * lists.value.shape[1];\n"
+    "int* to = lists.counter.data + (size_t)number * lists.counter.shape[1] + at;\n"
+    f"wrt::count_samples<{int(SAMPLES)}>(lists.reference.data + (size_t)first * 8, count, axis, position, to);",
 )
 def count_samples(lists: ReferenceLists, number: int, first: int, count: int, axis: int, at: int):
     """The second scan: for every sample, counts the triangles to its left; the counts to the right follow all of these."""

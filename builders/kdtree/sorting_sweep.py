@@ -37,10 +37,11 @@ from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_sp
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.early_cutting import cut_slab
-from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
+from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.tree import BuildStats, KdTree, PathState, StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
@@ -243,7 +244,11 @@ def copy_entry(lists: Workspace, source: int, target: int):
     ...
 
 
-@wp.func_native(CLIP + "return clip(lists.box.data + (size_t)i * 8, lists.triangle.data[i]);")
+@native.func_native(
+    "clip.h",
+    "const auto cell = wrt::cell_of(low, high, pad);\n"
+    "return wrt::clip(lists, cell, lists.triangle.data[i], lists.box.data + (size_t)i * 8);",
+)
 def clip(lists: Workspace, i: int, pad: float, low: wp.vec3, high: wp.vec3) -> bool:
     """Shrinks the box of a listed triangle to its part in a cell; False if there is none."""
     ...

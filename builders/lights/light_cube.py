@@ -27,6 +27,7 @@ import warp as wp
 
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, INFINITY_BITS, make_rasteriser
 from wrt.kernels.layout.light_cells import CELL_BYTES, CELL_WORDS, ENTRY_BYTES, FACES, LightCells
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 
@@ -66,34 +67,7 @@ def put_begins(first: int, begins: wp.array(dtype=int), words: wp.array(dtype=in
     words[4 * cell] = begins[cell]
 
 
-@wp.func_native("""
-    unsigned long long* list = entries.data + begin;
-    auto sink = [&](int place, int end) {
-        const unsigned long long value = list[place];
-        while (2 * place + 1 < end) {
-            int child = 2 * place + 1;
-            if (child + 1 < end && list[child + 1] > list[child]) ++child;
-            if (list[child] <= value) break;
-            list[place] = list[child];
-            place = child;
-        }
-        list[place] = value;
-    };
-    if (count <= 16) {
-        for (int i = 1; i < count; ++i) {
-            const unsigned long long value = list[i];
-            int place = i;
-            for (; place > 0 && list[place - 1] > value; --place) list[place] = list[place - 1];
-            list[place] = value;
-        }
-        return;
-    }
-    for (int i = count / 2 - 1; i >= 0; --i) sink(i, count);
-    for (int end = count - 1; end > 0; --end) {
-        const unsigned long long value = list[0]; list[0] = list[end]; list[end] = value;
-        sink(0, end);
-    }
-""")
+@native.func_native("light_raster.h", "wrt::sort_entries((unsigned long long*)entries.data + begin, count);")
 def sort_entries(entries: wp.array(dtype=wp.uint64), begin: int, count: int):
     """Sorts a list in place: by insertion, long ones by heapsort."""
     ...

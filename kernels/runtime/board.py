@@ -3,330 +3,107 @@
 Warp's entry point of a CPU kernel is a C function of two pointers, the launch bounds and the packed arguments. Native code can
 therefore run any kernel for any range of items, without Python: it copies both, writes the first item and the number of items,
 and calls the function. Two kernels do this, `serve` on each helper thread and `lead` on the calling thread (the leader). They
-communicate through the *board*, an array of 64-bit words (schedules: see `wrt.kernels.runtime.schedules`):
+communicate through the *board*, the struct `Board` of kernels/native/pool.h, which has a slot for each caller (schedules: see
+`wrt.kernels.runtime.schedules`). Python knows the places of some of its 64-bit words; the compiler checks them.
 
-    words               contents
-    MASK                bit s is set while slot s has a job
-    EPOCH               futex on which helpers sleep; changes when a job needs helpers
-    SLEEPING            number of sleeping helpers
-    SPINNING            number of spinning helpers
-    CLOSED              1: helpers return
-    MAX_SPINNING        greatest number of helpers that spin at a time
-    SPIN_NS             nanoseconds for which a helper spins before it sleeps
-    STAYS               1: a sleeping helper stays on its core
-    slot s, from FIRST_SLOT + s * SLOT_WORDS on
-      GENERATION        odd while the job accepts helpers; each change ends or begins a job
-      ACTIVE            number of helpers that work on the job
-      NEXT              first item that no thread has claimed ("guided", "fixed", "locked")
-      LOCK, JOINED, LEADER_QUEUE, PHASE, CURRENT, STOPPED
-      job               JOB_WORDS words, copied from the caller's `Job`
-    SLEEPERS            of helpers that stay on their core (`wrt.kernels.runtime.own_core`)
-
-**A job.** The leader copies the job into its slot, makes GENERATION odd, sets its bit in MASK, wakes helpers if any sleep, and
-claims chunks like a helper. When no items are left it makes GENERATION even and waits until ACTIVE is 0. A helper increments
-ACTIVE and then reads GENERATION again, so either the leader sees the helper or the helper sees the end (both operations are
-sequentially consistent). A helper that is not scheduled by the system delays a job only if it holds a chunk.
+**A job.** The leader copies the job into its slot, makes `generation` odd, sets its bit in `mask`, wakes helpers if any sleep,
+and claims chunks like a helper. When no items are left it makes `generation` even and waits until `active` is 0. A helper
+increments `active` and then reads `generation` again, so either the leader sees the helper or the helper sees the end (both
+operations are sequentially consistent). A helper that is not scheduled by the system delays a job only if it holds a chunk.
 
 **Programs.** A job may name a following job, a number in memory that gives its number of items, and a number that decides
 whether to continue. A loop over the levels of a tree thus runs without Python. The end of a job is the barrier between the two.
 
 **Interrupts.** `lead` returns to Python after at most `TURN_NS`, or after its current chunk, so that Python can handle signals.
-It is called again until PHASE is IDLE. To abandon a job, the caller calls `stop`, and `lead` until all helpers have left.
+It is called again until `phase` is IDLE. To abandon a job, the caller calls `stop`, and `lead` until all helpers have left.
 
-**Waiting.** A helper without work spins for SPIN_NS, if at most MAX_SPINNING helpers do, and then sleeps on a futex. It
-increments SLEEPING before it looks for jobs a last time; a leader sets MASK before it reads SLEEPING. One of the two therefore
-sees the other. A leader wakes `WAKE` helpers, and each of them as many while chunks are left, which shares the system calls.
+**Waiting.** A helper without work spins for `spin_ns`, if at most `max_spinning` helpers do, and then sleeps on a futex. It
+increments `sleeping` before it looks for jobs a last time; a leader sets `mask` before it reads `sleeping`. One of the two
+therefore sees the other. A leader wakes `WAKE` helpers, and each of them as many while chunks are left, which shares the system
+calls.
 
 **Limits.** Needs Linux (futex).
 """
 
+import ctypes
+
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.runtime.own_core import OWN_CORE, SLEEPER_WORDS, SLEEPERS_MOST
+from wrt.kernels.runtime.own_core import MAX_SLEEPERS, SLEEPER_WORDS
+from wrt.kernels.runtime.schedules import SCHEDULES
 
 exact_module(__name__)
 
-MASK, EPOCH, SLEEPING, SPINNING, CLOSED, MAX_SPINNING, SPIN_NS, STAYS = 0, 16, 32, 48, 64, 65, 66, 67
-FIRST_SLOT, SLOT_WORDS, SLOTS = 128, 80, 64
-GENERATION, ACTIVE, NEXT, LOCK, JOINED, LEADER_QUEUE, PHASE, CURRENT, STOPPED, JOB = 0, 16, 32, 33, 34, 48, 49, 50, 51, 52
-JOB_WORDS = 16
-"""Size of a `Job` in 64-bit words."""
+MAX_SPINNING, SPIN_NS, STAYS, FIRST_SLOT = 65, 66, 67, 128
+"""Words of the board: greatest number of helpers that spin at a time; nanoseconds for which a helper spins before it sleeps;
+1 if a sleeping helper stays on its core; the first slot."""
+
+SLOTS, SLOT_WORDS, ACTIVE, PHASE = 64, 80, 16, 49
+"""Slots, the words of each, and two of these: the number of helpers that work on its job, and what its leader does."""
 
 SLEEPERS = FIRST_SLOT + SLOTS * SLOT_WORDS
-BOARD_WORDS = SLEEPERS + SLEEPERS_MOST * SLEEPER_WORDS + 1
+BOARD_WORDS = SLEEPERS + MAX_SLEEPERS * SLEEPER_WORDS + 1
 
-IDLE, RUNNING, ENDING, BETWEEN = 0, 1, 2, 3
-"""Values of PHASE in a slot; only the leader of the slot uses it."""
+IDLE = 0
+"""Value of `PHASE` in a slot without a job."""
+
+QUEUE_WORDS = 16
+"""64-bit words per queue, for schedules with queues: two cache lines."""
 
 MAX_ARGUMENT_BYTES = 8192
 """Greatest size of packed arguments; they are copied to the stack of each thread, and no kernel here has more."""
 
-TURN_NS = 20_000_000
-"""Nanoseconds after which a leader returns to Python, which then handles signals."""
+BOUNDS = "wp::launch_bounds_t<1>"
+"""C++ type of Warp's launch bounds of one dimension."""
 
-WAKE = 2
-"""Number of sleeping helpers that a leader wakes, and that each woken helper wakes."""
 
-NATIVE = f"""
-    typedef long long word;
-    typedef void (*entry_t)(void*, void*);
-    int wrt_clock(int, long*) __asm__("clock_gettime");
-    int wrt_yield(void) __asm__("sched_yield");
-    long wrt_syscall(long, void*, long, long, void*, void*, long) __asm__("syscall");
-    enum {{ MASK = {MASK}, EPOCH = {EPOCH}, SLEEPING = {SLEEPING}, SPINNING = {SPINNING}, CLOSED = {CLOSED}, STAYS = {STAYS},
-           MAX_SPINNING = {MAX_SPINNING}, SPIN_NS = {SPIN_NS}, FIRST_SLOT = {FIRST_SLOT}, SLOT_WORDS = {SLOT_WORDS},
-           SLEEPERS = {SLEEPERS}, GENERATION = {GENERATION}, ACTIVE = {ACTIVE}, NEXT = {NEXT}, LOCK = {LOCK}, JOINED = {JOINED},
-           LEADER_QUEUE = {LEADER_QUEUE}, PHASE = {PHASE}, CURRENT = {CURRENT}, STOPPED = {STOPPED}, JOB = {JOB} }};
-    enum {{ ENTRY = JOB, BOUNDS, ARGUMENTS, BYTES, COUNT, LARGEST, SMALLEST, DIVISOR, HELPERS, SCHEDULE, QUEUES, QUEUE_COUNT,
-           COUNT_AT, FOLLOWING, WHILE_AT }};
-    enum {{ GUIDED, FIXED, LOCKED, ROUND_ROBIN, STEALING }};
-    enum {{ QUEUE_NEXT, QUEUE_END, QUEUE_OWNER, QUEUE_WORDS = 16 }};
-#if defined(__aarch64__)
-    enum {{ SYS_FUTEX = 98 }};
-#else
-    enum {{ SYS_FUTEX = 202 }};
-#endif
-    enum {{ FUTEX_WAIT_PRIVATE = 128, FUTEX_WAKE_PRIVATE = 129 }};
+class Job(ctypes.Structure):
+    """The description of a launch for native code; all addresses must stay valid until the job has ended."""
 
-    word* const b = board.data;
-    auto get = [&](const word* at) {{ return __atomic_load_n(at, __ATOMIC_SEQ_CST); }};
-    auto set = [&](word* at, word value) {{ __atomic_store_n(at, value, __ATOMIC_SEQ_CST); }};
-    auto add = [&](word* at, word value) {{ return __atomic_fetch_add(at, value, __ATOMIC_SEQ_CST); }};
-    auto swap_if = [&](word* at, word expected, word value) {{
-        return __atomic_compare_exchange_n(at, &expected, value, false, __ATOMIC_SEQ_CST, __ATOMIC_SEQ_CST);
-    }};
-    auto relax = [&]() {{
-#if defined(__x86_64__)
-        __builtin_ia32_pause();
-#elif defined(__aarch64__)
-        __builtin_arm_yield();  // Warp's Clang has no assembler: instructions are builtins
-#endif
-    }};
-    auto now = [&]() {{
-        long t[2];
-        wrt_clock(1, t);  // CLOCK_MONOTONIC: seconds, nanoseconds
-        return (word)t[0] * 1000000000 + (word)t[1];
-    }};
-    {OWN_CORE}
-    auto wake = [&](word most) {{
-        if (most <= 0 || get(b + SLEEPING) == 0) return;
-        if (get(b + STAYS)) make_way();
-        __atomic_fetch_add((int*)(b + EPOCH), 1, __ATOMIC_SEQ_CST);
-        wrt_syscall(SYS_FUTEX, b + EPOCH, FUTEX_WAKE_PRIVATE, most, nullptr, nullptr, 0);
-    }};
+    _fields_ = (
+        ("entry", ctypes.c_int64),  # compiled code of the kernel
+        ("bounds", ctypes.c_int64),  # address of its launch bounds
+        ("arguments", ctypes.c_int64),  # address of its packed arguments
+        ("argument_bytes", ctypes.c_int64),
+        ("count", ctypes.c_int64),  # items
+        ("largest", ctypes.c_int64),  # greatest number of items per chunk
+        ("smallest", ctypes.c_int64),  # least number of items per chunk
+        ("divisor", ctypes.c_int64),  # a chunk is the remaining items / divisor, within these limits
+        ("helpers", ctypes.c_int64),  # greatest number of threads besides the caller's
+        ("schedule", ctypes.c_int64),  # `Schedule.code`
+        ("queues", ctypes.c_int64),  # address of the queues, for schedules with queues
+        ("queue_count", ctypes.c_int64),
+        ("count_at", ctypes.c_int64),  # address of an int32 that replaces `count`, or 0
+        ("following", ctypes.c_int64),  # address of the following job, or 0
+        ("while_at", ctypes.c_int64),  # address of an int32; no job follows if it is 0 when this job ends; or 0
+        ("unused", ctypes.c_int64),
+    )
 
-    // The next chunk of a job, "guided" and "locked": a share of what is left.
-    auto shrinking = [&](const word* s, word left) {{
-        word n = left / s[DIVISOR];
-        n = n > s[LARGEST] ? s[LARGEST] : n;
-        n = n < s[SMALLEST] ? s[SMALLEST] : n;
-        return n < left ? n : left;
-    }};
-    // Takes a chunk of the queue q, whose items lie `stride` chunks apart; false if it is empty.
-    auto take_from = [&](const word* s, word q, word* first, word* n) {{
-        word* const queue = (word*)s[QUEUES] + q * QUEUE_WORDS;
-        const bool strided = s[SCHEDULE] == ROUND_ROBIN;
-        const word step = strided ? s[LARGEST] * s[QUEUE_COUNT] : s[LARGEST], end = queue[QUEUE_END];
-        if (get(queue + QUEUE_NEXT) >= end) return false;
-        *first = add(queue + QUEUE_NEXT, step);
-        if (*first >= end) return false;
-        *n = end - *first < s[LARGEST] ? end - *first : s[LARGEST];
-        return true;
-    }};
-    // Whether the queues of all threads are empty: what others own ("round_robin") they must finish before the job ends.
-    auto all_empty = [&](const word* s) {{
-        for (word q = 0; q < s[QUEUE_COUNT]; ++q) {{
-            const word* queue = (const word*)s[QUEUES] + q * QUEUE_WORDS;
-            if (get(queue + QUEUE_NEXT) < queue[QUEUE_END]) return false;
-        }}
-        return true;
-    }};
-    // A queue that has no owner yet; -1 if all have.
-    auto own_queue = [&](const word* s) {{
-        for (word q = 0; q < s[QUEUE_COUNT]; ++q)
-            if (swap_if((word*)s[QUEUES] + q * QUEUE_WORDS + QUEUE_OWNER, 0, 1)) return q;
-        return (word)-1;
-    }};
-    // Takes the next chunk; `mine` is the caller's queue, -1 before it has one. False if nothing is left for it.
-    auto claim = [&](word* s, word* mine, word* first, word* n) {{
-        const word count = s[COUNT];
-        if (s[SCHEDULE] == GUIDED) {{
-            *first = get(s + NEXT);
-            for (;;) {{
-                if (*first >= count) return false;
-                *n = shrinking(s, count - *first);
-                if (swap_if(s + NEXT, *first, *first + *n)) return true;
-                *first = get(s + NEXT);
-            }}
-        }}
-        if (s[SCHEDULE] == FIXED) {{
-            if (get(s + NEXT) >= count) return false;
-            *first = add(s + NEXT, s[LARGEST]);
-            *n = count - *first < s[LARGEST] ? count - *first : s[LARGEST];
-            return *first < count;
-        }}
-        if (s[SCHEDULE] == LOCKED) {{
-            for (int tries = 0; !swap_if(s + LOCK, 0, 1);) if (++tries % 64) relax(); else wrt_yield();
-            *first = s[NEXT];
-            *n = *first < count ? shrinking(s, count - *first) : 0;
-            s[NEXT] = *first + *n;
-            set(s + LOCK, 0);
-            return *n > 0;
-        }}
-        for (;;) {{
-            if (*mine < 0 && (*mine = own_queue(s)) < 0) break;
-            if (take_from(s, *mine, first, n)) return true;
-            *mine = -1;
-        }}
-        if (s[SCHEDULE] == STEALING)
-            for (word q = 0; q < s[QUEUE_COUNT]; ++q) if (take_from(s, q, first, n)) return true;
-        return false;
-    }};
-    // Runs chunks until none is left, the generation has changed, or the time is up; false in the last case.
-    auto drain = [&](word* s, word generation, word* mine, word until) {{
-        alignas(64) unsigned char arguments[{MAX_ARGUMENT_BYTES}];
-        __builtin_memcpy(arguments, (const void*)s[ARGUMENTS], (size_t)s[BYTES]);
-        wp::launch_bounds_t<1> bounds = *(const wp::launch_bounds_t<1>*)s[BOUNDS];
-        const entry_t entry = (entry_t)s[ENTRY];
-        word first, n;
-        while (get(s + GENERATION) == generation && claim(s, mine, &first, &n)) {{
-            bounds.shape[0] = (uint32_t)n;
-            bounds.size = (size_t)n;
-            *(int*)arguments = (int)first;
-            entry(&bounds, arguments);
-            if (until > 0 && now() > until) return false;
-        }}
-        return true;
-    }};
-    // Whether a helper could be of use to the job in slot s.
-    auto wants_help = [&](const word* s, word generation) {{
-        if ((generation & 1) == 0 || get(s + ACTIVE) >= s[HELPERS]) return false;
-        return s[SCHEDULE] >= ROUND_ROBIN ? get(s + JOINED) < s[HELPERS] : get(s + NEXT) < s[COUNT];
-    }};
-"""
-"""C++ shared by all functions: names of the words, atomics, futex calls, claiming of chunks."""
 
-SERVE = (
-    NATIVE
-    + f"""
-    auto any_wants_help = [&]() {{
-        for (unsigned long long mask = get(b + MASK); mask; mask &= mask - 1) {{
-            const word* s = b + FIRST_SLOT + (word)__builtin_ctzll(mask) * SLOT_WORDS;
-            if (wants_help(s, get(s + GENERATION))) return true;
-        }}
-        return false;
-    }};
-    auto help = [&](word* s) {{
-        const word generation = get(s + GENERATION);
-        if (!wants_help(s, generation)) return false;
-        bool helped = false;
-        const word before = add(s + ACTIVE, 1);
-        if (get(s + GENERATION) == generation && before < s[HELPERS]) {{
-            word mine = -1;
-            add(s + JOINED, 1);
-            helped = true;
-            drain(s, generation, &mine, 0);
-        }}
-        add(s + ACTIVE, -1);
-        return helped;
-    }};
-    auto sleep = [&]() {{
-        if (get(b + STAYS)) stay(helper);
-        const int epoch = __atomic_load_n((int*)(b + EPOCH), __ATOMIC_SEQ_CST);
-        add(b + SLEEPING, 1);
-        if (get(b + CLOSED) == 0 && !any_wants_help())
-            wrt_syscall(SYS_FUTEX, b + EPOCH, FUTEX_WAIT_PRIVATE, epoch, nullptr, nullptr, 0);
-        add(b + SLEEPING, -1);
-        stay_no_longer(helper);
-    }};
-    // Waits awake until there is work, for a while; false if it is time to sleep.
-    auto spin = [&]() {{
-        if (add(b + SPINNING, 1) >= b[MAX_SPINNING]) {{ add(b + SPINNING, -1); return false; }}
-        const word until = now() + b[SPIN_NS];
-        bool found = false;
-        do {{
-            for (int i = 0; i < 64 && !found; ++i) {{ relax(); found = get(b + MASK) != 0; }}
-            found = found && (any_wants_help() || get(b + CLOSED) != 0);
-        }} while (!found && get(b + CLOSED) == 0 && now() < until);
-        add(b + SPINNING, -1);
-        return found;
-    }};
-    while (get(b + CLOSED) == 0) {{
-        bool helped = false;
-        for (unsigned long long mask = get(b + MASK); mask; mask &= mask - 1)
-            helped |= help(b + FIRST_SLOT + (word)__builtin_ctzll(mask) * SLOT_WORDS);
-        if (helped || spin()) continue;
-        sleep();
-        if (any_wants_help()) wake({WAKE});
-    }}
-    return 0;
-"""
-)
-"""C++ of the loop of a helper."""
+PLACES = {
+    "Board": {"max_spinning": MAX_SPINNING, "spin_ns": SPIN_NS, "stays": STAYS, "slots": FIRST_SLOT, "sleepers": SLEEPERS},
+    "JobSlot": {"active": ACTIVE, "phase": PHASE},
+    "Job": {name: getattr(Job, name).offset // 8 for name, _ in Job._fields_},
+}
+"""Places of members in structs of the header, in words."""
 
-LEAD = (
-    NATIVE
-    + f"""
-    word* const s = b + FIRST_SLOT + slot * SLOT_WORDS;
-    const word until = now() + {TURN_NS};
-    auto begin = [&]() {{
-        __builtin_memcpy(s + JOB, (const void*)s[CURRENT], {JOB_WORDS} * sizeof(word));
-        if (s[COUNT_AT]) s[COUNT] = *(const int*)s[COUNT_AT];
-        s[NEXT] = s[LOCK] = s[JOINED] = 0;
-        s[LEADER_QUEUE] = -1;
-        const word share = s[QUEUE_COUNT] > 0 ? (s[COUNT] + s[QUEUE_COUNT] - 1) / s[QUEUE_COUNT] : 0;
-        for (word q = 0; q < s[QUEUE_COUNT]; ++q) {{
-            word* const queue = (word*)s[QUEUES] + q * QUEUE_WORDS;
-            const word end = (q + 1) * share < s[COUNT] ? (q + 1) * share : s[COUNT];
-            queue[QUEUE_NEXT] = s[SCHEDULE] == ROUND_ROBIN ? q * s[LARGEST] : q * share;
-            queue[QUEUE_END] = s[SCHEDULE] == ROUND_ROBIN ? s[COUNT] : end;
-            queue[QUEUE_OWNER] = 0;
-        }}
-        s[PHASE] = {RUNNING};
-        set(s + GENERATION, s[GENERATION] + 1);
-        const word chunks = (s[COUNT] + s[SMALLEST] - 1) / s[SMALLEST];
-        if (s[HELPERS] > 0 && chunks > 1) {{
-            __atomic_fetch_or(b + MASK, 1ll << slot, __ATOMIC_SEQ_CST);
-            const word wanted = (s[HELPERS] < chunks - 1 ? s[HELPERS] : chunks - 1) - get(b + SPINNING);
-            wake(wanted < {WAKE} ? wanted : {WAKE});
-        }}
-    }};
-    // The job to go on with: 0 at the end.
-    auto following = [&]() {{
-        const bool ends = s[STOPPED] || (s[WHILE_AT] && *(const int*)s[WHILE_AT] == 0);
-        return ends ? (word)0 : s[FOLLOWING];
-    }};
-    if (s[PHASE] == {IDLE}) {{
-        s[CURRENT] = job;
-        s[STOPPED] = 0;
-        s[PHASE] = {BETWEEN};
-    }}
-    for (;;) {{
-        if (s[PHASE] == {BETWEEN}) {{
-            if (s[STOPPED]) {{ s[PHASE] = {IDLE}; return 0; }}
-            begin();
-        }}
-        if (s[PHASE] == {RUNNING}) {{
-            if ((s[GENERATION] & 1) && !drain(s, s[GENERATION], s + LEADER_QUEUE, until)) return 0;
-            while ((s[GENERATION] & 1) && !all_empty(s)) {{ wrt_yield(); if (now() > until) return 0; }}
-            __atomic_fetch_and(b + MASK, ~(1ll << slot), __ATOMIC_SEQ_CST);
-            if (s[GENERATION] & 1) set(s + GENERATION, s[GENERATION] + 1);
-            s[PHASE] = {ENDING};
-        }}
-        for (int tries = 0; get(s + ACTIVE) != 0;) {{
-            if (++tries % 256) {{ relax(); continue; }}
-            wrt_yield();
-            if (now() > until) return 0;
-        }}
-        s[CURRENT] = following();
-        if (s[CURRENT] == 0) {{ s[PHASE] = {IDLE}; return 0; }}
-        s[PHASE] = {BETWEEN};
-        if (now() > until) return 0;
-    }}
-"""
-)
-"""C++ of a turn of a leader."""
+SIZES = {"Board": BOARD_WORDS, "JobSlot": SLOT_WORDS, "Job": ctypes.sizeof(Job) // 8, "Queue": QUEUE_WORDS}
+"""Words of structs of the header."""
+
+VALUES = {f"Schedule::{schedule.name.upper()}": schedule.code for schedule in SCHEDULES.values()}
+VALUES |= {"Phase::IDLE": IDLE, "Board::SLOTS": SLOTS}
+"""Constants of the header."""
+
+
+def layout_checks() -> str:
+    """C++ that compiles if the header has the layout and the constants of this module."""
+    places = [(f"wrt::pool::{kind}", name, at) for kind, names in PLACES.items() for name, at in names.items()]
+    equal = [f"__builtin_offsetof({kind}, {name}) == 8 * {at}" for kind, name, at in places]
+    equal += [f"sizeof(wrt::pool::{kind}) == 8 * {words}" for kind, words in SIZES.items()]
+    equal += [f"(int)wrt::pool::{name} == {value}" for name, value in VALUES.items()]
+    return "".join(f"static_assert({each});\n" for each in [*equal, f"wrt::MAX_ARGUMENT_BYTES == {MAX_ARGUMENT_BYTES}"])
 
 
 def on_cpu(code: str) -> str:
@@ -334,43 +111,31 @@ def on_cpu(code: str) -> str:
     return f"#if !defined(__CUDA_ARCH__)\n{code}\n#endif\n    return 0;\n"
 
 
-@wp.func_native(on_cpu(SERVE))
+BOARD = "auto& b = *(wrt::pool::Board*)board.data;\n"
+
+
+@native.func_native("pool.h", on_cpu(f"{BOARD}wrt::pool::serve<{BOUNDS}>(b, helper);"))
 def serve_native(board: wp.array(dtype=wp.int64), helper: wp.int64) -> int:
     """The loop of the helper with a number; returns when the board is closed."""
     ...
 
 
-@wp.func_native(on_cpu(LEAD))
+LEAD = f"wrt::pool::lead<{BOUNDS}>(b, b.slots[slot], (const wrt::pool::Job*)job);"
+
+
+@native.func_native("pool.h", on_cpu(f"{layout_checks()}{BOARD}{LEAD}"))
 def lead_native(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) -> int:
     """Begins the job at address `job` in a slot, or continues the current one and those that follow it."""
     ...
 
 
-@wp.func_native(
-    on_cpu(
-        NATIVE
-        + """
-    word* const s = b + FIRST_SLOT + slot * SLOT_WORDS;
-    s[STOPPED] = 1;
-    if (s[PHASE] != 0 && (s[GENERATION] & 1)) set(s + GENERATION, s[GENERATION] + 1);
-"""
-    )
-)
+@native.func_native("pool.h", on_cpu(f"{BOARD}wrt::pool::stop(b.slots[slot]);"))
 def stop_native(board: wp.array(dtype=wp.int64), slot: wp.int64) -> int:
     """Stops the job of a slot: no thread takes another chunk."""
     ...
 
 
-@wp.func_native(
-    on_cpu(
-        NATIVE
-        + """
-    set(b + CLOSED, 1);
-    add((word*)(b + EPOCH), 1);
-    wrt_syscall(SYS_FUTEX, b + EPOCH, FUTEX_WAKE_PRIVATE, 1 << 30, nullptr, nullptr, 0);
-"""
-    )
-)
+@native.func_native("pool.h", on_cpu(f"{BOARD}wrt::pool::close(b);"))
 def close_native(board: wp.array(dtype=wp.int64)) -> int:
     """Makes all helpers return."""
     ...
@@ -384,7 +149,7 @@ def serve(board: wp.array(dtype=wp.int64), helper: wp.int64):
 
 @wp.kernel
 def lead(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64):
-    """Runs one turn of the leader of a slot's job. One item. job: address of a `Job` (`wrt.kernels.runtime.pool`)."""
+    """Runs one turn of the leader of a slot's job. One item. job: address of a `Job`."""
     lead_native(board, slot, job)
 
 

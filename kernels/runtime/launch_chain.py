@@ -26,8 +26,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.argument_packing import PackedKernel
-from wrt.kernels.runtime.board import MAX_ARGUMENT_BYTES, on_cpu
+from wrt.kernels.runtime.board import BOUNDS, MAX_ARGUMENT_BYTES, on_cpu
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, load
 from wrt.kernels.runtime.options import exact_module
 
@@ -39,7 +40,7 @@ grain, the nanoseconds that all threads together have spent on it, the items of 
 the stage's own numbers of items, or 0."""
 
 WAYS = 2
-"""Most ways of a stage."""
+"""Most ways of a stage; native code has room for two."""
 
 MAX_STAGES = 64
 """Stages for whose words there is room at first."""
@@ -78,42 +79,17 @@ class Stage:
     counts: wp.array | None = None
 
 
-@wp.func_native(
-    on_cpu(f"""
-    typedef void (*entry_t)(void*, void*);
-    int wrt_clock(int, long*) __asm__("clock_gettime");
-    auto now = []() {{ long t[2]; wrt_clock({CLOCK}, t); return (long long)t[0] * 1000000000 + (long long)t[1]; }};
-    long long before = now();
-    alignas(64) unsigned char arguments[{MAX_ARGUMENT_BYTES}];
-    for (int s = begin; s < end; ++s) {{
-        long long* stage = (long long*)stages.data + {WAYS * WAY_WORDS} * s;
-        const bool has_own = stage[8] != 0;
-        const int left = ((volatile int*)(has_own ? (int*)stage[8] : counts.data))[tile];
-        if (left <= 0 && has_own) continue;
-        if (left <= 0) break;
-        long long* other = stage + {WAY_WORDS};
-        if (other[0] != 0) {{
-            const double items = (double)stage[7], other_items = (double)other[7];
-            bool is_other = (double)other[6] * items < (double)stage[6] * other_items;
-            if (tile % {TRIED_TILE} == {TRIED_TILE - 1}) is_other = !is_other;
-            if (other_items < {TRIED_ITEMS}) is_other = items >= other_items;
-            else if (items < {TRIED_ITEMS}) is_other = false;
-            if (is_other) stage = other;
-        }}
-        __builtin_memcpy(arguments, (const void*)stage[2], (size_t)stage[3]);
-        const int grain = (int)stage[5], items = (left + grain - 1) / grain;
-        *(int*)arguments = tile * (size / grain);
-        if (stage[4] > 0) *(int*)(arguments + stage[4]) = tile * size + left;
-        wp::launch_bounds_t<1> bounds = *(const wp::launch_bounds_t<1>*)stage[1];
-        bounds.shape[0] = (uint32_t)items;
-        bounds.size = (size_t)items;
-        ((entry_t)stage[0])(&bounds, arguments);
-        const long long after = now();
-        __atomic_fetch_add(stage + 6, after - before, __ATOMIC_RELAXED);
-        __atomic_fetch_add(stage + 7, (long long)left, __ATOMIC_RELAXED);
-        before = after;
-    }}
-""")
+LAYOUT = f"""
+    static_assert(sizeof(wrt::Way) == 8 * {WAY_WORDS} && wrt::MAX_ARGUMENT_BYTES == {MAX_ARGUMENT_BYTES});
+    static_assert(__builtin_offsetof(wrt::Way, spent) == 8 * {SPENT} && __builtin_offsetof(wrt::Way, items) == 8 * {ITEMS});
+"""
+
+TEMPLATE = f"{BOUNDS}, {CLOCK}, {TRIED_ITEMS}, {TRIED_TILE}"
+
+
+@native.func_native(
+    "calls.h",
+    on_cpu(f"{LAYOUT}wrt::run_stages<{TEMPLATE}>((wrt::Way*)stages.data, begin, end, counts.data, size, tile);"),
 )
 def run_stages(
     stages: wp.array(dtype=wp.int64), begin: int, end: int, counts: wp.array(dtype=int), size: int, tile: int

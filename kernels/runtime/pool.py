@@ -34,6 +34,7 @@ from wrt.kernels.compilation.module_compiler import load_modules
 from wrt.kernels.compilation.target import cpu_features
 from wrt.kernels.runtime import board as layout
 from wrt.kernels.runtime.argument_packing import PackedKernel
+from wrt.kernels.runtime.board import Job
 from wrt.kernels.runtime.own_core import MOST_CORES
 from wrt.kernels.runtime.schedules import Schedule
 
@@ -41,34 +42,8 @@ SPIN_SECONDS = 0.001
 """Seconds for which a helper without work spins before it sleeps: more than Python needs from one call to the next in a
 loop."""
 
-QUEUE_WORDS = 16
-"""64-bit words per queue, for schedules with queues: two cache lines."""
-
 EXIT_SECONDS = 1.0
 """Greatest time in seconds that the exit of the interpreter waits for threads in compiled code."""
-
-
-class Job(ctypes.Structure):
-    """The description of a launch for native code; all addresses must stay valid until the job has ended."""
-
-    _fields_ = (
-        ("entry", ctypes.c_int64),  # compiled code of the kernel
-        ("bounds", ctypes.c_int64),  # address of its launch bounds
-        ("arguments", ctypes.c_int64),  # address of its packed arguments
-        ("argument_bytes", ctypes.c_int64),
-        ("count", ctypes.c_int64),  # items
-        ("largest", ctypes.c_int64),  # greatest number of items per chunk
-        ("smallest", ctypes.c_int64),  # least number of items per chunk
-        ("divisor", ctypes.c_int64),  # a chunk is the remaining items / divisor, within these limits
-        ("helpers", ctypes.c_int64),  # greatest number of threads besides the caller's
-        ("schedule", ctypes.c_int64),  # `Schedule.code`
-        ("queues", ctypes.c_int64),  # address of the queues, for schedules with queues
-        ("queue_count", ctypes.c_int64),
-        ("count_at", ctypes.c_int64),  # address of an int32 that replaces `count`, or 0
-        ("following", ctypes.c_int64),  # address of the following job, or 0
-        ("while_at", ctypes.c_int64),  # address of an int32; no job follows if it is 0 when this job ends; or 0
-        ("unused", ctypes.c_int64 * (layout.JOB_WORDS - 15)),
-    )
 
 
 class Slot:
@@ -261,7 +236,7 @@ def new_job(
     size = ctypes.sizeof(packed.arguments)
     if size > layout.MAX_ARGUMENT_BYTES:
         raise ValueError(f"the kernel's arguments take {size} bytes; the pool copies at most {layout.MAX_ARGUMENT_BYTES}")
-    queues = np.zeros(threads * QUEUE_WORDS, dtype=np.int64) if schedule.queues else None
+    queues = np.zeros(threads * layout.QUEUE_WORDS, dtype=np.int64) if schedule.queues else None
     job = Job(
         entry=packed.entry,
         bounds=ctypes.addressof(packed.bounds),

@@ -126,6 +126,7 @@ def test_every_snippet_is_checked(snippets):
         ("enum { FIRST, SECOND = 3 }; typedef void (*entry_t)(int); const entry_t f = (entry_t)FIRST; f(THIRD);", {"THIRD"}),
         ('struct Row { float x; }; Row row{1e-3f}; /* y */ wp::vec_t<3, wp::int32> v; v[0] = row.x; // z "w"', set()),
         ("const float ends[2] = {low, 1.0f}; return (int)ends[0];", {"low"}),
+        ("static_assert(__builtin_offsetof(wrt::Row, x) == 8 * size);", {"size"}),
     ],
 )
 def test_free_names(snippet, free):

@@ -86,9 +86,9 @@ MUTATIONS = [
         promise="Compiled kernels whose bytes have changed do not run",
     ),
     Mutation(
-        path="kernels/runtime/board.py",
-        old="        __builtin_arm_yield();",
-        new='        __asm__ volatile("yield");',
+        path="kernels/native/pool.h",
+        old="    __builtin_arm_yield();",
+        new='    __asm__ volatile("yield");',
         tests=f"{TARGETS}::test_threads_relax_by_a_builtin_on_arm",
         promise="Native code has no instructions in assembly",
     ),

@@ -37,6 +37,9 @@ SUPPLIED = frozenset(
 _NOISE = re.compile(r'//[^\n]*|/\*.*?\*/|"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])*\'|\\\n', re.DOTALL)
 _MACRO = re.compile(r"^[ \t]*#[ \t]*define[ \t]+(\w+)(?:\(([^)]*)\))?(.*)$", re.MULTILINE)
 _DIRECTIVE = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
+_OFFSET = re.compile(r"__builtin_offsetof\(([^,]*), *\w+\)")
+"""A member's place: its name is the struct's."""
+
 _TOKEN = re.compile(r"(?P<number>\.?\d(?:[eEpP][+-]|[\w.])*)|\w+|->|::|&&|##|\S")
 
 Macros = dict[str, tuple[list[str] | None, list[str]]]
@@ -49,7 +52,7 @@ def free_names(snippet: str, parameters: Iterable[str]) -> set[str]:
     Both branches of an `#if` are read; of two definitions of a macro, the last one. Scopes are not told apart: a name that is
     declared anywhere in the snippet counts as declared everywhere.
     """
-    code = _NOISE.sub(" ", snippet)
+    code = _OFFSET.sub(r"sizeof(\1)", _NOISE.sub(" ", snippet))
     macros: Macros = {}
     for match in _MACRO.finditer(code):
         macros[match[1]] = (None if match[2] is None else re.findall(r"\w+", match[2]), tokens_of(match[3]))

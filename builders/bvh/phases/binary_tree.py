@@ -11,6 +11,7 @@ import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -57,32 +58,17 @@ def empty_tree(triangles: int, device: wp.Device) -> BinaryTree:
     return tree
 
 
-SIDES = """
-    const float* box = boxes.data + (size_t)node * 8;
-    const float x = -(box[0] + box[4]), y = -(box[1] + box[5]), z = -(box[2] + box[6]);
-"""
-"""C++: x, y, z, the sides of a node's box."""
-
-SIDES_OF_BOTH = """
-    const float* a = boxes.data + (size_t)pair * 16;
-    float size[3];
-    for (int i = 0; i < 3; ++i) {
-        const float low = a[i] < a[8 + i] ? a[i] : a[8 + i];
-        const float high = a[4 + i] < a[12 + i] ? a[4 + i] : a[12 + i];
-        size[i] = -(low + high);
-    }
-    const float x = size[0], y = size[1], z = size[2];
-"""
-"""C++: x, y, z, the sides of the box around both nodes of a pair."""
+BOTH = "wrt::sides_of_both(boxes.data + (size_t)pair * 16, boxes.data + (size_t)pair * 16 + 8)"
+"""C++: the sides of the box around both nodes of a pair."""
 
 
-@wp.func_native(SIDES + "return x * y + y * z + z * x;")
+@native.func_native("reference.h", "return wrt::sides_of(boxes.data + (size_t)node * 8).half_area();")
 def half_area(boxes: wp.array(dtype=float), node: int) -> float:
     """Half the surface area of a node's box."""
     ...
 
 
-@wp.func_native(SIDES_OF_BOTH + "return x * y + y * z + z * x;")
+@native.func_native("reference.h", f"return {BOTH}.half_area();")
 def half_area_of_both(boxes: wp.array(dtype=float), pair: int) -> float:
     """Half the surface area of the box around both nodes of a pair."""
     ...

@@ -22,7 +22,7 @@ References:
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import MAX_BINS, BuildRules
-from wrt.builders.cost import LEAF_COST, SplitCost
+from wrt.builders.cost import SplitCost
 from wrt.kernels.layout.unchecked import load_float
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
@@ -40,14 +40,6 @@ meshes differ less, and are spared the bins (notebooks/records/2026-11-24-large-
 FEW = wp.constant(64)
 FEW_BINS = wp.constant(8)
 """A node of at most FEW triangles gets FEW_BINS bins, because clearing and sweeping more would cost more than they improve."""
-
-_HEAD = f"""
-    constexpr int W = 8;
-    constexpr int SLOT_BINS = {SLOT_BINS};
-    constexpr int PIECE = 1 << 23;
-    constexpr int ONE_GRID = 64;  // triangles up to which a second grid takes longer to clear than it saves
-    (void)W; (void)SLOT_BINS; (void)PIECE; (void)ONE_GRID;
-"""
 
 
 @wp.struct
@@ -124,190 +116,45 @@ def make_binning(domain: wp.array(dtype=float), at: int, bins: int):
     return binning
 
 
-@native.func_native(
-    "lanes.h",
-    _HEAD
-    + """
-    const float* __restrict__ from = references.data + (size_t)begin * 8;
-    float grown[W];
-    WRT_FOR_LANES(j) grown[j] = INFINITY;
-    for (int i = 0; i < count; ++i, from += 8) {
-        float centroid[W];
-        for (int j = 0; j < 4; ++j) { centroid[j] = from[j] - from[4 + j]; centroid[4 + j] = from[4 + j] - from[j]; }
-        WRT_FOR_LANES(j) grown[j] = centroid[j] < grown[j] ? centroid[j] : grown[j];
-    }
-    WRT_FOR_LANES(j) domain.data[(size_t)at * 8 + j] = grown[j];
-""",
-)
+AT = "references.data + (size_t){} * 8"
+RANGE = AT.format("begin")
+GRID = f"scratch.box.data + (size_t)slot * {8 * SLOT_BINS}"
+COUNTS = f"scratch.count.data + (size_t)slot * {SLOT_BINS}"
+ALL = "scratch.box.data, scratch.count.data"
+"""C++: a reference and the first of a range; the boxes and the counts of a slot's bins, and those of all slots."""
+
+
+@native.func_native("bins.h", f"wrt::centroid_domain({RANGE}, count, domain.data + (size_t)at * 8);")
 def centroid_domain(references: wp.array(dtype=float), begin: int, count: int, domain: wp.array(dtype=float), at: int):
     """Writes the box of the doubled centroids of a range."""
     ...
 
 
-@native.func_native(
-    "lanes.h",
-    _HEAD
-    + """
-    const float* __restrict__ from = references.data + (size_t)begin * 8;
-    float grown[W];
-    WRT_FOR_LANES(j) grown[j] = INFINITY;
-    for (int i = 0; i < count; ++i, from += 8) {
-        WRT_FOR_LANES(j) grown[j] = from[j] < grown[j] ? from[j] : grown[j];
-    }
-    WRT_FOR_LANES(j) boxes.data[(size_t)node * 8 + j] = grown[j];
-""",
-)
+@native.func_native("bins.h", f"wrt::range_box({RANGE}, count, boxes.data + (size_t)node * 8);")
 def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: wp.array(dtype=float), node: int):
     """Writes the box of a range of triangles."""
     ...
 
 
-@native.func_native(
-    "lanes.h",
-    _HEAD
-    + """
-    const int bins = binning.bins;
-    float* __restrict__ grid = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
-    int* __restrict__ counts = scratch.count.data + (size_t)slot * SLOT_BINS;
-    const int all = binning.axes * bins;
-    const float empty[W] = {INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, 0.0f};
-    for (int i = 0; i < all; ++i) memcpy(grid + i * 8, empty, sizeof(empty));
-    for (int i = 0; i < all; ++i) counts[i] = 0;
-    float low[4], scale[4];
-    for (int j = 0; j < 4; ++j) { low[j] = binning.low.c[j]; scale[j] = binning.scale.c[j]; }
-    const float last = (float)(bins - 1);
-    float one_more[W];
-    WRT_FOR_LANES(j) one_more[j] = -0.0f;
-    one_more[7] = -1.0f;
-    const auto add = [&](auto axes, float* into, const float* from) {
-        float reference[W];
-        memcpy(reference, from, sizeof(reference));
-        int bin[4];
-        WRT_FOR(4, j) {
-            float t = ((from[j] - from[4 + j]) - low[j]) * scale[j];
-            t = t > 0.0f ? t : 0.0f;
-            t = t < last ? t : last;
-            bin[j] = (int)t;
-        }
-        for (int axis = 0; axis < axes.count; ++axis) {
-            float* box = into + (axis * bins + bin[axis]) * 8;
-            float grown[W];
-            memcpy(grown, box, sizeof(grown));
-            WRT_FOR_LANES(j) grown[j] = (reference[j] < grown[j] ? reference[j] : grown[j]) + one_more[j];
-            memcpy(box, grown, sizeof(grown));
-        }
-    };
-    const auto add_all = [&](auto axes) {
-        const float* __restrict__ from = references.data + (size_t)begin * 8;
-        if (count <= ONE_GRID) {
-            for (int i = 0; i < count; ++i, from += 8) add(axes, grid, from);
-            WRT_SCALAR
-            for (int i = 0; i < all; ++i) counts[i] -= (int)grid[i * 8 + 7];
-            return;
-        }
-        float other[SLOT_BINS * 8];
-        for (int done = 0; done < count; done += PIECE) {
-            const int piece = count - done < PIECE ? count - done : PIECE;
-            for (int i = 0; i < all; ++i) { memcpy(other + i * 8, empty, sizeof(empty)); grid[i * 8 + 7] = 0.0f; }
-            for (int i = 0; i < piece - 1; i += 2, from += 16) { add(axes, grid, from); add(axes, other, from + 8); }
-            if (piece & 1) { add(axes, grid, from); from += 8; }
-            for (int i = 0; i < all; ++i) {
-                float* box = grid + i * 8;
-                const float* more = other + i * 8;
-                counts[i] -= (int)box[7] + (int)more[7];
-                WRT_FOR_LANES(j) box[j] = more[j] < box[j] ? more[j] : box[j];
-            }
-        }
-    };
-    struct Three { enum { count = 3 }; };  // known to the compiler, which unrolls the loop over axes
-    struct Four { enum { count = 4 }; };
-    if (binning.axes == 4) add_all(Four{});
-    else add_all(Three{});
-""",
-)
+@native.func_native("bins.h", f"wrt::bin_range<{SLOT_BINS}>({RANGE}, count, binning, {GRID}, {COUNTS});")
 def bin_range(references: wp.array(dtype=float), begin: int, count: int, binning: Binning, scratch: Scratch, slot: int):
     """Bins a range of triangles along all axes.
 
     The last lane of a bin counts down by one per triangle, in the same instruction that adds -0 to the other lanes; a separate
     counter would need another load and store. The lane is moved to `count` before float32 can no longer represent it
-    exactly. Neighbours in a mesh often fall into the same bins, and each would wait for the last one's store. So every other
-    triangle goes to a second grid, which is merged with the first."""
+    exactly."""
     ...
 
 
-@native.func_native(
-    "lanes.h",
-    _HEAD
-    + """
-    float* to = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
-    int* count = scratch.count.data + (size_t)slot * SLOT_BINS;
-    for (int i = 0; i < axes * bins * 8; ++i) to[i] = INFINITY;
-    for (int i = 0; i < axes * bins; ++i) count[i] = 0;
-    for (int other = first; other < end; ++other) {
-        const float* from = scratch.box.data + (size_t)other * (SLOT_BINS * 8);
-        for (int i = 0; i < axes * bins * 8; ++i) to[i] = from[i] < to[i] ? from[i] : to[i];
-        for (int i = 0; i < axes * bins; ++i) count[i] += scratch.count.data[(size_t)other * SLOT_BINS + i];
-    }
-""",
-)
+@native.func_native("bins.h", f"wrt::merge_bins<{SLOT_BINS}>({ALL}, slot, first, end, axes * bins);")
 def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int, axes: int):
     """Replaces the bins of a slot by the union of those of the slots first .. end - 1."""
     ...
 
 
-@native.func_native(
-    "lanes.h",
-    _HEAD
-    + LEAF_COST
-    + f"""
-    constexpr int MOST = {MAX_BINS};
-    static_assert(MOST % W == 0, "lanes of the last vector are cleared");
-    const float* grid = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
-    const int* counts = scratch.count.data + (size_t)slot * SLOT_BINS;
-    const int padded = (bins + W - 1) / W * W;
-    float least[W];
-    int where[W];
-    WRT_FOR_LANES(j) {{ least[j] = INFINITY; where[j] = 0; }}
-    for (int axis = 0; axis < axes; ++axis, grid += bins * 8, counts += bins) {{
-        float left_area[MOST], right_area[MOST], low_side[W], high_side[W];
-        int left[MOST];
-        WRT_FOR_LANES(j) {{ low_side[j] = INFINITY; high_side[j] = INFINITY; }}
-        left[0] = 0;
-        for (int b = bins; b < padded; ++b) left[b] = 0;
-        for (int b = 1; b < bins; ++b) {{
-            const float* __restrict__ box = grid + (b - 1) * 8;
-            WRT_FOR_LANES(j) low_side[j] = box[j] < low_side[j] ? box[j] : low_side[j];
-            const float x = -(low_side[0] + low_side[4]), y = -(low_side[1] + low_side[5]), z = -(low_side[2] + low_side[6]);
-            left_area[b] = x * y + y * z + z * x;
-            left[b] = left[b - 1] + counts[b - 1];
-            const float* __restrict__ other = grid + (bins - b) * 8;
-            WRT_FOR_LANES(j) high_side[j] = other[j] < high_side[j] ? other[j] : high_side[j];
-            const float u = -(high_side[0] + high_side[4]), v = -(high_side[1] + high_side[5]);
-            const float w = -(high_side[2] + high_side[6]);
-            right_area[bins - b] = u * v + v * w + w * u;
-        }}
-        for (int first = 0; first < padded; first += W) WRT_FOR_LANES(j) {{
-            const int b = first + j, before = left[b];
-            const float found = left_area[b] * leaf_cost(before) + right_area[b] * leaf_cost(count - before);
-            const bool better = before > 0 && before < count && found < least[j];
-            least[j] = better ? found : least[j];
-            where[j] = better ? axis * MOST + b : where[j];
-        }}
-    }}
-    int lane = 0;
-    for (int j = 1; j < W; ++j)
-        if (least[j] < least[lane] || (least[j] == least[lane] && where[j] < where[lane])) lane = j;
-    plane.cost = least[lane];
-    plane.axis = where[lane] / MOST;
-    plane.bin = where[lane] % MOST;
-    plane.left = 0;
-    for (int b = 0; b < plane.bin; ++b) plane.left += (counts - axes * bins)[plane.axis * bins + b];
-""",
-)
+@native.func_native("bins.h", f"wrt::find_best_plane<{MAX_BINS}>(cost, {GRID}, {COUNTS}, bins, axes, count, plane);")
 def find_best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, axes: int, count: int, plane: wp.ref[Plane]):
-    """Sweeps the bins of a slot from both ends, and finds the plane of least cost.
-
-    Lane j keeps the best of the bins j, j + 8, ... of all axes. So the costs of eight planes are computed at once."""
+    """Sweeps the bins of a slot from both ends, and finds the plane of least cost."""
     ...
 
 
@@ -319,66 +166,17 @@ def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, axes: in
     return plane
 
 
-@native.func_native(
-    "lanes.h",
-    _HEAD
-    + """
-    const float* grid = scratch.box.data + ((size_t)slot * SLOT_BINS + axis * bins) * 8;
-    for (int side = 0; side < 2; ++side) {
-        float grown[W];
-        WRT_FOR_LANES(j) grown[j] = INFINITY;
-        for (int b = side ? plane : 0; b < (side ? bins : plane); ++b) {
-            const float* __restrict__ box = grid + b * 8;
-            WRT_FOR_LANES(j) grown[j] = box[j] < grown[j] ? box[j] : grown[j];
-        }
-        WRT_FOR_LANES(j) boxes.data[((size_t)pair * 2 + side) * 8 + j] = grown[j];
-    }
-""",
-)
+@native.func_native("bins.h", f"wrt::write_child_boxes({GRID} + axis * bins * 8, bins, plane, boxes.data + (size_t)pair * 16);")
 def write_child_boxes(scratch: Scratch, slot: int, bins: int, axis: int, plane: int, boxes: wp.array(dtype=float), pair: int):
     """Writes the boxes of the bins on both sides of a plane."""
     ...
 
 
 @native.func_native(
-    "lanes.h",
-    _HEAD
-    + """
-    const float low = binning.low.c[axis], scale = binning.scale.c[axis], last = (float)(binning.bins - 1);
-    const float* __restrict__ from = references.data + (size_t)begin * 8;
-    float* left = references.data + (size_t)to_left * 8;
-    float* right = references.data + (size_t)to_right * 8;
-    const float floors[2] = {INFINITY, -INFINITY};
-    float low_side[W], high_side[W];
-    WRT_FOR_LANES(j) { low_side[j] = INFINITY; high_side[j] = INFINITY; }
-    for (int i = 0; i < count; ++i, from += 8) {
-        float t = ((from[axis] - from[4 + axis]) - low) * scale;
-        t = t > 0.0f ? t : 0.0f;
-        t = t < last ? t : last;
-        const bool on_left = (int)t < plane;
-        float reference[W], centroid[W];
-        memcpy(reference, from, sizeof(reference));
-        for (int j = 0; j < 4; ++j) {
-            centroid[j] = from[j] - from[4 + j];
-            centroid[4 + j] = from[4 + j] - from[j];
-        }
-        float* to = on_left ? left : right;
-        memcpy(to, reference, sizeof(reference));
-        left += on_left ? 8 : 0;
-        right += on_left ? 0 : 8;
-        const float floor = floors[on_left];  // lifts what is on the other side out of the minimum, without a branch
-        WRT_FOR_LANES(j) {
-            const float a = centroid[j] > floor ? centroid[j] : floor;
-            const float b = centroid[j] > -floor ? centroid[j] : -floor;
-            low_side[j] = a < low_side[j] ? a : low_side[j];
-            high_side[j] = b < high_side[j] ? b : high_side[j];
-        }
-    }
-    WRT_FOR_LANES(j) {
-        domain.data[(size_t)left_at * 8 + j] = low_side[j];
-        domain.data[(size_t)right_at * 8 + j] = high_side[j];
-    }
-""",
+    "bins.h",
+    f"float *left = {AT.format('to_left')}, *right = {AT.format('to_right')};\n"
+    "float *left_box = domain.data + (size_t)left_at * 8, *right_box = domain.data + (size_t)right_at * 8;\n"
+    f"wrt::partition_range({RANGE}, count, binning, axis, plane, left, right, left_box, right_box);",
 )
 def partition_range(
     references: wp.array(dtype=float),

@@ -67,27 +67,10 @@ class WideLevels:
 
 
 @native.func_native(
-    "lanes.h",
-    f"""
-    constexpr int W = {MAX_WIDTH};
-    const float* a = costs.data + (size_t)left * W;
-    float* to = costs.data + (size_t)pair * W;
-    float shifted[2 * W], best[W];
-    WRT_FOR_LANES(i) {{ shifted[i] = INFINITY; best[i] = INFINITY; }}
-    if (right) {{ WRT_FOR_LANES(i) shifted[W + i] = costs.data[(size_t)right * W + i]; }}
-    else {{ WRT_FOR_LANES(i) shifted[W + i] = right_leaf; }}
-    for (int k = 0; k < width - 1; ++k) {{
-        const float own = left ? a[k] : left_leaf;
-        WRT_FOR_LANES(i) {{
-            const float sum = own + shifted[W - 1 - k + i];
-            best[i] = sum < best[i] ? sum : best[i];
-        }}
-    }}
-    const float node = inner + best[width - 1];
-    const float one = leaf < node ? leaf : node;
-    WRT_FOR_LANES(i) to[i] = best[i] < one ? best[i] : one;
-    to[W - 1] = holds_large ? 1.0f : 0.0f;
-""",
+    "bins.h",
+    f"constexpr int W = {MAX_WIDTH};\n"
+    "const float *a = left ? costs.data + (size_t)left * W : nullptr, *b = right ? costs.data + (size_t)right * W : nullptr;\n"
+    "wrt::combine<W>(costs.data + (size_t)pair * W, width, a, left_leaf, b, right_leaf, inner, leaf, holds_large);",
 )
 def combine(
     costs: wp.array(dtype=float),

@@ -12,59 +12,30 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.argument_packing import PackedKernel
-from wrt.kernels.runtime.board import on_cpu
+from wrt.kernels.runtime.board import BOUNDS, on_cpu
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
 STEP_WORDS = 3
 
-_HEAD = f"""
-    typedef void (*entry_t)(void*, void*);
-    const auto call = [&](int step) {{
-        const long long* words = (const long long*)steps.data + step * {STEP_WORDS};
-        ((entry_t)words[0])((void*)words[1], (void*)words[2]);
-    }};
-"""
+CALLS = "(const wrt::Call*)steps.data"
 
 
-@wp.func_native(on_cpu(_HEAD + f"for (int step = 0; step < (int)steps.shape[0] / {STEP_WORDS}; ++step) call(step);"))
+@native.func_native("calls.h", on_cpu(f"for (int i = 0; i < (int)steps.shape[0] / {STEP_WORDS}; ++i) ({CALLS})[i].run();"))
 def call_steps(steps: wp.array(dtype=wp.int64)) -> int:
     """Calls all steps, each for the items in its launch bounds."""
     ...
 
 
-@wp.func_native(
+@native.func_native(
+    "calls.h",
     on_cpu(
-        _HEAD
-        + f"""
-    const auto call_for = [&](int step, int items) {{
-        const long long* words = (const long long*)steps.data + step * {STEP_WORDS};
-        auto* bounds = (wp::launch_bounds_t<1>*)words[1];
-        bounds->shape[0] = (uint32_t)items;
-        bounds->size = (size_t)items;
-        call(step);
-    }};
-    const auto arguments = [&](int step) {{ return (int*)((const long long*)steps.data)[step * {STEP_WORDS} + 2]; }};
-    call(0);
-    int first = 0, nodes = 1, level = 0;
-    totals.data[0] = 1;
-    totals.data[1] = 0;
-    level_first.data[0] = 0;
-    while (first < nodes) {{
-        arguments(1)[1] = arguments(2)[1] = arguments(3)[1] = first;
-        arguments(2)[2] = nodes;
-        call_for(1, nodes - first);
-        call_for(2, 1);
-        call_for(3, nodes - first);
-        first = nodes;
-        nodes = totals.data[0];
-        level_first.data[++level] = first;
-    }}
-    return level;
-"""
-    )
+        f"static_assert(sizeof(wrt::Call) == 8 * {STEP_WORDS});\n"
+        f"return wrt::collapse_steps<{BOUNDS}>({CALLS}, totals.data, level_first.data);"
+    ),
 )
 def collapse_steps(steps: wp.array(dtype=wp.int64), totals: wp.array(dtype=int), level_first: wp.array(dtype=int)) -> int:
     """The levels of `wrt.builders.bvh.phases.collapse`: solve, and for each level pick, scan and list. Returns their number."""

@@ -22,7 +22,8 @@ References:
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import MAX_WIDTH, BuildRules
-from wrt.builders.bvh.phases.binary_tree import LEAF, SIDES, SIDES_OF_BOTH, BinaryTree, half_area
+from wrt.builders.bvh.phases.binary_tree import BOTH, LEAF, BinaryTree, half_area
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -30,19 +31,14 @@ exact_module(__name__)
 THIN = 2.0**-10
 """Ratio of the shortest and the longest side up to which a box is flat."""
 
-_IS_FLAT = f"""
-    const float longest = x > y ? (x > z ? x : z) : (y > z ? y : z), shortest = x < y ? (x < z ? x : z) : (y < z ? y : z);
-    return shortest <= longest * {THIN}f;
-"""
 
-
-@wp.func_native(SIDES + _IS_FLAT)
+@native.func_native("reference.h", f"return wrt::sides_of(boxes.data + (size_t)node * 8).is_flat({THIN}f);")
 def is_flat(boxes: wp.array(dtype=float), node: int) -> bool:
     """Whether a node's box is flat."""
     ...
 
 
-@wp.func_native(SIDES_OF_BOTH + _IS_FLAT)
+@native.func_native("reference.h", f"return {BOTH}.is_flat({THIN}f);")
 def are_flat(boxes: wp.array(dtype=float), pair: int) -> bool:
     """Whether the box around both nodes of a pair is flat."""
     ...

@@ -48,6 +48,7 @@ from wrt.builders.bvh.phases.large_boxes import is_small
 from wrt.builders.tree import BuildStats
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 
@@ -85,25 +86,13 @@ class InsertionPositions:
     """(nodes,) its gain; 0 if no position gains."""
 
 
-@wp.func_native("""
-    const float *p = a.data + (size_t)i * 8, *q = b.data + (size_t)j * 8;
-    float size[3];
-    for (int k = 0; k < 3; ++k) {
-        const float low = p[k] < q[k] ? p[k] : q[k], high = p[4 + k] < q[4 + k] ? p[4 + k] : q[4 + k];
-        size[k] = -(low + high);
-    }
-    return size[0] * size[1] + size[1] * size[2] + size[2] * size[0];
-""")
+@native.func_native("reference.h", "return wrt::sides_of_both(a.data + (size_t)i * 8, b.data + (size_t)j * 8).half_area();")
 def joined_area(a: wp.array(dtype=float), i: int, b: wp.array(dtype=float), j: int) -> float:
     """Half the surface area of the box around box i of `a` and box j of `b`, both as in `BinaryTree.box`."""
     ...
 
 
-@wp.func_native("""
-    float* to = out.data + (size_t)o * 8;
-    const float *p = a.data + (size_t)i * 8, *q = b.data + (size_t)j * 8;
-    for (int k = 0; k < 8; ++k) to[k] = p[k] < q[k] ? p[k] : q[k];
-""")
+@native.func_native("reference.h", "wrt::join_boxes(out.data + (size_t)o * 8, a.data + (size_t)i * 8, b.data + (size_t)j * 8);")
 def join_boxes(out: wp.array(dtype=float), o: int, a: wp.array(dtype=float), i: int, b: wp.array(dtype=float), j: int):
     """Sets box o of `out` to the box around box i of `a` and box j of `b`."""
     ...

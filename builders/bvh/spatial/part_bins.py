@@ -16,8 +16,6 @@ import warp as wp
 
 from wrt.builders.bvh.phases.bvh_bins import SLOT_BINS, Scratch
 from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh
-from wrt.builders.kdtree.scan.split_clipping import CLIP
-from wrt.builders.triangle_references import ID_OFFSET
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
@@ -51,64 +49,12 @@ def make_slabs(axis: int, low: float, high: float, count: int, pad: float):
     return slabs
 
 
-_HEAD = (
-    """
-    constexpr int W = 8;
-    const auto& lists = mesh;
-    const float pad = mesh.pad;
-    const int axis = slabs.axis;
-    wp::vec3 low, high;
-"""
-    + CLIP
-    + f"""
-    const auto slab_of = [&](float x) {{
-        float t = (x - slabs.low) * slabs.scale;
-        t = t > 0.0f ? t : 0.0f;
-        t = t < (float)(slabs.count - 1) ? t : (float)(slabs.count - 1);
-        return (int)t;
-    }};
-    const auto part_between = [&](float* box, float from, float to) {{
-        for (int j = 0; j < 3; ++j) {{ low.c[j] = box[j]; high.c[j] = -box[4 + j]; }}
-        low.c[axis] = from > low.c[axis] ? from : low.c[axis];
-        high.c[axis] = to < high.c[axis] ? to : high.c[axis];
-        int bits;
-        memcpy(&bits, box + 3, 4);
-        return clip(box, bits - {ID_OFFSET});
-    }};
-"""
-)
-"""slab_of: see `Slabs`. part_between: shrinks the box of a reference to its part between two planes; false if it has none."""
-
-
 @native.func_native(
-    "lanes.h",
-    _HEAD
-    + f"""
-    const size_t first = (size_t)slot * {SLOT_BINS} + axis * slabs.count;
-    float* grid = scratch.box.data + first * 8;
-    int* enter = scratch.count.data + first;
-    int* leave = leaving.data + first;
-    const float empty[W] = {{INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY}};
-    for (int b = 0; b < slabs.count; ++b) {{ memcpy(grid + b * 8, empty, sizeof(empty)); enter[b] = 0; leave[b] = 0; }}
-    const float width = 1.0f / slabs.scale;
-    const float* from = references.data + (size_t)begin * 8;
-    for (int i = 0; i < count; ++i, from += 8) {{
-        const int b0 = slab_of(from[axis]), b1 = slab_of(-from[4 + axis]);
-        ++enter[b0];
-        ++leave[b1];
-        for (int b = b0; b <= b1; ++b) {{
-            float part[W];
-            memcpy(part, from, sizeof(part));
-            if (b0 < b1) {{
-                const float at = b == b0 ? -INFINITY : slabs.low + (float)b * width;
-                const float end = b == b1 ? INFINITY : slabs.low + (float)(b + 1) * width;
-                if (!part_between(part, at, end)) continue;
-            }}
-            float* box = grid + b * 8;
-            WRT_FOR_LANES(j) box[j] = part[j] < box[j] ? part[j] : box[j];
-        }}
-    }}
-""",
+    "clip.h",
+    f"const size_t first = (size_t)slot * {SLOT_BINS} + slabs.axis * slabs.count;\n"
+    "int *enter = scratch.count.data + first, *leave = leaving.data + first;\n"
+    "const float* from = references.data + (size_t)begin * 8;\n"
+    "wrt::bin_parts(mesh, from, count, slabs, scratch.box.data + first * 8, enter, leave);",
 )
 def bin_parts(
     mesh: ClippedMesh,
@@ -126,31 +72,10 @@ def bin_parts(
 
 
 @native.func_native(
-    "lanes.h",
-    _HEAD
-    + """
-    const float at = slabs.low + (float)plane / slabs.scale;
-    const float* from = references.data + (size_t)begin * 8;
-    float* left = references.data + (size_t)to_left * 8;
-    float* right = references.data + (size_t)to_right * 8;
-    int lefts = 0, rights = 0;
-    for (int i = 0; i < count; ++i, from += 8) {
-        const bool on_left = slab_of(from[axis]) < plane, on_right = slab_of(-from[4 + axis]) >= plane;
-        if (!(on_left && on_right)) {
-            memcpy((on_left ? left + (size_t)lefts * 8 : right + (size_t)rights * 8), from, 8 * sizeof(float));
-            lefts += on_left;
-            rights += !on_left;
-            continue;
-        }
-        float a[W], b[W];
-        memcpy(a, from, sizeof(a));
-        memcpy(b, from, sizeof(b));
-        const bool second = part_between(b, at, INFINITY), first = part_between(a, -INFINITY, at);
-        if (first) memcpy(left + (size_t)lefts++ * 8, a, sizeof(a));
-        if (second) memcpy(right + (size_t)rights++ * 8, b, sizeof(b));
-    }
-    return wp::vec2i(lefts, rights);
-""",
+    "clip.h",
+    "float *from = references.data + (size_t)begin * 8, *left = references.data + (size_t)to_left * 8;\n"
+    "float* right = references.data + (size_t)to_right * 8;\n"
+    "return wrt::divide_parts<wp::vec2i>(mesh, from, count, slabs, plane, left, right);",
 )
 def divide_parts(
     mesh: ClippedMesh,

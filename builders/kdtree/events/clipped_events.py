@@ -30,13 +30,13 @@ import warp as wp
 
 from wrt.builders.cost import Split
 from wrt.builders.kdtree.events.event_lists import EventLists, emit_leaf
-from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
+from wrt.builders.kdtree.events.event_sort import END
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Parts, Reservation, Task
-from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
+from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.builders.triangle_references import ID_OFFSET
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_int, store_pair
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -45,39 +45,16 @@ LEFT, RIGHT, BOTH = wp.constant(1), wp.constant(2), wp.constant(3)
 """Values of `EventLists.side`."""
 
 
-@wp.func_native(
-    f"""
-    float* reference = lists.straddler.data + ((size_t)first * 2 + number) * 8;
-    const int kind = event.c[1] & 3, bits = (event.c[1] >> 2) + {ID_OFFSET};
-    float position;
-    memcpy(&position, &event.c[0], 4);
-    if (kind != {int(END)}) reference[axis] = position;
-    if (kind != {int(START)}) reference[4 + axis] = -position;
-    memcpy(reference + 3, &bits, 4);
-"""
-)
+@native.func_native("events.h", "wrt::note_event(event, axis, lists.straddler.data + ((size_t)first * 2 + number) * 8);")
 def note_event(lists: EventLists, first: int, number: int, axis: int, event: wp.vec2i):
     """Stores an event as a side of a straddler's box."""
     ...
 
 
-@wp.func_native(
-    CLIP
-    + f"""
-    const float* from = lists.straddler.data + (size_t)first * 16;
-    float* to = lists.straddler.data + ((size_t)first * 2 + count) * 8;
-    int kept = 0;
-    for (int i = 0; i < count; ++i, from += 8) {{
-        int bits;
-        memcpy(&bits, from + 3, 4);
-        memcpy(to, from, 8 * sizeof(float));
-        if (clip(to, lists.triangle.data[first + bits - {ID_OFFSET}])) {{
-            to += 8;
-            ++kept;
-        }}
-    }}
-    return kept;
-"""
+@native.func_native(
+    "clip.h",
+    "float *from = lists.straddler.data + (size_t)first * 16, *to = from + (size_t)count * 8;\n"
+    "return wrt::clip_straddlers(lists, wrt::cell_of(low, high, pad), from, count, lists.triangle.data + first, to);",
 )
 def clip_straddlers(lists: EventLists, first: int, count: int, pad: float, low: wp.vec3, high: wp.vec3) -> int:
     """Writes the parts of the straddlers in a cell behind them; returns the number of nonempty parts.
@@ -86,25 +63,10 @@ def clip_straddlers(lists: EventLists, first: int, count: int, pad: float, low: 
     ...
 
 
-@wp.func_native(
-    f"""
-    const float* from = lists.straddler.data + ((size_t)first * 2 + straddlers) * 8;
-    const auto* begin = lists.new_events.data + (size_t)first * 4;
-    auto* to = lists.new_events.data + (size_t)first * 4;
-    const auto write = [&](float position, int bits, int kind) {{
-        memcpy(&to->c[0], &position, 4);
-        to->c[1] = (bits - {ID_OFFSET}) << 2 | kind;
-        ++to;
-    }};
-    for (int i = 0; i < count; ++i, from += 8) {{
-        const float low = from[axis], high = -from[4 + axis] + 0.0f;
-        int bits;
-        memcpy(&bits, from + 3, 4);
-        write(low, bits, low < high ? {int(START)} : {int(PLANAR)});
-        if (low < high) write(high, bits, {int(END)});
-    }}
-    return (int)(to - begin);
-"""
+@native.func_native(
+    "events.h",
+    "const float* from = lists.straddler.data + ((size_t)first * 2 + straddlers) * 8;\n"
+    "return wrt::write_new_events(from, count, axis, lists.new_events.data + (size_t)first * 4);",
 )
 def list_new_events(lists: EventLists, first: int, straddlers: int, count: int, axis: int) -> int:
     """Lists the events, along one axis and unsorted, of the parts that `clip_straddlers` wrote; returns their number."""

@@ -20,6 +20,9 @@ END = wp.constant(0)
 PLANAR = wp.constant(1)
 START = wp.constant(2)
 
+SAME_KINDS = f"static_assert(wrt::END == {int(END)} && wrt::PLANAR == {int(PLANAR)} && wrt::START == {int(START)});\n"
+"""C++ that compiles if native code has the same constants."""
+
 CHUNK = 4096
 """Triangles per chunk of the count before a scan."""
 

@@ -9,40 +9,20 @@ import warp as wp
 
 from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree
 from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh, clipped_mesh
-from wrt.builders.kdtree.scan.split_clipping import CLIP
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
 
-@wp.func_native(
-    f"""
-    const float pad = lists.pad;
-    {CLIP}
-    const size_t n = boxes.low.shape[1];
-    float least[8] = {{INFINITY, INFINITY, INFINITY, 0.0f, INFINITY, INFINITY, INFINITY, 0.0f}};
-    int kept = 0;
-    for (int i = begin; i < begin + count; ++i) {{
-        const int triangle = primitive.data[i];
-        float box[8];
-        for (int axis = 0; axis < 3; ++axis) {{
-            box[axis] = boxes.low.data[axis * n + triangle];
-            box[4 + axis] = -boxes.high.data[axis * n + triangle];
-        }}
-        const bool meets = !tested || clip(box, triangle);
-        if (meets) for (int j = 0; j < 8; ++j) if (j != 3 && j != 7) least[j] = box[j] < least[j] ? box[j] : least[j];
-        keeps.data[i] = meets;
-        kept += meets;
-    }}
-    for (int axis = 0; axis < 3; ++axis) {{
-        inner_low.c[axis] = least[axis] > low.c[axis] ? least[axis] : low.c[axis];
-        inner_high.c[axis] = -least[4 + axis] < high.c[axis] ? -least[4 + axis] : high.c[axis];
-    }}
-    return kept;
-"""
+@native.func_native(
+    "clip.h",
+    "const auto cell = wrt::cell_of(low, high, lists.pad);\n"
+    "const int* triangles = primitive.data + begin;\n"
+    "return wrt::measure_leaf(lists, cell, boxes, triangles, count, tested, keeps.data + begin, inner_low, inner_high);",
 )
 def measure_range(
     lists: ClippedMesh,

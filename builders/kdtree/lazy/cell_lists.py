@@ -13,9 +13,7 @@ import warp as wp
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.reference_chunks import LiveRange
 from wrt.builders.kdtree.scan.reference_levels import TopLevels
-from wrt.builders.kdtree.scan.reference_lists import HEAD
 from wrt.builders.triangle_boxes import Boxes
-from wrt.builders.triangle_references import ID_OFFSET
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
@@ -39,24 +37,7 @@ class Pair:
     """Position to which the ids of the triangles in the cell are written."""
 
 
-@wp.func_native(
-    """
-    const size_t n = boxes.low.shape[1];
-    int found = 0;
-    for (int i = pair.begin; i < pair.end; ++i) {
-        const size_t triangle = order.data[i];
-        bool inside = true;
-        for (int axis = 0; axis < 3; ++axis) {
-            const float low = boxes.low.data[axis * n + triangle], high = boxes.high.data[axis * n + triangle];
-            inside &= low == high ? (low >= pair.low.c[axis]) & (low < pair.planar_end.c[axis])
-                                  : (low < pair.high.c[axis]) & (high > pair.low.c[axis]);
-        }
-        if (writing && inside) ids.data[pair.to + found] = (int)triangle;
-        found += inside;
-    }
-    return found;
-"""
-)
+@native.func_native("clusters.h", "return wrt::choose_triangles(boxes, order.data, pair, writing, ids.data);")
 def choose_triangles(boxes: Boxes, order: wp.array(dtype=int), pair: Pair, writing: bool, ids: wp.array(dtype=int)) -> int:
     """Counts the triangles of a cluster that are in a cell, and writes their ids if `writing`."""
     ...
@@ -75,32 +56,7 @@ def fill_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.a
     choose_triangles(boxes, order, pairs[first + wp.tid()], True, ids)
 
 
-@native.func_native(
-    "lanes.h",
-    HEAD
-    + f"""
-    const size_t n = boxes.low.shape[1];
-    float* __restrict__ to = references.data + (size_t)frame.first.c[0] * 8;
-    float least[W];
-    WRT_FOR_LANES(j) least[j] = INFINITY;
-    for (int i = frame.first.c[0]; i < frame.first.c[0] + frame.triangles; ++i, to += 8) {{
-        const size_t triangle = ids.data[i];
-        const int bits = (int)triangle + {ID_OFFSET};
-        for (size_t axis = 0; axis < 3; ++axis) {{
-            to[axis] = boxes.low.data[axis * n + triangle];
-            to[4 + axis] = -boxes.high.data[axis * n + triangle];
-        }}
-        memcpy(to + 3, &bits, 4);
-        to[7] = 0.0f;
-        WRT_FOR_LANES(j) least[j] = to[j] < least[j] ? to[j] : least[j];
-    }}
-    for (int axis = 0; axis < 3; ++axis) {{
-        const float low = least[axis], high = -least[4 + axis];
-        frame.inner_low.c[axis] = low > frame.low.c[axis] ? low : frame.low.c[axis];
-        frame.inner_high.c[axis] = high < frame.high.c[axis] ? high : frame.high.c[axis];
-    }}
-""",
-)
+@native.func_native("clusters.h", "wrt::gather_references(boxes, ids.data, references.data, frame);")
 def gather_references(boxes: Boxes, ids: wp.array(dtype=int), references: wp.array(dtype=float), frame: wp.ref[Frame]):
     """Writes the references of a node's ids, and computes their box."""
     ...

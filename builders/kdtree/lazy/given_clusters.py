@@ -21,6 +21,7 @@ import warp as wp
 
 from wrt.builders.kdtree.lazy.triangle_clusters import Clusters
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 
@@ -66,22 +67,7 @@ def mesh_clusters(meshes: MeshBoxes, device: wp.Device) -> Clusters | None:
     return Clusters(order, first, low, high, low, high, are_meshes=True)
 
 
-@wp.func_native(
-    """
-    const size_t n = boxes.low.shape[1];
-    float* __restrict__ to = corners.data + (size_t)cluster * 12;
-    for (int j = 0; j < 12; ++j) to[j] = INFINITY;
-    for (int i = begin; i < end; ++i) {
-        const size_t triangle = order.data[i];
-        for (int axis = 0; axis < 3; ++axis) {
-            const float low = boxes.low.data[axis * n + triangle], high = boxes.high.data[axis * n + triangle];
-            const float center = 0.5f * low + 0.5f * high;
-            const float value[4] = {low, -high, center, -center};
-            for (int j = 0; j < 4; ++j) to[3 * j + axis] = value[j] < to[3 * j + axis] ? value[j] : to[3 * j + axis];
-        }
-    }
-"""
-)
+@native.func_native("clusters.h", "wrt::box_of_range(boxes, order.data, begin, end, corners.data + (size_t)cluster * 12);")
 def box_of_range(
     boxes: Boxes, order: wp.array(dtype=int), begin: int, end: int, cluster: int, corners: wp.array2d(dtype=float)
 ):

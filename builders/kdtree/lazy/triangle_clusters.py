@@ -18,6 +18,7 @@ import warp as wp
 
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import get_num_threads, launch
 from wrt.kernels.runtime.options import exact_module
 
@@ -83,33 +84,12 @@ class Clusters:
         return np.diff(self.first) if self.ends is None else self.ends - self.first
 
 
-@wp.func_native(
-    """
-    const size_t n = boxes.low.shape[1], row = grid.cells.c[0] * (size_t)grid.cells.c[1] * grid.cells.c[2];
-    float* __restrict__ table = corners.data + (size_t)chunk * row * 8;
-    int* __restrict__ counter = counts.data + (size_t)chunk * row;
-    for (size_t c = 0; c < row; ++c) { counter[c] = 0; for (int j = 0; j < 8; ++j) table[c * 8 + j] = INFINITY; }
-    for (int i = begin; i < end; ++i) {
-        const size_t triangle = ids.data[i];
-        float value[8];
-        int cell = 0;
-        for (int axis = 2; axis >= 0; --axis) {
-            const float low = boxes.low.data[axis * n + triangle], high = boxes.high.data[axis * n + triangle];
-            float place = ((0.5f * low + 0.5f * high) - grid.low.c[axis]) * grid.scale.c[axis];
-            const float last = (float)(grid.cells.c[axis] - 1);
-            place = place > 0.0f ? place : 0.0f;
-            place = place < last ? place : last;
-            cell = cell * grid.cells.c[axis] + (int)place;
-            value[axis] = low;
-            value[4 + axis] = -high;
-        }
-        value[3] = value[7] = 0.0f;
-        cell_of.data[i] = cell;
-        ++counter[cell];
-        float* __restrict__ box = table + (size_t)cell * 8;
-        for (int j = 0; j < 8; ++j) box[j] = value[j] < box[j] ? value[j] : box[j];
-    }
-"""
+@native.func_native(
+    "clusters.h",
+    "const size_t cells = grid.cells.c[0] * (size_t)grid.cells.c[1] * grid.cells.c[2];\n"
+    "int* counter = counts.data + chunk * cells;\n"
+    "float* table = corners.data + chunk * cells * 8;\n"
+    "wrt::count_cells(boxes, ids.data, begin, end, grid, cell_of.data, counter, table, cells);",
 )
 def count_range(
     boxes: Boxes,

@@ -28,9 +28,9 @@ from wrt.builders.kdtree.phases.in_place_levels import LiveNode
 from wrt.builders.kdtree.phases.level_members import sides
 from wrt.builders.kdtree.phases.membership import Membership
 from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh, clipped_mesh
-from wrt.builders.kdtree.scan.split_clipping import CLIP
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, store_byte, store_int
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 
@@ -103,24 +103,7 @@ def classify_references(
             store_int(refined.node, reference, nodes[own].left + side - 1)
 
 
-@wp.func_native(
-    f"""
-    const float pad = lists.pad;
-    {CLIP}
-    const size_t n = boxes.low.shape[1];
-    float box[8] = {{}};
-    for (int axis = 0; axis < 3; ++axis) {{
-        box[axis] = boxes.low.data[axis * n + source];
-        box[4 + axis] = -boxes.high.data[axis * n + source];
-    }}
-    if (!clip(box, triangle)) return false;
-    for (int axis = 0; axis < 3; ++axis) {{
-        boxes.low.data[axis * n + to] = box[axis];
-        boxes.high.data[axis * n + to] = -box[4 + axis] + 0.0f;
-    }}
-    return true;
-"""
-)
+@native.func_native("clip.h", "return wrt::clip_part(lists, wrt::cell_of(low, high, lists.pad), boxes, triangle, source, to);")
 def clip_part(lists: ClippedMesh, boxes: Boxes, triangle: int, low: wp.vec3, high: wp.vec3, source: int, to: int) -> bool:
     """Writes the box of a reference's part in a cell; False if there is none."""
     ...

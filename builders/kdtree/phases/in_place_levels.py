@@ -27,12 +27,13 @@ References:
 import warp as wp
 
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, plane_cost
-from wrt.builders.kdtree.events.event_sort import END, START, Events, event_position, event_value
+from wrt.builders.kdtree.events.event_sort import Events, event_position, event_value
 from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
 from wrt.builders.tree import PathState, StopLimits, stop
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
@@ -72,26 +73,11 @@ def chunk_begin(events: Events, axis: int, chunk: int):
     return begin
 
 
-@wp.func_native(
-    f"""
-    const size_t row = (size_t)axis * events.value.shape[1];
-    auto* of_node = counts.data + ((size_t)axis * counts.shape[1] + chunk) * counts.shape[2];
-    for (int node = 0; node < counts.shape[2]; ++node) of_node[node].c[0] = of_node[node].c[1] = 0, of_node[node].c[2] = -1;
-    for (int i = begin; i < end; ++i) {{
-        const int value = events.value.data[row + i], kind = value & 3, triangle = value >> 2;
-        const int begins = kind != {int(END)}, ends = kind != {int(START)};
-        const int own = membership.node.data[triangle];
-        const int* const shared = membership.shared.data + ~own;
-        const int* const nodes = own < 0 ? shared + 1 : &own;
-        const int members = own < 0 ? *shared : 1;
-        for (int m = 0; m < members; ++m) {{
-            auto& count = of_node[nodes[m]];
-            count.c[0] += begins;
-            count.c[1] += ends;
-            if (count.c[2] < 0) count.c[2] = i;
-        }}
-    }}
-"""
+@native.func_native(
+    "events.h",
+    "auto* of_node = counts.data + ((size_t)axis * counts.shape[1] + chunk) * counts.shape[2];\n"
+    "const int* row = events.value.data + (size_t)axis * events.value.shape[1];\n"
+    "wrt::count_events(row, begin, end, membership.node.data, membership.shared.data, of_node, counts.shape[2]);",
 )
 def count_range(
     events: Events,

@@ -13,10 +13,10 @@ References:
 import warp as wp
 
 from wrt.builders.kdtree.scan.reference_chunks import Chunk, LiveRange
-from wrt.builders.kdtree.scan.reference_lists import CLASSIFY, GROW, HEAD, SIDES_END, SIDES_START, Sides
-from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
+from wrt.builders.kdtree.scan.reference_lists import Sides
+from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.builders.triangle_references import ID_OFFSET, copy_references
+from wrt.builders.triangle_references import copy_references
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
@@ -36,62 +36,13 @@ class ClippedMesh:
 
 
 @native.func_native(
-    "lanes.h",
-    HEAD
-    + SIDES_START
-    + """
-    const auto part_in = [&](const auto& low, const auto& high, float* box) {
-        const float pad = lists.pad;
-"""
-    + CLIP
-    + f"""
-        int bits;
-        memcpy(&bits, box + 3, 4);
-        return clip(box, bits - {ID_OFFSET});
-    }};
-    float unwanted[W];
-    const auto write = [&](const float* box, int left, int right) {{
-        if (moving) {{
-            memcpy(left ? target.data + (size_t)(to_left + sides.left) * 8 : unwanted, box, sizeof(unwanted));
-            memcpy(right ? target.data + (size_t)(to_right + sides.right) * 8 : unwanted, box, sizeof(unwanted));
-        }}
-        sides.left += left;
-        sides.right += right;
-    }};
-    sides.left = 0;
-    sides.right = 0;
-    for (int i = 0; i < count; ++i, from += 8) {{
-"""
-    + CLASSIFY
-    + """
-        float reference[W];
-        if (left & right) {
-            memcpy(reference, from, sizeof(reference));
-            if (part_in(cell_low, left_high, reference)) {
-                const int left = 1, right = 0;
-"""
-    + GROW
-    + """
-                write(reference, left, right);
-            }
-            memcpy(reference, from, sizeof(reference));
-            if (part_in(right_low, cell_high, reference)) {
-                const int left = 0, right = 1;
-"""
-    + GROW
-    + """
-                write(reference, left, right);
-            }
-            continue;
-        }
-        memcpy(reference, from, sizeof(reference));
-"""
-    + GROW
-    + """
-        write(reference, left, right);
-    }
-"""
-    + SIDES_END,
+    "clip.h",
+    "const float* from = references.data + (size_t)begin * 8;\n"
+    "float *left = target.data + (size_t)to_left * 8, *right = target.data + (size_t)to_right * 8;\n"
+    "const auto left_cell = wrt::cell_of(cell_low, left_high, lists.pad);\n"
+    "const auto right_cell = wrt::cell_of(right_low, cell_high, lists.pad);\n"
+    "const wrt::SideTargets targets = {moving, left, right, {}};\n"
+    "wrt::clip_sides(lists, left_cell, right_cell, from, count, axis, position, planar_left, targets, sides);",
 )
 def clip_range(
     lists: ClippedMesh,

@@ -30,14 +30,10 @@ def values_for(triangles: int) -> int:
     return 2 * (triangles + LANES)
 
 
-@wp.func_native(
-    """
-    const float* __restrict__ from = lists.reference.data + (size_t)first * 8;
-    float* __restrict__ low = lists.value.data + (size_t)number * lists.value.shape[1];
-    float* __restrict__ high = low + padded;
-    for (int i = 0; i < count; ++i, from += 8) { low[i] = from[axis]; high[i] = -from[4 + axis]; }
-    for (int i = count; i < padded; ++i) { low[i] = NAN; high[i] = NAN; }
-"""
+@native.func_native(
+    "scan.h",
+    "float* low = lists.value.data + (size_t)number * lists.value.shape[1];\n"
+    "wrt::gather_axis(lists.reference.data + (size_t)first * 8, count, axis, low, low + padded, padded);",
 )
 def gather_axis(lists: ReferenceLists, number: int, first: int, count: int, axis: int, padded: int):
     """Writes the intervals of a range along one axis: a row of lower ends, a row of upper ends."""
@@ -45,24 +41,9 @@ def gather_axis(lists: ReferenceLists, number: int, first: int, count: int, axis
 
 
 @native.func_native(
-    "lanes.h",
-    f"""
-    constexpr int W = {LANES};
-    const float* __restrict__ low = lists.value.data + (size_t)number * lists.value.shape[1];
-    const float* __restrict__ high = low + padded;
-    int left[W], planar[W], right[W];
-    WRT_FOR_LANES(j) {{ left[j] = 0; planar[j] = 0; right[j] = 0; }}
-    for (int i = 0; i < padded; i += W) {{
-        WRT_FOR_LANES(j) {{
-            left[j] += low[i + j] < position;
-            right[j] += high[i + j] > position;
-            planar[j] += (low[i + j] == position) & (high[i + j] == position);
-        }}
-    }}
-    wp::vec_t<3, wp::int32> sum;
-    for (int j = 0; j < W; ++j) {{ sum[0] += left[j]; sum[1] += planar[j]; sum[2] += right[j]; }}
-    return sum;
-""",
+    "scan.h",
+    "const float* low = lists.value.data + (size_t)number * lists.value.shape[1];\n"
+    f"return wrt::count_sides<{LANES}, wp::vec3i>(low, low + padded, padded, position);",
 )
 def count_sides(lists: ReferenceLists, number: int, padded: int, position: float) -> wp.vec3i:
     """Numbers of triangles to the left of a plane, in it, and to the right. Straddlers count on both sides."""

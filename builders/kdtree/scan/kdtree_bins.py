@@ -20,7 +20,6 @@ import warp as wp
 
 from wrt.builders.cost import SplitCost, axis_frame, no_split, split_comparison
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
-from wrt.builders.kdtree.scan.reference_lists import HEAD
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
@@ -58,35 +57,9 @@ def make_binning(frame: Frame, bins: int):
 
 
 @native.func_native(
-    "lanes.h",
-    HEAD
-    + """
-    const int bins = binning.bins;
-    int* __restrict__ to = counter.data + (size_t)slot * counter.shape[1];
-    for (int i = 0; i < 6 * bins; ++i) to[i] = 0;
-    float origin[W], scale[W];
-    for (int j = 0; j < 3; ++j) {
-        origin[j] = binning.low.c[j];
-        origin[4 + j] = -binning.high.c[j];
-        scale[j] = scale[4 + j] = binning.scale.c[j];
-    }
-    origin[3] = origin[7] = scale[3] = scale[7] = 0.0f;
-    const float last = (float)(bins - 1);
-    const float* __restrict__ from = references.data + (size_t)begin * 8;
-    for (int i = 0; i < count; i += step, from += 8 * (size_t)step) {
-        int bin[W];
-        WRT_FOR_LANES(j) {
-            float t = (from[j] - origin[j]) * scale[j];
-            t = t > 0.0f ? t : 0.0f;
-            t = t < last ? t : last;
-            bin[j] = (int)t;
-        }
-        for (int j = 0; j < 3; ++j) {
-            ++to[j * bins + bin[j]];
-            ++to[(3 + j) * bins + bin[4 + j]];
-        }
-    }
-""",
+    "scan.h",
+    "const float* from = references.data + (size_t)begin * 8;\n"
+    "wrt::count_ends(from, count, step, binning, counter.data + (size_t)slot * counter.shape[1]);",
 )
 def bin_range(
     references: wp.array(dtype=float),
@@ -101,16 +74,7 @@ def bin_range(
     ...
 
 
-@wp.func_native(
-    """
-    int* to = counter.data + (size_t)slot * counter.shape[1];
-    for (int i = 0; i < 6 * bins; ++i) to[i] = 0;
-    for (int other = first; other < end; ++other) {
-        const int* from = counter.data + (size_t)other * counter.shape[1];
-        for (int i = 0; i < 6 * bins; ++i) to[i] += from[i];
-    }
-"""
-)
+@native.func_native("scan.h", "wrt::sum_counters(counter.data, counter.shape[1], slot, first, end, 6 * bins);")
 def merge_bins(counter: wp.array2d(dtype=int), slot: int, first: int, end: int, bins: int):
     """Replaces the bins of a slot by the sums of those of the slots first .. end - 1."""
     ...

@@ -1,9 +1,9 @@
 """References as a node's list: the common part of builders that scan a node's triangles instead of sorting them.
 
 A node has one list, of the references (`wrt.builders.triangle_references`) of its triangles, in the order of their ids.
-Partition moves every reference to the side or sides of the plane on which its box lies (`CLASSIFY`), and computes the boxes of
-both sides in the same pass. The counts of a split may be estimates (bins, samples); those of the children are counted here, by
-the plane itself.
+Partition moves every reference to the side or sides of the plane on which its box lies, and computes the boxes of both sides in
+the same pass. The counts of a split may be estimates (bins, samples); those of the children are counted here, by the plane
+itself.
 """
 
 import warp as wp
@@ -16,12 +16,6 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
-
-HEAD = """
-    constexpr int W = 8;
-    (void)W;
-"""
-"""Head of native loops over the 8 lanes of a reference."""
 
 
 @wp.struct
@@ -73,63 +67,10 @@ class Sides:
     right_high: wp.vec3
 
 
-CLASSIFY = """
-        const float low = from[axis], high = -from[4 + axis];
-        const bool planar = low == position && high == position;
-        const int left = planar ? planar_left : low < position;
-        const int right = planar ? !planar_left : high > position;
-"""
-"""C++, phase "classify": the sides of the reference at `from`, 1 or 0 each."""
-
-GROW = """
-        const float a = left ? -INFINITY : INFINITY, b = right ? -INFINITY : INFINITY;  // lifts the others out of the minimum
-        WRT_FOR_LANES(j) {
-            const float x = reference[j] > a ? reference[j] : a, y = reference[j] > b ? reference[j] : b;
-            low_side[j] = x < low_side[j] ? x : low_side[j];
-            high_side[j] = y < high_side[j] ? y : high_side[j];
-        }
-"""
-"""C++: adds `reference` to the boxes of its sides."""
-
-SIDES_START = """
-    const float* from = references.data + (size_t)begin * 8;
-    float low_side[W], high_side[W];
-    WRT_FOR_LANES(j) { low_side[j] = INFINITY; high_side[j] = INFINITY; }
-"""
-"""C++: the first reference of a range, and empty boxes of both sides."""
-
-SIDES_END = """
-    for (int j = 0; j < 3; ++j) {
-        sides.left_low[j] = low_side[j];
-        sides.left_high[j] = -low_side[4 + j];
-        sides.right_low[j] = high_side[j];
-        sides.right_high[j] = -high_side[4 + j];
-    }
-"""
-"""C++: stores the boxes of both sides."""
-
-
 @native.func_native(
-    "lanes.h",
-    HEAD
-    + SIDES_START
-    + """
-    sides.left = 0;
-    sides.right = 0;
-    for (int i = 0; i < count; ++i, from += 8) {
-"""
-    + CLASSIFY
-    + """
-        float reference[W];
-        memcpy(reference, from, sizeof(reference));
-"""
-    + GROW
-    + """
-        sides.left += left;
-        sides.right += right;
-    }
-"""
-    + SIDES_END,
+    "scan.h",
+    "const float* from = references.data + (size_t)begin * 8;\n"
+    "wrt::measure_sides(from, count, axis, position, planar_left, sides);",
 )
 def measure_sides(
     references: wp.array(dtype=float),
@@ -145,31 +86,10 @@ def measure_sides(
 
 
 @native.func_native(
-    "lanes.h",
-    HEAD
-    + SIDES_START
-    + """
-    float unwanted[W];
-    float* low_end = target.data + (size_t)to_left * 8;
-    float* high_end = target.data + (size_t)to_right * 8;
-    for (int i = 0; i < count; ++i, from += 8) {
-"""
-    + CLASSIFY
-    + """
-        float reference[W];
-        memcpy(reference, from, sizeof(reference));
-        memcpy(left ? low_end : unwanted, reference, sizeof(reference));  // no branch to mispredict
-        low_end += left ? 8 : 0;
-        memcpy(right ? high_end : unwanted, reference, sizeof(reference));
-        high_end += right ? 8 : 0;
-"""
-    + GROW
-    + """
-    }
-    sides.left = (int)((low_end - target.data) / 8 - to_left);
-    sides.right = (int)((high_end - target.data) / 8 - to_right);
-"""
-    + SIDES_END,
+    "scan.h",
+    "const float* from = references.data + (size_t)begin * 8;\n"
+    "float *left = target.data + (size_t)to_left * 8, *right = target.data + (size_t)to_right * 8;\n"
+    "wrt::move_range(from, count, axis, position, planar_left, left, right, sides);",
 )
 def move_range(
     references: wp.array(dtype=float),

@@ -39,8 +39,7 @@ import warp as wp
 
 from wrt.builders.cost import Split
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
-from wrt.builders.kdtree.scan.reference_lists import HEAD, ReferenceLists, Sides, move_range, set_list
-from wrt.builders.triangle_references import ID_OFFSET
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, move_range, set_list
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
@@ -50,77 +49,11 @@ PAD = 2.0**-14
 """Enlargement of cells and boxes, relative to the scene's largest extent: 1024 units of 2^-24, see the module's docstring."""
 
 
-CLIP = """
-    const auto clip = [&](float* box, int triangle) {
-        const auto face = lists.faces.data[triangle];
-        double polygon[2][10][3];  // a plane adds a corner at most
-        int corners = 3, current = 0;
-        for (int i = 0; i < 3; ++i)
-            for (int axis = 0; axis < 3; ++axis) polygon[0][i][axis] = lists.vertices.data[face.c[i]].c[axis];
-        for (int plane = 0; plane < 6; ++plane) {
-            const int axis = plane >> 1;
-            const double sign = plane & 1 ? -1.0 : 1.0;
-            const double position = plane & 1 ? high.c[axis] + pad : low.c[axis] - pad;
-            const auto* from = polygon[current];
-            auto* to = polygon[1 - current];
-            int left = 0;
-            for (int i = 0; i < corners; ++i) {
-                const double* a = from[i];
-                const double* b = from[i + 1 < corners ? i + 1 : 0];
-                const double from_a = sign * (a[axis] - position), from_b = sign * (b[axis] - position);
-                if (from_a >= 0.0) memcpy(to[left++], a, sizeof(polygon[0][0]));
-                if ((from_a >= 0.0) != (from_b >= 0.0)) {
-                    const double s = from_a / (from_a - from_b);
-                    for (int j = 0; j < 3; ++j) to[left][j] = a[j] + s * (b[j] - a[j]);
-                    to[left++][axis] = position;
-                }
-            }
-            corners = left;
-            current = 1 - current;
-        }
-        for (int axis = 0; axis < 3 && lists.shrinks; ++axis) {
-            double least = INFINITY, most = -INFINITY;
-            for (int i = 0; i < corners; ++i) {
-                const double x = polygon[current][i][axis];
-                least = x < least ? x : least;
-                most = x > most ? x : most;
-            }
-            const float a = (float)(least - pad), b = -(float)(most + pad);
-            box[axis] = a > box[axis] ? a : box[axis];
-            box[4 + axis] = b > box[4 + axis] ? b : box[4 + axis];
-        }
-        return corners > 0;
-    };
-"""
-"""Head of a native function of lists (with `vertices`, `faces` and `shrinks`), low, high and pad. clip returns false if no part
-of a triangle is in the cell (low, high); otherwise, and if `shrinks`, it shrinks the box of the reference to that part."""
-
-
 @native.func_native(
-    "lanes.h",
-    HEAD
-    + CLIP
-    + f"""
-    float* from = lists.reference.data + (size_t)begin * 8;
-    float* to = from;
-    float least[W];
-    WRT_FOR_LANES(j) least[j] = INFINITY;
-    for (int i = 0; i < count; ++i, from += 8) {{
-        const bool inside = beyond_high ? -from[4 + axis] <= high.c[axis] : from[axis] >= low.c[axis];
-        int bits;
-        memcpy(&bits, from + 3, 4);
-        if (to != from) memcpy(to, from, 8 * sizeof(float));
-        if (inside || clip(to, bits - {ID_OFFSET})) {{
-            WRT_FOR_LANES(j) least[j] = to[j] < least[j] ? to[j] : least[j];
-            to += 8;
-        }}
-    }}
-    for (int j = 0; j < 3; ++j) {{
-        inner_low.c[j] = least[j];
-        inner_high.c[j] = -least[4 + j];
-    }}
-    return (int)((to - lists.reference.data) / 8) - begin;
-""",
+    "clip.h",
+    "float* range = lists.reference.data + (size_t)begin * 8;\n"
+    "const auto cell = wrt::cell_of(low, high, pad);\n"
+    "return wrt::clip_range(lists, cell, range, count, axis, beyond_high, inner_low, inner_high);",
 )
 def clip_range(
     lists: ReferenceLists,

@@ -1,0 +1,181 @@
+"""C++ is in kernels/native, in functions that can be read; what Python holds are the lines that call it.
+
+A native function in Python is a line or a few that call a function of a header. `LONG_STRINGS` names the modules that have
+longer texts. It can only shrink: the test fails as well where a module has become better than its entry.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from wrt.kernels.runtime import native
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOMS = ("kernels", "builders", "wrt")
+
+MAX_STRING, MAX_FUNCTION = 10, 80
+"""Most lines of C++ in a string, and of a function of a header, its braces included."""
+
+LONG_STRINGS = {
+    "kernels/influence/area_lanes.py": 79,
+    "kernels/influence/box_clipping.py": 95,
+    "kernels/influence/box_projection.py": 12,
+    "kernels/query/nearest64.py": 41,
+    "kernels/shading/paths/last_rays.py": 29,
+    "kernels/shading/paths/plain_paths.py": 35,
+    "kernels/shading/ray_trees/plain_trees.py": 69,
+    "kernels/shading/ray_trees/tree_tiles.py": 34,
+    "kernels/shading/wavefront/camera_rays.py": 32,
+    "kernels/shading/wavefront/lane_words.py": 122,
+    "kernels/shading/wavefront/picture.py": 15,
+    "kernels/shading/wavefront/plain_lamps.py": 128,
+    "kernels/shading/wavefront/plain_step.py": 230,
+    "kernels/shading/wavefront/ray_at_hit.py": 14,
+    "kernels/simd/lane_vectors.py": 39,
+    "kernels/study/bare_triangle_tests.py": 37,
+    "kernels/traversal/frusta/frustum_lanes.py": 114,
+    "kernels/traversal/leaf.py": 34,
+    "kernels/traversal/lockstep/lockstep_lanes.py": 132,
+    "kernels/traversal/mailbox.py": 27,
+    "kernels/traversal/packet/core/few_active_rays.py": 14,
+    "kernels/traversal/packet/core/lane_cells.py": 51,
+    "kernels/traversal/packet/core/packet_bvh.py": 16,
+    "kernels/traversal/packet/core/packet_cells.py": 18,
+    "kernels/traversal/packet/core/packet_splitting.py": 18,
+    "kernels/traversal/packet/core/ray_repacking.py": 54,
+    "kernels/traversal/packet/culling/back_faces.py": 19,
+    "kernels/traversal/packet/culling/corner_rays.py": 32,
+    "kernels/traversal/packet/culling/entry_exit.py": 22,
+    "kernels/traversal/packet/culling/every_ray.py": 21,
+    "kernels/traversal/packet/culling/interval_culling.py": 28,
+    "kernels/traversal/packet/culling/inverse_frustum.py": 48,
+    "kernels/traversal/packet/culling/leaf_boxes.py": 21,
+    "kernels/traversal/packet/culling/side_planes.py": 25,
+    "kernels/traversal/packet/culling/two_plane_frustum.py": 19,
+    "kernels/traversal/packet/culling/vertex_culling.py": 35,
+    "kernels/traversal/packet/leaves/covering_triangle.py": 72,
+    "kernels/traversal/packet/leaves/edge_functions.py": 13,
+    "kernels/traversal/packet/leaves/packet_block.py": 36,
+    "kernels/traversal/packet/leaves/packet_pairs.py": 81,
+    "kernels/traversal/packet/rays/joint_bounds.py": 69,
+    "kernels/traversal/packet/rays/lane_usage.py": 11,
+    "kernels/traversal/packet/rays/packet_bounding.py": 73,
+    "kernels/traversal/packet/rays/packet_load.py": 60,
+    "kernels/traversal/packet/rays/packet_store.py": 41,
+    "kernels/traversal/packet/rays/ray_box_slabs.py": 12,
+    "kernels/traversal/packet/rays/ray_numbers.py": 59,
+    "kernels/traversal/packet/rays/reversed_bounds.py": 24,
+    "kernels/traversal/packet/rays/tile_bounds.py": 95,
+    "kernels/traversal/shadows/light_buffer_lanes.py": 145,
+    "kernels/traversal/shadows/multi_frusta.py": 254,
+    "kernels/traversal/stream/stream_boxes.py": 105,
+    "kernels/traversal/stream/stream_candidates.py": 51,
+    "kernels/traversal/stream/stream_kdtree.py": 17,
+    "kernels/traversal/stream/stream_leaves.py": 21,
+    "kernels/traversal/stream/stream_load.py": 51,
+    "kernels/traversal/stream/stream_root.py": 33,
+    "kernels/traversal/two_level/instance_bounds.py": 23,
+    "kernels/traversal/two_level/instance_rays.py": 70,
+    "kernels/triangle/support/block_packing.py": 11,
+    "kernels/triangle/watertight/woop.py": 88,
+    "kernels/triangle/watertight/woop_packets.py": 55,
+    "kernels/triangle/watertight/woop_pairs.py": 12,
+    "kernels/triangle/watertight/woop_streams.py": 55,
+    "wrt/bench/peers/embree_packets.py": 64,
+}
+"""For each module, the lines of C++ in strings of more than `MAX_STRING` lines, blank ones not counted. How Embree is called is
+no part of kernels/, so that string stays."""
+
+
+def documentation(tree: ast.Module) -> set[int]:
+    """Which nodes are strings that stand alone."""
+    return {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+
+
+def text_of(node: ast.expr) -> str | None:
+    """The text of a literal, with a name for each value that is put in."""
+    if isinstance(node, ast.Constant):
+        return node.value if isinstance(node.value, str) else None
+    if isinstance(node, ast.JoinedStr):
+        return "".join(part.value if isinstance(part, ast.Constant) else "value" for part in node.values)
+    return None
+
+
+def literals(node: ast.AST) -> Iterator[ast.expr]:
+    """All literals of strings; a text with values is one."""
+    if isinstance(node, (ast.Constant, ast.JoinedStr)):
+        yield node
+        return
+    for child in ast.iter_child_nodes(node):
+        yield from literals(child)
+
+
+def is_native(text: str) -> bool:
+    """Whether a text has statements or macros of C++."""
+    return text.count(";") > 1 or (";" in text and "{" in text) or "#define" in text
+
+
+def native_lines(source: str) -> list[int]:
+    """Lines of each string of C++ in a module."""
+    tree = ast.parse(source)
+    skipped = documentation(tree)
+    texts = [text_of(node) for node in literals(tree) if id(node) not in skipped]
+    return [sum(bool(line.strip()) for line in text.splitlines()) for text in texts if text and is_native(text)]
+
+
+def function_lines(header: str) -> Iterator[tuple[str, int]]:
+    """The head of each function, or of each member function, and its lines. Braces of bodies stand alone on their lines."""
+    lines = header.splitlines()
+    for start, line in enumerate(lines):
+        if re.fullmatch(r" *\{", line):
+            end = lines.index(line.replace("{", "}"), start)
+            yield lines[start - 1].strip(), end - start + 1
+
+
+def test_strings_of_native_code_are_short():
+    found = {}
+    for path in sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py")):
+        long = sum(lines for lines in native_lines(path.read_text()) if lines > MAX_STRING)
+        if long:
+            found[str(path.relative_to(ROOT))] = long
+    more = [f"{path}: {lines}" for path, lines in found.items() if lines > LONG_STRINGS.get(path, 0)]
+    assert not more, "C++ that belongs in kernels/native, in lines:\n" + "\n".join(more)
+    fewer = [f"{path}: {found.get(path, 0)}" for path, lines in LONG_STRINGS.items() if found.get(path, 0) < lines]
+    assert not fewer, "LONG_STRINGS can be lowered:\n" + "\n".join(fewer)
+
+
+def test_native_functions_are_short():
+    lengths = [
+        (f"{path.name}: {head}", lines)
+        for path in native.FOLDER.glob("*.h")
+        for head, lines in function_lines(path.read_text())
+    ]
+    assert len(lengths) > 50
+    assert not [(where, lines) for where, lines in lengths if lines > MAX_FUNCTION]
+
+
+@pytest.mark.parametrize(
+    ("source", "lines"),
+    [
+        ('"""a;\nb;\nc;"""\nx = 1', []),
+        ('x = """\n\na;\nb;\n"""', [2]),
+        ('x = f"""if ({x}) {{\n    a = {y + 1};\n}}"""', [3]),
+        ('def f():\n    """One; two; three."""\n    g("a = 1;\\n" f"b = {c};", "no code")', [2]),
+        ('x = "for each;" + """a;\nb;"""', [2]),
+        ('x = "#define A b"', [1]),
+    ],
+)
+def test_strings_of_native_code_are_found(source, lines):
+    assert native_lines(source) == lines
+
+
+def test_functions_of_headers_are_found():
+    one = "namespace wrt {\nint f(int x) { return x; }\n\n"
+    two = "int g(int x)\n{\n    if (x) {\n        x = 1;\n    }\n    return x;\n}\n"
+    member = "struct S {\n    int n;\n    int h() const\n    {\n        return n;\n    }\n};\n}\n"
+    assert list(function_lines(one + two + member)) == [("int g(int x)", 6), ("int h() const", 3)]
