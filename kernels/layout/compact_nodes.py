@@ -24,6 +24,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -37,33 +38,12 @@ LONG = 63
 """Number of triangles that stands for this many or more."""
 
 
-_LOAD = """
-    constexpr int HALF = 1 << HEIGHT, SIZE = 2 * HALF;
-    const int* words = (const int*)nodes.data;
-    int at = index & (SIZE - 1), word = words[index];
-    if (at >= HALF && word >= 0) {
-        at = 1;
-        index = word * SIZE + at;
-        word = words[index];
-    }
-    if (at < HALF) {
-        const int* subtree = words + (index - at);
-        const int axis = (subtree[0] >> (2 * at)) & 3;
-        if (axis != 3) return wp::vec2i(word, axis);
-        while (at < HALF) at *= 2;
-        word = subtree[at];
-    }
-    const int first = ~word >> 6, triangles = ~word & 63;
-    return triangles == LONG ? nodes.data[first] : wp::vec2i(first, triangles << 2 | 3);
-"""
-
-
 @cache
 def load_compact(height: int) -> wp.Function:
     """`wp.func(nodes, index) -> node`: a node as in `wrt.kernels.layout.kdtree_nodes`, without the index of its children.
     `index` is moved from an exit to the subtree that begins there."""
 
-    @wp.func_native(f"    constexpr int HEIGHT = {height}, LONG = {LONG};" + _LOAD)
+    @native.func_native("compact_nodes.h", f"return wrt::load_compact<{height}, {LONG}>(nodes.data, index);")
     def load(nodes: wp.array(dtype=wp.vec2i), index: wp.ref[int]) -> wp.vec2i: ...
 
     return load

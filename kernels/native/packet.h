@@ -10,8 +10,8 @@ inline CUDA_CALLABLE int size_bits(float x) { return __builtin_bit_cast(int, x) 
 
 /// The components of a packet, RAYS floats each (wrt.kernels.traversal.packet.rays.packet_layout). state: the first of those
 /// that a triangle test keeps.
-template <int RAYS, int WIDTH, bool SHARED_ORIGIN> struct Packet {
-    static constexpr int P = RAYS, W = WIDTH, COMPONENTS = SHARED_ORIGIN ? 11 : 17;
+template <int RAYS, int LANES, bool SHARED_ORIGIN> struct Packet {
+    static constexpr int P = RAYS, W = LANES, COMPONENTS = SHARED_ORIGIN ? 11 : 17;
     static constexpr bool SHARED = SHARED_ORIGIN;
     /// Rows of components that are moved from one packet to another.
     enum Row { ROW_T_MIN = 3, ROW_T, ROW_PRIMITIVE, ROW_U, ROW_V, ROW_KEPT = 16 };

@@ -135,9 +135,7 @@ class PacketLayout:
     @property
     def prepare(self) -> str:
         """C++ expression for what computes these components of ray k; after `state`."""
-        names = "x, y, z, ox, oy, oz, ix, iy, iz, sx, sy, main_x, main_y"
-        code = TRIANGLE_TESTS[self.triangle_test].packet_form.prepare
-        return f"[=](int k, const wrt::LoadedRay& ray) {{ const auto& [{names}] = ray; {code} }}"
+        return TRIANGLE_TESTS[self.triangle_test].packet_form.preparation
 
 
 def cpp(value: bool) -> str:
