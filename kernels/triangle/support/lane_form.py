@@ -90,8 +90,9 @@ class PacketForm:
     @property
     def preparation(self) -> str:
         """C++ expression for what computes the state of ray k of a packet (kernels/native/packet_load.h)."""
-        names = "x, y, z, ox, oy, oz, ix, iy, iz, sx, sy, main_x, main_y"
-        return f"[=](int k, const wrt::LoadedRay& ray) {{ const auto& [{names}] = ray; {self.prepare} }}"
+        numbers = ", ".join(f"{name} = ray.{name}" for name in "x y z ox oy oz ix iy iz sx sy".split())
+        names = f"const float {numbers}; const bool main_x = ray.main_x, main_y = ray.main_y;"
+        return f"[=](int k, const wrt::LoadedRay& ray) {{ {names} {self.prepare} }}"
 
 
 @dataclass(frozen=True)
