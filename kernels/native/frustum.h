@@ -65,11 +65,7 @@ inline CUDA_CALLABLE void gather_directions(const Batch& batch, int first, const
             float x = to_x[g + i], y = to_y[g + i], z = to_z[g + i];
             drop_negligible(x, y, z);
             const float begin = least[g + i], end = most[g + i] > FARTHEST ? FARTHEST : most[g + i];
-            const int size_x = size_bits(x), size_y = size_bits(y), size_z = size_bits(z);
-            int size = size_x > size_y ? size_x : size_y;
-            size = size > size_z ? size : size_z;
-            const bool valid
-                = (size >= size_bits(SHORTEST)) & (size < size_bits(WRT_INFINITY)) & (begin >= 0.0f) & (begin <= end);
+            const bool valid = is_direction(x, y, z) & (begin >= 0.0f) & (begin <= end);
             of.widen(0, i, x, x, valid);
             of.widen(1, i, y, y, valid);
             of.widen(2, i, z, z, valid);

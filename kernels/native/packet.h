@@ -8,6 +8,16 @@ namespace {
 /// The size of a float as an integer in the order of the floats; NaN and infinity are beyond all numbers.
 inline CUDA_CALLABLE int size_bits(float x) { return __builtin_bit_cast(int, x) & 0x7fffffff; }
 
+/// Whether a direction is finite and long enough.
+inline CUDA_CALLABLE bool is_direction(float x, float y, float z)
+{
+    const int size_x = size_bits(x), size_y = size_bits(y), size_z = size_bits(z);
+    int size = size_x > size_y ? size_x : size_y;
+    size = size > size_z ? size : size_z;
+    const int least = size_bits(SHORTEST), beyond = size_bits(WRT_INFINITY);
+    return (size >= least) & (size < beyond);
+}
+
 /// The components of a packet, RAYS floats each (wrt.kernels.traversal.packet.rays.packet_layout). state: the first of those
 /// that a triangle test keeps.
 template <int RAYS, int LANES, bool SHARED_ORIGIN> struct Packet {
@@ -66,8 +76,7 @@ template <int P, int W, bool SHARED>
 inline CUDA_CALLABLE Interval ray_slab(const Packet<P, W, SHARED>& packet, const SharedOrigin& shared, int k, const float* low,
     const float* high, float t_min, float t_max)
 {
-    const BoxRay ray = box_ray(packet, shared, k);
-    return slab<Exact>(planes_of(low, high, ray.inverse), ray, 0, t_min, t_max);
+    return meet_box(low, high, box_ray(packet, shared, k), t_min, t_max);
 }
 
 /// Which rays of a batch form a packet: consecutive rays, or the pixels of a tile (wrt.kernels.traversal.packet.rays.ray_numbers).

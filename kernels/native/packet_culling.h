@@ -204,7 +204,11 @@ struct AxisRange {
         return q > p ? q : p;
     }
     /// Whether all that is between two planes begins behind the farthest of the best hits, or ends before the rays begin.
-    inline CUDA_CALLABLE bool is_beside(float near, float far) const { return (entry(near) > t_max) | (exit(far) < t_min); }
+    inline CUDA_CALLABLE bool is_beside(float near, float far) const
+    {
+        const bool late = entry(near) > t_max, early = exit(far) < t_min;
+        return late | early;
+    }
 };
 
 /// The ends of three numbers.

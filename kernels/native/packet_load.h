@@ -54,11 +54,8 @@ inline CUDA_CALLABLE void fill_packet(
         drop_negligible(x, y, z);
         const float last = rays.most[k] > FARTHEST ? FARTHEST : rays.most[k];
         const float ox = SHARED ? ox0 : rays.from_x[k], oy = SHARED ? oy0 : rays.from_y[k], oz = SHARED ? oz0 : rays.from_z[k];
-        const int size_x = size_bits(x), size_y = size_bits(y), size_z = size_bits(z);
-        int size = size_x > size_y ? size_x : size_y;
-        size = size > size_z ? size : size_z;
-        const bool valid = (size >= size_bits(SHORTEST)) & (size < size_bits(WRT_INFINITY)) & (ox - ox == 0.0f)
-            & (oy - oy == 0.0f) & (oz - oz == 0.0f) & (rays.least[k] >= 0.0f) & (rays.least[k] <= last);
+        const bool valid = is_direction(x, y, z) & (ox - ox == 0.0f) & (oy - oy == 0.0f) & (oz - oz == 0.0f)
+            & (rays.least[k] >= 0.0f) & (rays.least[k] <= last);
         if (!SHARED) {
             packet.origin_x[k] = ox;
             packet.origin_y[k] = oy;
@@ -183,11 +180,7 @@ inline CUDA_CALLABLE void widen_by_run(const Batch& batch, int begin, int here, 
         drop_negligible(x, y, z);
         rays.most[k] = rays.most[k] > FARTHEST ? FARTHEST : rays.most[k];
         const float px = rays.from_x[k], py = rays.from_y[k], pz = rays.from_z[k];
-        const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
-        float size = size_x > size_y ? size_x : size_y;
-        size = size > size_z ? size : size_z;
-        const bool valid = (x - x == 0.0f) & (y - y == 0.0f) & (z - z == 0.0f) & (px - px == 0.0f) & (py - py == 0.0f)
-            & (pz - pz == 0.0f) & (size >= SHORTEST) & (rays.least[k] >= 0.0f) & (rays.least[k] <= rays.most[k]);
+        const bool valid = is_ray(x, y, z, px, py, pz, rays.least[k], rays.most[k]);
         own.active += valid ? 1 : 0;
         own.to_x.widen(x, valid), own.to_y.widen(y, valid), own.to_z.widen(z, valid);
         own.from_x.widen(px, valid), own.from_y.widen(py, valid), own.from_z.widen(pz, valid);
