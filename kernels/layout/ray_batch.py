@@ -33,18 +33,6 @@ NEGLIGIBLE = wp.constant(2.0**-100)
 _MIN_SIZE = wp.constant(2.0**-26)
 """`TINY` / `NEGLIGIBLE`."""
 
-DIRECTION_LANES = f"""
-    constexpr float NEGLIGIBLE = {NEGLIGIBLE!r}f, LEAST_SIZE = {_MIN_SIZE!r}f;
-    auto wrt_direction = [](float& x, float& y, float& z) {{
-        const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
-        float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
-        const float least = (size > LEAST_SIZE ? size : LEAST_SIZE) * NEGLIGIBLE;
-        x = size_x < least ? 0.0f : x; y = size_y < least ? 0.0f : y; z = size_z < least ? 0.0f : z;
-    }};
-    constexpr float SHORTEST = {SHORTEST!r}f, FARTHEST = {FARTHEST!r}f;
-"""
-"""C++ of `usable_direction` for lanes, wrt_direction, and of the constants NEGLIGIBLE, LEAST_SIZE, SHORTEST and FARTHEST."""
-
 
 @wp.struct
 class RayBatch:

@@ -1,9 +1,26 @@
-// One ray and the W triangles of a block: the consistency rule, back faces, and mailboxes.
+// Blocks of W triangles, and one ray: the consistency rule, back faces, and mailboxes.
 #pragma once
 #include "ray.h"
 
 namespace wrt {
 namespace {
+
+/// Components of a triangle's record that are its vertices.
+constexpr int VERTEX_COMPONENTS = 9;
+
+/// Writes the vertices of triangle `id` of a mesh to a record, `width` apart; `none` for those of an unused lane, id < 0.
+inline CUDA_CALLABLE void copy_corners(const float* vertices, const int* faces, int id, int width, float none, float* to)
+{
+    if (id < 0) {
+        for (int c = 0; c < VERTEX_COMPONENTS; ++c) to[c * width] = none;
+        return;
+    }
+    const int* const face = faces + 3 * (size_t)id;
+    for (int corner = 0; corner < 3; ++corner) {
+        const float* const from = vertices + 3 * (size_t)face[corner];
+        for (int axis = 0; axis < 3; ++axis) to[(3 * corner + axis) * width] = from[axis];
+    }
+}
 
 /// Whether a ray comes from the side from which a triangle is wound counter-clockwise.
 template <int W> inline CUDA_CALLABLE bool comes_from_front(const float* corner, const BoxRay& ray)

@@ -76,8 +76,7 @@ template <int P, int W, bool SHARED>
 inline CUDA_CALLABLE Interval ray_slab(const Packet<P, W, SHARED>& packet, const SharedOrigin& shared, int k, const float* low,
     const float* high, float t_min, float t_max)
 {
-    const BoxRay ray = box_ray(packet, shared, k);
-    return slab<Exact>(planes_of(low, high, ray.inverse), ray, 0, t_min, t_max);
+    return meet_box(low, high, box_ray(packet, shared, k), t_min, t_max);
 }
 
 /// Which rays of a batch form a packet: consecutive rays, or the pixels of a tile (wrt.kernels.traversal.packet.rays.ray_numbers).

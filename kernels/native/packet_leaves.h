@@ -18,9 +18,7 @@ inline CUDA_CALLABLE void accept(const Packet<P, W, SHARED>& packet, const Share
     const float* high, const double* normal, bool inside, const Hit& hit, int id)
 {
     const Interval own = ray_slab(packet, shared, k, low, high, -WRT_INFINITY, WRT_INFINITY);
-    float at = hit.t;
-    at = at > own.enter ? at : own.enter;
-    at = at < own.leave ? at : own.leave;
+    const float at = clamped(hit.t, own);
     bool within = inside & (own.enter <= own.leave) & (at >= packet.t_min[k]);
     if (FRONTS) within = within & is_front(normal, packet.inverse_x[k], packet.inverse_y[k], packet.inverse_z[k]);
     const float last = packet.t[k];

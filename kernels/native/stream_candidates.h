@@ -118,5 +118,22 @@ inline CUDA_CALLABLE void test_leaf(const float* records, const int* primitives,
     }
 }
 
+/// Replaces the best hit by the hit t, u, v if that is nearer, or as near with a lesser number. By bit operations: the compiler may
+/// turn a select into a branch, which is slower for incoherent rays.
+template <class Best> inline CUDA_CALLABLE void record_if_better(const float* hit, int primitive, float t_min, Best& best)
+{
+    const float t = hit[0];
+    const bool ahead = (t < best.t) | ((t == best.t) & ((best.primitive < 0) | (primitive < best.primitive)));
+    const unsigned taken = 0u - (unsigned)((t >= t_min) & ahead);
+    const auto pick = [&](float old, float other) {
+        const unsigned kept = __builtin_bit_cast(unsigned, old) & ~taken;
+        return __builtin_bit_cast(float, kept | (__builtin_bit_cast(unsigned, other) & taken));
+    };
+    best.primitive = (int)(((unsigned)best.primitive & ~taken) | ((unsigned)primitive & taken));
+    best.t = pick(best.t, t);
+    best.u = pick(best.u, hit[1]);
+    best.v = pick(best.v, hit[2]);
+}
+
 }  // namespace
 }  // namespace wrt

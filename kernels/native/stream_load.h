@@ -75,7 +75,7 @@ inline CUDA_CALLABLE unsigned store_rays(
         return kept;
     }
     write_records(words[0], to, RAY_WORDS, kept);
-    if (WORDS > 16) write_records(words[WORDS - 16], to + WORDS - 16, RAY_WORDS, kept);
+    if constexpr (WORDS > 16) write_records(words[WORDS - 16], to + WORDS - 16, RAY_WORDS, kept);
     return kept;
 }
 

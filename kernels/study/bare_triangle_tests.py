@@ -18,59 +18,24 @@ from wrt.kernels.triangle.support.triangle_contract import TestForm, TriangleTes
 
 exact_module(__name__)
 
-_FRUSTA = """
-    const float INF = WRT_INFINITY, *origin0 = (const float*)&origin;
-    const float *origin_x = nullptr, *origin_y = nullptr, *origin_z = nullptr;
-    WRT_STATE
-    float slope_x[P], slope_y[P], t[P];
-    int found[P], main_axis[P], main_axes = 0;
-    const float ox = origin0[0], oy = origin0[1], oz = origin0[2];
-    const float* d = (const float*)(directions.data + begin);
-    WRT_FOR(P, k) {
-        const float x = d[3 * k], y = d[3 * k + 1], z = d[3 * k + 2], ix = 1.0f / x, iy = 1.0f / y, iz = 1.0f / z;
-        const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
-        const bool main_x = (size_x >= size_y) & (size_x >= size_z), main_y = !(size_x >= size_y) & (size_y >= size_z);
-        const float major = main_x ? x : main_y ? y : z;
-        const float sx = (main_x ? y : main_y ? z : x) / major, sy = (main_x ? z : main_y ? x : y) / major;
-        slope_x[k] = sx; slope_y[k] = sy; t[k] = INF; found[k] = -1;
-        WRT_PREPARE
-        main_axis[k] = main_x ? 0 : main_y ? 1 : 2;
-        main_axes |= 1 << main_axis[k];
-    }
-    for (int id = 0; id < triangles; ++id) {
-        const float* corner = &records.data[(size_t)(id / W) * (RECORD * W) + id % W];
-        WRT_UNROLLED for (int pass = 0; pass < PASSES; ++pass) {
-            if (PASSES > 1 && !(main_axes >> pass & 1)) continue;
-            WRT_TRIANGLE
-            for (int f = 0; f < P; f += W) {
-                WRT_INSIDE
-                WRT_FOR_LANES(i) {
-                    const int k = f + i;
-                    float at, hit_u, hit_v;
-                    WRT_HIT
-                    const bool hit = (inside[i] != 0) & (at > 0.0f) & (at < t[k]);
-                    t[k] = hit ? at : t[k];
-                    found[k] = hit ? id : found[k];
-                }
-            }
-        }
-    }
-    for (int k = 0; k < P; ++k) { out_t.data[begin + k] = t[k]; out_id.data[begin + k] = found[k]; }
-"""
-
 
 @cache
 def make_frusta(test: TestForm, rays: int, width: int) -> wp.Kernel:
     """Closest hits of frusta of `rays` rays. `rays` is a multiple of `width`, the block width. One item is a frustum."""
-    form = test.packet_form
-    constants = f"    constexpr int W = {width}, P = {rays}, RECORD = {test.record.components}, PASSES = {form.passes};\n"
-    state = "".join(f"float {name}[P]; " for name in form.state)
-    pieces = {"WRT_STATE": state, "WRT_PREPARE": form.prepare, "WRT_TRIANGLE": form.triangle}
-    body = _FRUSTA
-    for name, piece in (pieces | {"WRT_INSIDE": form.inside, "WRT_HIT": form.hit}).items():
-        body = body.replace(name, piece)
+    form, sizes = test.packet_form, f"{width}, {test.packet_form.passes}, {test.record.components}"
+    state = " ".join(f"float {name}_of[{rays}]; float* const {name} = {name}_of;" for name in form.state)
+    code = f"""
+        constexpr int W = {width}; constexpr bool SHARED = true;
+        {state} wrt::BareFrustum<{rays}> own;
+        const float *const slope_x = own.slope_x, *const slope_y = own.slope_y, *const t = own.t, *const origin0 = origin.c;
+        const float *const origin_x = nullptr, *const origin_y = nullptr, *const origin_z = nullptr;
+        const int* const main_axis = own.main_axis;
+        own.start(origin0, (const float*)(directions.data + begin), {form.preparation});
+        own.trace<{sizes}>(records.data, triangles, {form.triangles});
+        for (int k = 0; k < {rays}; ++k) {{ out_t.data[begin + k] = own.t[k]; out_id.data[begin + k] = own.found[k]; }}
+    """
 
-    @native.func_native(f"lanes.h {form.headers}", constants + "    constexpr bool SHARED = true;\n" + body)
+    @native.func_native(f"bare_frusta.h {form.headers}", code)
     def trace_frustum(
         records: wp.array(dtype=float),
         triangles: int,

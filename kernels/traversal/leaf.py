@@ -112,16 +112,6 @@ def store_best(config: TraversalConfig) -> wp.Function:
     return store
 
 
-BOX_INTERVAL = """
-        const wrt::BoxRay own_ray = {{ix, iy, iz}, {in_x, in_y, in_z}, {out_x, out_y, out_z}};
-        const wrt::Interval own = wrt::meet_box(low, high, own_ray, -WRT_INFINITY, WRT_INFINITY);
-        const float enter = own.enter, leave = own.leave;
-        at = wrt::clamped(at, own);
-"""
-"""C++ after box.h: enter .. leave, the interval of t in which a ray (ix, in_x, out_x ..: its `RaySlabs`) is in the widened box
-low .. high; `at` is clamped to it, as in `clamp_to_box`."""
-
-
 @native.func_native("leaf.h", "return wrt::comes_from_front<1>((const float*)&corners, wrt::box_ray(slabs));")
 def comes_from_front(slabs: wp.ref[RaySlabs], corners: wp.ref[Corners]) -> bool:
     """Whether a ray comes from the side from which a triangle is wound counter-clockwise; false if it is seen edge-on."""

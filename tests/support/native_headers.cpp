@@ -1,7 +1,10 @@
 // Instantiates what kernels/native/*.h declare, so that a compiler checks the headers on their own. WIDTH: lanes.
+#include "bare_frusta.h"
+#include "compact_nodes.h"
 #include "interleaved.h"
 #include "leaf.h"
 #include "lockstep.h"
+#include "nearest64.h"
 #include "stream_candidates.h"
 #include "stream_root.h"
 #include "woop_packets.h"
@@ -195,4 +198,42 @@ unsigned lockstep(Walks& walks, const Slabs& slabs, const float* interval, int* 
     start_walk(walks, 1, slabs, interval, 1.0f);
     return advance_walks<WIDTH, 128, true>(interval, walks, log, row, 3) + skip_leaf_blocks<WIDTH, 8>(walks, 1)
         + pop_walks<WIDTH>(walks, log, 3u) + (unsigned)compact_log<WIDTH, 64>(walks, log);
+}
+
+struct Node {
+    int first, second;
+    Node(int a, int b)
+        : first(a)
+        , second(b)
+    {
+    }
+};
+
+int compact(const Node* nodes, int& index) { return load_compact<3, 63>(nodes, index).first; }
+
+struct Nearest {
+    double t;
+    int triangle;
+};
+
+void nearest(const double* corners, Nearest& found) { nearest_of<8>(corners, 64, 0, 8, corners, corners, 1, found); }
+
+void corners_of(const float* vertices, const int* faces, float* to, Best& best)
+{
+    copy_corners(vertices, faces, 3, WIDTH, 0.0f, to);
+    record_if_better(vertices, 1, 0.0f, best);
+}
+
+void bare_frusta(const float* of, const WoopRays& rays)
+{
+    BareFrustum<2 * WIDTH> frustum;
+    frustum.start(of, of, [&](int, const LoadedRay&) { });
+    frustum.trace<WIDTH, 3, 9>(of, 5, [&](const float* corner, int pass, const auto& each) {
+        WoopPacket<WIDTH, true> woop(rays);
+        woop.begin(corner, pass);
+        each([&](int f, const auto& accept) {
+            int inside[WIDTH];
+            if (woop.meet(f, inside)) accept(inside, [&](int i, int k) { return woop.hit(i, k); });
+        });
+    });
 }

@@ -1,6 +1,7 @@
 // Instantiates what the headers of packets and frusta in kernels/native declare. WIDTH: lanes.
 #include "frustum.h"
 #include "instances.h"
+#include "light_buffer.h"
 #include "multi_frusta.h"
 #include "packet_cells.h"
 #include "packet_frusta.h"
@@ -63,6 +64,13 @@ struct Triangles {
 struct Light {
     int samples, groups, patterns;
     Array<float> positions, bounds;
+};
+struct Cells {
+    Array<int> cells;
+    Array<unsigned long long> entries;
+    int resolution;
+    float limit, slack;
+    Vec3 low, high;
 };
 struct Matrix {
     double data[3][3];
@@ -182,6 +190,12 @@ int frusta(float* memory, const Batch& rays, const float* box, const Vec3& low, 
     bound_block(rays, low, high, rows, 3);
     frustum_bounds(rows, 1, bounds);
     return push_children<WIDTH>(box, 1, rows, slots, 2) + (int)frusta_waiting(rows, 1);
+}
+
+bool light_buffer(const Cells& cells, const float* records, const Batch& rays, const int* skipped, unsigned char* answers)
+{
+    LightRays<Woop, 128, 16> all;
+    return all.answer(cells, records, rays, rays.center, skipped, 0, 0, 9, answers);
 }
 
 template <bool SHARED>

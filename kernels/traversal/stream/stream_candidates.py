@@ -63,19 +63,7 @@ def test_in_lanes(config: TraversalConfig) -> wp.Function:
     return test_in_lanes_native
 
 
-@wp.func_native("""
-    const float t = hit.c[0];
-    const bool ahead = (t < best.t) | ((t == best.t) & ((best.primitive < 0) | (primitive < best.primitive)));
-    const unsigned taken = 0u - (unsigned)((t >= t_min) & ahead);
-    auto pick = [&](float old, float other) {
-        const unsigned kept = wp::cast<unsigned>(old) & ~taken;
-        return wp::cast<float>(kept | (wp::cast<unsigned>(other) & taken));
-    };
-    best.primitive = (int)(((unsigned)best.primitive & ~taken) | ((unsigned)primitive & taken));
-    best.t = pick(best.t, t);
-    best.u = pick(best.u, hit.c[1]);
-    best.v = pick(best.v, hit.c[2]);
-""")
+@native.func_native("stream_candidates.h", "wrt::record_if_better(hit.c, primitive, t_min, best);")
 def record_if_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Candidate]):
     """Replaces the best hit by the hit (t, u, v) if that `improves` it.
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import kept, launch, load, specialise
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
@@ -19,19 +20,13 @@ CHUNK = 2048
 """Records that are worth a chunk of their own."""
 
 
-@wp.func_native(f"""
-    const int id = primitive.data[slot];
-    float* to = &records.data[(size_t)(slot / width) * components * width + slot % width];
-    if (id < 0) {{
-        for (int c = 0; c < {VERTEX_COMPONENTS}; ++c) to[c * width] = none;
-        return;
-    }}
-    const int* face = (const int*)&faces.data[id];
-    for (int corner = 0; corner < 3; ++corner) {{
-        const float* from = (const float*)&vertices.data[face[corner]];
-        for (int axis = 0; axis < 3; ++axis) to[(3 * corner + axis) * width] = from[axis];
-    }}
-""")
+@native.func_native(
+    "leaf.h",
+    f"""static_assert(wrt::VERTEX_COMPONENTS == {VERTEX_COMPONENTS});
+    const float* const points = (const float*)vertices.data;
+    float* const to = records.data + (size_t)(slot / width) * components * width + slot % width;
+    wrt::copy_corners(points, (const int*)faces.data, primitive.data[slot], width, none, to);""",
+)
 def copy_corners(
     vertices: wp.array(dtype=wp.vec3),
     faces: wp.array(dtype=wp.vec3i),

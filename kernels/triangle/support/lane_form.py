@@ -80,6 +80,20 @@ class PacketForm:
     headers: str = ""
     certain: bool = False
 
+    @property
+    def triangles(self) -> str:
+        """C++ expression for the test as the loops over triangles take it (kernels/native/packet_leaves.h)."""
+        hit = f"[&](int i, int k) {{ float at, hit_u, hit_v; {self.hit} return wrt::TriangleHit<float>{{at, hit_u, hit_v}}; }}"
+        lines = f"[&](int f, const auto& accept) {{ do {{ {self.inside} accept(inside, {hit}); }} while (false); }}"
+        return f"[&](const float* corner, int pass, const auto& each) {{ {self.triangle} each({lines}); }}"
+
+    @property
+    def preparation(self) -> str:
+        """C++ expression for what computes the state of ray k of a packet (kernels/native/packet_load.h)."""
+        numbers = ", ".join(f"{name} = ray.{name}" for name in "x y z ox oy oz ix iy iz sx sy".split())
+        names = f"const float {numbers}; const bool main_x = ray.main_x, main_y = ray.main_y;"
+        return f"[=](int k, const wrt::LoadedRay& ray) {{ {names} {self.prepare} }}"
+
 
 @dataclass(frozen=True)
 class HandWritten:

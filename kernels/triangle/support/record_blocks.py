@@ -125,15 +125,3 @@ def corners_low(corners: Corners):
 def corners_high(corners: Corners):
     """Upper corner of a triangle's exact box."""
     return greatest(corners.a, greatest(corners.b, corners.c))
-
-
-def vertex_box(block: str, lane: str) -> str:
-    """C++ that sets `low[3]` and `high[3]` to a triangle's exact box. `block` points at a block, or at a triangle of one."""
-    p, q, r = (f"{block}[({3 * vertex} + a) * W + {lane}]" for vertex in range(3))
-    return f"""
-        for (int a = 0; a < 3; ++a) {{
-            const float box_p = {p}, box_q = {q}, box_r = {r};
-            const float box_least = box_q < box_r ? box_q : box_r, box_most = box_q > box_r ? box_q : box_r;
-            low[a] = box_p < box_least ? box_p : box_least; high[a] = box_p > box_most ? box_p : box_most;
-        }}
-    """

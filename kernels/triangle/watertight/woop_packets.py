@@ -11,7 +11,7 @@ PACKET = PacketForm(
     prepare="shear_z[k] = wrt::along_main_axis(main_x, main_y, ix, iy, iz);",
     triangle=f"{_RAYS} wrt::WoopPacket<W, SHARED> woop(rays_of); woop.begin(corner, pass);",
     inside="alignas(4 * W) int inside[W]; if (!woop.meet(f, inside)) continue;",
-    hit="const auto hit = woop.hit(i, k); at = hit.t; hit_u = hit.u; hit_v = hit.v;",
+    hit="const auto own_hit = woop.hit(i, k); at = own_hit.t; hit_u = own_hit.u; hit_v = own_hit.v;",
     ray=f"{_RAYS} wrt::woop_ray<SHARED>(rays_of, k, ray);",
     rays=_RAYS,
     pairs="wrt::WoopPairs<W, SHARED>(rays_of)",

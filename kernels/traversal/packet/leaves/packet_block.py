@@ -20,10 +20,7 @@ exact_module(__name__)
 
 def triangles_code(layout: PacketLayout) -> str:
     """C++ expression, after `PacketLayout.names`, for a triangle test as `test_triangles` takes it."""
-    form = TRIANGLE_TESTS[layout.triangle_test].packet_form
-    hit = f"[&](int i, int k) {{ float at, hit_u, hit_v; {form.hit} return wrt::TriangleHit<float>{{at, hit_u, hit_v}}; }}"
-    lines = f"[&](int f, const auto& accept) {{ do {{ {form.inside} accept(inside, {hit}); }} while (false); }}"
-    return f"[&](const float* corner, int pass, const auto& each) {{ {form.triangle} each({lines}); }}"
+    return TRIANGLE_TESTS[layout.triangle_test].packet_form.triangles
 
 
 def block_code(layout: PacketLayout, any_hit: bool, cull_backfaces: bool = False) -> str:

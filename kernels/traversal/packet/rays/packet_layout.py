@@ -135,10 +135,7 @@ class PacketLayout:
     @property
     def prepare(self) -> str:
         """C++ expression for what computes these components of ray k; after `state`."""
-        floats = ", ".join(f"{name} = ray.{name}" for name in "x y z ox oy oz ix iy iz sx sy".split())
-        bools = "main_x = ray.main_x, main_y = ray.main_y"
-        code = TRIANGLE_TESTS[self.triangle_test].packet_form.prepare
-        return f"[=](int k, const wrt::LoadedRay& ray) {{ const float {floats}; const bool {bools}; {code} }}"
+        return TRIANGLE_TESTS[self.triangle_test].packet_form.preparation
 
 
 def cpp(value: bool) -> str:
