@@ -41,6 +41,10 @@ PACKET_VALUES = {
 """Where a packet stores the origins of its rays and their closest hits so far, for every test."""
 
 
+RAY_NUMBERS = ("x", "y", "z", "ox", "oy", "oz", "ix", "iy", "iz", "sx", "sy")
+"""Numbers of `wrt::LoadedRay` that the preparation of a test may name."""
+
+
 @dataclass(frozen=True)
 class PacketForm:
     """W rays x one triangle: pieces of C++ that `wrt.kernels.traversal.packet` puts into its lane loops.
@@ -90,7 +94,7 @@ class PacketForm:
     @property
     def preparation(self) -> str:
         """C++ expression for what computes the state of ray k of a packet (kernels/native/packet_load.h)."""
-        numbers = ", ".join(f"{name} = ray.{name}" for name in "x y z ox oy oz ix iy iz sx sy".split())
+        numbers = ", ".join(f"{name} = ray.{name}" for name in RAY_NUMBERS)
         names = f"const float {numbers}; const bool main_x = ray.main_x, main_y = ray.main_y;"
         return f"[=](int k, const wrt::LoadedRay& ray) {{ {names} {self.prepare} }}"
 
