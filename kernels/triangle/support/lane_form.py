@@ -90,7 +90,7 @@ class PacketForm:
     @property
     def preparation(self) -> str:
         """C++ expression for what computes the state of ray k of a packet (kernels/native/packet_load.h)."""
-        numbers = ", ".join(f"{name} = ray.{name}" for name in "x y z ox oy oz ix iy iz sx sy".split())
+        numbers = ", ".join(f"{name} = ray.{name}" for name in ["x", "y", "z", "ox", "oy", "oz", "ix", "iy", "iz", "sx", "sy"])
         names = f"const float {numbers}; const bool main_x = ray.main_x, main_y = ray.main_y;"
         return f"[=](int k, const wrt::LoadedRay& ray) {{ {names} {self.prepare} }}"
 
