@@ -11,6 +11,8 @@ namespace {
 struct OneByOne {
     static constexpr bool PREPARES = false;
 
+    template <class State> static constexpr CUDA_CALLABLE bool fits(int) { return true; }
+
     template <int L>
     static CUDA_CALLABLE void prepare(
         float (*)[L], const float*, const float*, const float*, const float*, const float*, const float*)
@@ -40,6 +42,7 @@ inline CUDA_CALLABLE unsigned store_rays(
     static_assert(RAY_WORDS >= 16 && WORDS <= 32, "a ray is stored as one or two vectors of 16 words");
     static_assert(__builtin_offsetof(Ray, t_min) == 4 * RayRows::T_MIN && __builtin_offsetof(Ray, best) == 4 * RayRows::T);
     static_assert(__builtin_offsetof(Ray, state) == 4 * RayRows::STATE && __builtin_offsetof(Ray, number) == 4 * RAY_WORDS - 4);
+    static_assert(Test::template fits<decltype(Ray::state)>(RayRows::STATE));
     if constexpr (!Test::PREPARES) {
         WRT_UNROLLED
         for (int row = 0; row < 6; ++row) {

@@ -260,6 +260,14 @@ struct ShearedRows {
 struct Woop {
     static constexpr bool PREPARES = true;
 
+    /// Whether `ShearedRows` are the words of a ray's state, from row `first` on.
+    template <class State> static constexpr CUDA_CALLABLE bool fits(int first)
+    {
+        return first == ShearedRows::ORIGIN && __builtin_offsetof(State, x) == 4 * (ShearedRows::AXES - ShearedRows::ORIGIN)
+            && __builtin_offsetof(State, shear) == 4 * (ShearedRows::SHEAR - ShearedRows::ORIGIN)
+            && sizeof(State) == 4 * (ShearedRows::END - ShearedRows::ORIGIN);
+    }
+
     /// From directions and origins; the first three rows are 1 / directions.
     template <int L>
     static CUDA_CALLABLE void prepare(
