@@ -23,8 +23,6 @@ inline CUDA_CALLABLE bool is_direction(float x, float y, float z)
 template <int RAYS, int LANES, bool SHARED_ORIGIN> struct Packet {
     static constexpr int P = RAYS, W = LANES, COMPONENTS = SHARED_ORIGIN ? 11 : 17;
     static constexpr bool SHARED = SHARED_ORIGIN;
-    /// Rows of components that are moved from one packet to another.
-    enum Row { ROW_T_MIN = 3, ROW_T, ROW_PRIMITIVE, ROW_U, ROW_V, ROW_KEPT = 16 };
 
     float *inverse_x, *inverse_y, *inverse_z, *t_min, *t;
     int* primitive;

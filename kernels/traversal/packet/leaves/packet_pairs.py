@@ -5,10 +5,9 @@ all W rays are tested against one triangle after the other, most lanes are idle.
 
 **Idea.** Two steps.
 
-1. *List.* All rays are tested against all triangles by signs alone, which is cheap: those through one point by linear
-   functions of their slopes (`edge_functions`), others by the test's own areas (`WoopPairs.may_meet`). Each ray gets a word
-   with a bit for each triangle that its line may meet. There are no branches: what the CPU does for one triangle overlaps with
-   the next.
+1. *List.* All rays are tested against all triangles by signs alone, which is cheap: those through one point by linear functions
+   of their slopes (`edge_functions`), others by the test's own areas (`WoopPairs.may_meet`). Each ray gets a word with a bit
+   for each triangle that its line may meet. There are no branches: what the CPU does for one triangle overlaps with the next.
 2. *Test.* Each ray takes the next triangle of its word, W rays at a time. A block has W triangles, and the W floats of a
    component are one register, so the triangles of W rays are a permutation of its lanes. As triangles of a surface cover a ray
    once, one or two rounds are enough for most vectors.
@@ -31,11 +30,6 @@ block is mostly hit, but with 16 lanes a round of the test costs more than all e
 
 
 def pairs_code(pairs: str, width: int, what: str, arguments: str) -> str:
-    """C++ that tests the triangles `mask` of a block.
-
-    Args:
-        pairs: `PacketForm.pairs`.
-        width: lanes.
-        what, arguments: those of `test_triangles`, but for the test.
-    """
+    """C++ that tests the triangles `mask` of a block. pairs: `PacketForm.pairs`; what, arguments: those of `test_triangles`
+    but the test."""
     return f"{GUARDS}wrt::test_pairs<{what}, {LEAST_LISTED.get(width, 2)}>({arguments}, {pairs});"
