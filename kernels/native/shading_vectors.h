@@ -44,8 +44,6 @@ template <int W> inline V3<W> cross(const V3<W>& a, const V3<W>& b)
 
 template <class V> inline V root(V a) { return __builtin_elementwise_sqrt(a); }
 template <class V> inline V absolute(V a) { return __builtin_elementwise_abs(a); }
-template <class V> inline V larger(V a, V b) { return a > b ? a : b; }
-template <class V> inline V smaller(V a, V b) { return a < b ? a : b; }
 template <class M, class V> inline V pick(M mask, V a, V b) { return mask ? a : b; }
 
 template <int W> inline V3<W> pick3(Ints<W> mask, const V3<W>& a, const V3<W>& b)

@@ -11,6 +11,7 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.query.hit_attributes import SceneMesh
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.queued.next_queue import make_bound
 from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT
@@ -21,43 +22,13 @@ AHEAD = wp.constant(16)
 """Rays by which a kernel is ahead of itself when it fetches what it will read: rays of a queue are far apart in memory."""
 
 
-@wp.func_native("""
-#if !defined(__CUDA_ARCH__)
-    __builtin_prefetch(rays.origins.data + (size_t)i * rays.origin_stride);
-    __builtin_prefetch(rays.directions.data + (size_t)i * rays.direction_stride);
-    __builtin_prefetch(rays.t_max.data + (size_t)i * rays.t_max_stride);
-    __builtin_prefetch(hits.t.data + i);
-#endif
-""")
+@native.func_native("part_queries.h", "wrt::fetch_ray(rays, hits, i);")
 def fetch_ray(rays: RayBatch, hits: HitBatch, i: int):
     """Fetches a ray and its best hit into the caches of a core. An address without an array does no harm."""
     ...
 
 
-@wp.func_native(
-    f"constexpr int AHEAD = {AHEAD};"
-    + """
-#if !defined(__CUDA_ARCH__)
-    if (place >= order.shape[0]) return;
-    const int local = found.primitive.data[place];
-    if (local >= 0) {
-        const int i = order.data[place];
-        const char* const corner = (const char*)(corners.data + 3 * (size_t)i);
-        __builtin_prefetch(hits.t.data + i, 1);
-        __builtin_prefetch(hits.primitive.data + i, 1);
-        __builtin_prefetch(hits.uv.data + i, 1);
-        __builtin_prefetch(corner, 1);
-        __builtin_prefetch(corner + 35, 1);
-        __builtin_prefetch(mesh.faces.data + local);
-        __builtin_prefetch(ids.data + local);
-    }
-    const int nearer = found.primitive.data[place - AHEAD / 2];
-    if (place < AHEAD || nearer < 0) return;
-    const wp::vec3i face = mesh.faces.data[nearer];  // fetched before
-    for (int c = 0; c < 3; ++c) __builtin_prefetch(mesh.vertices.data + face.c[c]);
-#endif
-"""
-)
+@native.func_native("part_queries.h", f"wrt::fetch_merged<{AHEAD}>(order, mesh, ids, found, hits, corners, place);")
 def fetch_merged(
     order: wp.array(dtype=int),
     mesh: SceneMesh,

@@ -1,7 +1,10 @@
 // Instantiates what kernels/native/*.h declare, so that a compiler checks the headers on their own. WIDTH: lanes.
 #include "camera_rays.h"
+#include "clipped_areas.h"
 #include "interleaved.h"
 #include "last_rays.h"
+#include "nearest64.h"
+#include "part_queries.h"
 #include "path_step.h"
 #include "tree_step.h"
 
@@ -80,7 +83,6 @@ void records(const float* const* from, float* columns, float* to)
     write_records(columns, to, 24, 0xffffu);
 }
 
-#if WRT_VECTORS
 struct Vec2 {
     float c[2];
 };
@@ -90,6 +92,13 @@ struct Vec4 {
 struct Vec3d {
     double c[3];
 };
+struct Hits {
+    Array<float> t;
+    Array<int> primitive;
+    Array<Vec2> uv;
+};
+
+#if WRT_VECTORS
 struct FaceRecord {
     float c[16];
 };
@@ -144,11 +153,6 @@ struct Queue {
     Array<int> slot;
     Array<unsigned long long> media;
 };
-struct Hits {
-    Array<float> t;
-    Array<int> primitive;
-    Array<Vec2> uv;
-};
 struct Gathered {
     Array<Vec3> emitted, lit, shadow_origin, shadow_direction, radiance;
 };
@@ -199,3 +203,48 @@ int cameras(const Camera& camera, const Source& source, const Wave& wave, const 
     return start_rays<WIDTH>(0, camera, source, wave, queue, sums);
 }
 #endif
+
+struct AreaView {
+    Vec3 eye, right, up, forward;
+    float near;
+    struct {
+        float c[2];
+    } half;
+    bool radial;
+};
+
+float projections(const AreaView& view, const Vec3& low, const Vec3& high, const float* boxes, float* areas)
+{
+    whole_areas(view, boxes, 3, areas);
+    clipped_areas(view, boxes, 3, true, areas);
+    return whole_area(view, low, high) + clipped_area(view, low, high, false);
+}
+
+struct Batch {
+    Array<Vec3> origins, directions;
+    Array<float> t_max;
+    int origin_stride, direction_stride, t_max_stride;
+};
+struct Faces3 {
+    int c[3];
+};
+struct Mesh {
+    Array<Faces3> faces;
+    Array<Vec3> vertices;
+};
+
+void parts(const Batch& batch, const Hits& hits, const Array<int>& order, const Mesh& mesh, const Array<Vec3>& corners)
+{
+    fetch_ray(batch, hits, 1);
+    fetch_merged<16>(order, mesh, order, hits, hits, corners, 17);
+}
+
+struct Nearest64 {
+    double t;
+    int triangle;
+};
+
+void nearest(const Array<double>& corners, const Vec3d& origin, const Vec3d& direction, Nearest64& found)
+{
+    find_nearest<WIDTH>(corners, 0, 8, origin, direction, 2, found);
+}
