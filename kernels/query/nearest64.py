@@ -38,7 +38,52 @@ class Nearest:
     """-1: none."""
 
 
-@native.func_native("nearest64.h", f"wrt::find_nearest<{LANES}>(corners, begin, end, origin, direction, z, found);")
+@native.func_native(
+    "lanes.h",
+    f"""
+    constexpr int W = {LANES};
+    const double far = __builtin_bit_cast(double, 0x7ff0000000000000ull);
+    const int x = (z + 1) % 3, y = (z + 2) % 3;
+    const double ox = origin.c[x], oy = origin.c[y], oz = origin.c[z];
+    const double dx = direction.c[x], dy = direction.c[y], dz = direction.c[z];
+    const size_t row = corners.shape[1];
+    double least[W];
+    int which[W];
+    WRT_FOR_LANES(j) {{ least[j] = far; which[j] = -1; }}
+    for (int first = begin; first < end; first += W) {{
+        double px[3][W], py[3][W], depth[3][W];
+        for (int corner = 0; corner < 3; ++corner) {{
+            const double* const from = corners.data + (size_t)corner * 3 * row + first;
+            WRT_FOR_LANES(j) {{
+                depth[corner][j] = (from[z * row + j] - oz) / dz;
+                px[corner][j] = (from[x * row + j] - ox) - dx * depth[corner][j];
+                py[corner][j] = (from[y * row + j] - oy) - dy * depth[corner][j];
+            }}
+        }}
+        WRT_FOR_LANES(j) {{
+            // all corners on one side of an axis through the ray: it does not meet the triangle, whatever rounding says below
+            const bool beside = ((px[0][j] > 0) & (px[1][j] > 0) & (px[2][j] > 0))
+                | ((px[0][j] < 0) & (px[1][j] < 0) & (px[2][j] < 0))
+                | ((py[0][j] > 0) & (py[1][j] > 0) & (py[2][j] > 0))
+                | ((py[0][j] < 0) & (py[1][j] < 0) & (py[2][j] < 0));
+            const double a = px[1][j] * py[2][j] - py[1][j] * px[2][j];
+            const double b = px[2][j] * py[0][j] - py[2][j] * px[0][j];
+            const double c = px[0][j] * py[1][j] - py[0][j] * px[1][j];
+            const double total = a + b + c;
+            const bool same = ((a >= 0) & (b >= 0) & (c >= 0)) | ((a <= 0) & (b <= 0) & (c <= 0));
+            const double t = (a * depth[0][j] + b * depth[1][j] + c * depth[2][j]) / total;
+            const bool better = !beside & same & (total != 0) & !(t < 0) & (t < least[j]);
+            least[j] = better ? t : least[j];
+            which[j] = better ? first + j : which[j];
+        }}
+    }}
+    for (int j = 0; j < W; ++j)
+        if (least[j] < found.t || (least[j] == found.t && which[j] >= 0 && which[j] < found.triangle)) {{
+            found.t = least[j];
+            found.triangle = which[j];
+        }}
+""",
+)
 def test_tile(
     corners: wp.array2d(dtype=wp.float64),
     begin: int,

@@ -3,7 +3,6 @@
 #include "clipped_areas.h"
 #include "interleaved.h"
 #include "last_rays.h"
-#include "nearest64.h"
 #include "part_queries.h"
 #include "path_step.h"
 #include "tree_step.h"
@@ -237,14 +236,4 @@ void parts(const Batch& batch, const Hits& hits, const Array<int>& order, const 
 {
     fetch_ray(batch, hits, 1);
     fetch_merged<16>(order, mesh, order, hits, hits, corners, 17);
-}
-
-struct Nearest64 {
-    double t;
-    int triangle;
-};
-
-void nearest(const Array<double>& corners, const Vec3d& origin, const Vec3d& direction, Nearest64& found)
-{
-    find_nearest<WIDTH>(corners, 0, 8, origin, direction, 2, found);
 }
