@@ -41,7 +41,7 @@ _BLOCK = f"""
 
 
 @native.func_native(
-    "lanes.h",
+    "ray.h",
     f"""{_BLOCK}
     const int here = count < L ? count : L;
     {RAYS_TO_LANES}

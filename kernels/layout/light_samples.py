@@ -30,16 +30,6 @@ class LightSamples:
     """(K, groups, 6): least x, y, z, then greatest x, y, z of each group."""
 
 
-PATTERN_OF = """
-    auto wrt_pattern_of = [](unsigned i, unsigned patterns) {
-        unsigned h = i * 0x9E3779B1u;
-        h = (h ^ (h >> 16)) * 0x85EBCA6Bu;
-        return (int)((h ^ (h >> 13)) % patterns);
-    };
-"""
-"""C++ of `pattern_of`."""
-
-
 def pattern_of(index, patterns: int):
     """(N,) the pattern that each point uses, by a hash of its number.
 

@@ -157,6 +157,75 @@ template <int N, int Block = 2, int Distance = 1> inline Vector<int, N> sort(Vec
 }
 #endif
 
+// The greatest float of each of several rows of W lanes, all rows at once.
+//
+// Reducing one row takes log2 W rounds of a shuffle and a maximum, each waiting for the one before, and most of the lanes are
+// idle in the last rounds. Here two registers are folded into one in every round: two shuffles collect one half of the lanes of
+// each row in one register and the other half in another, and one maximum leaves both rows in half as many lanes. R rows take
+// about 2 R shuffles and R maxima in all, whatever W is. Halves are runs of four lanes as long as a row has several, then lanes
+// of a run, because shuffles between runs of four move whole runs.
+
+/// Lanes of a register that are folded by themselves, where its rows have `left` lanes each.
+constexpr CUDA_CALLABLE int folded_run(int width, int left) { return left > 4 || width < 4 ? width : 4; }
+
+/// The lane of row `row` after all rounds, in register row / W.
+constexpr CUDA_CALLABLE int folded_place(int width, int row)
+{
+    int place = 0;
+    for (int left = width; left > 1; left /= 2, row /= 2) {
+        const int run = folded_run(width, left);
+        place = place / run * run + (row & 1) * (run / 2) + place % run / left * (left / 2);
+    }
+    return place;
+}
+
+#if WRT_VECTORS
+/// Where lane j of a half comes from, of two registers whose rows have `left` lanes each. half: 0 or 1.
+constexpr int folded_lane(int width, int left, int half, int j)
+{
+    const int run = folded_run(width, left), within = j % run, own = within % (run / 2);
+    const int lane = j / run * run + own / (left / 2) * left + half * (left / 2) + own % (left / 2);
+    return within < run / 2 ? lane : lane + width;
+}
+
+template <int W, int LEFT, int... I> inline Vector<float, W> fold(Vector<float, W> v, Vector<float, W> w, Numbers<int, I...>)
+{
+    const Vector<float, W> a = __builtin_shufflevector(v, w, folded_lane(W, LEFT, 0, I)...);
+    const Vector<float, W> b = __builtin_shufflevector(v, w, folded_lane(W, LEFT, 1, I)...);
+    return a > b ? a : b;
+}
+
+/// N registers whose rows have LEFT lanes each; an odd one is folded with itself.
+template <int W, int N, int LEFT = W> inline void fold_rows(Vector<float, W>* rows)
+{
+    if constexpr (LEFT > 1) {
+        constexpr int HALF = (N + 1) / 2;
+        WRT_UNROLLED
+        for (int j = 0; j < HALF; ++j)
+            rows[j] = fold<W, LEFT>(rows[2 * j], rows[2 * j + 1 < N ? 2 * j + 1 : 2 * j], Lanes<W>());
+        fold_rows<W, HALF, LEFT / 2>(rows);
+    }
+}
+#endif
+
+/// results[j] becomes the greatest of the W floats of row j, none of them NaN. W is a power of two.
+template <int N, int W> inline CUDA_CALLABLE void row_maxima(const float (*rows)[W], float* results)
+{
+#if WRT_VECTORS
+    Vector<float, W> registers[N];
+    WRT_UNROLLED
+    for (int j = 0; j < N; ++j) registers[j] = load<Vector<float, W>>(rows[j]);
+    fold_rows<W, N>(registers);
+    WRT_UNROLLED
+    for (int j = 0; j < N; ++j) results[j] = registers[j / W][folded_place(W, j % W)];
+#else
+    for (int j = 0; j < N; ++j) {
+        results[j] = rows[j][0];
+        for (int i = 1; i < W; ++i) results[j] = rows[j][i] > results[j] ? rows[j][i] : results[j];
+    }
+#endif
+}
+
 // Transposes 16 records of floats to lanes and back.
 //
 // A record that is read as a whole has its words in sequence; numbers that are computed 16 at a time have their lanes in
@@ -228,6 +297,70 @@ inline CUDA_CALLABLE void read_records(const float* const* from, int first, floa
         for (int c = 0; c < 16; ++c) columns[c * 16 + k] = from[k][first + c];
 #endif
 }
+
+template <class F> inline CUDA_CALLABLE F absolute(F x)
+{
+#if WRT_VECTORS
+    return __builtin_elementwise_abs(x);
+#else
+    return WRT_ABS(x);
+#endif
+}
+
+#if WRT_VECTORS
+// Vectors of W lanes, for what plain loops over lanes cannot say: vectors stay in registers between two steps, and lanes can be
+// permuted. `mask ? a : b` selects lane by lane.
+
+template <int W> using Floats = Vector<float, W>;
+template <int W> using Ints = Vector<int, W>;
+
+/// A bit for each lane that is not 0.
+template <int W> inline unsigned bits_of(Ints<W> mask)
+{
+    const auto set = __builtin_convertvector(mask != 0, Vector<bool, W>);
+    unsigned own = 0;
+    __builtin_memcpy(&own, &set, sizeof(set));
+    return own & ((1u << W) - 1u);
+}
+
+/// Saves those lanes of v whose mask is not 0. Without AVX-512 the other lanes are read as volatile: Clang would make a masked
+/// store of it, which takes tens of cycles on AMD's CPUs (notebooks/records/2026-11-26-masked-stores.md).
+template <int W, class V> inline void replace(void* to, Ints<W> mask, V v)
+{
+    typedef int Unaligned __attribute__((ext_vector_type(W), aligned(4)));
+#if defined(__AVX512F__)
+    const Ints<W> before = *(const Unaligned*)to;
+#else
+    const Ints<W> before = *(const volatile Unaligned*)to;
+#endif
+    *(Unaligned*)to = mask ? __builtin_bit_cast(Ints<W>, v) : before;
+}
+
+/// The lanes `which` (0 to W - 1) of the W floats at `row`: one permutation where W floats are a register of x86-64.
+template <int W> inline Floats<W> chosen(const void* row, Ints<W> which)
+{
+#if defined(__AVX2__)
+    if constexpr (W == 8) return (Floats<W>)__builtin_ia32_permvarsi256(load<Ints<W>>(row), which);
+#endif
+#if defined(__AVX512F__)
+    if constexpr (W == 16) return (Floats<W>)__builtin_ia32_permvarsi512(load<Ints<W>>(row), which);
+#endif
+    Floats<W> v;
+    WRT_SCALAR
+    for (int i = 0; i < W; ++i) v[i] = ((const float*)row)[which[i]];
+    return v;
+}
+
+/// a b + c, rounded once where the CPU can.
+template <class V> inline V sum_of_product(V a, V b, V c)
+{
+#if defined(__FMA__) || defined(__ARM_FEATURE_FMA)
+    return __builtin_elementwise_fma(a, b, c);
+#else
+    return a * b + c;
+#endif
+}
+#endif
 
 }  // namespace
 }  // namespace wrt

@@ -145,7 +145,7 @@ inline unsigned shade_paths(const A& a, const Step& step, int first, Writer&& wr
     if (!is_any(s.going_on())) {
         collect<W>(a, step.samples_lights, s, ray, s.ended);
         if (!step.is_last) writer.end(ray);
-        return bits_of(s.ended);
+        return bits_of<W>(s.ended);
     }
     const Points<W> p = find_points<W>(a, ray, s);
     Ints<W> pixel;
@@ -156,7 +156,7 @@ inline unsigned shade_paths(const A& a, const Step& step, int first, Writer&& wr
     if (!is_any(plain)) return 0;
     collect<W>(a, step.samples_lights, s, ray, plain);
     writer.write(ray, sent, arrivals, plain);
-    return bits_of(plain);
+    return bits_of<W>(plain);
 }
 
 /// Writes paths and shadow rays to the places of the rays that they follow.
@@ -205,7 +205,7 @@ template <class Queue, class Slots, class Gathered> struct Appended {
 
     template <int W> void write(const Rays<W>& ray, const Sent<W>& sent, const Arrivals<W>& found, Ints<W> plain)
     {
-        const unsigned on = bits_of(sent.alive);
+        const unsigned on = bits_of<W>(sent.alive);
         if (on) {
             const Ints<W> lanes = lanes_of<W>(on);
             save3<W>(following.origin.data + to, packed3<W>(sent.origin, lanes));
@@ -216,7 +216,7 @@ template <class Queue, class Slots, class Gathered> struct Appended {
             save_media<W>(following.media.data + to, packed(sent.media, lanes));
             to += count_bits(on);
         }
-        const unsigned listed = bits_of(plain & ((found.lit.x != 0.0f) | (found.lit.y != 0.0f) | (found.lit.z != 0.0f)));
+        const unsigned listed = bits_of<W>(plain & ((found.lit.x != 0.0f) | (found.lit.y != 0.0f) | (found.lit.z != 0.0f)));
         if (listed) {
             const Ints<W> lanes = lanes_of<W>(listed);
             save3<W>(rays.lit.data + entry, packed3<W>(found.lit, lanes));

@@ -194,5 +194,40 @@ inline CUDA_CALLABLE int append_candidates(
     return count + append<L>(pairs.candidates.c + count, slot, mask);
 }
 
+/// Sorts the numbers of rays by octant of their directions; ends: where each octant ends.
+template <class Ray> inline CUDA_CALLABLE void sort_by_octant(const Ray* rays, int count, int* order, int* ends)
+{
+    int first[8] = {}, last = 0;
+    const auto octant_of = [&](int k) {
+        const float* const inverse = rays[k].slabs.inverse.c;
+        return (inverse[0] < 0.0f ? 1 : 0) | (inverse[1] < 0.0f ? 2 : 0) | (inverse[2] < 0.0f ? 4 : 0);
+    };
+    for (int k = 0; k < count; ++k) ++first[octant_of(k)];
+    for (int o = 0; o < 8; ++o) {
+        const int size = first[o];
+        first[o] = last;
+        last += size;
+        ends[o] = last;
+    }
+    for (int k = 0; k < count; ++k) order[first[octant_of(k)]++] = k;
+}
+
+/// Lists those of the rays order[begin .. end - 1] that meet a box, with their intervals in it; returns their number.
+template <class Ray, class Intervals>
+inline CUDA_CALLABLE int enter_box(
+    const Ray* rays, const int* order, int begin, int end, const float* low, const float* high, Intervals& list)
+{
+    int* number = list.rays.data;
+    float *entry = list.entry.data, *leave = list.leave.data;
+    int size = 0;
+    for (int j = begin; j < end; ++j) {
+        const int k = order[j];
+        const Interval own = meet_box(low, high, box_ray(rays[k].slabs), rays[k].t_min, rays[k].best.t);
+        number[size] = k, entry[size] = own.enter, leave[size] = own.leave;
+        size += own.enter <= own.leave ? 1 : 0;
+    }
+    return size;
+}
+
 }  // namespace
 }  // namespace wrt

@@ -123,7 +123,7 @@ inline unsigned shade_trees(
     if (scene.lights.sky_entry >= 0 && is_any(closed & ~s.is_hit))
         found = pick3<W>(~s.is_hit, ray.weight * all3<W>(scene.lights.sky.texels.data[0]), found);
     save3<W>(a.rays.emitted.data + first, found);
-    return bits_of(plain);
+    return bits_of<W>(plain);
 }
 
 }  // namespace

@@ -70,7 +70,7 @@ def make_frusta(test: TestForm, rays: int, width: int) -> wp.Kernel:
     for name, piece in (pieces | {"WRT_INSIDE": form.inside, "WRT_HIT": form.hit}).items():
         body = body.replace(name, piece)
 
-    @native.func_native("lanes.h", constants + "    constexpr bool SHARED = true;\n" + body)
+    @native.func_native(f"lanes.h {form.headers}", constants + "    constexpr bool SHARED = true;\n" + body)
     def trace_frustum(
         records: wp.array(dtype=float),
         triangles: int,

@@ -21,7 +21,6 @@ from wrt.kernels.triangle.support.record_blocks import (
     corners_high,
     corners_low,
     load_corners,
-    vertex_box,
 )
 
 exact_module(__name__)
@@ -114,70 +113,16 @@ def store_best(config: TraversalConfig) -> wp.Function:
 
 
 BOX_INTERVAL = """
-        float enter = -WRT_INFINITY, leave = WRT_INFINITY, s_i;
-        s_i = ((back_x ? high[0] : low[0]) - in_x) * ix; enter = s_i > enter ? s_i : enter;
-        s_i = ((back_y ? high[1] : low[1]) - in_y) * iy; enter = s_i > enter ? s_i : enter;
-        s_i = ((back_z ? high[2] : low[2]) - in_z) * iz; enter = s_i > enter ? s_i : enter;
-        s_i = ((back_x ? low[0] : high[0]) - out_x) * ix; leave = s_i < leave ? s_i : leave;
-        s_i = ((back_y ? low[1] : high[1]) - out_y) * iy; leave = s_i < leave ? s_i : leave;
-        s_i = ((back_z ? low[2] : high[2]) - out_z) * iz; leave = s_i < leave ? s_i : leave;
-        at = at > enter ? at : enter;
-        at = at < leave ? at : leave;
+        const wrt::BoxRay own_ray = {{ix, iy, iz}, {in_x, in_y, in_z}, {out_x, out_y, out_z}};
+        const wrt::Interval own = wrt::meet_box(low, high, own_ray, -WRT_INFINITY, WRT_INFINITY);
+        const float enter = own.enter, leave = own.leave;
+        at = wrt::clamped(at, own);
 """
-"""C++: enter .. leave, the interval of t in which a ray (ix, in_x, out_x ..: its `RaySlabs`, back_x: ix < 0) is in the widened
-box low .. high; `at` is clamped to it, as in `clamp_to_box`."""
-
-_CLAMP = """
-    const float* r = &records.data[(size_t)block * (COMPONENTS * W)];
-    const float ix = slabs.inverse.c[0], iy = slabs.inverse.c[1], iz = slabs.inverse.c[2];
-    const float in_x = slabs.origin_in.c[0], in_y = slabs.origin_in.c[1], in_z = slabs.origin_in.c[2];
-    const float out_x = slabs.origin_out.c[0], out_y = slabs.origin_out.c[1], out_z = slabs.origin_out.c[2];
-    const bool back_x = ix < 0.0f, back_y = iy < 0.0f, back_z = iz < 0.0f;
-    int hit[W];
-    WRT_FOR_LANES(i) {
-        float low[3], high[3];
-        VERTEX_BOX
-        float at = t.c[i];
-        BOX_INTERVAL
-        t.c[i] = at;
-        hit[i] = ((enter <= leave) & (at >= t_min) & (at <= t_max)) ? -1 : 0;
-    }
-    unsigned kept = wrt::bits<W>(hit) & mask;
-    if (CULLING) for (int i = 0; i < W; ++i) {
-        if (!(kept >> i & 1u)) continue;
-        double normal[3];
-        wrt_normal(r + i, W, normal);
-        kept &= wrt_front(normal, ix, iy, iz) ? ~0u : ~(1u << i);
-    }
-    return kept;
-"""
-
-FRONT = """
-    auto wrt_normal = [](const float* r, int apart, double* normal) {  // r: the nine components of a triangle
-        const float ax = r[0], ay = r[apart], az = r[2 * apart], bx = r[3 * apart], by = r[4 * apart], bz = r[5 * apart];
-        const float cx = r[6 * apart], cy = r[7 * apart], cz = r[8 * apart];
-        const double ux = (double)bx - ax, uy = (double)by - ay, uz = (double)bz - az;
-        const double vx = (double)cx - ax, vy = (double)cy - ay, vz = (double)cz - az;
-        normal[0] = uy * vz - uz * vy; normal[1] = uz * vx - ux * vz; normal[2] = ux * vy - uy * vx;
-    };
-    auto wrt_front = [](const double* normal, float ix, float iy, float iz) {
-        const double along_x = normal[0] * (double)(1.0f / ix), along_y = normal[1] * (double)(1.0f / iy);
-        const double along_z = normal[2] * (double)(1.0f / iz);
-        return (along_x + along_y) + along_z < 0.0;
-    };
-"""
-"""C++ of `comes_from_front`: the normal of a triangle, and the side from which a ray with 1 / direction ix, iy, iz comes. The
-direction is derived from its inverse, which every traversal has."""
+"""C++ after box.h: enter .. leave, the interval of t in which a ray (ix, in_x, out_x ..: its `RaySlabs`) is in the widened box
+low .. high; `at` is clamped to it, as in `clamp_to_box`."""
 
 
-@native.func_native(
-    "lanes.h",
-    f"""{FRONT}
-    double normal[3];
-    wrt_normal((const float*)&corners, 1, normal);
-    return wrt_front(normal, slabs.inverse.c[0], slabs.inverse.c[1], slabs.inverse.c[2]);
-""",
-)
+@native.func_native("leaf.h", "return wrt::comes_from_front<1>((const float*)&corners, wrt::box_ray(slabs));")
 def comes_from_front(slabs: wp.ref[RaySlabs], corners: wp.ref[Corners]) -> bool:
     """Whether a ray comes from the side from which a triangle is wound counter-clockwise; false if it is seen edge-on."""
     ...
@@ -191,12 +136,9 @@ def clamp_block(record: Record, width: int, cull_backfaces: bool = False) -> wp.
     back faces are culled, only hits from the front are returned.
     """
     Lanes = lanes(width)
-    constants = (
-        f"    constexpr int W = {width}, COMPONENTS = {record.components}; constexpr bool CULLING = {int(cull_backfaces)};"
-    )
-    code = _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")).replace("BOX_INTERVAL", BOX_INTERVAL)
+    form = f"{width}, {record.components}, {int(cull_backfaces)}"
 
-    @native.func_native("lanes.h", constants + FRONT + code)
+    @native.func_native("leaf.h", f"return wrt::clamp_block<{form}>(records.data, block, slabs, mask, t.c, t_min, t_max);")
     def clamp_block_native(
         records: wp.array(dtype=float),
         block: int,

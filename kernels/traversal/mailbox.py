@@ -53,59 +53,17 @@ SLOTS = 64
 PLACES = 256
 """Triangles that a plain mailbox remembers; it forgets those that come later."""
 
-# Entries are id + 1; 0 is an empty entry.
-_PLAIN = """
-    const int* id = ids.data + (size_t)block * W;
-    int known[W], count = mailbox.data[PLACES];
-    WRT_FOR_LANES(i) known[i] = id[i] < 0 ? 1 : 0;
-    for (int p = 0; p < count; ++p) {
-        const int before = mailbox.data[p];
-        WRT_FOR_LANES(i) known[i] |= id[i] + 1 == before ? 1 : 0;
-    }
-    unsigned fresh = 0;
-    WRT_FOR_LANES(i) fresh |= known[i] ? 0u : 1u << i;
-    fresh &= mask;
-    for (int i = 0; i < W; ++i) if ((fresh >> i & 1u) && count < PLACES) mailbox.data[count++] = id[i] + 1;
-    mailbox.data[PLACES] = count;
-    return fresh;
-"""
 
-_HASHED = """
-    const int* id = ids.data + (size_t)block * W;
-    unsigned fresh = 0;
-    WRT_FOR_LANES(i) { fresh |= ((id[i] >= 0) & (mailbox.data[id[i] & (SLOTS - 1)] != id[i] + 1)) ? 1u << i : 0u; }
-    fresh &= mask;
-    for (int i = 0; i < W; ++i) if (fresh >> i & 1u) mailbox.data[id[i] & (SLOTS - 1)] = id[i] + 1;
-    return fresh;
-"""
-
-_INVERSE = """
-    const int* id = ids.data + (size_t)block * W;
-    int ring[RING];
-    for (int r = 0; r < RING; ++r) ring[r] = mailbox.data[r];
-    unsigned fresh = 0;
-    WRT_FOR_LANES(i) {
-        int known = id[i] < 0 ? 1 : 0;
-        for (int r = 0; r < RING; ++r) known |= ring[r] == id[i] + 1 ? 1 : 0;
-        fresh |= known ? 0u : 1u << i;
-    }
-    fresh &= mask;
-    int next = mailbox.data[RING];
-    for (int i = 0; i < W; ++i) if (fresh >> i & 1u) { mailbox.data[next] = id[i] + 1; next = (next + 1) & (RING - 1); }
-    mailbox.data[RING] = next;
-    return fresh;
-"""
-
-
-def _lanes(width: int) -> str:
-    return f"    constexpr int W = {width}, RING = {RING}, SLOTS = {SLOTS}, PLACES = {PLACES};"
+def _filter(name: str, width: int, size: int) -> str:
+    """C++: a filter of kernels/native/leaf.h."""
+    return f"return wrt::{name}<{width}, {size}>(ids.data + (size_t)block * {width}, mask, mailbox.data);"
 
 
 @cache
 def plain_filter(width: int) -> wp.Function:
     """An array of `PLACES` ids, followed by their number."""
 
-    @native.func_native("lanes.h", _lanes(width) + _PLAIN)
+    @native.func_native("leaf.h", _filter("plain_mailbox", width, PLACES))
     def plain(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
 
     return plain
@@ -115,7 +73,7 @@ def plain_filter(width: int) -> wp.Function:
 def hashed_filter(width: int) -> wp.Function:
     """A hash table of `SLOTS` ids."""
 
-    @native.func_native("lanes.h", _lanes(width) + _HASHED)
+    @native.func_native("leaf.h", _filter("hashed_mailbox", width, SLOTS))
     def hashed(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
 
     return hashed
@@ -125,7 +83,7 @@ def hashed_filter(width: int) -> wp.Function:
 def inverse_filter(width: int) -> wp.Function:
     """A ring of `RING` ids, followed by the position of the next entry."""
 
-    @native.func_native("lanes.h", _lanes(width) + _INVERSE)
+    @native.func_native("leaf.h", _filter("inverse_mailbox", width, RING))
     def inverse(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
 
     return inverse

@@ -244,6 +244,7 @@ def test_an_interrupted_wait_frees_nothing_that_helpers_use(monkeypatch):
 def test_fork_during_queries():
     """Children that are forked while other threads trace get right answers from pools of their own."""
     run_process("""
+scene.occluded(rays * 9, -rays)  # compiled before: children do not wait for a compiler among busy threads
 done = threading.Event()
 def trace():
     while not done.is_set():
@@ -251,12 +252,15 @@ def trace():
 threads = [threading.Thread(target=trace) for _ in range(2)]
 for thread in threads:
     thread.start()
+parents = pools.the_pool()
 for _ in range(20):
     time.sleep(random.uniform(0, 0.01))
     child = os.fork()
     if child == 0:
         values = wp.zeros(100_000, dtype=float, device="cpu")
-        os._exit(0 if np.array_equal(scene.occluded(rays * 9, -rays), np.isfinite(expected)) else 1)
+        right = np.array_equal(scene.occluded(rays * 9, -rays), np.isfinite(expected))
+        own = pools.the_pool()
+        os._exit(0 if right and own is not parents and not own.closed else 1)
     assert os.waitpid(child, 0)[1] == 0
 done.set()
 for thread in threads:

@@ -152,8 +152,8 @@ MUTATIONS = [
     ),
     Mutation(
         path="kernels/query/hit_gradients.py",
-        old="exact_module(__name__, gradients=True)",
-        new="exact_module(__name__)",
+        old="return specialised_kernel(intersect_triangles, gradients=True)",
+        new="return specialised_kernel(intersect_triangles)",
         tests="tests/queries/test_gradients.py::test_finite_differences[cpu-t]",
         promise="gradients of hits are those of finite differences",
     ),

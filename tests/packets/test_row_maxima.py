@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import specialised_kernel
-from wrt.kernels.simd.row_maxima import row_maxima
 
 
 @pytest.mark.parametrize("width", [1, 2, 4, 8, 16])
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 13, 16, 19])
 def test_row_maxima(count, width, device):
-    code = f"    float* to = results.data;{row_maxima([f'rows.data + {j * width}' for j in range(count)], width, 'to')}"
+    code = f"typedef const float Row[{width}]; wrt::row_maxima<{count}, {width}>((Row*)rows.data, results.data);"
 
-    @wp.func_native(code)
+    @native.func_native("lanes.h", code)
     def maxima(rows: wp.array(dtype=float), results: wp.array(dtype=float)): ...
 
     def reduce(rows: wp.array(dtype=float), results: wp.array(dtype=float)):

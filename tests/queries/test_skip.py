@@ -104,6 +104,9 @@ def test_shapes_and_kinds(device):
     away = rng.normal(size=(2, 20, 25, 3)).astype(np.float32)
     position = np.nan_to_num(hits.position)
     expected = np.stack([scene.intersect(position, one, skip=hits.primitive_id.astype(np.int64)).t for one in away])
+    for i in range(0, 25, 3):  # each ray its own triangle, as if it were asked alone
+        alone = scene.intersect(position[7, i], away[1, 7, i], skip=int(hits.primitive_id[7, i]))
+        assert alone.t == expected[1, 7, i]
     on_device = wp.array(hits.primitive_id, dtype=int, device=device)
     for skip in (hits, hits.primitive_id, on_device, hits.primitive_id[None], np.stack([hits.primitive_id] * 2)):
         np.testing.assert_array_equal(scene.intersect(position, away, skip=skip).t, expected)

@@ -1,11 +1,10 @@
 // Instantiates what kernels/native/*.h declare, so that a compiler checks the headers on their own. WIDTH: lanes.
-#include "camera_rays.h"
-#include "clipped_areas.h"
 #include "interleaved.h"
-#include "last_rays.h"
-#include "part_queries.h"
-#include "path_step.h"
-#include "tree_step.h"
+#include "leaf.h"
+#include "lockstep.h"
+#include "stream_candidates.h"
+#include "stream_root.h"
+#include "woop_packets.h"
 
 struct Vec3 {
     float c[3];
@@ -15,15 +14,23 @@ struct Slabs {
 };
 struct Best {
     float t;
+    int primitive;
+    float u, v;
+};
+struct WoopRay {
+    Vec3 origin;
+    int x, y, z;
+    Vec3 shear;
 };
 struct Ray {
     Slabs slabs;
     float t_min;
     Best best;
+    WoopRay state;
+    int number;
 };
 template <class T> struct Array {
     T* data;
-    int shape[4];
 };
 struct Tree {
     Array<float> bounds;
@@ -32,6 +39,18 @@ struct Tree {
 struct Intervals {
     Array<int> rays;
     Array<float> entry, leave;
+};
+struct Batch {
+    Array<Vec3> origins, directions;
+    Array<float> t_min, t_max;
+    int origin_stride, direction_stride, t_min_stride, t_max_stride;
+    struct {
+        double c[3];
+    } center;
+};
+struct RootLoad {
+    unsigned used;
+    int loaded, kept, waiting, unboxed;
 };
 template <int N> struct List {
     int c[N];
@@ -55,6 +74,12 @@ int box_streams(const Tree& tree, const Ray* rays, int* list, int* keys, unsigne
     return filter_boxes<WIDTH, Order::NEAR>(bounds, tree.child.data, 1, rays, list, 3, keys, leaves)
         + filter_boxes<WIDTH, Order::FAR>(bounds, tree.child.data, 1, rays, list, 3, keys, leaves)
         + filter_boxes<WIDTH, Order::NONE>(bounds, tree.child.data, 1, rays, list, 3, keys, leaves);
+}
+
+int kdtree_streams(const Ray* rays, Intervals& list, int* order, const float* low)
+{
+    sort_by_octant(rays, 3, order, order);
+    return enter_box(rays, order, 1, 2, low, low, list);
 }
 
 int plane_streams(const Ray* rays, Intervals& list, Intervals& stack, int& count)
@@ -82,158 +107,92 @@ void records(const float* const* from, float* columns, float* to)
     write_records(columns, to, 24, 0xffffu);
 }
 
-struct Vec2 {
-    float c[2];
-};
-struct Vec4 {
-    float c[4];
-};
-struct Vec3d {
-    double c[3];
-};
-struct Hits {
-    Array<float> t;
-    Array<int> primitive;
-    Array<Vec2> uv;
-};
+unsigned watertight(const float* of, const WoopRay& ray, float* t, float (*words)[WIDTH], const float (*corner)[WIDTH])
+{
+    Woop::prepare<WIDTH>(words, of, of, of, of, of, of);
+    Woop::test<WIDTH>(words, corner, t, t, t);
+    return woop_block<WIDTH, Inclusive, true>(of, 1, ray, t, t, t) + woop_block<WIDTH, Crossing, true>(of, 1, ray, t, t, t)
+        + woop_block<WIDTH, Crossing, false>(of, 1, ray, t, t, t) + woop_lines<WIDTH>(of, 1, ray);
+}
 
-#if WRT_VECTORS
-struct FaceRecord {
-    float c[16];
-};
-struct ShadedMesh {
+unsigned steps(const float* of, int* inside)
+{
+    const auto first = [&](int i) { return of[i] > 0.0f; };
+    const auto second = [&](int i) { return of[i] < 1.0f; };
+    return block_steps<WIDTH>(~0u, first, second) + block_steps<WIDTH>(~0u, first) + packet_steps<WIDTH>(inside, first, second)
+        + packet_steps<WIDTH>(inside, first);
+}
+
+bool watertight_packets(const WoopRays& rays, const float* corner, int* inside, WoopRay& ray)
+{
+    woop_ray<true>(rays, 1, ray);
+    woop_ray<false>(rays, 1, ray);
+    WoopPacket<WIDTH, true> one(rays);
+    WoopPacket<WIDTH, false> other(rays);
+    one.begin(corner, 1), other.begin(corner, 2);
+    return one.meet(0, inside) && other.meet(0, inside) && one.hit(1, 1).t < other.hit(1, 1).t
+        && along_main_axis(true, false, corner[0], corner[1], corner[2]) > 0.0f;
+}
+
+bool watertight_pairs(const WoopRays& rays, const float (*corners)[WIDTH], Ints<WIDTH> which, Ints<WIDTH>& inside)
+{
+    WoopPairs<WIDTH, true> one(rays);
+    WoopPairs<WIDTH, false> other(rays);
+    one.begin(1), other.begin(2);
+    TriangleHit<Floats<WIDTH>> hit;
+    inside = one.may_meet(corners[0], 0) & other.may_meet(corners[0], 0);
+    const Floats<WIDTH> row = load<Floats<WIDTH>>(corners[0]);
+    replace<WIDTH>(&inside, which, sum_of_product(row, row, row));
+    return one.test(corners, which, inside, 0, inside, hit) && other.test(corners, which, inside, 0, inside, hit);
+}
+
+unsigned stream_load(const Batch& batch, const Vec3& low, Ray* stream, float* own)
+{
+    return load_rays<Woop, 16>(batch, 1, 2, low, low, stream, 3, own)
+        + load_rays<OneByOne, 16>(batch, 1, 2, low, low, stream, 3, own);
+}
+
+template <Order ORDER, bool BOXES>
+unsigned root(const Batch& batch, const Vec3& low, Ray* stream, int* list, float* lanes, RootLoad& state)
+{
+    using Test = RootTest<WIDTH, ORDER, 16>;
+    state.used = Test::begin(list, -1, lanes);
+    RootGrid<WIDTH, 16>(lanes).begin(lanes, state.used, low, low, batch.center);
+    return load_root<Woop, WIDTH, ORDER, BOXES, 16>(batch, 1, 2, low, low, stream, lanes, list, lanes, lanes, state)
+        + Test::end(list, lanes, list);
+}
+
+unsigned roots(const Batch& batch, const Vec3& low, Ray* stream, int* list, float* lanes, RootLoad& state)
+{
+    return root<Order::NONE, true>(batch, low, stream, list, lanes, state)
+        + root<Order::NEAR, false>(batch, low, stream, list, lanes, state)
+        + root<Order::FAR, true>(batch, low, stream, list, lanes, state);
+}
+
+void candidates(const float* of, const int* primitives, Ray* rays, PairLists& pairs, int* owner)
+{
+    test_candidates<Woop, WIDTH, 9, true, 16>(of, primitives, rays, pairs, 3);
+    test_candidates<Woop, WIDTH, 9, false, 16>(of, primitives, rays, pairs, 3);
+    test_leaf<Woop, WIDTH, 9, false, 16>(of, primitives, rays, owner, 3, -9);
+}
+
+unsigned leaves(const float* of, const int* ids, const Slabs& slabs, float* t, int* mailbox)
+{
+    return clamp_block<WIDTH, 9, true>(of, 1, slabs, 7u, t, 0.0f, 1.0f)
+        + clamp_block<WIDTH, 9, false>(of, 1, slabs, 7u, t, 0.0f, 1.0f) + plain_mailbox<WIDTH, 256>(ids, 7u, mailbox)
+        + hashed_mailbox<WIDTH, 64>(ids, 7u, mailbox) + inverse_mailbox<WIDTH, 8>(ids, 7u, mailbox);
+}
+
+struct Walks {
+    List<WIDTH> node, top, word0, word1, nodes;
     struct {
-        Vec3 low, high;
-    } mesh;
-    Array<FaceRecord> records;
-    bool is_smooth;
-    Array<Vec3> corner_normals;
-};
-struct Materials {
-    Array<int> of_face, kind, two_sided, color_texture, surface_texture;
-    int of_face_stride;
-    bool has_uv, has_color;
-    Array<Vec3> color, emission, absorption;
-    Array<Vec4> shape;
-};
-struct Sky {
-    int width, height, rows, columns;
-    Vec3 east, north, up;
-    Array<float> row_sums, cell_sums;
-    Array<Vec3> texels;
-};
-struct Lights {
-    int count, areas, triangle_entry, sky_entry;
-    Array<int> kind, triangle;
-    Array<Vec3> position, axis, edge1, edge2, radiance;
-    Array<Vec4> shape;
-    Array<float> sums, triangle_sums;
-    float far, triangle_power;
-    Vec3 triangle_low, triangle_high;
-    Sky sky;
-};
-struct Scene {
-    ShadedMesh shaded;
-    Materials materials;
-    Lights lights;
-    bool schlick;
-};
-struct Source {
-    int sampler;
-    unsigned seed;
-};
-struct Wave {
-    Array<int> order;
-    int first_pixel, first_sample, samples;
-};
-struct Queue {
-    Array<Vec3> origin, direction, weight;
-    Array<float> density;
-    Array<int> slot;
-    Array<unsigned long long> media;
-};
-struct Gathered {
-    Array<Vec3> emitted, lit, shadow_origin, shadow_direction, radiance;
-};
-struct Step {
-    int generation;
-    bool is_last, samples_lights;
-    int roulette;
-    float threshold;
-};
-struct View {
-    int width, height;
-    Vec3d position, right, up, forward;
-};
-struct Camera {
-    View view;
-    Vec3d center, lens_right;
-    bool is_perspective, at_center;
-    int filter;
-};
-struct Listed {
-    Array<int> ray, lamp;
+        float c[WIDTH];
+    } inverse_x, inverse_y, inverse_z, in_x, in_y, in_z, out_x, out_y, out_z, entry, leave, best;
 };
 
-unsigned shading(const Scene& scene, const Source& source, const Wave& wave, const Queue& queue, const Hits& hits,
-    const Gathered& rays, const Step& step, const Array<int>& flags, int& to)
+unsigned lockstep(Walks& walks, const Slabs& slabs, const float* interval, int* log, int& row)
 {
-    const StepArrays a {scene, source, wave, queue, hits, rays};
-    return shade_paths<WIDTH>(a, step, 1, InPlace {queue, flags, rays})
-        + shade_paths<WIDTH>(a, step, 1, Appended {queue, flags, rays, to, to})
-        + shade_trees<WIDTH>(a, step, 1, 0, 2, queue, flags);
-}
-
-int queues(const Scene& scene, const Queue& queue, const Hits& hits, const Gathered& rays, const Array<int>& flags,
-    const Listed& listed, Vec3& total)
-{
-    float squares = 0.0f;
-    fetch_hits(scene, hits, 0, 3);
-    order_rays(0, 3, queue, queue);
-    gather_paths(0, 3, flags, rays, flags);
-    gather_trees(0, 3, 3, 0, 1, flags, flags, rays, listed);
-    add_samples(rays.lit.data, 3, 1.0f, total, squares);
-    return append_rays(0, 3, queue, flags, queue, 0)
-        + part_last_rays<WIDTH>(0, 3, true, scene.lights, queue, flags.data, queue);
-}
-
-int cameras(const Camera& camera, const Source& source, const Wave& wave, const Queue& queue, const Array<Vec3>& sums)
-{
-    return start_rays<WIDTH>(0, camera, source, wave, queue, sums);
-}
-#endif
-
-struct AreaView {
-    Vec3 eye, right, up, forward;
-    float near;
-    struct {
-        float c[2];
-    } half;
-    bool radial;
-};
-
-float projections(const AreaView& view, const Vec3& low, const Vec3& high, const float* boxes, float* areas)
-{
-    whole_areas(view, boxes, 3, areas);
-    clipped_areas(view, boxes, 3, true, areas);
-    return whole_area(view, low, high) + clipped_area(view, low, high, false);
-}
-
-struct Batch {
-    Array<Vec3> origins, directions;
-    Array<float> t_max;
-    int origin_stride, direction_stride, t_max_stride;
-};
-struct Faces3 {
-    int c[3];
-};
-struct Mesh {
-    Array<Faces3> faces;
-    Array<Vec3> vertices;
-};
-
-void parts(const Batch& batch, const Hits& hits, const Array<int>& order, const Mesh& mesh, const Array<Vec3>& corners)
-{
-    fetch_ray(batch, hits, 1);
-    fetch_merged<16>(order, mesh, order, hits, hits, corners, 17);
+    start_walk(walks, 1, slabs, interval, 1.0f);
+    return advance_walks<WIDTH, 128, true>(interval, walks, log, row, 3) + skip_leaf_blocks<WIDTH, 8>(walks, 1)
+        + pop_walks<WIDTH>(walks, log, 3u) + (unsigned)compact_log<WIDTH, 64>(walks, log);
 }

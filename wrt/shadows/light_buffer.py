@@ -257,7 +257,7 @@ class LightBuffer:
                 max_bytes=self._max_bytes,
                 allocate=empty,
             )
-            self._in_lanes = bool(test.candidate_lanes) and not self._query.cull_backfaces and state.device.is_cpu
+            self._in_lanes = bool(test.native) and not self._query.cull_backfaces and state.device.is_cpu
             records = pack_triangles(state) if self._in_lanes else records_of(state, plan, None).records
         self._cells, self._records, self._config, self._built_for = cells, records, config, mesh
         self._no_skip = wp.full(1, -1, dtype=int, device=state.device)

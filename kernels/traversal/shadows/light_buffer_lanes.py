@@ -9,7 +9,7 @@ tested 16 to a vector, as in a stream (`wrt.kernels.traversal.stream.stream_cand
 vertices.
 
 The arithmetic is that of `light_buffer_query`, to the bit. The triangle test must supply its code for such lanes
-(`TestForm.candidate_lanes`); others use that kernel.
+(`TestForm.native`); others use that kernel.
 """
 
 from functools import cache
@@ -225,13 +225,13 @@ def make_answer(triangle_test: str) -> wp.Function:
     pieces = {"WRT_REACH": _REACH, "WRT_VALID": VALID_LANE}
     find = _FIND.replace("WRT_LOAD", _LOAD.replace("WRT_NUMBER", "from + (k < here ? k : 0)"))
     prepare = _PREPARE.replace("WRT_LOAD", _LOAD.replace("WRT_NUMBER", "rest[from + (k < here ? k : 0)]"))
-    prepare = prepare.replace("WRT_PREPARE", test.prepare_lanes)
+    prepare = prepare.replace("WRT_PREPARE", f"{test.native}::prepare<L>(words, dx, dy, dz, ox, oy, oz);")
     for name, piece in pieces.items():
         find, prepare = find.replace(name, piece), prepare.replace(name, piece)
-    rounds = _ROUNDS.replace("CANDIDATE_LANES", test.candidate_lanes).replace("VERTEX_BOX", vertex_box("corner[0]", "i"))
-    rounds = rounds.replace("BOX_INTERVAL", BOX_INTERVAL)
+    rounds = _ROUNDS.replace("CANDIDATE_LANES", f"{test.native}::test<L>(words, corner, t, u, v);")
+    rounds = rounds.replace("VERTEX_BOX", vertex_box("corner[0]", "i")).replace("BOX_INTERVAL", BOX_INTERVAL)
 
-    @native.func_native("lanes.h", constants + find + _CELLS + prepare + rounds)
+    @native.func_native("ray.h triangle.h", constants + find + _CELLS + prepare + rounds)
     def answer_native(
         cells: LightCells,
         records: wp.array(dtype=float),
@@ -250,7 +250,7 @@ def make_answer(triangle_test: str) -> wp.Function:
 
 @cache
 def make_lane_kernel(triangle_test: str) -> wp.Kernel:
-    """The kernel for a triangle test with `candidate_lanes`; arguments as of `light_buffer_query.make_kernel`."""
+    """The kernel for a triangle test with a `native` form; arguments as of `light_buffer_query.make_kernel`."""
     answer = make_answer(triangle_test)
 
     def light_buffer_lanes(

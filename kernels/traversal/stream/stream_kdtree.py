@@ -29,6 +29,7 @@ from wrt.kernels.layout.bvh_nodes import MAX_LEAF_TRIANGLES, leaf_child
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.stream.stream_kernel import (
     LIST_LANES,
@@ -50,37 +51,6 @@ exact_module(__name__)
 STACK_LISTS = 16
 """Size of the stack in rays, as a multiple of the stream."""
 
-_SORT = """
-    int first[8] = {}, last = 0;
-    auto octant_of = [&](int k) {
-        const auto& inverse = rays.data[k].slabs.inverse;
-        return (inverse.c[0] < 0.0f ? 1 : 0) | (inverse.c[1] < 0.0f ? 2 : 0) | (inverse.c[2] < 0.0f ? 4 : 0);
-    };
-    for (int k = 0; k < count; ++k) ++first[octant_of(k)];
-    for (int o = 0; o < 8; ++o) { const int size = first[o]; first[o] = last; last += size; ends.data[o] = last; }
-    for (int k = 0; k < count; ++k) order.data[first[octant_of(k)]++] = k;
-"""
-
-_ENTER = """
-    int* number = list.rays.data;
-    float *entry = list.entry.data, *leave = list.leave.data;
-    int size = 0;
-    for (int j = begin; j < end; ++j) {
-        const int k = order.data[j];
-        const auto& ray = rays.data[k];
-        float from = ray.t_min, to = ray.best.t, t;
-        for (int a = 0; a < 3; ++a) {
-            const float inverse = ray.slabs.inverse.c[a];
-            const bool back = inverse < 0.0f;
-            t = ((back ? high.c[a] : low.c[a]) - ray.slabs.origin_in.c[a]) * inverse; from = t > from ? t : from;
-            t = ((back ? low.c[a] : high.c[a]) - ray.slabs.origin_out.c[a]) * inverse; to = t < to ? t : to;
-        }
-        number[size] = k; entry[size] = from; leave[size] = to;
-        size += from <= to ? 1 : 0;
-    }
-    return size;
-"""
-
 
 @wp.func_native("for (int i = 0; i < count; ++i) { pairs.rays.c[i] = list.rays.data[first + i]; pairs.leaves.c[i] = leaf; }")
 def fill_pairs(list: wp.ref[RayIntervals], first: int, count: int, leaf: int, pairs: wp.ref[Pairs]):
@@ -94,7 +64,9 @@ def enter_scene(triangle_test: str) -> wp.Function:
     the scene's box."""
     StreamRay = stream_ray(triangle_test)
 
-    @wp.func_native(_ENTER)
+    arguments = "rays.data, order.data, begin, end, low.c, high.c, list"
+
+    @native.func_native("stream.h", f"return wrt::enter_box({arguments});")
     def enter_native(
         rays: wp.array(dtype=StreamRay),
         order: wp.array(dtype=int),
@@ -219,7 +191,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     piece = -(-size * STACK_LISTS // MAX_TREE_DEPTH)
     list_size, stack_size = piece + LIST_LANES, piece * MAX_TREE_DEPTH + LIST_LANES
 
-    @wp.func_native(_SORT)
+    @native.func_native("stream.h", "wrt::sort_by_octant(rays.data, count, order.data, ends.data);")
     def sort_by_octant(rays: wp.array(dtype=StreamRay), count: int, order: wp.array(dtype=int), ends: wp.array(dtype=int)): ...
 
     def stream_kdtree(

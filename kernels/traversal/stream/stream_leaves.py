@@ -17,7 +17,7 @@ from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lowest_bit
-from wrt.kernels.traversal.stream.stream_candidates import evaluates_in_lanes, evaluation, lane_constants
+from wrt.kernels.traversal.stream.stream_candidates import evaluates_in_lanes, lane_form
 from wrt.kernels.traversal.stream.stream_kernel import StreamCounters, round_up, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import collect_words, list_leaves
 from wrt.kernels.traversal.stream.stream_lists import Pairs
@@ -33,39 +33,16 @@ FEW_TRIANGLES = 4
 MANY_RAYS = 32
 """Rays of a list from which that pays."""
 
-_TEST_LEAF = """
-    const int block = ~leaf >> 6, triangles = ~leaf & 63;
-    int* const owner = words.data + begin;
-    WRT_FOR(count, i) owner[i] &= RAY;
-    // the last vector is filled up: a list has room for so many beyond its end
-    WRT_UNROLLED for (int i = 0; i < L; ++i) owner[count + i] = owner[0];
-    for (int first = 0; first < count; first += L) {
-        alignas(64) float words[WORDS][L], corner[9][L];
-        float t[L], u[L], v[L];
-        int primitive[L], near[L];
-        const float* from[L];
-        WRT_SCALAR for (int i = 0; i < L; ++i) from[i] = (const float*)(rays.data + owner[first + i]);
-        wrt::read_records(from, 0, words[0]);
-        wrt::read_records(from, WORDS - 16, words[WORDS - 16]);
-        for (int k = 0; k < triangles; ++k) {
-            const int id = primitives.data[block * WIDTH + k];
-            const float* record = &records.data[(size_t)block * (COMPONENTS * WIDTH) + k];
-            for (int c = 0; c < 9; ++c) { const float x = record[c * WIDTH]; WRT_FOR_LANES(i) { corner[c][i] = x; } }
-            WRT_FOR_LANES(i) { primitive[i] = id; }
-            EVALUATE
-        }
-    }
-"""
-
 
 @cache
 def leaf_in_lanes(config: TraversalConfig) -> wp.Function:
     """`func(records, primitives, rays, words, begin, count, leaf)`: tests the rays of a list against all triangles of a
     leaf of one block. words[begin .. begin + count - 1]: the list, of whose words only the rays' numbers remain. leaf: a child
     word of `wrt.kernels.layout.bvh_nodes`."""
-    StreamRay, code = stream_ray(config.triangle_test), _TEST_LEAF.replace("EVALUATE", evaluation(config))
+    StreamRay = stream_ray(config.triangle_test)
+    arguments = "records.data, primitives.data, rays.data, words.data + begin, count, leaf"
 
-    @native.func_native("lanes.h", lane_constants(config) + code)
+    @native.func_native("stream_candidates.h", f"wrt::test_leaf<{lane_form(config)}>({arguments});")
     def test_leaf_native(
         records: wp.array(dtype=float),
         primitives: wp.array(dtype=int),

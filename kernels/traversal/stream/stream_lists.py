@@ -13,7 +13,7 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS
+from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES
 
 exact_module(__name__)
 
@@ -72,10 +72,6 @@ def store_pair(pairs: wp.ref[Pairs], p: int, ray: int, leaf: int):
 def load_candidate(pairs: wp.ref[Pairs], p: int, slot: wp.ref[int]) -> int:
     """Ray and slot of a candidate."""
     ...
-
-
-LISTS = f"    constexpr int L = {LIST_LANES}, RAY_BITS = {RAY_BITS}, RAY = (1 << RAY_BITS) - 1;\n"
-"""C++ constants of lists: elements that are filtered at a time, and the bits of a word that are the ray's number."""
 
 
 @cache

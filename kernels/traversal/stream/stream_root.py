@@ -24,97 +24,38 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.lanes import count_bits
-from wrt.kernels.simd.row_maxima import row_maxima
-from wrt.kernels.traversal.stream.stream_boxes import BEGIN_BOXES, BOX_CONSTANTS, BOXES, box_memory
-from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, stream_ray
+from wrt.kernels.traversal.stream.stream_boxes import ERROR, box_memory
+from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE
-from wrt.kernels.traversal.stream.stream_lists import LISTS
-from wrt.kernels.traversal.stream.stream_load import (
-    FETCH,
-    FETCH_GIVEN,
-    FINISH_GIVEN,
-    KEPT_SIZE,
-    constants,
-    prepare_one_by_one,
-    written,
-)
+from wrt.kernels.traversal.stream.stream_load import GUARDS, KEPT_SIZE, native_form, prepare_one_by_one
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 exact_module(__name__)
 
-_TEST = """
-    int met[L] = {};
-    for (unsigned left = state.used; left; left &= left - 1u) {
-        const int c = wrt::lowest_bit(left);
-        const float low_x = bounds.data[c], low_y = bounds.data[W + c], low_z = bounds.data[2 * W + c];
-        const float high_x = bounds.data[3 * W + c], high_y = bounds.data[4 * W + c], high_z = bounds.data[5 * W + c];
-        WRT_FOR(L, k) {
-            const float jx = ix[k], jy = iy[k], jz = iz[k];
-            float enter = words[9][k], leave = t[k], s;
-            s = ((jx < 0.0f ? high_x : low_x) - words[3][k]) * jx; enter = s > enter ? s : enter;
-            s = ((jy < 0.0f ? high_y : low_y) - words[4][k]) * jy; enter = s > enter ? s : enter;
-            s = ((jz < 0.0f ? high_z : low_z) - words[5][k]) * jz; enter = s > enter ? s : enter;
-            s = ((jx < 0.0f ? low_x : high_x) - words[6][k]) * jx; leave = s < leave ? s : leave;
-            s = ((jy < 0.0f ? low_y : high_y) - words[7][k]) * jy; leave = s < leave ? s : leave;
-            s = ((jz < 0.0f ? low_z : high_z) - words[8][k]) * jz; leave = s < leave ? s : leave;
-            met[k] |= enter <= leave ? 1 << c : 0;
-            if (ORDER != NONE) {
-                const float own = ((enter <= leave) & (stored[k] != 0)) ? (ORDER == NEAR ? -enter : enter) : -WRT_INFINITY;
-                last[c * L + k] = own > last[c * L + k] ? own : last[c * L + k];
-            }
-        }
-    }
-    WRT_FOR(L, k) { met[k] &= stored[k]; any[k] |= met[k]; stored[k] = met[k]; }
+ORDERS = f"""
+    static_assert(wrt::Order::NONE == wrt::Order({NONE}));
+    static_assert(wrt::Order::NEAR == wrt::Order({NEAR}) && wrt::Order::FAR == wrt::Order({FAR}));
+    static_assert(wrt::NO_CHILD == {NO_CHILD_CONSTANT} && wrt::RAY_BITS == {RAY_BITS});
 """
-
-_LIST = """
-    int word[L];
-    WRT_FOR(L, k) word[k] = (int)((unsigned)met[k] << RAY_BITS);
-    int* listed = list.data + size;
-    wrt::append<L>(listed, word, kept);
-    WRT_FOR(L, k) listed[k] |= size + k;
-"""
-
-_BEGIN = """
-    unsigned used = 0;
-    for (int c = 0; c < W; ++c) used |= children.data[c] != EMPTY ? 1u << c : 0u;
-    if (ORDER != NONE) { WRT_FOR(W * L, k) last[k] = -WRT_INFINITY; }
-    WRT_FOR(L, k) any[k] = 0;
-"""
-
-_END = """
-    unsigned reached = 0, leaves = 0;
-    for (int k = 0; k < L; ++k) reached |= (unsigned)any[k];
-    for (int c = 0; c < W; ++c) leaves |= children.data[c] < 0 ? 1u << c : 0u;
-    float greatest[W];
-MAXIMA
-    for (int c = 0; c < W; ++c) {
-        const int entry = ORDER == NONE ? 0 : __builtin_bit_cast(int, ORDER == NEAR ? -greatest[c] : greatest[c]);
-        const int key = ((ORDER == FAR ? 0x7f7fffff - entry : entry) & -W) | c;
-        keys.data[c] = (reached & ~leaves) >> c & 1u ? key : NO_CHILD;
-    }
-    return reached & leaves;
-"""
+"""C++: constants that kernels/native has too."""
 
 
-def _head(width: int, order: int) -> str:
-    """C++: what the functions of a root have in common, after `LISTS`. last: for each child, the greatest t, or the greatest
-    -t, at which the rays of a lane enter it; any: bits of the children that they meet."""
-    return f"""
-    constexpr int W = {width}, EMPTY = {int(EMPTY_LANE)}, NO_CHILD = {NO_CHILD_CONSTANT};
-    constexpr int ORDER = {order}, NONE = {NONE}, NEAR = {NEAR}, FAR = {FAR};
-    float* last = lanes.data;
-    int* any = (int*)(lanes.data + W * L);
-    """
+def root_test(width: int, order: int) -> str:
+    """C++ struct of the test of rays against the boxes of the root."""
+    return f"wrt::RootTest<{width}, wrt::Order({order}), {LIST_LANES}>"
 
 
 @cache
 def begin_root(width: int, order: int, boxes: bool) -> wp.Function:
     """`func(children, bounds, low, high, center, lanes) -> used`: before the first rays of a stream; returns the bits of the
     root's children."""
-    head = LISTS + _head(width, order) + (BOX_CONSTANTS if boxes else "")
+    code = f"const unsigned used = {root_test(width, order)}::begin(children.data, {int(EMPTY_LANE)}, lanes.data);\n"
+    grid = f"wrt::RootGrid<{width}, {LIST_LANES}>"
+    if boxes:
+        code += f"static_assert({grid}::FLOATS == {box_memory(width)} && {grid}::ERROR == {ERROR!r}f);\n"
+        code += f"{grid}(lanes.data).begin(bounds.data, used, low, high, center);\n"
 
-    @native.func_native("lanes.h", head + _BEGIN + (BEGIN_BOXES if boxes else "") + "    return used;\n")
+    @native.func_native("stream_root.h", f"{ORDERS}{code}return used;")
     def begin_native(
         children: wp.array(dtype=int),
         bounds: wp.array(dtype=float),
@@ -131,10 +72,9 @@ def begin_root(width: int, order: int, boxes: bool) -> wp.Function:
 def end_root(width: int, order: int) -> wp.Function:
     """`func(children, lanes, keys) -> leaves`: after the last rays of a stream; writes the keys of the root's children, and
     returns the bits of the leaves that a ray meets."""
-    rows = [f"(last + {c * LIST_LANES})" for c in range(width)]
-    code = _END.replace("MAXIMA", "" if order == NONE else row_maxima(rows, LIST_LANES, "greatest"))
+    call = f"{root_test(width, order)}::end(children.data, lanes.data, keys.data)"
 
-    @native.func_native("lanes.h", LISTS + _head(width, order) + code)
+    @native.func_native("stream_root.h", f"return {call};")
     def end_native(children: wp.array(dtype=int), lanes: wp.array(dtype=float), keys: wp.array(dtype=int)) -> wp.uint32: ...
 
     return end_native
@@ -158,23 +98,19 @@ class RootLoad:
 
 @cache
 def load_lanes(triangle_test: str, width: int, order: int, boxes: bool) -> wp.Function:
-    """`func(batch, first, count, low, high, stream, bounds, list, lanes, own, state) -> bits`: loads the next rays
-    (`wrt.kernels.traversal.stream.stream_load.FETCH`), and stores and lists those that meet a child of the root.
+    """`func(batch, first, count, low, high, stream, bounds, list, lanes, own, state) -> bits`: loads the next rays, and stores
+    and lists those that meet a child of the root.
 
     Returns the bits of the rays that were stored, of those in the lanes: rays may wait until others fill the lanes
     (`wrt.kernels.traversal.stream.stream_boxes`), or until there are no more (`count` 0).
 
-    low, high: bounds of the scene; bounds: of the tree's nodes. list: words of the rays of the stream. lanes: see `_head`. own:
-    see `wrt.kernels.traversal.stream.stream_load.KEPT_SIZE`.
+    low, high: bounds of the scene; bounds: of the tree's nodes. list: words of the rays of the stream. lanes: see
+    `kernels/native/stream_root.h`. own: see `wrt.kernels.traversal.stream.stream_load.KEPT_SIZE`.
     """
-    head = constants(triangle_test) + _head(width, order) + "    const int place = state.loaded, size = state.kept;\n"
-    if boxes:
-        code = BOX_CONSTANTS + FETCH_GIVEN + BOXES + FINISH_GIVEN
-        code += written(triangle_test, _TEST, _LIST, "own_number[k]")
-    else:
-        code = "    if (count == 0) return 0;\n" + FETCH + written(triangle_test, _TEST, _LIST)
+    form = f"{native_form(triangle_test)}, {width}, wrt::Order({order}), {int(boxes)}, {LIST_LANES}"
+    arguments = "batch, first, count, low, high, stream.data, bounds.data, list.data, lanes.data, own.data, state"
 
-    @native.func_native("lanes.h", head + code)
+    @native.func_native("stream_root.h", f"{GUARDS}{ORDERS}return wrt::load_root<{form}>({arguments});")
     def load_native(
         batch: RayBatch,
         first: int,
@@ -212,7 +148,7 @@ def load_root(triangle_test: str, room: int, width: int, order: int, boxes: bool
         ray meets.
     """
     StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test, width, order, boxes)
-    prepared = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes)
+    prepared = bool(TRIANGLE_TESTS[triangle_test].native)
     lanes_size = (width + 1) * LIST_LANES + (box_memory(width) if boxes else 0)
     prepare_kept, group = prepare_one_by_one(triangle_test), min(room, LIST_LANES)
     begin_list, end_list = begin_root(width, order, boxes), end_root(width, order)

@@ -36,32 +36,9 @@ class BoundedInstances:
 
 
 @native.func_native(
-    "lanes.h",
-    f"""
-    constexpr int W = {LANES};
-    const double far = __builtin_bit_cast(double, 0x7ff0000000000000ull);
-    const int row = points.shape[0] / 3, count = corners.shape[0] / 6;
-    const double* const px = points.data;
-    const double* const py = px + row;
-    const double* const pz = py + row;
-    for (int axis = 0; axis < 3; ++axis) {{
-        const double x = map.data[axis][0], y = map.data[axis][1], z = map.data[axis][2];
-        double low[W], high[W];
-        WRT_FOR_LANES(j) {{ low[j] = far; high[j] = -far; }}
-        for (int k = begin; k < end; k += W)
-            WRT_FOR_LANES(j) {{
-                const double at = (x * px[k + j] + y * py[k + j]) + z * pz[k + j];
-                low[j] = at < low[j] ? at : low[j];
-                high[j] = at > high[j] ? at : high[j];
-            }}
-        for (int j = 1; j < W; ++j) {{
-            low[0] = low[j] < low[0] ? low[j] : low[0];
-            high[0] = high[j] > high[0] ? high[j] : high[0];
-        }}
-        corners.data[axis * count + i] = low[0] + origin.c[axis];
-        corners.data[(axis + 3) * count + i] = high[0] + origin.c[axis];
-    }}
-""",
+    "instances.h",
+    f"""wrt::bound_points<{LANES}>(
+        points.data, points.shape[0] / 3, begin, end, map, origin, corners.data, corners.shape[0] / 6, i);""",
 )
 def bound_points(
     points: wp.array(dtype=wp.float64),

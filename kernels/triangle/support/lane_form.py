@@ -2,7 +2,8 @@
 
 The arithmetic of a test is the same whatever the lanes hold. A `LaneForm` is that arithmetic for one ray and one triangle, as
 steps of C++ over named floats. Each step ends in a condition. Lanes that fail it leave, and the next step runs if any lane
-remains (an early exit saves time only if all lanes take it). Two forms are generated from it:
+remains (an early exit saves time only if all lanes take it). Two forms are made of it, by loops over lanes that take the steps
+as functions (kernels/native/triangle.h):
 
 * `block_test`: names of the triangle are loaded from W lanes of the block, names of the ray are scalars;
 * `packet_form`: names of the ray are loaded from the packet, those of the triangle are scalars.
@@ -41,29 +42,6 @@ PACKET_VALUES = {
 
 
 @dataclass(frozen=True)
-class PairForm:
-    """W rays x a triangle for each: pieces of C++ with vectors (`wrt.kernels.simd.lane_vectors`), for Clang on the CPU.
-
-    Free variables: those of `PacketForm` but `k` and `i`; `f` is the first of the W rays, `pass` the current pass. Lanes of
-    `vi` masks are 0 or -1.
-
-    Attributes:
-        rays: once, before all pairs.
-        axes: for each pass.
-        may_meet: for the triangle at `corner`, as of `PacketForm`, and the rays from f on: declares `vi may_meet`, 0 only where
-            the ray's line certainly misses the triangle.
-        test: for the rays from f on and the lanes `which` of a block, where `paired` is not 0. Row c of the block's vertices is
-            `corners[c]`, less the origin if it is `SHARED`. Declares `vi inside`, the lanes whose line meets the triangle, and
-            `vf at, hit_u, hit_v`; executes `continue` if there are none.
-    """
-
-    rays: str
-    axes: str
-    may_meet: str
-    test: str
-
-
-@dataclass(frozen=True)
 class PacketForm:
     """W rays x one triangle: pieces of C++ that `wrt.kernels.traversal.packet` puts into its lane loops.
 
@@ -82,7 +60,10 @@ class PacketForm:
         hit: per ray, sets `at`, `hit_u`, `hit_v`.
         ray: for the single ray k; sets the members of `ray`, the struct that the test's `prepare` returns, which `block_test`
             reads.
-        pairs: the same test for rays that have a triangle each; None for a test without it.
+        rays: once, before all else.
+        pairs: C++ expression, after `rays`, of the same test for rays that have a triangle each (`WoopPairs` in
+            kernels/native/woop_packets.h), for Clang on the CPU; empty for a test without it.
+        headers: those of kernels/native that the pieces use.
         certain: whether a ray that passes well inside a triangle always hits it, for whatever triangle is large enough as seen
             from the ray's origin (`wrt.kernels.traversal.packet.leaves.covering_triangle`).
     """
@@ -94,7 +75,9 @@ class PacketForm:
     inside: str
     hit: str
     ray: str
-    pairs: PairForm | None = None
+    rays: str = ""
+    pairs: str = ""
+    headers: str = ""
     certain: bool = False
 
 
@@ -241,6 +224,7 @@ class LaneForm:
             inside=self.packet_steps(),
             hit="at = kept_t[i]; hit_u = kept_u[i]; hit_v = kept_v[i];",
             ray="".join(f"    {value.scalar} = {source};\n" for value, source in zip(self.ray, self.sources, strict=True)),
+            headers="triangle.h",
         )
 
     @property
@@ -270,28 +254,27 @@ class LaneForm:
 
     def packet_steps(self) -> str:
         """C++ of `PacketForm.inside`."""
-        return "int inside[W];\n" + "".join(f"float kept_{name}[W];\n" for name in self.kept()) + self.packet_loops()
+        return f"int inside[W];\n{self.memory()}{self.packet_loops()}"
 
     def packet_loops(self) -> str:
-        """C++ that fills what `packet_steps` declares: a loop over lanes for each step."""
+        """C++ that fills what `packet_steps` declares."""
         values = {value.name: source for value, source in zip(self.ray, self.sources, strict=True)}
 
         def declare(step: Step) -> list[str]:
             return ["const int k = f + i;", *(f"const float {name} = {values[name]};" for name in step.reads(values))]
 
-        text = ""
-        for number, step in enumerate(self.steps):
-            still = "(inside[i] != 0) & " if number else ""
-            text += f"""
-                int some{number} = 0;
-                WRT_FOR_LANES(i) {{
-                    {self.lane_code(number, declare)}
-                    inside[i] = ({still}({step.passes})) ? 1 : 0;
-                    some{number} |= inside[i];
-                }}
-                if (!some{number}) continue;
-            """
-        return text
+        return f"if (!wrt::packet_steps<W>(inside{self.step_functions(declare)})) continue;\n"
+
+    def memory(self) -> str:
+        """C++ of the arrays that keep what later steps read."""
+        return "".join(f"float kept_{name}[W];\n" for name in self.kept())
+
+    def step_functions(self, declare: Callable[[Step], list[str]]) -> str:
+        """C++: for each step a comma and a function of the lane, for the loops of kernels/native/triangle.h."""
+        return "".join(
+            f",\n[&](int i) {{\n{self.lane_code(number, declare)}\nreturn {step.passes};\n}}"
+            for number, step in enumerate(self.steps)
+        )
 
 
 @cache
@@ -302,27 +285,13 @@ def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
     def declare(step: Step) -> list[str]:
         return [f"const float {name} = r[{components[name]} * W + i];" for name in step.reads(components)]
 
-    text = f"    constexpr int W = {width}, COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)};\n"
-    text += "    const float* r = &records.data[(size_t)block * (COMPONENTS * W)];\n    unsigned mask = ~0u;\n"
-    text += "".join(f"    const float {value.name} = {value.scalar};\n" for value in form.ray)
-    text += "".join(f"    float kept_{name}[W];\n" for name in form.kept())
-    for number, step in enumerate(form.steps):
-        text += f"""
-            {{
-                int passed[W];
-                WRT_FOR_LANES(i) {{
-                    {form.lane_code(number, declare)}
-                    passed[i] = ({step.passes}) ? -1 : 0;
-                }}
-                mask &= wrt::bits<W>(passed);
-                if (!mask) return mask;
-            }}
-        """
-    text += (
-        "    WRT_FOR_LANES(i) { out_t.c[i] = kept_t[i]; out_u.c[i] = kept_u[i]; out_v.c[i] = kept_v[i]; }\n    return mask;\n"
-    )
+    text = f"constexpr int W = {width}, COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)};\n"
+    text += "const float* r = &records.data[(size_t)block * (COMPONENTS * W)];\n"
+    text += "".join(f"const float {value.name} = {value.scalar};\n" for value in form.ray) + form.memory()
+    text += f"const unsigned mask = wrt::block_steps<W>(~0u{form.step_functions(declare)});\nif (!mask) return mask;\n"
+    text += "WRT_FOR_LANES(i) { out_t.c[i] = kept_t[i]; out_u.c[i] = kept_u[i]; out_v.c[i] = kept_v[i]; }\nreturn mask;\n"
 
-    @native.func_native("lanes.h", text)
+    @native.func_native("triangle.h", text)
     def block_test(
         records: wp.array(dtype=float),
         block: int,

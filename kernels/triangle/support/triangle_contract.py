@@ -35,13 +35,11 @@ class TestForm:
             computed for it. Such a test reports only hits in front of the origin.
         ray_state: struct that `prepare` returns.
         prepare: `wp.func(origin, direction) -> ray`, once per ray.
-        prepare_lanes: C++ that does the same for L rays of a stream at once. It reads directions dx, dy, dz, origins ox, oy, oz
-            and inverses ix, iy, iz, all indexed by the ray, and fills words[14], words[15] .. with the words of the ray state,
-            in order. Empty if rays are prepared one by one.
-        candidate_lanes: C++ of `intersect` for L pairs of a ray and a triangle at once. It reads vertices corner[0] ..
-            corner[8] and the words of the ray states, as in `prepare_lanes`, all indexed by the pair, and fills t, u and v. The
-            block test has already found that each ray's line meets its triangle, and that result must be right: t is clamped to
-            the triangle's box, which turns a NaN into a hit. Empty if streams test their candidates one by one.
+        native: C++ struct of `kernels/native` for streams, or empty if rays are prepared and candidates tested one by one.
+            `prepare` does what the function above does for L rays at once: it fills the rows from 14 on with the words of the
+            ray state, in order. `test` is `intersect` for L pairs of a ray and a triangle at once. The block test has already
+            found that each ray's line meets its triangle, and that result must be right: t is clamped to the triangle's box,
+            which turns a NaN into a hit.
         lanes: one ray x W triangles, and W rays x one triangle.
     """
 
@@ -49,8 +47,7 @@ class TestForm:
     record: Record = VERTICES
     ray_state: type
     prepare: wp.Function
-    prepare_lanes: str = ""
-    candidate_lanes: str = ""
+    native: str = ""
     lanes: LaneForm | HandWritten
 
     @property

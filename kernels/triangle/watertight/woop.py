@@ -44,9 +44,8 @@ from wrt.kernels.triangle.support.lane_form import HandWritten
 from wrt.kernels.triangle.support.operation_counts import Operations
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.triangle_contract import CrossingForms, TriangleTest
-from wrt.kernels.triangle.watertight.woop_areas import AREAS_SIZE, IS_THIN, PRECISE_AREAS, area64, exact_area, precise_areas
+from wrt.kernels.triangle.watertight.woop_areas import THIN, area64, exact_area, precise_areas
 from wrt.kernels.triangle.watertight.woop_packets import PACKET
-from wrt.kernels.triangle.watertight.woop_streams import CANDIDATE_LANES, INCLUSIVE_SIDE, PREPARE_LANES
 
 exact_module(__name__)
 
@@ -180,146 +179,19 @@ def intersect_crossing(ray: ShearedRay, corners: Corners):
     return interpolate(ray, wp.vec3(a[2], b[2], c[2]), areas)
 
 
-_BLOCK = """
-    const float* corner = &records.data[(size_t)block * (9 * W)];
-    const float *x = corner + ray.x * W, *y = corner + ray.y * W, *z = corner + ray.z * W;
-    WRT_LANES(ax, x); WRT_LANES(ay, y); WRT_LANES(az, z);
-    WRT_LANES(bx, x + 3 * W); WRT_LANES(by, y + 3 * W); WRT_LANES(bz, z + 3 * W);
-    WRT_LANES(cx, x + 6 * W); WRT_LANES(cy, y + 6 * W); WRT_LANES(cz, z + 6 * W);
-    const float ox = ray.origin.c[0], oy = ray.origin.c[1], oz = ray.origin.c[2];
-    const float sx = ray.shear.c[0], sy = ray.shear.c[1], sz = ray.shear.c[2];
-    float area_a[W], area_b[W], area_c[W], depth_a[W], depth_b[W], depth_c[W], sizes[W];
-    int within[W], edge[W];
-    WRT_FOR_LANES(i) {
-        float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
-        float px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
-        float py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
-        float a = rx * qy - ry * qx, b = px * ry - py * rx, c = qx * py - qy * px;
-        area_a[i] = a; area_b[i] = b; area_c[i] = c;
-        depth_a[i] = pz; depth_b[i] = qz; depth_c[i] = rz;
-        sizes[i] = AREAS_SIZE;
-        bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
-        bool on_edge = ON_EDGE;
-        within[i] = inside ? -1 : 0;
-        edge[i] = on_edge ? -1 : 0;
-    }
-    unsigned mask = wrt::bits<W>(within), edges = wrt::bits<W>(edge);
-    if (edges) {
-        for (int i = 0; i < W; ++i) {
-            if (!(edges >> i & 1u)) continue;
-            float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
-            double px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
-            double py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
-            double exact_a = rx * qy - ry * qx, exact_b = px * ry - py * rx, exact_c = qx * py - qy * px;
-            WHICH_SIDE
-            area_a[i] = a; area_b[i] = b; area_c[i] = c;
-            mask = (mask & ~(1u << i)) | (hit ? 1u << i : 0u);
-        }
-    }
-WRT_WEIGHTS
-    return mask;
+GUARDS = f"""
+    static_assert(wrt::THIN == {float(THIN)!r}f && wrt::SMALL_AREA == {float(SMALL)!r}f);
+    static_assert(wrt::AREA_LIFT == {float(LIFT)!r});
 """
-
-_LINES = """
-    const float* corner = &records.data[(size_t)block * (9 * W)];
-    const float *x = corner + ray.x * W, *y = corner + ray.y * W, *z = corner + ray.z * W;
-    WRT_LANES(ax, x); WRT_LANES(ay, y); WRT_LANES(az, z);
-    WRT_LANES(bx, x + 3 * W); WRT_LANES(by, y + 3 * W); WRT_LANES(bz, z + 3 * W);
-    WRT_LANES(cx, x + 6 * W); WRT_LANES(cy, y + 6 * W); WRT_LANES(cz, z + 6 * W);
-    const float ox = ray.origin.c[0], oy = ray.origin.c[1], oz = ray.origin.c[2];
-    const float sx = ray.shear.c[0], sy = ray.shear.c[1];
-    int met[W];
-    WRT_FOR_LANES(i) {
-        float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
-        float px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
-        float py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
-        float a = rx * qy - ry * qx, b = px * ry - py * rx, c = qx * py - qy * px;
-        float least = a < b ? a : b, most = a > b ? a : b;
-        least = least < c ? least : c; most = most > c ? most : c;
-        met[i] = (((least < 0.0f) & (most > 0.0f)) | (pz != pz)) ? 0 : -1;  // z is a NaN in unused lanes
-    }
-    return wrt::bits<W>(met);
-"""
-"""C++: the lanes in which no two areas have opposite signs. An area of zero has either sign: recomputed in float64, it may
-have any, but the others keep theirs, because rounding is monotone. So these are all lanes that are hit, and few others. An
-area is a NaN where its products overflow; it does not count here."""
-
-_PRECISE_LANE = """
-#if defined(__clang__) && !defined(__CUDA_ARCH__)
-#define WRT_APART __attribute__((noinline))
-#else
-#define WRT_APART
-#endif
-    auto wrt_precise_lane = [](const float* x, const float* y, const float* z, float ox, float oy, float oz, float sx, float sy,
-                               float* areas) WRT_APART {
-        const float pz = z[0] - oz, qz = z[3 * W] - oz, rz = z[6 * W] - oz;
-        const float px = (x[0] - ox) - sx * pz, qx = (x[3 * W] - ox) - sx * qz, rx = (x[6 * W] - ox) - sx * rz;
-        const float py = (y[0] - oy) - sy * pz, qy = (y[3 * W] - oy) - sy * qz, ry = (y[6 * W] - oy) - sy * rz;
-        WRT_PRECISE_AREAS
-        wrt_precise_areas(px, py, qx, qy, rx, ry, areas[0], areas[1], areas[2]);
-    };
-""".replace("WRT_PRECISE_AREAS", PRECISE_AREAS)
-"""Not inlined: this path runs for about one hit in a hundred and must not take registers from the others."""
-
-_WEIGHTS = """
-    if (mask) {
-        int thin[W];
-        WRT_FOR_LANES(i) {
-            float a = area_a[i], b = area_b[i], c = area_c[i], size = sizes[i];
-            thin[i] = ((IS_THIN) & (edge[i] == 0)) ? -1 : 0;
-        }
-        for (unsigned left = wrt::bits<W>(thin) & mask; left; left &= left - 1u) {
-            const int i = wrt::lowest_bit(left);
-            float areas[3] = {area_a[i], area_b[i], area_c[i]};
-            wrt_precise_lane(x + i, y + i, z + i, ox, oy, oz, sx, sy, areas);
-            area_a[i] = areas[0]; area_b[i] = areas[1]; area_c[i] = areas[2];
-        }
-        WRT_FOR_LANES(i) {
-            float a = area_a[i], b = area_b[i], c = area_c[i];
-            float scale = 1.0f / ((a + b) + c);
-            t.c[i] = sz * (((a * depth_a[i] + b * depth_b[i]) + c * depth_c[i]) * scale);
-            u.c[i] = b * scale;
-            v.c[i] = c * scale;
-        }
-    }
-"""
-"""C++ that computes t, u and v of the lanes in the mask."""
-
-_THIN = {"AREAS_SIZE": AREAS_SIZE, "IS_THIN": IS_THIN}
-
-_INCLUSIVE = _THIN | {
-    "ON_EDGE": "(a == 0.0f) | (b == 0.0f) | (c == 0.0f)",
-    "WHICH_SIDE": INCLUSIVE_SIDE,
-}
-
-_CROSSING = _THIN | {
-    "ON_EDGE": "(WRT_ABS(a) < SMALL) | (WRT_ABS(b) < SMALL) | (WRT_ABS(c) < SMALL)",
-    "WHICH_SIDE": f"""
-            auto side = [](double area, double px, double py, double qx, double qy) {{
-                int tie = py > qy ? 1 : py < qy ? -1 : qx > px ? 1 : qx < px ? -1 : 0;
-                return area > 0.0 ? 1 : area < 0.0 ? -1 : tie;
-            }};
-            int side_a = side(exact_a, rx, ry, qx, qy);
-            bool hit = side_a != 0 && side_a == side(exact_b, px, py, rx, ry) && side_a == side(exact_c, qx, qy, px, py);
-            double total = (exact_a + exact_b) + exact_c, lift = (total < 0.0 ? -total : total) < SMALL ? {float(LIFT)!r} : 1.0;
-            float a = (float)(exact_a * lift), b = (float)(exact_b * lift), c = (float)(exact_c * lift);
-    """,
-}
-
-
-def _block(width: int, rule: dict[str, str], weights: bool) -> str:
-    body = _BLOCK.replace("WRT_WEIGHTS", _WEIGHTS if weights else "")
-    for name, piece in rule.items():
-        body = body.replace(name, piece)
-    head = f"    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n"
-    return f"{head}{_PRECISE_LANE if weights else ''}{body}"
+"""C++: constants that kernels/native has too."""
 
 
 def make_block_test(width: int, crossing: bool, weights: bool = True) -> wp.Function:
     """The block test by one of the two rules for a ray on an edge. `weights`: whether t, u and v are computed."""
     Lanes = lanes(width)
+    form = f"{width}, wrt::{'Crossing' if crossing else 'Inclusive'}, {int(weights)}"
 
-    @native.func_native("lanes.h", _block(width, _CROSSING if crossing else _INCLUSIVE, weights))
+    @native.func_native("triangle.h", f"{GUARDS}return wrt::woop_block<{form}>(records.data, block, ray, t.c, u.c, v.c);")
     def woop_block(
         records: wp.array(dtype=float),
         block: int,
@@ -343,7 +215,7 @@ def line_test(width: int) -> wp.Function:
     """`block_test` without t, u and v; some of the lanes whose triangle the ray's line just misses are returned, too."""
     Lanes = lanes(width)
 
-    @native.func_native("lanes.h", f"    constexpr int W = {width};\n{_LINES}")
+    @native.func_native("triangle.h", f"return wrt::woop_lines<{width}>(records.data, block, ray);")
     def woop_lines(
         records: wp.array(dtype=float),
         block: int,
@@ -381,8 +253,7 @@ TEST = TriangleTest(
     accurate=True,
     ray_state=ShearedRay,
     prepare=prepare,
-    prepare_lanes=PREPARE_LANES,
-    candidate_lanes=CANDIDATE_LANES,
+    native="wrt::Woop",
     intersect=intersect,
     lanes=HandWritten(block_test, PACKET, OPERATIONS),
     line_test=line_test,

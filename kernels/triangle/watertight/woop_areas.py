@@ -50,20 +50,3 @@ def precise_areas(a: wp.vec3, b: wp.vec3, c: wp.vec3, areas: wp.vec3):
         if (precise[0] + precise[1]) + precise[2] != 0.0:
             result = precise
     return result
-
-
-AREAS_SIZE = "(WRT_ABS(rx * qy) + WRT_ABS(px * ry)) + WRT_ABS(qx * py)"
-"""C++: N of a triangle with the sheared vertices p, q, r."""
-
-IS_THIN = f"WRT_ABS((a + b) + c) < {float(THIN)!r}f * size"
-"""C++: whether a triangle with the areas a, b, c is thin. `size` is `AREAS_SIZE`."""
-
-PRECISE_AREAS = """
-    auto wrt_precise_areas = [](float px, float py, float qx, float qy, float rx, float ry, float& a, float& b, float& c) {
-        const float fine_a = (float)((double)rx * qy - (double)ry * qx), fine_b = (float)((double)px * ry - (double)py * rx);
-        const float fine_c = (float)((double)qx * py - (double)qy * px);
-        const bool fits = (fine_a + fine_b) + fine_c != 0.0f;
-        a = fits ? fine_a : a; b = fits ? fine_b : b; c = fits ? fine_c : c;
-    };
-"""
-"""C++: the areas a, b, c of a thin triangle in float64, if float32 can hold them."""

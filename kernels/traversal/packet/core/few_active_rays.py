@@ -18,40 +18,14 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout
-from wrt.kernels.traversal.packet.leaves.packet_block import SHORTEN
 from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
-from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
 from wrt.kernels.traversal.traversal_config import ANY, SingleConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
-
-_EXTRACT = """
-    const int k = bounds.few.c[place];
-    const float wide = SHARED ? slack0 : slack[k];
-    const float from[3] = {SHARED ? origin0[0] : origin_x[k], SHARED ? origin0[1] : origin_y[k],
-                           SHARED ? origin0[2] : origin_z[k]};
-    slabs.inverse = wp::vec3(inverse_x[k], inverse_y[k], inverse_z[k]);
-    for (int a = 0; a < 3; ++a) {
-        const float step = slabs.inverse.c[a] < 0.0f ? -wide : wide;
-        slabs.origin_in.c[a] = from[a] + step;
-        slabs.origin_out.c[a] = from[a] - step;
-    }
-    best.t = t[k]; best.primitive = ((const int*)primitive)[k]; best.u = u[k]; best.v = v[k];
-    const float begin = t_min[k];
-    WRT_RAY
-    return begin;
-"""
-
-_STORE = """
-    const int ray = bounds.few.c[place];
-    t[ray] = ANY_HIT ? -INF : best.t;
-    ((int*)primitive)[ray] = best.primitive;
-    u[ray] = best.u; v[ray] = best.v;
-"""
 
 
 @cache
@@ -61,7 +35,13 @@ def extract_ray(layout: PacketLayout) -> wp.Function:
     test = TRIANGLE_TESTS[layout.triangle_test]
     RayState = test.ray_state
 
-    @native.func_native("lanes.h", layout.head + SHARED_ORIGIN + _EXTRACT.replace("WRT_RAY", test.packet_form.ray))
+    @native.func_native(
+        f"packet_parts.h {layout.headers}",
+        f"""
+        {layout.own} {layout.names} const int k = bounds.few.c[place];
+        {test.packet_form.ray}
+        return wrt::extract_ray(own, shared, k, slabs, best);""",
+    )
     def extract_ray_native(
         packet: wp.array(dtype=float),
         bounds: wp.ref[PacketBounds],
@@ -77,9 +57,14 @@ def extract_ray(layout: PacketLayout) -> wp.Function:
 @cache
 def store_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
     """`wp.func(packet, bounds, place, best)`: stores the hit of a ray of `bounds.few` in the packet."""
-    constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
-    @native.func_native("lanes.h", layout.head + constant + _STORE + SHORTEN)
+    @native.func_native(
+        "packet_parts.h",
+        f"""
+        {layout.own}
+        wrt::store_hit<{cpp(any_hit)}>(own, bounds.few.c[place], best);
+        wrt::shorten<{cpp(any_hit)}>(own, bounds);""",
+    )
     def store_ray_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], place: int, best: wp.ref[Candidate]): ...
 
     return store_ray_native

@@ -72,26 +72,6 @@ MAX_STEPS_UNSPLIT = 10
 (notebooks/records/2026-11-23-scans.md)."""
 
 
-_FETCH = """
-#if !defined(__CUDA_ARCH__)
-    int kept[W];
-    WRT_FOR_LANES(i) kept[i] = keys.data[first + i] != NO_CHILD ? -1 : 0;
-    for (unsigned bits = wrt::bits<W>(kept); bits; bits &= bits - 1u) {
-        const int child = tree.child.data[node * W + wrt::lowest_bit(bits)], block = ~child >> 6;
-        if (child < 0) {
-            const char* record = (const char*)(triangles.records.data + (size_t)block * (RECORD * W));
-            WRT_UNROLLED for (int b = 0; b < 4 * RECORD * W; b += 64) WRT_FETCH(record + b);
-            WRT_FETCH(triangles.primitive.data + (size_t)block * W);
-        } else {
-            const char* boxes = (const char*)(tree.bounds.data + (size_t)child * (6 * W));
-            WRT_UNROLLED for (int b = 0; b < 24 * W; b += 64) WRT_FETCH(boxes + b);
-            WRT_FETCH(tree.child.data + child * W);
-        }
-    }
-#endif
-"""
-
-
 def walk_memory(config: TraversalConfig) -> int:
     """Ints of local memory that a walk needs: its mailbox; a row of keys per level, aligned to a cache line; the nodes of the
     path."""
@@ -108,8 +88,9 @@ def finishes_later(config: TraversalConfig) -> bool:
 def fetch_kept(layout: PacketLayout) -> wp.Function:
     """`wp.func(tree, triangles, node, keys, first)`: fetches the children of a node that culling has kept into the caches, of
     leaves the first block; `keys`, from `first` on, are those of `Culling.boxes`."""
+    code = f"wrt::fetch_kept<{layout.width}, {layout.record}>(tree, triangles, node, keys.data + first);"
 
-    @native.func_native("lanes.h", f"{layout.constants}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{_FETCH}")
+    @native.func_native("packet_culling.h", f"static_assert(wrt::NO_CHILD == {NO_CHILD_CONSTANT});\n{code}")
     def fetch(tree: wp.ref[WideNodes], triangles: wp.ref[TriangleBlocks], node: int, keys: wp.array(dtype=int), first: int): ...
 
     return fetch

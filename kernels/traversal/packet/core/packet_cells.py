@@ -23,27 +23,9 @@ exact_module(__name__)
 
 
 @native.func_native(
-    "lanes.h",
-    """
-    const float INF = WRT_INFINITY;
-    const float large = bounds.inverse_large.c[axis], small = bounds.inverse_small.c[axis];
-    if (large == large) {
-        float d = position - bounds.origin_out.c[axis], p = d * large, q = d * small;
-        q = q > p ? q : p;
-        const float near_leave = q < leave ? q : leave;
-        d = position - bounds.origin_in.c[axis]; p = d * large; q = d * small;
-        q = q < p ? q : p;
-        return wp::vec3(large, near_leave, q > entry ? q : entry);
-    }
-    const float forward = bounds.forward_small.c[axis], backward = bounds.backward_small.c[axis];
-    const float right_of = position - (bounds.origin_high.c[axis] + bounds.slack);
-    const float left_of = position - (bounds.origin_low.c[axis] - bounds.slack);
-    const bool no_right = (right_of > 0.0f) & (right_of * forward > leave) & (right_of * backward < entry);
-    const bool no_left = (left_of < 0.0f) & (left_of * backward > leave) & (left_of * forward < entry);
-    const bool right_first = -backward < forward;
-    return wp::vec3(right_first ? -1.0f : 1.0f, (right_first ? no_right : no_left) ? -INF : leave,
-                    (right_first ? no_left : no_right) ? INF : entry);
-""",
+    "packet_cells.h",
+    """const wrt::Crossed crossed = wrt::cross_plane(bounds, axis, position, entry, leave);
+    return wp::vec3(crossed.turn, crossed.near_leave, crossed.far_enter);""",
 )
 def cross_plane(bounds: wp.ref[PacketBounds], axis: int, position: float, entry: float, leave: float) -> wp.vec3:
     """`wrt.kernels.simd.boxes.cross_plane` for all rays of a packet that is in a cell from `entry` to `leave`.

@@ -100,9 +100,8 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
 @cache
 def load_hit(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet, k, best)`: the best hit so far of an active ray of a packet."""
-    body = "    best.t = t[k]; best.primitive = ((const int*)primitive)[k]; best.u = u[k]; best.v = v[k];\n"
 
-    @native.func_native("lanes.h", layout.head + body)
+    @native.func_native("packet_parts.h", f"wrt::load_hit({layout.packet}, k, best);")
     def load_hit_native(packet: wp.array(dtype=float), k: int, best: wp.ref[Candidate]): ...
 
     return load_hit_native

@@ -27,9 +27,9 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.packet_load import bounding
 
 exact_module(__name__)
 
@@ -48,53 +48,11 @@ ADAPTION = 0.25
 
 DONE, SINGLE_RAY = -1, -2
 
-_CONSTANTS = f"""
-    constexpr int DONE = {DONE}, SINGLE_RAY = {SINGLE_RAY}, MAX_PARTS = {MAX_PARTS};
-    int* of = (int*)part;
+GUARDS = f"""
+static_assert(wrt::DONE == {DONE} && wrt::SINGLE_RAY == {SINGLE_RAY} && wrt::MAX_PARTS == {MAX_PARTS});
+static_assert(wrt::WIDE == {WIDE!r}f && wrt::LEAST_WIDE == {LEAST_WIDE!r}f && wrt::ADAPTION == {ADAPTION!r}f);
 """
-
-_FINISH = """
-    if (completed && number == 0) return 0;
-    WRT_FOR(P, k) {
-        const bool whole = number == 0, in = whole | (of[k] == number), over = (t[k] == -INF) | completed;
-        of[k] = in ? (over ? DONE : number) : of[k];
-        t[k] = in ? t[k] : kept[k];
-    }
-    if (completed) return 0;
-    const wp::vec3 low = bounds.origin_low, high = bounds.origin_high;
-    const float x = high.c[0] - low.c[0], y = high.c[1] - low.c[1], z = high.c[2] - low.c[2];
-    const int axis = ((x >= y) & (x >= z)) ? 0 : y >= z ? 1 : 2;
-    const float middle = low.c[axis] + 0.5f * (high.c[axis] - low.c[axis]);
-    if (parts + 2 > MAX_PARTS || !((low.c[axis] < middle) & (middle < high.c[axis]))) {  // or no two rays of it start apart
-        WRT_FOR(P, k) { of[k] = of[k] == number ? SINGLE_RAY : of[k]; }
-        return 0;
-    }
-    const float* origin = axis == 0 ? origin_x : axis == 1 ? origin_y : origin_z;
-    WRT_FOR(P, k) { of[k] = of[k] == number ? parts + (origin[k] < middle ? 0 : 1) : of[k]; }
-    return 2;
-"""
-
-_ACTIVATE = """
-    WRT_FOR(P, k) {
-        kept[k] = t[k];
-        t[k] = of[k] == number ? t[k] : -INF;
-    }
-    float lows[3], highs[3];
-    const bool ranged = true;
-"""
-
-
-_IS_WIDE = """
-    float extent = 0.0f, scene = 0.0f;
-    for (int a = 0; a < 3; ++a) {
-        extent += bounds.origin_high.c[a] - bounds.origin_low.c[a];
-        scene += high.c[a] - low.c[a];
-    }
-    float& usual = packet.data[USUAL];
-    const bool wide = usual > 0.0f && extent > WIDE * usual && extent > LEAST_WIDE * scene;
-    if (first && !wide) usual = usual > 0.0f ? usual + ADAPTION * (extent - usual) : extent;
-    return wide;
-"""
+"""C++: the constants of splitting have these values."""
 
 
 @cache
@@ -104,9 +62,9 @@ def is_wide(layout: PacketLayout) -> wp.Function:
     Compared with what is usual in the item of the kernel, which the whole packets, `first`, determine. low, high: bounds of the
     scene.
     """
-    constants = f"    constexpr float WIDE = {WIDE!r}f, LEAST_WIDE = {LEAST_WIDE!r}f, ADAPTION = {ADAPTION!r}f;\n"
+    usual = f"packet.data[{layout.usual_extent}]"
 
-    @native.func_native("lanes.h", f"{constants}    constexpr int USUAL = {layout.usual_extent};\n{_IS_WIDE}")
+    @native.func_native("packet_parts.h", f"{GUARDS}return wrt::is_wide({usual}, bounds, low, high, first);")
     def is_wide_native(
         packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], low: wp.vec3, high: wp.vec3, first: bool
     ) -> bool: ...
@@ -128,9 +86,9 @@ def forget_extent(layout: PacketLayout) -> wp.Function:
 def activate_part(layout: PacketLayout, slopes: bool = True, ends: bool = False) -> wp.Function:
     """`wp.func(packet, bounds, number)`: makes the rays of a part the active ones, and computes their bounds; slopes, ends: see
     `load_packet`."""
-    bound = bound_packet(layout, slopes, ends=ends, loading=False)
+    what = bounding(layout, slopes, ends=ends)
 
-    @native.func_native("lanes.h", layout.head + _CONSTANTS + bounding_head(layout, slopes) + _ACTIVATE + bound)
+    @native.func_native("packet_parts.h", f"wrt::activate_part<{what}>({layout.packet}, bounds, number);")
     def activate_part_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int): ...
 
     return activate_part_native
@@ -146,7 +104,9 @@ def finish_part(layout: PacketLayout) -> wp.Function:
     marked `SINGLE_RAY`. The t of all other rays is restored.
     """
 
-    @native.func_native("lanes.h", layout.head + _CONSTANTS + _FINISH)
+    @native.func_native(
+        "packet_parts.h", f"{GUARDS}return wrt::finish_part({layout.packet}, bounds, number, parts, completed);"
+    )
     def finish_part_native(
         packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int, parts: int, completed: bool
     ) -> int: ...
@@ -157,9 +117,8 @@ def finish_part(layout: PacketLayout) -> wp.Function:
 @cache
 def count_single_rays(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet) -> int`: number of rays of a split packet that are to be traced one by one."""
-    count = "    int rays = 0;\n    WRT_FOR(P, k) { rays += of[k] == SINGLE_RAY ? 1 : 0; }\n    return rays;\n"
 
-    @native.func_native("lanes.h", layout.head + _CONSTANTS + count)
+    @native.func_native("packet_parts.h", f"return wrt::count_single_rays({layout.packet});")
     def count_single_rays_native(packet: wp.array(dtype=float)) -> int: ...
 
     return count_single_rays_native
@@ -171,9 +130,9 @@ def needs_single_ray(layout: PacketLayout) -> wp.Function:
 
     With a shared origin this is every ray, because such packets are not split.
     """
-    body = "    return true;\n" if layout.shared_origin else layout.head + _CONSTANTS + "    return of[k] == SINGLE_RAY;\n"
+    body = "true" if layout.shared_origin else f"{layout.packet}.part[k] == wrt::SINGLE_RAY"
 
-    @native.func_native("lanes.h", body)
+    @native.func_native("packet_parts.h", f"return {body};")
     def needs_single_ray_native(packet: wp.array(dtype=float), k: int) -> bool: ...
 
     return needs_single_ray_native

@@ -16,40 +16,17 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.leaf import FRONT
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 exact_module(__name__)
-
-_FRONTS = """
-    const float* r = &records.data[(size_t)block * (RECORD * W)];
-    double end[3][2];  // of the directions, derived as those of the rays are
-    for (int a = 0; a < 3; ++a) {
-        const float large = bounds.inverse_large.c[a], small = bounds.inverse_small.c[a];
-        const bool mixed = large != large;
-        end[a][0] = (double)(1.0f / (mixed ? bounds.forward_small.c[a] : large));
-        end[a][1] = (double)(1.0f / (mixed ? bounds.backward_small.c[a] : small));
-    }
-    int faces[W];
-    WRT_FOR_LANES(i) {
-        double normal[3], least[3];
-        wrt_normal(r + i, W, normal);
-        for (int a = 0; a < 3; ++a) {
-            const double p = normal[a] * end[a][0], q = normal[a] * end[a][1];
-            least[a] = p < q ? p : q;
-        }
-        faces[i] = (least[0] + least[1]) + least[2] < 0.0 ? -1 : 0;
-    }
-    return wrt::bits<W>(faces);
-"""
 
 
 @cache
 def keep_front_faces(layout: PacketLayout) -> wp.Function:
     """`wp.func(records, block, bounds) -> mask` of the triangles of a block whose front some ray may see."""
 
-    @native.func_native("lanes.h", f"{layout.constants}{FRONT}{_FRONTS}")
+    @native.func_native("packet_culling.h", f"return wrt::front_mask<{layout.width}>({layout.block}, bounds);")
     def keep_front_faces_native(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return keep_front_faces_native

@@ -34,59 +34,27 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.layout.ray_batch import TINY
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.culling import interval_culling as interval
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
-from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
 
 exact_module(__name__)
 
 MARGIN = 4.0
 """Error bound of an area, in slacks times the distance of its vertices from the ray."""
 
-_TRIANGLES = f"""
-    const unsigned met = [&]() -> unsigned {{{interval.TRIANGLES}}}();
-    if (!SHARED || (bounds.main_axes & (bounds.main_axes - 1)) || !met) return met;
-    const int z = bounds.main_axes == 1 ? 0 : bounds.main_axes == 2 ? 1 : 2, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
-    const float* r = &records.data[(size_t)block * (RECORD * W)];
-    const float ox = bounds.origin_low.c[x], oy = bounds.origin_low.c[y], oz = bounds.origin_low.c[z];
-    const float s0 = bounds.slope_low.c[0], s1 = bounds.slope_high.c[0];
-    const float t0 = bounds.slope_low.c[1], t1 = bounds.slope_high.c[1];
-    const float wide = {MARGIN!r}f * bounds.slack;
-    int kept[W];
-    WRT_FOR_LANES(i) {{
-        float px[3], qx[3], py[3], qy[3], size[3];  // sheared by the least and by the greatest slope
-        for (int k = 0; k < 3; ++k) {{
-            const float vx = r[(3 * k + x) * W + i] - ox, vy = r[(3 * k + y) * W + i] - oy, vz = r[(3 * k + z) * W + i] - oz;
-            px[k] = vx - s0 * vz; qx[k] = vx - s1 * vz;
-            py[k] = vy - t0 * vz; qy[k] = vy - t1 * vz;
-            const float ax = WRT_ABS(px[k]), bx = WRT_ABS(qx[k]);
-            const float ay = WRT_ABS(py[k]), by = WRT_ABS(qy[k]);
-            size[k] = (ax > bx ? ax : bx) + (ay > by ? ay : by);
-        }}
-        bool front = true, back = true;  // whether some ray may see all areas >= 0, or all <= 0
-        for (int k = 0; k < 3; ++k) {{
-            const int l = k == 2 ? 0 : k + 1;
-            const float a = px[k] * py[l] - py[k] * px[l], b = px[k] * qy[l] - qy[k] * px[l];
-            const float c = qx[k] * py[l] - py[k] * qx[l], d = qx[k] * qy[l] - qy[k] * qx[l];
-            const float margin = wide * (size[k] + size[l] + 4.0f * bounds.slack) + {TINY!r}f;
-            // NaN, where products overflow, keeps the triangle
-            front = front & !((a < -margin) & (b < -margin) & (c < -margin) & (d < -margin));
-            back = back & !((a > margin) & (b > margin) & (c > margin) & (d > margin));
-        }}
-        kept[i] = (front | back) ? -1 : 0;
-    }}
-    return wrt::bits<W>(kept) & met;
-"""
-
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: four corner rays x the edges of the W triangles of a block."""
+    sizes = f"{layout.width}, {cpp(layout.shared_origin)}"
 
-    @native.func_native("lanes.h", f"{layout.constants}{_TRIANGLES}")
+    @native.func_native(
+        "packet_culling.h",
+        f"""static_assert(wrt::CORNER_MARGIN == {MARGIN!r}f);
+        return wrt::corner_mask<{sizes}>({layout.block}, bounds);""",
+    )
     def corner_rays(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return corner_rays

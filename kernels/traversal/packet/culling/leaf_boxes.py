@@ -23,44 +23,19 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
 
 exact_module(__name__)
-
-MEETING_HEAD = f"    constexpr int MAX_FEW_RAYS = {MAX_FEW_RAYS};\n"
-"""C++ for the head of a function that contains `MEETING`, after `PacketLayout.head`."""
-
-MEETING = f"""
-    const float* box = &boxes.data[(size_t)node * (6 * W)] + lane;
-    const float low[3] = {{box[0], box[W], box[2 * W]}}, high[3] = {{box[3 * W], box[4 * W], box[5 * W]}};{SHARED_ORIGIN}
-    int meets[P], met = 0;
-    unsigned vector[P / W];
-    for (int f = 0; f < P; f += W) {{
-        WRT_FOR_LANES(i) {{
-            const int k = f + i;
-            float enter = t_min[k], leave = t[k];
-{SLABS}
-            meets[k] = ((enter <= leave) & (t[k] > -INF)) ? -1 : 0;
-        }}
-        vector[f / W] = wrt::bits<W>(meets + f);
-        met += wrt::count_bits(vector[f / W]);
-    }}
-    if (!met) return 0;
-    if (met <= MAX_FEW_RAYS) {{
-        for (int f = 0, place = 0; f < P; f += W) {{
-            for (unsigned bits = vector[f / W]; bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt::lowest_bit(bits);
-        }}
-        return met;
-    }}
-"""
-"""C++: counts the rays that meet the box in a lane of a node, as `met`, and marks them in `meets`; returns if they are few."""
 
 
 @cache
 def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: counts the rays that meet a leaf's box."""
 
-    @native.func_native("lanes.h", layout.head + MEETING_HEAD + MEETING + "    return met;\n")
+    @native.func_native(
+        "packet_culling.h",
+        f"""static_assert(wrt::MAX_FEW_RAYS == {MAX_FEW_RAYS});
+        return wrt::list_meeting({layout.box} + lane, {layout.packet}, bounds);""",
+    )
     def leaf_rays(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...

@@ -18,47 +18,17 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.culling import interval_culling as interval
-from wrt.kernels.traversal.packet.culling.inverse_frustum import SIDES
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 exact_module(__name__)
-
-_TRIANGLES = f"""
-    if (bounds.frame < 0) {{{interval.TRIANGLES}}}
-    const float* r = &records.data[(size_t)block * (RECORD * W)];{SIDES}
-    const bool rear = large < 0.0f;  // not `back`: the range may be seen from the rays' ends (`reversed_bounds`)
-    int kept[W];
-    WRT_FOR_LANES(i) {{
-        const float az = r[z * W + i], bz = r[(3 + z) * W + i], cz = r[(6 + z) * W + i];
-        float least = az < bz ? az : bz, most = az > bz ? az : bz;
-        least = least < cz ? least : cz; most = most > cz ? most : cz;
-        float d = (rear ? most : least) - in_z, e = d * large, f = d * small; e = f < e ? f : e;
-        const bool late = e > t_max;
-        d = (rear ? least : most) - out_z; e = d * large; f = d * small; e = f > e ? f : e;
-        const bool early = e < t_min;
-        bool left = true, right = true, below = true, above = true;
-        for (int k = 0; k < 3; ++k) {{
-            const float vx = r[(3 * k + x) * W + i], vy = r[(3 * k + y) * W + i];
-            const float depth = (r[(3 * k + z) * W + i] - near_plane) * forward;
-            left = left & (vx < (low_x + rise_low_x * depth) - margin);
-            right = right & (vx > (high_x + rise_high_x * depth) + margin);
-            below = below & (vy < (low_y + rise_low_y * depth) - margin);
-            above = above & (vy > (high_y + rise_high_y * depth) + margin);
-        }}
-        // an unused lane holds NaN, which is beyond nothing: it is told by its first vertex
-        kept[i] = (!(left | right | below | above | late | early) & (r[i] == r[i])) ? -1 : 0;
-    }}
-    return wrt::bits<W>(kept);
-"""
 
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: frustum of the packet x the vertices of the W triangles of a block."""
 
-    @native.func_native("lanes.h", f"{layout.constants}{_TRIANGLES}")
+    @native.func_native("packet_frusta.h", f"return wrt::side_mask<{layout.width}>({layout.block}, bounds);")
     def beyond_a_side(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return beyond_a_side

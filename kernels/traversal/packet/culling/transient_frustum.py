@@ -27,29 +27,17 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.culling.inverse_frustum import FRAME
-from wrt.kernels.traversal.packet.culling.leaf_boxes import MEETING, MEETING_HEAD
-from wrt.kernels.traversal.packet.culling.two_plane_frustum import POINTS_ON_PLANES
-from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 exact_module(__name__)
-
-_FRUSTUM = """
-    if (bounds.frame < 0) return met;
-    const int z = bounds.frame, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
-    const bool back = bounds.forward < 0.0f;
-    bounds.near_plane = back ? high[z] + bounds.margin : low[z] - bounds.margin;
-    bounds.depth = (high[z] - low[z]) + 2.0f * bounds.margin;
-"""
 
 
 @cache
 def start(layout: PacketLayout) -> wp.Function:
     """`Culling.start`: determines the main axis."""
 
-    @native.func_native("lanes.h", layout.constants + FRAME)
+    @native.func_native("packet_frusta.h", "wrt::find_frame(bounds);")
     def transient_start(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
 
     return transient_start
@@ -58,9 +46,8 @@ def start(layout: PacketLayout) -> wp.Function:
 @cache
 def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: sets the frustum of the rays that meet a leaf's box; returns 0 if none does."""
-    points = POINTS_ON_PLANES.replace("WRT_COUNTS", "meets[k] != 0")
 
-    @native.func_native("lanes.h", layout.head + MEETING_HEAD + INTERVALS + MEETING + _FRUSTUM + points + "    return met;\n")
+    @native.func_native("packet_frusta.h", f"return wrt::set_transient_frustum({layout.box} + lane, {layout.packet}, bounds);")
     def transient_frustum(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...

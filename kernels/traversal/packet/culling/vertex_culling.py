@@ -30,50 +30,12 @@ from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 exact_module(__name__)
 
-_TRIANGLES = """
-    if (bounds.main_axes & (bounds.main_axes - 1)) return (1u << W) - 1u;
-    const int z = bounds.main_axes == 1 ? 0 : bounds.main_axes == 2 ? 1 : 2, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
-    const float* r = &records.data[(size_t)block * (RECORD * W)];
-    const float plane = bounds.plane, x_low = bounds.through_low.c[0], y_low = bounds.through_low.c[1];
-    const float x_high = bounds.through_high.c[0], y_high = bounds.through_high.c[1];
-    const float s0 = bounds.slope_low.c[0], s1 = bounds.slope_high.c[0];
-    const float t0 = bounds.slope_low.c[1], t1 = bounds.slope_high.c[1];
-    const float in_z = bounds.origin_in.c[z], out_z = bounds.origin_out.c[z];
-    const float large = bounds.inverse_large.c[z], small = bounds.inverse_small.c[z];
-    const float t_min = bounds.t_min, t_max = bounds.t_max;
-    const bool back = bounds.backward.c[z];
-    int kept[W];
-    WRT_FOR_LANES(i) {
-        const float az = r[z * W + i], bz = r[(3 + z) * W + i], cz = r[(6 + z) * W + i];
-        float least = az < bz ? az : bz, most = az > bz ? az : bz;
-        least = least < cz ? least : cz; most = most > cz ? most : cz;
-        float d = (back ? most : least) - in_z, e = d * large, f = d * small; e = f < e ? f : e;
-        const bool late = e > t_max;
-        d = (back ? least : most) - out_z; e = d * large; f = d * small; e = f > e ? f : e;
-        const bool early = e < t_min;
-        // whether some vertex is not beyond each side; false for NaN, so that unused lanes are culled
-        bool left = false, right = false, below = false, above = false;
-        for (int k = 0; k < 3; ++k) {
-            const float vx = r[(3 * k + x) * W + i], vy = r[(3 * k + y) * W + i], vz = r[(3 * k + z) * W + i];
-            const float depth = vz - plane;
-            float p = depth * s0, q = depth * s1;
-            left = left | ((vx - x_low) - (p < q ? p : q) >= 0.0f);
-            right = right | ((vx - x_high) - (p > q ? p : q) <= 0.0f);
-            p = depth * t0; q = depth * t1;
-            below = below | ((vy - y_low) - (p < q ? p : q) >= 0.0f);
-            above = above | ((vy - y_high) - (p > q ? p : q) <= 0.0f);
-        }
-        kept[i] = (left & right & below & above & !late & !early) ? -1 : 0;
-    }
-    return wrt::bits<W>(kept);
-"""
-
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: packet x the vertices of the W triangles of a block."""
 
-    @native.func_native("lanes.h", f"{layout.constants}{_TRIANGLES}")
+    @native.func_native("packet_culling.h", f"return wrt::vertex_mask<{layout.width}>({layout.block}, bounds);")
     def vertex_culling(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return vertex_culling

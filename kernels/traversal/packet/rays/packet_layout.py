@@ -28,8 +28,6 @@ COMMON = ("inverse_x", "inverse_y", "inverse_z", "t_min", "t", "primitive", "u",
 OWN_ORIGIN = ("origin_x", "origin_y", "origin_z", "slack", "part", "kept")
 """Further components of packets without a shared origin."""
 
-_FIRST_ROW = f"(-((size_t)packet.data / 4) & {CACHE_LINE - 1})"
-
 
 @dataclass(frozen=True)
 class PacketLayout:
@@ -74,18 +72,75 @@ class PacketLayout:
         return self.size - 2
 
     @property
-    def constants(self) -> str:
-        """C++ head of a native function: lane loop, `wrt_bits`, W, P, floats per triangle record, SHARED, INF."""
-        record = TRIANGLE_TESTS[self.triangle_test].record.components
-        sizes = f"    constexpr int W = {self.width}, P = {self.rays}, RECORD = {record};\n"
-        shared = f"    constexpr bool SHARED = {str(self.shared_origin).lower()};\n"
-        return sizes + shared + "    const float INF = __builtin_bit_cast(float, 0x7f800000);\n"
+    def record(self) -> int:
+        """Floats of a triangle in a block."""
+        return TRIANGLE_TESTS[self.triangle_test].record.components
 
     @property
-    def head(self) -> str:
-        """`constants` for a function with a parameter `packet`, followed by a pointer to each component."""
-        pointers = f"    float* rows = packet.data + {_FIRST_ROW};\n"
-        pointers += "".join(f"    float* {name} = rows + {k} * P;\n" for k, name in enumerate(self.components))
-        if self.shared_origin:
-            pointers += "    float *origin_x = nullptr, *origin_y = nullptr, *origin_z = nullptr, *slack = nullptr;\n"
-        return self.constants + pointers
+    def passes(self) -> int:
+        """Passes over the rays that the triangle test needs."""
+        return TRIANGLE_TESTS[self.triangle_test].packet_form.passes
+
+    @property
+    def sizes(self) -> str:
+        """The arguments of templates in C++: P, W, and whether the origin is shared."""
+        return f"{self.rays}, {self.width}, {cpp(self.shared_origin)}"
+
+    @property
+    def headers(self) -> str:
+        """Headers that the pieces of the triangle test use."""
+        return TRIANGLE_TESTS[self.triangle_test].packet_form.headers
+
+    @property
+    def type(self) -> str:
+        """The type of the packet in C++ (kernels/native/packet.h), which has all components but those of the triangle test."""
+        return f"wrt::Packet<{self.sizes}>"
+
+    @property
+    def own(self) -> str:
+        """C++: the packet `own` in the array of a parameter `packet`."""
+        return f"const {self.type} own(packet.data);"
+
+    @property
+    def packet(self) -> str:
+        """C++ expression for the packet in the array of a parameter `packet`."""
+        return f"{self.type}(packet.data)"
+
+    @property
+    def block(self) -> str:
+        """C++ expression for block number `block` of a parameter `records`."""
+        return f"records.data + (size_t)block * {self.record * self.width}"
+
+    @property
+    def box(self) -> str:
+        """C++ expression for the boxes of node number `node` of a parameter `boxes`."""
+        return f"boxes.data + (size_t)node * {6 * self.width}"
+
+    @property
+    def state(self) -> str:
+        """C++: a pointer to each component of the triangle test, of a packet `own`."""
+        names = TRIANGLE_TESTS[self.triangle_test].packet_form.state
+        return " ".join(f"float* const {name} = own.state + {k * self.rays};" for k, name in enumerate(names))
+
+    @property
+    def names(self) -> str:
+        """C++: the names that the pieces of triangle tests read (`PacketForm`), for a packet `own` and its `bounds`."""
+        of_rays = ("origin_x", "origin_y", "origin_z", "slope_x", "slope_y", "t")
+        rays = ", ".join(f"*const {name} = own.{name}" for name in of_rays)
+        return f"""
+        constexpr int W = {self.width}; constexpr bool SHARED = {cpp(self.shared_origin)};
+        {self.state} const float {rays}; const int* const main_axis = own.main_axis;
+        const wrt::SharedOrigin shared = wrt::shared_origin(bounds); const float* const origin0 = shared.origin;"""
+
+    @property
+    def prepare(self) -> str:
+        """C++ expression for what computes these components of ray k; after `state`."""
+        floats = ", ".join(f"{name} = ray.{name}" for name in "x y z ox oy oz ix iy iz sx sy".split())
+        bools = "main_x = ray.main_x, main_y = ray.main_y"
+        code = TRIANGLE_TESTS[self.triangle_test].packet_form.prepare
+        return f"[=](int k, const wrt::LoadedRay& ray) {{ const float {floats}; const bool {bools}; {code} }}"
+
+
+def cpp(value: bool) -> str:
+    """A constant in C++."""
+    return str(value).lower()

@@ -25,7 +25,6 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
@@ -38,33 +37,6 @@ ENDS_ERROR = 2.0**-20
 """Greatest error of an end, as a fraction of the largest coordinate of origins and ends: 16 roundings of half a unit in the
 last place, of which a computed end has five."""
 
-_REVERSE = """
-    if (bounds.mixed_axes) return;
-    float ends = 0.0f, origins = 0.0f, reach = 0.0f, size = 0.0f;
-    auto widen = [](float value, float& most) { most = WRT_ABS(value) > most ? WRT_ABS(value) : most; };
-    WRT_UNROLLED for (int a = 0; a < 3; ++a) {
-        const float least = bounds.end_low.c[a], most = bounds.end_high.c[a];
-        ends += most - least;
-        origins += bounds.origin_high.c[a] - bounds.origin_low.c[a];
-        widen(low.c[a] - most, reach); widen(high.c[a] - least, reach);
-        widen(least, size); widen(most, size);
-        widen(bounds.origin_low.c[a], size); widen(bounds.origin_high.c[a], size);
-    }
-    const float wide = 2.0f * bounds.slack + SLACK * reach + ENDS_ERROR * size;
-    if (!(CLOSER * ends < origins) || !(wide < INF)) return;  // NaN, of ends at infinity, too
-    WRT_UNROLLED for (int a = 0; a < 3; ++a) {
-        const bool backward = !bounds.backward.c[a];
-        bounds.backward.c[a] = backward ? 1 : 0;
-        bounds.inverse_large.c[a] = -bounds.inverse_large.c[a];
-        bounds.inverse_small.c[a] = -bounds.inverse_small.c[a];
-        bounds.origin_in.c[a] = backward ? bounds.end_low.c[a] - wide : bounds.end_high.c[a] + wide;
-        bounds.origin_out.c[a] = backward ? bounds.end_high.c[a] + wide : bounds.end_low.c[a] - wide;
-    }
-    bounds.slack = wide;
-    bounds.t_max = (bounds.t_max - bounds.t_min) * (1.0f + ENDS_ERROR);
-    bounds.t_min = 0.0f;
-"""
-
 
 @cache
 def reverse_bounds(layout: PacketLayout) -> wp.Function:
@@ -72,9 +44,12 @@ def reverse_bounds(layout: PacketLayout) -> wp.Function:
 
     The bounds of the ends are needed (`ends` of `load_packet` and `activate_part`).
     """
-    constants = f"    constexpr float CLOSER = {CLOSER!r}f, SLACK = {SLACK!r}f, ENDS_ERROR = {ENDS_ERROR!r}f;\n"
 
-    @native.func_native("lanes.h", layout.constants + constants + _REVERSE)
+    @native.func_native(
+        "packet_bounds.h",
+        f"""static_assert(wrt::CLOSER == {CLOSER!r}f && wrt::ENDS_ERROR == {ENDS_ERROR!r}f);
+        wrt::reverse_bounds(low, high, bounds);""",
+    )
     def reverse_bounds_native(low: wp.vec3, high: wp.vec3, bounds: wp.ref[PacketBounds]): ...
 
     return reverse_bounds_native

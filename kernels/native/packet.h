@@ -1,0 +1,255 @@
+// Packets: the rays of a batch that form one, their components in memory, and ends of intervals over them.
+#pragma once
+#include "ray.h"
+
+namespace wrt {
+namespace {
+
+/// The size of a float as an integer in the order of the floats; NaN and infinity are beyond all numbers.
+inline CUDA_CALLABLE int size_bits(float x) { return __builtin_bit_cast(int, x) & 0x7fffffff; }
+
+/// Whether a direction is finite and long enough.
+inline CUDA_CALLABLE bool is_direction(float x, float y, float z)
+{
+    const int size_x = size_bits(x), size_y = size_bits(y), size_z = size_bits(z);
+    int size = size_x > size_y ? size_x : size_y;
+    size = size > size_z ? size : size_z;
+    const int least = size_bits(SHORTEST), beyond = size_bits(WRT_INFINITY);
+    return (size >= least) & (size < beyond);
+}
+
+/// The components of a packet, RAYS floats each (wrt.kernels.traversal.packet.rays.packet_layout). state: the first of those
+/// that a triangle test keeps.
+template <int RAYS, int LANES, bool SHARED_ORIGIN> struct Packet {
+    static constexpr int P = RAYS, W = LANES, COMPONENTS = SHARED_ORIGIN ? 11 : 17;
+    static constexpr bool SHARED = SHARED_ORIGIN;
+    /// Rows of components that are moved from one packet to another.
+    enum Row { ROW_T_MIN = 3, ROW_T, ROW_PRIMITIVE, ROW_U, ROW_V, ROW_KEPT = 16 };
+
+    float *inverse_x, *inverse_y, *inverse_z, *t_min, *t;
+    int* primitive;
+    float *u, *v, *slope_x, *slope_y;
+    int* main_axis;
+    float *origin_x, *origin_y, *origin_z, *slack;
+    int* part;
+    float *kept, *state;
+
+    explicit CUDA_CALLABLE Packet(float* memory)
+    {
+        float* const rows = memory + (-((size_t)memory / 4) & 15);
+        inverse_x = rows, inverse_y = rows + P, inverse_z = rows + 2 * P;
+        t_min = rows + 3 * P, t = rows + 4 * P, primitive = (int*)(rows + 5 * P);
+        u = rows + 6 * P, v = rows + 7 * P, slope_x = rows + 8 * P, slope_y = rows + 9 * P;
+        main_axis = (int*)(rows + 10 * P);
+        float* const own = SHARED ? nullptr : rows + 11 * P;
+        origin_x = own, origin_y = SHARED ? nullptr : own + P, origin_z = SHARED ? nullptr : own + 2 * P;
+        slack = SHARED ? nullptr : own + 3 * P, part = SHARED ? nullptr : (int*)(own + 4 * P);
+        kept = SHARED ? nullptr : own + 5 * P;
+        state = rows + COMPONENTS * P;
+    }
+};
+
+/// The origin and the slack that all rays of a packet share, or the corresponding ends of their intervals.
+struct SharedOrigin {
+    float origin[3], slack;
+};
+
+template <class Bounds> inline CUDA_CALLABLE SharedOrigin shared_origin(const Bounds& bounds)
+{
+    return {{bounds.origin_low.c[0], bounds.origin_low.c[1], bounds.origin_low.c[2]}, bounds.slack};
+}
+
+/// What a box test needs of ray k.
+template <int P, int W, bool SHARED>
+inline CUDA_CALLABLE BoxRay box_ray(const Packet<P, W, SHARED>& packet, const SharedOrigin& shared, int k)
+{
+    const float ix = packet.inverse_x[k], iy = packet.inverse_y[k], iz = packet.inverse_z[k];
+    const float wide = SHARED ? shared.slack : packet.slack[k];
+    const float ox = SHARED ? shared.origin[0] : packet.origin_x[k], oy = SHARED ? shared.origin[1] : packet.origin_y[k];
+    const float oz = SHARED ? shared.origin[2] : packet.origin_z[k];
+    const float step_x = ix < 0.0f ? -wide : wide, step_y = iy < 0.0f ? -wide : wide, step_z = iz < 0.0f ? -wide : wide;
+    return {{ix, iy, iz}, {ox + step_x, oy + step_y, oz + step_z}, {ox - step_x, oy - step_y, oz - step_z}};
+}
+
+/// The part of the range t_min .. t_max in which ray k is in the box from `low` to `high`.
+template <int P, int W, bool SHARED>
+inline CUDA_CALLABLE Interval ray_slab(const Packet<P, W, SHARED>& packet, const SharedOrigin& shared, int k, const float* low,
+    const float* high, float t_min, float t_max)
+{
+    const BoxRay ray = box_ray(packet, shared, k);
+    return slab<Exact>(planes_of(low, high, ray.inverse), ray, 0, t_min, t_max);
+}
+
+/// Which rays of a batch form a packet: consecutive rays, or the pixels of a tile (wrt.kernels.traversal.packet.rays.ray_numbers).
+/// here: how many of them exist; whole: whether they are DOWN runs of ACROSS consecutive rays, from `begin` on, `apart` rays
+/// from each other; number: else the number of each.
+template <int P> struct PacketRays {
+    static constexpr int ACROSS = P < 8 ? P : 8, DOWN = P / ACROSS;
+    int first, here, begin, apart, number[P];
+    bool picture, whole;
+
+    template <class Batch>
+    CUDA_CALLABLE PacketRays(const Batch& rays, int place_of_first)
+        : first(place_of_first)
+    {
+        const int rest = rays.count - first;
+        here = rest < P ? rest : P;
+        picture = rays.columns > 0;
+        begin = first, apart = ACROSS;
+        whole = here == P;
+        if (picture) {
+            const int columns = rays.columns, rows = DOWN * columns, band = first / rows, within = first - band * rows;
+            const int left = within / P * ACROSS;  // if the band has all its rows
+            begin = band * rows + left;
+            apart = columns;
+            whole = whole && P % ACROSS == 0 && within % P == 0 && band * rows <= rays.count - rows && left + ACROSS <= columns;
+            if (!whole) number_pixels(rays.count, columns, rows);
+        } else if (!whole)
+            for (int k = 0; k < P; ++k) number[k] = first + (k < here ? k : 0);
+    }
+
+    inline CUDA_CALLABLE void number_pixels(int count, int columns, int rows)
+    {
+        for (int k = 0; k < P; ++k) {
+            const int place = first + (k < here ? k : 0), b = place / rows, below = count / columns - b * DOWN;
+            const int h = below < DOWN ? below : DOWN;
+            int offset = place - b * rows;
+            const int l = offset / (ACROSS * h) * ACROSS, w = columns - l < ACROSS ? columns - l : ACROSS;
+            offset -= l * h;
+            number[k] = (b * DOWN + offset / w) * columns + l + offset % w;
+        }
+    }
+
+    /// visit(k, n) for each ray k of the packet, n being its number in the batch.
+    template <class Visit> inline CUDA_CALLABLE void each(Visit visit) const
+    {
+        if (whole && !picture) {
+            WRT_FOR (P, k) {
+                visit(k, first + k);
+            }
+        } else if (whole) {
+            for (int y = 0; y < DOWN; ++y) {
+                WRT_FOR (ACROSS, x) {
+                    visit(y * ACROSS + x, begin + y * apart + x);
+                }
+            }
+        } else {
+            WRT_SCALAR
+            for (int k = 0; k < here; ++k) visit(k, number[k]);
+        }
+    }
+
+    /// take(k, n): ray k has what is at place n, of an array with an element for each ray, or with one for all.
+    template <class Take> inline CUDA_CALLABLE void fetch(int stride, Take take) const
+    {
+        if (stride) each(take);
+        else {
+            WRT_FOR (P, k) {
+                take(k, 0);
+            }
+        }
+    }
+
+    /// Fetches what the next packet takes from an array of points into the caches.
+    template <class Vec3> inline CUDA_CALLABLE void fetch_next(const Vec3* data) const
+    {
+        if (!whole || picture) return;
+        WRT_UNROLLED
+        for (int b = 0; b < 12 * P; b += 64) WRT_FETCH((const char*)(data + first + P) + b);
+    }
+
+    /// The directions of the rays, in memory of their own, so that no component of a packet may lie in their way.
+    template <class Batch> inline CUDA_CALLABLE void directions(const Batch& rays, float* x, float* y, float* z) const
+    {
+        fetch(rays.direction_stride, [&](int k, int n) {
+            const float* d = (const float*)rays.directions.data + 3 * (size_t)n;
+            x[k] = d[0], y[k] = d[1], z[k] = d[2];
+        });
+        if (rays.direction_stride) fetch_next(rays.directions.data);
+        for (int k = here; k < P; ++k) x[k] = y[k] = z[k] = 0.0f;  // beyond the end of the batch: no direction misses
+    }
+};
+
+/// The whole packets from ray `first` on that lie side by side, at most `limit`: `rows` of `length` rays, a multiple of W, from
+/// ray `begin` on and `apart` rays from each other.
+template <int P, int W> struct PacketRow {
+    static constexpr int ACROSS = P < 8 ? P : 8, DOWN = P / ACROSS, STEP = W > ACROSS ? W / ACROSS : 1;
+    int packets, rows, begin, apart, length;
+
+    template <class Batch> CUDA_CALLABLE PacketRow(const Batch& rays, int first, int limit)
+    {
+        const int left_over = rays.count - first;
+        packets = left_over / P < limit ? left_over / P : limit;
+        rows = 1, begin = first, apart = 0;
+        if (rays.columns > 0) {
+            const int columns = rays.columns, band_rays = DOWN * columns;
+            const int band = first / band_rays, within = first - band * band_rays;
+            const int left = within / P * ACROSS, fit = (columns - left) / ACROSS;
+            begin = band * band_rays + left;
+            apart = columns;
+            rows = DOWN;
+            const bool tiles = P % ACROSS == 0 && within % P == 0 && band * band_rays <= rays.count - band_rays;
+            packets = tiles ? (packets < fit ? packets : fit) : 0;
+            packets -= packets % STEP;
+            length = packets * ACROSS;
+        } else length = packets * P;
+    }
+};
+
+/// An interval over values, as integers in the order of the floats: a compiler must keep the order of comparisons of floats, so
+/// it vectorises a reduction of integers only. Both ends are NaN while it is empty.
+struct OrderedInterval {
+    int low = 0x7fffffff, high = (int)0x80000000;
+
+    inline CUDA_CALLABLE void widen(float value, bool counts)
+    {
+        const int bits = __builtin_bit_cast(int, value), key = bits ^ ((bits >> 31) & 0x7fffffff);
+        const int low_key = counts ? key : 0x7fffffff, high_key = counts ? key : (int)0x80000000;
+        low = low_key < low ? low_key : low;
+        high = high_key > high ? high_key : high;
+    }
+    static inline CUDA_CALLABLE float value(int key) { return __builtin_bit_cast(float, key ^ ((key >> 31) & 0x7fffffff)); }
+    inline CUDA_CALLABLE float least() const { return value(low); }
+    inline CUDA_CALLABLE float greatest() const { return value(high); }
+};
+
+/// The greatest t of rays, -inf for none: as integers, in the order of the floats that are not negative (adding 0 turns -0 into
+/// +0), and -inf below them.
+template <int P> inline CUDA_CALLABLE float farthest(const float* t)
+{
+    int most = (int)0x80000000;
+    WRT_FOR (P, k) {
+        const int bits = __builtin_bit_cast(int, t[k] + 0.0f);
+        most = bits > most ? bits : most;
+    }
+    return most < 0 ? -WRT_INFINITY : __builtin_bit_cast(float, most);
+}
+
+/// Updates `bounds.t_max` after rays have found hits; any-hit rays get no shorter, but done.
+template <bool ANY_HIT, int P, int W, bool SHARED, class Bounds>
+inline CUDA_CALLABLE void shorten(const Packet<P, W, SHARED>& packet, Bounds& bounds)
+{
+    if (!ANY_HIT) {
+        bounds.t_max = farthest<P>(packet.t);
+        return;
+    }
+    int left = 0;
+    WRT_FOR (P, k) {
+        left |= packet.t[k] >= -0.0f ? 1 : 0;
+    }
+    bounds.t_max = left ? bounds.t_max : -WRT_INFINITY;
+}
+
+/// The axis of the largest component, bits 1, 2 and 4; ties as in the scalar form of the watertight test.
+template <class Size> inline CUDA_CALLABLE int largest_axis(Size x, Size y, Size z)
+{
+    const bool xy = x >= y, xz = x >= z, yz = y >= z;
+    const bool main_x = xy & xz, main_y = !xy & yz;
+    return main_x ? 1 : main_y ? 2 : 4;
+}
+
+/// The number of an axis that is given by its bit.
+inline CUDA_CALLABLE int axis_of(int bit) { return bit == 1 ? 0 : bit == 2 ? 1 : 2; }
+
+}  // namespace
+}  // namespace wrt
