@@ -1,4 +1,5 @@
 // Instantiates the headers of shading and influence areas, as native_headers.cpp does the others.
+#include "area_lanes.h"
 #include "camera_rays.h"
 #include "clipped_areas.h"
 #include "last_rays.h"
@@ -8,6 +9,9 @@
 
 struct Vec3 {
     float c[3];
+};
+struct Vec3d {
+    double c[3];
 };
 template <class T> struct Array {
     T* data;
@@ -21,9 +25,6 @@ struct Vec2 {
 };
 struct Vec4 {
     float c[4];
-};
-struct Vec3d {
-    double c[3];
 };
 struct Hits {
     Array<float> t;
@@ -155,8 +156,9 @@ float projections(const AreaView& view, const Vec3& low, const Vec3& high, const
 
 struct Batch {
     Array<Vec3> origins, directions;
-    Array<float> t_max;
-    int origin_stride, direction_stride, t_max_stride;
+    Array<float> t_min, t_max;
+    int origin_stride, direction_stride, t_min_stride, t_max_stride;
+    Vec3d center;
 };
 struct Faces3 {
     int c[3];
@@ -170,4 +172,20 @@ void parts(const Batch& batch, const Hits& hits, const Array<int>& order, const 
 {
     fetch_ray(batch, hits, 1);
     fetch_merged<16>(order, mesh, order, hits, hits, corners, 17);
+}
+
+struct Region {
+    Vec3d origin, right, up, forward;
+    double near, far, width, height, widening, heightening;
+};
+
+int areas(const Batch& batch, const Region& region, const AreaView& view, const Vec3& low, const Vec3& high,
+    AreaLanes<16>& lanes, AreaMarks<16>& marks, unsigned short* area, float* cut)
+{
+    int sums[4] = {};
+    const int count = load_area_rays(batch, 0, 3, lanes, marks);
+    try_area(1, region, view, 0.1f, 0.1f, 0, lanes, marks);
+    store_area_rays(0, count, 2, low, high, lanes, marks, area, cut, cut);
+    sum_areas(marks, sums);
+    return sums[0];
 }
