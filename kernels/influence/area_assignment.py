@@ -197,7 +197,7 @@ def assign_rays(
         find_areas(areas, count, lanes, marks)
         store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, area, cut, rest)
         begin += count
-    sums[item] = sum_blocks(lanes, marks)
+    sums[item] = sum_blocks(marks)
 
 
 @wp.func
@@ -251,7 +251,7 @@ def assign_given_rays(
         take_areas(areas, given, stride, begin, count, lanes, marks)
         store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, area, cut, rest)
         begin += count
-    sums[item] = sum_blocks(lanes, marks)
+    sums[item] = sum_blocks(marks)
 
 
 @wp.kernel

@@ -29,6 +29,10 @@ inline CUDA_CALLABLE int count_bits(unsigned bits)
 #endif
 }
 
+/// Of numbers or vectors; the second, of a NaN and a number.
+template <class T> inline CUDA_CALLABLE T larger(T a, T b) { return a > b ? a : b; }
+template <class T> inline CUDA_CALLABLE T smaller(T a, T b) { return a < b ? a : b; }
+
 /// Elements of the vectors in which lists of W lanes of a node or a block are compacted.
 constexpr CUDA_CALLABLE int block_lanes(int width)
 {

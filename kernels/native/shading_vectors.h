@@ -41,8 +41,6 @@ template <int W> inline V3<W> cross(const V3<W>& a, const V3<W>& b)
 }
 
 template <class V> inline V root(V a) { return __builtin_elementwise_sqrt(a); }
-template <class V> inline V larger(V a, V b) { return a > b ? a : b; }
-template <class V> inline V smaller(V a, V b) { return a < b ? a : b; }
 template <class M, class V> inline V pick(M mask, V a, V b) { return mask ? a : b; }
 
 template <int W> inline V3<W> pick3(Ints<W> mask, const V3<W>& a, const V3<W>& b)
@@ -53,11 +51,11 @@ template <int W> inline V3<W> pick3(Ints<W> mask, const V3<W>& a, const V3<W>& b
 template <class M> inline bool is_any(M mask) { return __builtin_reduce_or(mask) != 0; }
 
 /// Calls act(value, its lanes) for each value in these lanes.
-template <class M, class Act> inline void for_each_value(M values, M lanes, Act act)
+template <int W, class Act> inline void for_each_value(Ints<W> values, Ints<W> lanes, Act act)
 {
     while (is_any(lanes)) {
         const int value = values[__builtin_ctz(bits_of(lanes))];
-        const M own = lanes & (values == value);
+        const Ints<W> own = lanes & (values == value);
         act(value, own);
         lanes = lanes & ~own;
     }

@@ -79,7 +79,7 @@ template <int W, class A> inline void read_surfaces(const A& a, int first, Surfa
     s.kind = (I)0, s.is_dark = (I)-1, s.has_image = (I)0, s.is_clear = s.in_air;
     s.rough = all<W>(0.0f), s.index = s.rough, s.through = s.rough;
     s.color = zero3<W>();
-    for_each_value(s.number, s.is_hit, [&](int n, I own) {  // neighbours have few materials
+    for_each_value<W>(s.number, s.is_hit, [&](int n, I own) {  // neighbours have few materials
         const auto& e = materials.emission.data[n];
         const auto& shape = materials.shape.data[n];
         s.kind = pick(own, (I)materials.kind.data[n], s.kind);
@@ -91,7 +91,7 @@ template <int W, class A> inline void read_surfaces(const A& a, int first, Surfa
         s.through = pick(own, all<W>(shape.c[3]), s.through);
         s.color = pick3<W>(own, all3<W>(materials.color.data[n]), s.color);
     });
-    for_each_value(s.media, (I)(s.media > 0), [&](int medium, I own) {
+    for_each_value<W>(s.media, s.media > 0, [&](int medium, I own) {
         const auto& b = materials.absorption.data[medium - 1];
         if (b.c[0] == 0.0f && b.c[1] == 0.0f && b.c[2] == 0.0f) s.is_clear = s.is_clear | own;  // nothing is absorbed
     });

@@ -22,10 +22,6 @@ MAX_STRING, MAX_FUNCTION = 10, 80
 """Most lines of C++ in a string, and of a function of a header, its braces included."""
 
 LONG_STRINGS = {
-    "kernels/influence/area_lanes.py": 79,
-    "kernels/influence/box_clipping.py": 95,
-    "kernels/influence/box_projection.py": 12,
-    "kernels/simd/lane_vectors.py": 39,
     "wrt/bench/peers/embree_packets.py": 64,
 }
 """For each module, the lines of C++ in strings of more than `MAX_STRING` lines, blank ones not counted. How Embree is called is

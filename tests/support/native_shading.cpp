@@ -1,26 +1,37 @@
-// Instantiates what the headers of shading in kernels/native declare. WIDTH: lanes.
+// Instantiates the headers of shading and influence areas, as native_headers.cpp does the others.
+#include "area_lanes.h"
 #include "camera_rays.h"
+#include "clipped_areas.h"
 #include "last_rays.h"
 #include "path_step.h"
 #include "tree_step.h"
 
-#if WRT_VECTORS
 struct Vec3 {
     float c[3];
+};
+struct Vec3d {
+    double c[3];
 };
 template <class T> struct Array {
     T* data;
     int shape[4];
 };
+
+using namespace wrt;
+
 struct Vec2 {
     float c[2];
 };
 struct Vec4 {
     float c[4];
 };
-struct Vec3d {
-    double c[3];
+struct Hits {
+    Array<float> t;
+    Array<int> primitive;
+    Array<Vec2> uv;
 };
+
+#if WRT_VECTORS
 struct FaceRecord {
     float c[16];
 };
@@ -75,11 +86,6 @@ struct Queue {
     Array<int> slot;
     Array<unsigned long long> media;
 };
-struct Hits {
-    Array<float> t;
-    Array<int> primitive;
-    Array<Vec2> uv;
-};
 struct Gathered {
     Array<Vec3> emitted, lit, shadow_origin, shadow_direction, radiance;
 };
@@ -102,8 +108,6 @@ struct Camera {
 struct Listed {
     Array<int> ray, lamp;
 };
-
-using namespace wrt;
 
 unsigned shading(const Scene& scene, const Source& source, const Wave& wave, const Queue& queue, const Hits& hits,
     const Gathered& rays, const Step& step, const Array<int>& flags, int& to)
@@ -132,3 +136,49 @@ int cameras(const Camera& camera, const Source& source, const Wave& wave, const 
     return start_rays<WIDTH>(0, camera, source, wave, queue, sums);
 }
 #endif
+
+struct AreaView {
+    Vec3 eye, right, up, forward;
+    float near;
+    struct {
+        float c[2];
+    } half;
+    bool radial;
+};
+
+float projections(const AreaView& view, const Vec3& low, const Vec3& high, const float* boxes, float* areas)
+{
+    whole_areas(view, boxes, 3, areas);
+    clipped_areas(view, boxes, 3, true, areas);
+    return whole_area(view, low, high) + clipped_area(view, low, high, false);
+}
+
+struct Batch {
+    Array<Vec3> origins, directions;
+    Array<float> t_min, t_max;
+    int origin_stride, direction_stride, t_min_stride, t_max_stride;
+    Vec3d center;
+};
+struct Faces3 {
+    int c[3];
+};
+struct Mesh {
+    Array<Faces3> faces;
+    Array<Vec3> vertices;
+};
+
+struct Region {
+    Vec3d origin, right, up, forward;
+    double near, far, width, height, widening, heightening;
+};
+
+int areas(const Batch& batch, const Region& region, const AreaView& view, const Vec3& low, const Vec3& high,
+    AreaLanes<16>& lanes, AreaMarks<16>& marks, unsigned short* area, float* cut)
+{
+    int sums[4] = {};
+    const int count = load_area_rays(batch, 0, 3, lanes, marks);
+    try_area(1, region, view, 0.1f, 0.1f, 0, lanes, marks);
+    store_area_rays(0, count, 2, low, high, lanes, marks, area, cut, cut);
+    sum_areas(marks, sums);
+    return sums[0];
+}
