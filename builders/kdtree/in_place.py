@@ -5,7 +5,7 @@ every level.
 
 **Algorithm.** The events of all triangles are sorted once per axis (`event_sort`). The top levels are built breadth first, in
 parallel over the geometry and in place: nodes are assigned to triangles, triangles are not moved to nodes (`in_place_levels`).
-As soon as there are enough live nodes, each becomes a task that builds its subtree depth first (`kdtree_subtrees`). The parts
+As soon as there are enough live nodes, each becomes a task that builds its subtree depth first (`core.subtrees`). The parts
 are then assembled in depth-first order (`assembly`). The SAH is exact everywhere: every plane at which a triangle's box starts
 or ends is tried.
 
@@ -13,8 +13,8 @@ or ends is tried.
 in the tasks, sorted events per node (`event_lists`).
 
 **Phases.** Sort: `sorted_events`. Top levels: `search`, `stop`, `emit` and `classify` of `InPlaceBuilder`, for one level after
-the other; no triangle is moved. Fill: `make_tasks` copies events and triangles to the tasks. Subtrees: the phases of `method`.
-Assembly: `assemble`.
+the other; no triangle is moved. Fill: `make_tasks` copies events and triangles to the tasks. Subtrees: the phases of
+`event_method`. Assembly: `assemble`.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.
 
@@ -36,9 +36,17 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.subtrees import (
+    Frame,
+    Method,
+    Reservation,
+    build_tasks,
+    make_build_subtrees,
+)
 from wrt.builders.cost import AxisFrame, SplitCost
-from wrt.builders.kdtree.events.clipped_events import arrays_of, emit_sorted_leaf, lists_for, partition_clipping
-from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
+from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for
+from wrt.builders.kdtree.events.event_lists import EventLists
+from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.events.event_sort import CHUNK, EVENT_CHUNK, Events, emit_events, sorted_events
 from wrt.builders.kdtree.events.sweep_planes import Sweep
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
@@ -48,16 +56,8 @@ from wrt.builders.kdtree.phases import task_fill as fill_phase
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.clipped_levels import ClippedReferences, merge_events, name_triangles
 from wrt.builders.kdtree.phases.in_place_levels import LiveNode
-from wrt.builders.kdtree.phases.kdtree_subtrees import (
-    Frame,
-    Method,
-    Reservation,
-    build_tasks,
-    emit_inner,
-    make_build_subtrees,
-)
 from wrt.builders.kdtree.phases.membership import Membership
-from wrt.builders.tree import KdTree, Phases, StopLimits, stop
+from wrt.builders.tree import KdTree, Phases, StopLimits
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.struct_arrays import array_of_structs
 from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
@@ -108,20 +108,7 @@ class TaskTarget(NamedTuple):
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    return build_in_place(triangles, config, method(config), task_target(triangles.count))
-
-
-def method(config: KdTreeConfig) -> Method:
-    """What is done with a node. `kdtree_subtrees` calls these phases."""
-    return Method(
-        memory=EventLists,
-        search=search,
-        stop=stop,
-        classify=classify,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_sorted_leaf if config.tests_nodes else emit_leaf,
-    )
+    return build_in_place(triangles, config, event_method(config), task_target(triangles.count))
 
 
 def task_target(count: int) -> TaskTarget:
@@ -140,7 +127,7 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, method: Metho
     with builder.phase("top levels"):
         membership = builder.build_levels(events, target)
     tasks = partial(builder.make_tasks, events, membership)
-    reservation, lists, results = build_tasks(method, triangles, config, tasks, SPARE_MEMORY, builder.phase, "fill")
+    reservation, lists, results = build_tasks(method, config.rules(triangles), tasks, SPARE_MEMORY, builder.phase, "fill")
     work = [events.position, events.value, membership.node, membership.shared, *arrays_of(lists)]
     return assemble(triangles, config, builder.phase, builder.levels[:-1], (reservation, results), work)
 

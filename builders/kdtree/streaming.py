@@ -11,7 +11,7 @@ with all planes (`event_lists`), in memory that stays in the cache.
 **Data.** References (`wrt.builders.triangle_references`) above, sorted events (`event_lists`) in the tasks.
 
 **Phases.** Top levels: search, stop, classify, emit and partition, called by `build`. Sort: `list_events`. Subtrees: the phases
-of `method`. Assembly: `assemble`.
+of `event_method`. Assembly: `assemble`.
 
 **Complexity.** O(N log N), of which the sequential top takes O(N) per level.
 
@@ -31,22 +31,21 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for, partition_clipping
-from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
+from wrt.builders.core.subtrees import (
+    Frame,
+    Reservation,
+    build_tasks,
+    make_build_subtrees,
+)
+from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for
+from wrt.builders.kdtree.events.event_lists import EventLists
+from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.events.task_events import list_task_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.kdtree_subtrees import (
-    Frame,
-    Method,
-    Reservation,
-    build_tasks,
-    emit_inner,
-    make_build_subtrees,
-)
 from wrt.builders.kdtree.scan.reference_chunks import bin_chunks
 from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels
-from wrt.builders.tree import KdTree, Phases, stop
+from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import launch, load, specialise
 
@@ -60,23 +59,10 @@ SPARE_MEMORY = 1.5
 """Working memory of a task relative to its own lists, at least a third; doubled whenever it is too small."""
 
 
-def method(config: KdTreeConfig) -> Method:
-    """What is done with a node. `kdtree_subtrees` calls these phases."""
-    return Method(
-        memory=EventLists,
-        search=search,
-        stop=stop,
-        classify=classify,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_leaf,
-    )
-
-
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    phase = Phases(triangles.boxes.low.device)
-    load((bin_chunks, list_task_events, copy_subtrees, specialise(make_build_subtrees, method(config))), phase.device)
+    phase, method = Phases(triangles.boxes.low.device), event_method(config, by_id=False)
+    load((bin_chunks, list_task_events, copy_subtrees, specialise(make_build_subtrees, method)), phase.device)
     with phase("top levels"):
         levels = ReferenceLevels(triangles, config, LevelRules(EXACT, SAMPLES, sampled=0))
         while levels.any_large():
@@ -87,7 +73,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
             levels.partition()
         top = levels.finished()
     tasks = partial(list_events, top, triangles, config)
-    reservation, lists, results = build_tasks(method(config), triangles, config, tasks, SPARE_MEMORY, phase, "sort")
+    reservation, lists, results = build_tasks(method, config.rules(triangles), tasks, SPARE_MEMORY, phase, "sort")
     work = [top.references, *arrays_of(lists)]
     return assemble(triangles, config, phase, top.levels[:-1], (reservation, results), work)
 

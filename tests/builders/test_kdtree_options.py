@@ -14,11 +14,11 @@ from test_split_clipping import meets
 
 import wrt
 from wrt import scenes
+from wrt.builders.core.clip import PAD
 from wrt.builders.cost import Split, SplitCost, SurfaceAreaCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree import KDTREE_BUILDERS, binned
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.scan import reference_levels
-from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.kdtree.update.subtree_exchange import subtree_end
 from wrt.kernels.runtime.launch import use_threads
 

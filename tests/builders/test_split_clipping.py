@@ -11,11 +11,11 @@ from test_kdtree_builders import build, hard_meshes, leaf_references
 
 import wrt
 from wrt import scenes
+from wrt.builders.core.clip import PAD
 from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, nested, streaming
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.phases import clipped_levels, event_levels
 from wrt.builders.kdtree.scan import scanning
-from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.kernels.runtime.launch import use_threads
 
 

@@ -10,10 +10,10 @@ The phases are count, scan and fill. One item is a pair of a cell and a cluster.
 import numpy as np
 import warp as wp
 
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.core.reference_lists import HEAD
+from wrt.builders.core.subtrees import Frame
 from wrt.builders.kdtree.scan.reference_chunks import LiveRange
 from wrt.builders.kdtree.scan.reference_levels import TopLevels
-from wrt.builders.kdtree.scan.reference_lists import HEAD
 from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import ID_OFFSET
 from wrt.kernels.runtime import native

@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.clip import ClippedMesh
+from wrt.builders.core.subtrees import Reservation
 from wrt.builders.kdtree.events.clipped_events import precedes
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
@@ -25,8 +27,6 @@ from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.clipped_levels import ClippedReferences, clip_part, name_triangles
 from wrt.builders.kdtree.phases.event_chunks import EventNode, LevelLists, TriangleChunk
 from wrt.builders.kdtree.phases.event_levels import EventLevels
-from wrt.builders.kdtree.phases.kdtree_subtrees import Reservation
-from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_byte, store_int, store_pair
 from wrt.kernels.runtime.launch import launch

@@ -4,7 +4,7 @@
 has another box, and so other events, in each of its nodes.
 
 **Algorithm.** What is classified are *references*, at first one per triangle. A reference lies in one node. If its box
-straddles the node's plane, it is clipped to both children's cells (`split_clipping`): the part on the left keeps its number,
+straddles the node's plane, it is clipped to both children's cells (`core.clip`): the part on the left keeps its number,
 the one on the right becomes a new reference, and a part that does not exist lies in no node. Events are those of references.
 So the search of a level does not change. After it, the events of the straddlers are left out of the sorted lists, and those of
 their parts are sorted and merged in, chunk by chunk (`clipped_events` does the same within a task).
@@ -23,12 +23,11 @@ References:
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.clip import CLIP, ClippedMesh, clipped_mesh
 from wrt.builders.kdtree.events.event_sort import CHUNK, END, PLANAR, START, Events, event_position, event_value
 from wrt.builders.kdtree.phases.in_place_levels import LiveNode
 from wrt.builders.kdtree.phases.level_members import sides
 from wrt.builders.kdtree.phases.membership import Membership
-from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh, clipped_mesh
-from wrt.builders.kdtree.scan.split_clipping import CLIP
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, store_byte, store_int
 from wrt.kernels.runtime.launch import launch
@@ -254,7 +253,7 @@ class ClippedReferences:
 
     def __init__(self, triangles: TriangleBoxes, shrinks: bool) -> None:
         self.device = triangles.boxes.low.device
-        self.mesh = clipped_mesh(triangles, shrinks)
+        self.mesh = clipped_mesh(triangles, triangles.size, shrinks)
         self.count = triangles.count
         self.boxes = triangles.boxes
         self.triangle = wp.array(np.arange(self.count, dtype=np.int32), device=self.device)

@@ -10,10 +10,10 @@ References:
 
 import warp as wp
 
+from wrt.builders.core.subtrees import Frame, Task
 from wrt.builders.cost import Split, SplitCost, axis_frame, no_split
 from wrt.builders.kdtree.events.event_lists import EventLists, sweep_range
 from wrt.builders.kdtree.events.event_sort import END, START, Events, event_position, event_value
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
 from wrt.builders.tree import StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.struct_arrays import with_known_layout

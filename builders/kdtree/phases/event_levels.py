@@ -22,6 +22,7 @@ References:
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.subtrees import Frame, Reservation
 from wrt.builders.kdtree.events.clipped_events import lists_for
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import sorted_events
@@ -44,7 +45,6 @@ from wrt.builders.kdtree.phases.event_chunks import (
     scan_chunks,
     search_chunks,
 )
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.runtime.launch import launch
 

@@ -8,10 +8,10 @@ References:
 
 import warp as wp
 
+from wrt.builders.core.subtrees import Frame, Task
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import CHUNK, Events, event_position, event_value
 from wrt.builders.kdtree.phases.in_place_levels import LiveNode
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
 from wrt.kernels.layout.unchecked import load_int, store_int, store_pair
 from wrt.kernels.runtime.options import exact_module

@@ -1,7 +1,7 @@
 """Split clipping in the top levels of a build that scans references (`reference_levels`).
 
 A chunk finds the sides of its references as without clipping. A straddler is then clipped to both children's cells, and enters
-each with the box of its part there, or not at all (`split_clipping`). The counts say where chunks write, so the references are
+each with the box of its part there, or not at all (`core.clip`). The counts say where chunks write, so the references are
 clipped twice: once to be counted, once to be moved. Few of them straddle a plane. Tasks clip the same references to the same
 boxes, so the tree does not depend on the level at which tasks begin.
 
@@ -12,27 +12,14 @@ References:
 
 import warp as wp
 
+from wrt.builders.core.clip import CLIP, ClippedMesh
+from wrt.builders.core.reference_lists import CLASSIFY, GROW, HEAD, SIDES_END, SIDES_START, Sides
 from wrt.builders.kdtree.scan.reference_chunks import Chunk, LiveRange
-from wrt.builders.kdtree.scan.reference_lists import CLASSIFY, GROW, HEAD, SIDES_END, SIDES_START, Sides
-from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
-from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import ID_OFFSET, copy_references
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
-
-
-@wp.struct
-class ClippedMesh:
-    """The triangles to clip."""
-
-    vertices: wp.array(dtype=wp.vec3)
-    faces: wp.array(dtype=wp.vec3i)
-    pad: float
-    """Enlargement of cells and boxes, in scene units."""
-    shrinks: bool
-    """Whether clipped triangles get the boxes of their parts."""
 
 
 @native.func_native(
@@ -190,11 +177,3 @@ def move_clipped_chunks(
         copy_references(references, chunk.begin, chunk.count, target, chunk.to_left)
     else:
         clip_chunk(mesh, references, node, chunk, True, target, sides)
-
-
-def clipped_mesh(triangles: TriangleBoxes, shrinks: bool) -> ClippedMesh:
-    """The triangles to clip; shrinks: as of `ClippedMesh`."""
-    mesh = ClippedMesh()
-    mesh.vertices, mesh.faces = triangles.vertices, triangles.faces
-    mesh.pad, mesh.shrinks = PAD * triangles.size, shrinks
-    return mesh

@@ -12,10 +12,10 @@ from functools import cache
 
 import warp as wp
 
+from wrt.builders.core.reference_lists import Sides, measure_sides, move_range
+from wrt.builders.core.subtrees import Frame
 from wrt.builders.cost import Split, SplitCost, no_split
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, make_binning, median_bin_plane, merge_bins
-from wrt.builders.kdtree.scan.reference_lists import Sides, measure_sides, move_range
 from wrt.builders.tree import StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import copy_references, write_references

@@ -23,8 +23,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.clip import clipped_mesh
+from wrt.builders.core.reference_lists import Sides
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.scan.clipped_chunks import clipped_mesh, measure_clipped_chunks, move_clipped_chunks
+from wrt.builders.kdtree.scan.clipped_chunks import measure_clipped_chunks, move_clipped_chunks
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
 from wrt.builders.kdtree.scan.reference_chunks import (
     Chunk,
@@ -35,7 +37,6 @@ from wrt.builders.kdtree.scan.reference_chunks import (
     measure_chunks,
     move_chunks,
 )
-from wrt.builders.kdtree.scan.reference_lists import Sides
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import launch
 
@@ -95,7 +96,7 @@ class ReferenceLevels:
     def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules) -> None:
         count, self.device = triangles.count, triangles.boxes.low.device
         self.cost, self.limits, self.rules = config.cost.struct(), config.stop.limits(count, triangles.size), rules
-        self.mesh = clipped_mesh(triangles, config.split_clipping) if config.tests_nodes else None
+        self.mesh = clipped_mesh(triangles, triangles.size, config.split_clipping) if config.tests_nodes else None
         """The triangles to clip; None if they are not clipped."""
         self.levels: list[np.ndarray] = []
         """The levels that are split."""

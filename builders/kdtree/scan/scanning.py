@@ -1,6 +1,6 @@
 """A build that scans references: all threads split the top levels together, then each task of a pool builds one subtree.
 
-This is the common part of the builders that search by scanning. `reference_levels` splits large nodes, `kdtree_subtrees` builds
+This is the common part of the builders that search by scanning. `reference_levels` splits large nodes, `core.subtrees` builds
 the others by the phases that the builder's file lists, and `assembly` combines the parts. A search that is not divided into
 chunks runs on one thread per large node; then all threads divide the node's list (`uniform_scan`). So only the search of the
 root keeps the other threads waiting.
@@ -13,15 +13,25 @@ from functools import partial
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.clip import give_mesh, partition_clipping
+from wrt.builders.core.reference_lists import ReferenceLists, emit_leaf, partition
+from wrt.builders.core.subtrees import (
+    Frame,
+    Method,
+    Reservation,
+    Task,
+    build_tasks,
+    emit_inner,
+    in_partition,
+    make_build_subtrees,
+)
 from wrt.builders.kdtree.kdtree_config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Reservation, Task, build_tasks, make_build_subtrees
+from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
 from wrt.builders.kdtree.scan.reference_chunks import bin_chunks, make_decide
 from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
-from wrt.builders.kdtree.scan.split_clipping import PAD
-from wrt.builders.tree import KdTree, Phases
+from wrt.builders.tree import KdTree, Phases, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import copy_references
 from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
@@ -55,6 +65,20 @@ def copy_lists(
     """Item: a task. Copies its references to its own range."""
     number = first + wp.tid()
     copy_references(references, source[number], frames[number].triangles, lists.reference, tasks[number].lists_first)
+
+
+def scan_method(config: KdTreeConfig, search: wp.Function) -> Method:
+    """What is done with a node whose references are scanned; search: as of `Method`. `wrt.builders.core.subtrees` calls these
+    phases."""
+    return Method(
+        memory=ReferenceLists,
+        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
+        stop=stop,
+        classify=in_partition,
+        partition=partition_clipping if config.tests_nodes else partition,
+        emit_inner=emit_inner,
+        emit_leaf=emit_leaf,
+    )
 
 
 @dataclass(frozen=True)
@@ -93,7 +117,7 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
     with phase("top levels"):
         top = split_top(triangles, config, scan)
     tasks = partial(make_tasks, top, triangles, config, scan)
-    reservation, lists, results = build_tasks(scan.method, triangles, config, tasks, SPARE_MEMORY, phase)
+    reservation, lists, results = build_tasks(scan.method, config.rules(triangles), tasks, SPARE_MEMORY, phase)
     work = [top.references, lists.reference, lists.counter, lists.value]
     return assemble(triangles, config, phase, top.levels[:-1], (reservation, results), work)
 
@@ -145,8 +169,7 @@ def make_tasks(
     entries = wp.empty(8 * reservation.entries, dtype=float, device=device)
     lists = search_lists(entries, roots["triangles"], config, scan)
     if config.tests_nodes:
-        lists.vertices, lists.faces = triangles.vertices, triangles.faces
-        lists.pad, lists.shrinks = PAD * triangles.size, config.split_clipping
+        give_mesh(lists, triangles, triangles.size, config.split_clipping)
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
     roots["first"][:, 0] = reservation.ranges["lists_first"]
     roots["top"] = reservation.ranges["lists_first"] + roots["triangles"]
