@@ -63,6 +63,8 @@ class ClippedMesh:
     """Enlargement of cells and boxes, in scene units."""
     shrinks: bool
     """Whether clipped triangles get the boxes of their parts."""
+    clips: bool
+    """Whether anything is clipped; if not, nothing else is set."""
 
 
 def give_mesh(lists: Any, triangles: TriangleBoxes, size: float, shrinks: bool) -> None:
@@ -74,6 +76,7 @@ def give_mesh(lists: Any, triangles: TriangleBoxes, size: float, shrinks: bool) 
 def clipped_mesh(triangles: TriangleBoxes, size: float, shrinks: bool = True) -> ClippedMesh:
     """The triangles to clip; arguments as of `give_mesh`."""
     mesh = ClippedMesh()
+    mesh.clips = True
     give_mesh(mesh, triangles, size, shrinks)
     return mesh
 

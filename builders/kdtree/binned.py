@@ -9,8 +9,8 @@ threads share, each of which builds a subtree depth first (`wrt.builders.core.su
 
 **Data.** One list of references per node (`wrt.builders.core.reference_lists`).
 
-**Phases** of a large node: `split_level`; of the others: `method`. Search: by bins or exactly. Classify and partition: one pass
-over the references.
+**Phases** of a large node: those of `ReferenceLevels`; of the others: `method`. Search: by bins or exactly. Classify and
+partition: one pass over the references.
 
 **Complexity.** O(N) per level, with sequential memory access only.
 
@@ -39,7 +39,7 @@ from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.scan.exact_planes import exact_search, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import bin_plane_search, bin_range, make_binning
 from wrt.builders.kdtree.scan.reference_chunks import sample_step
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels
+from wrt.builders.kdtree.scan.reference_levels import LevelRules
 from wrt.builders.kdtree.scan.scanning import Scan, build_scanning, scan_method
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
@@ -83,18 +83,9 @@ def method(config: KdTreeConfig) -> Method:
     return scan_method(config, searching(config.cost.occluder > 0.0))
 
 
-def split_level(levels: ReferenceLevels) -> None:
-    """Splits all large nodes of a level, parallel over chunks of their references."""
-    levels.search()
-    levels.stop()
-    levels.classify()
-    levels.emit()
-    levels.partition()
-
-
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     threads = get_num_threads()
     large = max(MIN_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
     rules = LevelRules(large, BINS, SAMPLED, config.median_levels)
-    return build_scanning(triangles, config, Scan(method(config), rules, values_for(BINS), split_level=split_level))
+    return build_scanning(triangles, config, Scan(method(config), rules, values_for(BINS), by_bins=True))

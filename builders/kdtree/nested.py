@@ -12,7 +12,7 @@ places; each chunk moves its events. The SAH is exact everywhere, so the tree is
 **Data.** One list of sorted events per axis and node, as in `sweep`: data moves with the nodes. This is the difference to
 `in_place`, in which events stay where they are.
 
-**Phases.** Large nodes: search, stop, classify, emit and partition of `event_levels`, called by `build`. The others: the phases
+**Phases.** Large nodes: those of `event_levels`. The others: the phases
 of `event_method`, in tasks of one pool, each of which builds a subtree depth first. Assembly: `assemble`.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.
@@ -20,7 +20,7 @@ of `event_method`, in tasks of one pool, each of which builds a subtree depth fi
 **What we changed.** The paper makes a task of each node. Here the large nodes of a level are one batch, and its chunks are
 shared among the threads. The paper does not classify in parallel, because marks that threads write share cache lines. Here
 triangles are classified by their boxes, in chunks of a node's list of triangles, so each chunk writes its own range. The tree
-is the same for any number of threads, chunks and tasks, also if triangles are clipped, in large nodes (`clipped_event_levels`)
+is the same for any number of threads, chunks and tasks, also if triangles are clipped, in large nodes (`event_levels`)
 and in tasks (`clipped_events`).
 
 References:
@@ -35,7 +35,7 @@ from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.events.event_sort import emit_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.clipped_event_levels import ClippedEventLevels, merge_lists
+from wrt.builders.kdtree.phases.clipped_event_chunks import merge_lists
 from wrt.builders.kdtree.phases.event_chunks import search_chunks
 from wrt.builders.kdtree.phases.event_levels import EventLevels
 from wrt.builders.tree import KdTree, Phases
@@ -65,15 +65,9 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     kernels = (emit_events, search_chunks, copy_subtrees, *clipping, specialise(make_build_subtrees, method))
     load(kernels, phase.device)
     with phase("sort"):
-        kind = ClippedEventLevels if config.tests_nodes else EventLevels
-        levels = kind(triangles, config, large_node(triangles.count))
+        levels = EventLevels(triangles, config, large_node(triangles.count))
     with phase("top levels"):
-        while levels.any_large():
-            levels.search()
-            levels.stop()
-            levels.classify()
-            levels.emit()
-            levels.partition()
+        levels.split()
     reservation, lists, results = build_tasks(method, config.rules(triangles), levels.make_tasks, SPARE_MEMORY, phase, "copy")
     work = [levels.lists.event, levels.lists.triangle, levels.lists.child, *arrays_of(lists)]
     return assemble(triangles, config, phase, levels.levels, (reservation, results), work)

@@ -10,15 +10,15 @@ with all planes (`event_lists`), in memory that stays in the cache.
 
 **Data.** References (`wrt.builders.triangle_references`) above, sorted events (`event_lists`) in the tasks.
 
-**Phases.** Top levels: search, stop, classify, emit and partition, called by `build`. Sort: `list_events`. Subtrees: the phases
+**Phases.** Top levels: those of `ReferenceLevels`. Sort: `list_events`. Subtrees: the phases
 of `event_method`. Assembly: `assemble`.
 
 **Complexity.** O(N log N), of which the sequential top takes O(N) per level.
 
 **What we changed.** The next level is sampled in a separate pass, because the samples divide the box of a node's triangles,
-which is known only after the copy. The paper samples the node's box while it copies. Clipping is an option, in the levels too
-(`clipped_chunks`). The paper assigns whole subtrees to threads; here the levels above them are parallel too. The tree is the
-same for any number of threads.
+which is known only after the copy. The paper samples the node's box while it copies. Clipping is an option, in the levels too.
+The paper assigns whole subtrees to threads; here the levels above them are parallel too. The tree is the same for any number of
+threads.
 
 References:
     S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
@@ -44,7 +44,7 @@ from wrt.builders.kdtree.events.task_events import list_task_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.scan.reference_chunks import bin_chunks
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import launch, load, specialise
@@ -65,27 +65,21 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     load((bin_chunks, list_task_events, copy_subtrees, specialise(make_build_subtrees, method)), phase.device)
     with phase("top levels"):
         levels = ReferenceLevels(triangles, config, LevelRules(EXACT, SAMPLES, sampled=0))
-        while levels.any_large():
-            levels.search()
-            levels.stop()
-            levels.classify()
-            levels.emit()
-            levels.partition()
-        top = levels.finished()
-    tasks = partial(list_events, top, triangles, config)
+        levels.split()
+    tasks = partial(list_events, levels, triangles, config)
     reservation, lists, results = build_tasks(method, config.rules(triangles), tasks, SPARE_MEMORY, phase, "sort")
-    work = [top.references, *arrays_of(lists)]
-    return assemble(triangles, config, phase, top.levels[:-1], (reservation, results), work)
+    work = [levels.references, *arrays_of(lists)]
+    return assemble(triangles, config, phase, levels.levels, (reservation, results), work)
 
 
 def list_events(
-    top: TopLevels, triangles: TriangleBoxes, config: KdTreeConfig, spare: float
+    levels: ReferenceLevels, triangles: TriangleBoxes, config: KdTreeConfig, spare: float
 ) -> tuple[Reservation, EventLists, wp.array]:
     """Makes one task of each node of the last level: its memory, its sorted events, and the roots of the tasks."""
-    device, roots = top.references.device, top.levels[-1]["frame"]
+    device, roots = levels.references.device, levels.nodes["frame"]
     reservation = Reservation(roots["triangles"], 6, spare, config.cost.width, device)
     lists = lists_for(reservation, triangles, config)
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
     frames = wp.array(roots, dtype=Frame, device=device)
-    launch(list_task_events, len(roots), [top.references, source, reservation.tasks, frames, lists], device=device, chunk=1)
+    launch(list_task_events, len(roots), [levels.references, source, reservation.tasks, frames, lists], device=device, chunk=1)
     return reservation, lists, frames

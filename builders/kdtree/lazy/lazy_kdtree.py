@@ -341,9 +341,9 @@ class LazyKdTree:
     def _build(self, numbers: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> None:
         """Builds the subtrees of cells and inserts them into the tree."""
         device, width = self.build_device, self.config.cost.width
-        top = as_roots(self.triangles.boxes, self.cells[numbers], ids, first, sizes)
+        references, roots = as_roots(self.triangles.boxes, self.cells[numbers], ids, first, sizes)
         scan = Scan(binned.method(self.config), LevelRules(LARGE, binned.BINS, binned.SAMPLED), values_for(binned.BINS))
-        tasks = partial(make_tasks, top, self.triangles, self.config, scan)
+        tasks = partial(make_tasks, references, roots, self.triangles, self.config, scan)
         reservation, _, results = build_tasks(scan.method, self.config.rules(self.triangles), tasks, CELL_SPARE_MEMORY)
         made = results.numpy()
         nodes, base = self._insert_gaps("node", numbers, made["nodes"])

@@ -6,7 +6,6 @@ chunks runs on one thread per large node; then all threads divide the node's lis
 root keeps the other threads waiting.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -30,7 +29,7 @@ from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
 from wrt.builders.kdtree.scan.reference_chunks import bin_chunks, make_decide
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels
 from wrt.builders.tree import KdTree, Phases, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import copy_references
@@ -90,14 +89,14 @@ class Scan:
         levels: how the top is split.
         values: floats that a search in a node writes; None for as many as the node has triangles, but at least MIN_VALUES.
         counters: counters that it needs in addition to those of the bins.
-        split_level: calls the phases of a level; None if large nodes are searched by the search of `method` too.
+        by_bins: whether large nodes are searched by the bins of their chunks; if not, by the search of `method` too.
     """
 
     method: Method
     levels: LevelRules
     values: int | None
     counters: int = 0
-    split_level: Callable[[ReferenceLevels], None] | None = None
+    by_bins: bool = False
 
 
 def uniform_scan(
@@ -115,32 +114,30 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
     phase = Phases(triangles.boxes.low.device)
     load((bin_chunks, copy_lists, copy_subtrees, specialise(make_build_subtrees, scan.method)), phase.device)
     with phase("top levels"):
-        top = split_top(triangles, config, scan)
-    tasks = partial(make_tasks, top, triangles, config, scan)
+        levels = ReferenceLevels(triangles, config, scan.levels) if scan.by_bins else SearchedLevels(triangles, config, scan)
+        levels.split()
+    tasks = partial(make_tasks, levels.references, levels.nodes["frame"], triangles, config, scan)
     reservation, lists, results = build_tasks(scan.method, config.rules(triangles), tasks, SPARE_MEMORY, phase)
-    work = [top.references, lists.reference, lists.counter, lists.value]
-    return assemble(triangles, config, phase, top.levels[:-1], (reservation, results), work)
+    work = [levels.references, lists.reference, lists.counter, lists.value]
+    return assemble(triangles, config, phase, levels.levels, (reservation, results), work)
 
 
-def split_top(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> TopLevels:
-    """Splits large nodes, level after level, until there are none."""
-    levels = ReferenceLevels(triangles, config, scan.levels)
-    while levels.any_large():
-        if scan.split_level:
-            scan.split_level(levels)
-        else:
-            split_level_by_search(levels, config, scan)
-    return levels.finished()
+class SearchedLevels(ReferenceLevels):
+    """The top levels of a build whose nodes of all sizes are searched in the same way, by one thread each."""
 
+    def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> None:
+        super().__init__(triangles, config, scan.levels)
+        self.config, self.scan = config, scan
 
-def split_level_by_search(levels: ReferenceLevels, config: KdTreeConfig, scan: Scan) -> None:
-    """Splits a level whose nodes are searched as in a task, each by one thread."""
-    kernel = specialise(partial(make_decide, ReferenceLists), scan.method.search)
-    lists = search_lists(levels.references, levels.nodes["frame"]["triangles"], config, scan)
-    levels.search_and_stop(kernel, lists)
-    levels.classify()
-    levels.emit()
-    levels.partition()
+    def search(self) -> None:
+        """Nothing but chunks: `stop` searches."""
+        self.cut()
+
+    def stop(self) -> None:
+        """Every node is searched, and becomes a leaf, or is split."""
+        kernel = specialise(partial(make_decide, ReferenceLists), self.scan.method.search)
+        lists = search_lists(self.references, self.nodes["frame"]["triangles"], self.config, self.scan)
+        launch(kernel, len(self.nodes), [self.cost, self.limits, lists, self.live], device=self.device, chunk=1)
 
 
 def search_lists(references: wp.array, sizes: np.ndarray, config: KdTreeConfig, scan: Scan) -> ReferenceLists:
@@ -160,10 +157,11 @@ def search_lists(references: wp.array, sizes: np.ndarray, config: KdTreeConfig, 
 
 
 def make_tasks(
-    top: TopLevels, triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan, spare: float
+    references: wp.array, roots: np.ndarray, triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan, spare: float
 ) -> tuple[Reservation, ReferenceLists, wp.array]:
-    """Makes one task of each node of the last level: its memory, its references, and the roots of the tasks."""
-    device, roots = top.references.device, top.levels[-1]["frame"].copy()
+    """Makes one task of each node of the last level, given as structured `Frame`s, whose lists are in `references`: its memory,
+    its references, and the roots of the tasks."""
+    device, roots = references.device, roots.copy()
     count = len(roots)
     reservation = Reservation(roots["triangles"], 1, spare, config.cost.width, device)
     entries = wp.empty(8 * reservation.entries, dtype=float, device=device)
@@ -174,5 +172,5 @@ def make_tasks(
     roots["first"][:, 0] = reservation.ranges["lists_first"]
     roots["top"] = reservation.ranges["lists_first"] + roots["triangles"]
     frames = wp.array(roots, dtype=Frame, device=device)
-    launch(copy_lists, count, [top.references, source, reservation.tasks, frames, lists], device=device, chunk=1)
+    launch(copy_lists, count, [references, source, reservation.tasks, frames, lists], device=device, chunk=1)
     return reservation, lists, frames
