@@ -16,7 +16,7 @@ import wrt
 from wrt.builders.bvh import binned_bvh as binned
 from wrt.builders.bvh.bvh_statistics import bvh_statistics, unpack
 from wrt.builders.bvh.spatial import spatial_build
-from wrt.builders.kdtree.scan.split_clipping import PAD
+from wrt.builders.core.clip import PAD
 from wrt.builders.triangle_boxes import boxes_of, triangle_boxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import use_threads
