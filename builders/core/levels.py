@@ -1,4 +1,4 @@
-"""The top levels of a kd-tree: all large nodes of a level at once, parallel over chunks of their lists.
+"""The top levels of a tree: all large nodes of a level at once, parallel over chunks of their lists.
 
     search      finds planes: of every chunk, or of every node
     stop        every node is split at its best plane, or finished (`decided`)
@@ -6,10 +6,11 @@
     emit        the host lists the children, and where each chunk writes; the only host round trip of a level
     partition   every chunk moves its part of a list to the next level's lists, in order
 
-A node that is small enough, or a leaf, is finished: it waits for the end of the levels, as its own child, and then becomes a
-task (`subtrees`), which makes the same decision. `Levels` is what all kinds of lists have in common; its subclasses have the
-phases: lists of references (`reference_levels`), of sorted events (`event_levels`), or events that stay where they are
-(`in_place`).
+`Levels` is what all kinds of lists have in common; its subclasses have the phases: lists of references (`reference_levels`), of
+sorted events (`event_levels`), events that stay where they are (`in_place`), and ids by centroid (`sweep_levels`, a BVH).
+
+A node of a kd-tree that is small enough, or a leaf, is finished: it waits for the end of the levels, as its own child, and then
+becomes a task (`subtrees`), which makes the same decision.
 
 Counts, minima and the order of planes do not depend on the grouping. So neither chunks nor threads show in the result, and a
 node gets the same split as in a task.
@@ -35,7 +36,7 @@ CHUNK = 8192
 @with_known_layout
 @wp.struct
 class LiveNode:
-    """A node of the current level. Its lists are those of its frame."""
+    """A node of the current level of a kd-tree. Its lists are those of its frame."""
 
     frame: Frame
     split: Split
@@ -92,19 +93,18 @@ class Levels:
     """The top levels while they are split.
 
     Args:
-        triangles: boxes of the mesh's triangles.
-        rules: cost model and stop rules.
+        device: of the build.
+        nodes: the first level, a structured array.
     """
 
     chunks_per_thread = 4
     """Chunks of items per thread in launches: items cost about the same."""
 
-    def __init__(self, triangles: TriangleBoxes, rules: tuple[SplitCost, StopLimits]) -> None:
-        self.triangles, self.device = triangles, triangles.boxes.low.device
-        self.cost, self.limits = rules
+    def __init__(self, device: wp.Device, nodes: np.ndarray) -> None:
+        self.device = device
         self.levels: list[np.ndarray] = []
-        """The levels that are split, structured arrays of `LiveNode`."""
-        self.nodes = root_level(triangles)
+        """The levels that are split."""
+        self.nodes = nodes
         """The current level; when no node is to be split any more, the roots of tasks."""
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
@@ -145,7 +145,7 @@ class Levels:
 
 
 def root_level(triangles: TriangleBoxes) -> np.ndarray:
-    """The first level, with one list of all triangles."""
+    """The first level of a kd-tree, with one list of all triangles."""
     nodes = np.zeros(1, dtype=LiveNode.numpy_dtype())
     frame = nodes["frame"]
     for name, corner in (("low", triangles.low), ("high", triangles.high)):
@@ -160,23 +160,25 @@ def starts_of(counts: np.ndarray) -> np.ndarray:
     return (np.cumsum(counts) - counts.ravel()).reshape(counts.shape)
 
 
-def cut(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def cut(first: np.ndarray, count: np.ndarray, size: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Divides lists into chunks, at least one each.
 
     Args:
         first, count: (nodes, lists) where lists begin, and their lengths.
+        size: entries in a chunk, but the last one of a list; None for `CHUNK`.
 
     Returns:
         The chunks, structured as `Chunk`, and (nodes, lists) each: the first chunk of every list, and the number of its chunks.
     """
-    pieces = np.maximum(1, -(-count // CHUNK))
+    size = size or CHUNK
+    pieces = np.maximum(1, -(-count // size))
     starts = starts_of(pieces)
     owner = np.repeat(np.arange(count.size), pieces.ravel())
-    begin = (np.arange(len(owner)) - starts.ravel()[owner]) * CHUNK
+    begin = (np.arange(len(owner)) - starts.ravel()[owner]) * size
     chunks = np.zeros(len(owner), dtype=Chunk.numpy_dtype())
     chunks["node"], chunks["axis"] = np.divmod(owner, count.shape[1])
     chunks["begin"] = first.ravel()[owner] + begin
-    chunks["end"] = first.ravel()[owner] + np.minimum(begin + CHUNK, count.ravel()[owner])
+    chunks["end"] = first.ravel()[owner] + np.minimum(begin + size, count.ravel()[owner])
     return chunks, starts, pieces
 
 
@@ -200,11 +202,18 @@ def children_of(nodes: np.ndarray) -> np.ndarray:
     return children
 
 
-def place(chunks: np.ndarray, nodes: np.ndarray, first: np.ndarray) -> None:
-    """Computes where each chunk writes, by the chunks' counts; first: (children, lists) where the children's lists begin."""
+def both_children(nodes: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values of the left and of the right child of every node, from those of the children in order; of a finished node twice
+    its own."""
+    left = nodes["left"]
+    return values[left], values[np.where(nodes["finished"], left, left + 1)]
+
+
+def place(chunks: np.ndarray, to_left: np.ndarray, to_right: np.ndarray) -> None:
+    """Computes where each chunk writes, by the chunks' counts; to_left, to_right: (nodes, lists) where the children's lists
+    begin."""
     node, axis = chunks["node"], chunks["axis"]
-    left = nodes["left"][node]
     lists = 3 * node + axis
-    for side, child in (("left", left), ("right", np.where(nodes["finished"][node], left, left + 1))):
+    for side, first in (("left", to_left), ("right", to_right)):
         before = starts_of(chunks[side])
-        chunks[f"to_{side}"] = first[child, axis] + before - before[np.searchsorted(lists, lists)]
+        chunks[f"to_{side}"] = first[node, axis] + before - before[np.searchsorted(lists, lists)]

@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.builders.core.levels import Levels, LiveNode, children_of, of_children, starts_of
+from wrt.builders.core.levels import Levels, LiveNode, children_of, of_children, root_level, starts_of
 from wrt.builders.core.subtrees import (
     Frame,
     Method,
@@ -151,7 +151,8 @@ class InPlaceLevels(Levels):
     chunks_per_thread = ITEM_CHUNKS_PER_THREAD
 
     def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, target: TaskTarget, events: Events) -> None:
-        super().__init__(triangles, config.rules(triangles))
+        super().__init__(triangles.boxes.low.device, root_level(triangles))
+        self.triangles, (self.cost, self.limits) = triangles, config.rules(triangles)
         self.config, self.target, self.events = config, target, events
         self.parts = ClippedReferences(triangles, config.split_clipping) if config.tests_nodes else None
         """What is classified in place of triangles, if they are clipped."""

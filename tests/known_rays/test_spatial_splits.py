@@ -273,9 +273,9 @@ def test_boxes_alone_cannot_be_split():
 def test_pads_are_those_of_the_scene():
     mesh = SCENES["teapot"]()
     triangles = triangle_boxes(*arrays_of(mesh))
-    assert spatial_build.clipped_mesh(triangles).pad == pytest.approx(PAD * triangles.size)
+    assert spatial_build.scene_mesh(triangles).pad == pytest.approx(PAD * triangles.size)
     triangles.of_size = 100.0
-    assert spatial_build.clipped_mesh(triangles).pad == pytest.approx(100.0 * PAD)
+    assert spatial_build.scene_mesh(triangles).pad == pytest.approx(100.0 * PAD)
 
 
 @pytest.mark.parametrize("far", [1.0, 1e2, 1e4])

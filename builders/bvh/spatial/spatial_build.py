@@ -125,6 +125,17 @@ def build_branches(
 # -- the build -----------------------------------------------------------------------------------------------------------
 
 
+def scene_mesh(triangles: TriangleBoxes) -> ClippedMesh:
+    """The triangles to clip.
+
+    Raises:
+        ValueError: the boxes are not those of triangles.
+    """
+    if triangles.vertices is None or triangles.faces is None:
+        raise ValueError("spatial splits clip triangles, and these boxes have none; build with spatial_splits=0")
+    return clipped_mesh(triangles, triangles.scene_size)
+
+
 def build(triangles: TriangleBoxes, config: ProjectedConfig) -> Bvh:
     """Builds the tree on the device that holds the boxes.
 
@@ -132,11 +143,9 @@ def build(triangles: TriangleBoxes, config: ProjectedConfig) -> Bvh:
         ValueError: the boxes are not those of triangles.
     """
     device, count, rules = triangles.boxes.low.device, triangles.count, config.bvh.struct()
-    if triangles.vertices is None or triangles.faces is None:
-        raise ValueError("spatial splits clip triangles, and these boxes have none; build with spatial_splits=0")
+    mesh, phase = scene_mesh(triangles), Phases(device)
     if count <= config.bvh.leaf_limit:  # the root could be a leaf, and such nodes are not cut
         return build_without(triangles, config)
-    mesh, phase = clipped_mesh(triangles, triangles.scene_size), Phases(device)
     plain = ProjectedBuilder(triangles, config)
     load([begin_references, lay_out, *plain.kernels()], device)
     capacity = count + int(count * config.spatial_splits)

@@ -30,7 +30,18 @@ References:
 import numpy as np
 import warp as wp
 
-from wrt.builders.core.levels import Chunk, Levels, LiveNode, children_of, cut, of_children, place, starts_of
+from wrt.builders.core.levels import (
+    Chunk,
+    Levels,
+    LiveNode,
+    both_children,
+    children_of,
+    cut,
+    of_children,
+    place,
+    root_level,
+    starts_of,
+)
 from wrt.builders.core.subtrees import Frame, Reservation
 from wrt.builders.kdtree.events.clipped_events import lists_for
 from wrt.builders.kdtree.events.event_lists import EventLists
@@ -68,7 +79,8 @@ class EventLevels(Levels):
     """
 
     def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, large: int) -> None:
-        super().__init__(triangles, config.rules(triangles))
+        super().__init__(triangles.boxes.low.device, root_level(triangles))
+        self.triangles, (self.cost, self.limits) = triangles, config.rules(triangles)
         self.config, self.large, count = config, large, triangles.count
         self.parts = ClippedReferences(triangles, config.split_clipping) if config.tests_nodes else None
         """What the lists hold in place of triangles, if they are clipped."""
@@ -140,8 +152,8 @@ class EventLevels(Levels):
             self.reserve()
         children["triangles_first"], frame["first"] = starts_of(frame["triangles"]), starts_of(frame["count"])
         children["finished"] |= frame["triangles"] <= self.large
-        place(triangles, nodes, children["triangles_first"][:, None])
-        place(events, nodes, frame["first"])
+        place(triangles, *both_children(nodes, children["triangles_first"][:, None]))
+        place(events, *both_children(nodes, frame["first"]))
         self.chunks = wp.array(events, dtype=Chunk, device=self.device)
         self.triangle_chunks = wp.array(triangles, dtype=Chunk, device=self.device)
         self.live = wp.array(nodes, dtype=LiveNode, device=self.device)

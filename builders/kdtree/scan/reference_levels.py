@@ -24,7 +24,19 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.core.clip import ClippedMesh, clipped_mesh
-from wrt.builders.core.levels import CHUNK, Chunk, Levels, LiveNode, children_of, cut, of_children, place, starts_of
+from wrt.builders.core.levels import (
+    CHUNK,
+    Chunk,
+    Levels,
+    LiveNode,
+    both_children,
+    children_of,
+    cut,
+    of_children,
+    place,
+    root_level,
+    starts_of,
+)
 from wrt.builders.core.reference_lists import Sides
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
@@ -68,7 +80,8 @@ class ReferenceLevels(Levels):
     """
 
     def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules) -> None:
-        super().__init__(triangles, config.rules(triangles))
+        super().__init__(triangles.boxes.low.device, root_level(triangles))
+        self.triangles, (self.cost, self.limits) = triangles, config.rules(triangles)
         self.rules, count = rules, triangles.count
         self.mesh = clipped_mesh(triangles, triangles.size, config.split_clipping) if config.tests_nodes else ClippedMesh()
         self.nodes["finished"] = rules.waits(self.nodes["frame"])
@@ -113,7 +126,7 @@ class ReferenceLevels(Levels):
         frame["inner_high"][divided] = np.minimum(frame["high"], high)[divided]
         children["finished"] |= self.rules.waits(frame)
         chunks["left"], chunks["right"] = sides["left"], sides["right"]
-        place(chunks, nodes, frame["first"])
+        place(chunks, *both_children(nodes, frame["first"]))
 
     def partition(self) -> None:
         """Every chunk moves its references to the next level's buffer."""
