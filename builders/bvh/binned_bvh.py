@@ -41,10 +41,11 @@ from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections, Heuris
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import Frame, empty_tree
 from wrt.builders.bvh.phases.bvh_bins import make_scratch
-from wrt.builders.bvh.phases.bvh_levels import Chunk, LiveNode, Totals, make_search_planes
+from wrt.builders.bvh.phases.bvh_levels import BinnedNode, Totals, make_search_planes
 from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees
 from wrt.builders.bvh.phases.collapse import collapse, collapse_kernels
 from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
+from wrt.builders.core.levels import Chunk
 from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import get_num_threads, load
@@ -186,7 +187,7 @@ class BinnedBuilder:
         """Phase "top levels": splits large nodes until none is left."""
         count, size, work = self.triangles.count, self.chunk, self.work
         chunks = -(-count // size)
-        root = np.zeros(1, dtype=LiveNode.numpy_dtype())
+        root = np.zeros(1, dtype=BinnedNode.numpy_dtype())
         root["frame"]["count"] = count
         if count <= self.large:
             self.tasks, self.task_count = work.empty("tasks", 1, Frame), 1
@@ -195,7 +196,7 @@ class BinnedBuilder:
         root["chunk_count"] = root["part_count"] = chunks
         max_nodes = count // self.large + 1
         max_chunks = chunks + max_nodes
-        nodes = [work.empty(f"nodes {i}", max_nodes, LiveNode) for i in range(2)]
+        nodes = [work.empty(f"nodes {i}", max_nodes, BinnedNode) for i in range(2)]
         lists = [work.empty(f"lists {i}", max_chunks, Chunk) for i in range(2)]
         tasks = work.empty("tasks", 2 * max_nodes * MAX_LEVELS, Frame)
         top = work.empty("top", max_nodes * MAX_LEVELS, int)

@@ -24,6 +24,7 @@ References:
         ACM Transactions on Graphics 26(1), 2007.
 """
 
+import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
@@ -33,6 +34,7 @@ from wrt.builders.bvh.phases.binary_tree import (
     LEAF,
     BinaryTree,
     Frame,
+    child_of,
     empty_tree,
     half_area,
     middle,
@@ -42,7 +44,7 @@ from wrt.builders.bvh.phases.binary_tree import (
 from wrt.builders.bvh.phases.collapse import collapse, collapse_kernels
 from wrt.builders.bvh.phases.large_boxes import is_small
 from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
-from wrt.builders.bvh.phases.sweep_levels import bound_chunks, split_top
+from wrt.builders.bvh.phases.sweep_levels import SweepLevels, bound_chunks
 from wrt.builders.bvh.phases.sweep_lists import (
     Partition,
     SweepLists,
@@ -180,16 +182,9 @@ def build_by_sweep(
             best = search(rules, lists, tree, frame)
             partition(lists, frame, best)
             emit_inner(tree, frame, next_pair)
-            right = frame
-            right.node = 2 * next_pair + 1
-            right.first += best.left
-            right.count -= best.left
-            right.depth += 1
-            stack[number, waiting] = right
+            stack[number, waiting] = child_of(frame, best.left, next_pair, 1)
             waiting += 1
-            frame.node = 2 * next_pair
-            frame.count = best.left
-            frame.depth += 1
+            frame = child_of(frame, best.left, next_pair, 0)
             next_pair += 1
     subtrees[number] = wp.vec2i(begin, next_pair)
 
@@ -210,14 +205,16 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     with phase("sort"):
         lists = sorted_lists(triangles)
     with phase("top levels"):
-        frames, top = split_top(rules, lists, tree, large)
+        levels = SweepLevels(rules, lists, tree, large)
+        levels.split()
+        frames, top = levels.tasks(), levels.pairs
     with phase("subtrees"):
         tasks = wp.array(frames, dtype=Frame, device=device)
         stack = wp.empty((len(tasks), STACK), dtype=Frame, device=device)
         subtrees = wp.empty(len(tasks), dtype=wp.vec2i, device=device)
         inputs = [rules, lists, tasks, stack, tree, subtrees]
         launch(build_by_sweep, len(tasks), inputs, device=device, chunk=1, chunks_per_thread=len(tasks))
-    above = wp.array(top, dtype=int, device=device) if len(top) else None
+    above = wp.array(np.concatenate(top), dtype=int, device=device) if top else None
     binary = BinaryBuild(tree, subtrees, above, wp.empty(16 * count, dtype=float, device=device))
     if config.reinsertion:
         with phase("reinsertion"):

@@ -14,7 +14,7 @@ least that of a split with these counts and without the slab in between. Interva
 eliminated, and 16 samples are taken in the others, again and again (`KdTreeConfig.resamplings`; Rahikainen 2013, section 4.2,
 after Popov et al. 2006, who propose it and did not need it).
 
-**Data.** One list of references per node (`reference_lists`).
+**Data.** One list of references per node (`wrt.builders.core.reference_lists`).
 
 **Phases** of a node: `method`. Search: `place_samples`, `count_samples` and `search_axis` for each axis searched. Classify and
 partition: one pass over the references.
@@ -36,17 +36,15 @@ from functools import cache
 
 import warp as wp
 
+from wrt.builders.core.reference_lists import ReferenceLists
+from wrt.builders.core.subtrees import Frame, Method
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, cheaper_split, no_split, plane_cost
 from wrt.builders.kdtree.kdtree_config import MOST_RESAMPLINGS, KdTreeConfig
 from wrt.builders.kdtree.medians import longest_axis
-from wrt.builders.kdtree.phases.early_cutting import cutting_early
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count, bin_range, make_binning
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
-from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
-from wrt.builders.kdtree.scan.split_clipping import partition_clipping
-from wrt.builders.tree import KdTree, stop
+from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, uniform_scan
+from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
@@ -267,17 +265,8 @@ def searching(sample: wp.Function) -> wp.Function:
 
 
 def method(config: KdTreeConfig) -> Method:
-    """What is done with a node. `kdtree_subtrees` calls these phases."""
-    search = searching(sample_axis if config.resamplings == 1 else sample_axis_again)
-    return Method(
-        memory=ReferenceLists,
-        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
-        stop=stop,
-        classify=in_partition,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_leaf,
-    )
+    """What is done with a node."""
+    return scan_method(config, searching(sample_axis if config.resamplings == 1 else sample_axis_again))
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

@@ -7,7 +7,7 @@ Beyond either median, moving the plane towards it shrinks the child that has mor
 from one median to the other, are counted in one scan of the node (`adaptive_sampling`), and the cheapest is taken. The axis is
 chosen as in `medians`.
 
-**Data.** One list of references per node (`reference_lists`).
+**Data.** One list of references per node (`wrt.builders.core.reference_lists`).
 
 **Phases** of a node: `method`. Search: `search_axis` and `try_box_faces`. Classify and partition: one pass over the references.
 
@@ -26,17 +26,15 @@ References:
 
 import warp as wp
 
+from wrt.builders.core.reference_lists import ReferenceLists
+from wrt.builders.core.subtrees import Frame, Method
 from wrt.builders.cost import Split, SplitCost, axis_frame, cheaper_by_area, no_split
 from wrt.builders.kdtree.adaptive_sampling import SAMPLES, count_samples
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.medians import first_axis, median_position
-from wrt.builders.kdtree.phases.early_cutting import cutting_early
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
-from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
-from wrt.builders.kdtree.scan.split_clipping import partition_clipping
-from wrt.builders.tree import KdTree, stop
+from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, uniform_scan
+from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
@@ -84,16 +82,8 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
 
 
 def method(config: KdTreeConfig) -> Method:
-    """What is done with a node. `kdtree_subtrees` calls these phases."""
-    return Method(
-        memory=ReferenceLists,
-        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
-        stop=stop,
-        classify=in_partition,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_leaf,
-    )
+    """What is done with a node."""
+    return scan_method(config, search)
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

@@ -5,12 +5,12 @@
 **Algorithm.** Count the begins and ends of boxes in 32 bins per axis, and try only the planes between bins (`kdtree_bins`). In
 large nodes only every log10(n)-th triangle is counted. Nodes of at most 32 triangles are searched exactly (`exact_planes`).
 Large nodes are split level by level, by all threads together (`reference_levels`). The others are tasks in a pool that all
-threads share, each of which builds a subtree depth first (`kdtree_subtrees`).
+threads share, each of which builds a subtree depth first (`wrt.builders.core.subtrees`).
 
-**Data.** One list of references per node (`reference_lists`).
+**Data.** One list of references per node (`wrt.builders.core.reference_lists`).
 
-**Phases** of a large node: `split_level`; of the others: `method`. Search: by bins or exactly. Classify and partition: one pass
-over the references.
+**Phases** of a large node: those of `ReferenceLevels`; of the others: `method`. Search: by bins or exactly. Classify and
+partition: one pass over the references.
 
 **Complexity.** O(N) per level, with sequential memory access only.
 
@@ -32,17 +32,16 @@ from functools import cache
 
 import warp as wp
 
+from wrt.builders.core.reference_lists import ReferenceLists
+from wrt.builders.core.subtrees import Frame, Method
 from wrt.builders.cost import SplitCost
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.exact_planes import exact_search, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import bin_plane_search, bin_range, make_binning
 from wrt.builders.kdtree.scan.reference_chunks import sample_step
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
-from wrt.builders.kdtree.scan.scanning import Scan, build_scanning
-from wrt.builders.kdtree.scan.split_clipping import partition_clipping
-from wrt.builders.tree import KdTree, stop
+from wrt.builders.kdtree.scan.reference_levels import LevelRules
+from wrt.builders.kdtree.scan.scanning import Scan, build_scanning, scan_method
+from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import get_num_threads
 
@@ -80,25 +79,8 @@ def searching(ends_rays: bool) -> wp.Function:
 
 
 def method(config: KdTreeConfig) -> Method:
-    """What is done with a node. `kdtree_subtrees` calls these phases."""
-    return Method(
-        memory=ReferenceLists,
-        search=searching(config.cost.occluder > 0.0),
-        stop=stop,
-        classify=in_partition,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_leaf,
-    )
-
-
-def split_level(levels: ReferenceLevels) -> None:
-    """Splits all large nodes of a level, parallel over chunks of their references."""
-    levels.search()
-    levels.stop()
-    levels.classify()
-    levels.emit()
-    levels.partition()
+    """What is done with a node."""
+    return scan_method(config, searching(config.cost.occluder > 0.0))
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
@@ -106,4 +88,4 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     threads = get_num_threads()
     large = max(MIN_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
     rules = LevelRules(large, BINS, SAMPLED, config.median_levels)
-    return build_scanning(triangles, config, Scan(method(config), rules, values_for(BINS), split_level=split_level))
+    return build_scanning(triangles, config, Scan(method(config), rules, values_for(BINS), by_bins=True))

@@ -5,16 +5,15 @@ every level.
 
 **Algorithm.** The events of all triangles are sorted once per axis (`event_sort`). The top levels are built breadth first, in
 parallel over the geometry and in place: nodes are assigned to triangles, triangles are not moved to nodes (`in_place_levels`).
-As soon as there are enough live nodes, each becomes a task that builds its subtree depth first (`kdtree_subtrees`). The parts
+As soon as there are enough live nodes, each becomes a task that builds its subtree depth first (`core.subtrees`). The parts
 are then assembled in depth-first order (`assembly`). The SAH is exact everywhere: every plane at which a triangle's box starts
 or ends is tried.
 
 **Data.** Sorted events of the whole mesh (`event_sort`), and for each triangle the list of its nodes (`membership.Membership`);
 in the tasks, sorted events per node (`event_lists`).
 
-**Phases.** Sort: `sorted_events`. Top levels: `search`, `stop`, `emit` and `classify` of `InPlaceBuilder`, for one level after
-the other; no triangle is moved. Fill: `make_tasks` copies events and triangles to the tasks. Subtrees: the phases of `method`.
-Assembly: `assemble`.
+**Phases.** Sort: `sorted_events`. Top levels: those of `InPlaceLevels`; no triangle is moved. Fill: `make_tasks` copies events
+and triangles to the tasks. Subtrees: the phases of `event_method`. Assembly: `assemble`.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.
 
@@ -30,15 +29,23 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2, algorithm 4.2.2).
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import warp as wp
 
-from wrt.builders.cost import AxisFrame, SplitCost
-from wrt.builders.kdtree.events.clipped_events import arrays_of, emit_sorted_leaf, lists_for, partition_clipping
-from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
+from wrt.builders.core.levels import Levels, LiveNode, children_of, of_children, root_level, starts_of
+from wrt.builders.core.subtrees import (
+    Frame,
+    Method,
+    Reservation,
+    build_tasks,
+    make_build_subtrees,
+)
+from wrt.builders.cost import AxisFrame
+from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for
+from wrt.builders.kdtree.events.event_lists import EventLists
+from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.events.event_sort import CHUNK, EVENT_CHUNK, Events, emit_events, sorted_events
 from wrt.builders.kdtree.events.sweep_planes import Sweep
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
@@ -47,20 +54,10 @@ from wrt.builders.kdtree.phases import level_members as members_phase
 from wrt.builders.kdtree.phases import task_fill as fill_phase
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.clipped_levels import ClippedReferences, merge_events, name_triangles
-from wrt.builders.kdtree.phases.in_place_levels import LiveNode
-from wrt.builders.kdtree.phases.kdtree_subtrees import (
-    Frame,
-    Method,
-    Reservation,
-    build_tasks,
-    emit_inner,
-    make_build_subtrees,
-)
 from wrt.builders.kdtree.phases.membership import Membership
-from wrt.builders.tree import KdTree, Phases, StopLimits, stop
+from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.kernels.layout.struct_arrays import array_of_structs
-from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
+from wrt.kernels.runtime.launch import get_num_threads, load, specialise
 
 MIN_TASKS = 8
 """Least number of live nodes at which the build switches to subtrees, with two to eight threads; with more, one per thread.
@@ -108,20 +105,7 @@ class TaskTarget(NamedTuple):
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    return build_in_place(triangles, config, method(config), task_target(triangles.count))
-
-
-def method(config: KdTreeConfig) -> Method:
-    """What is done with a node. `kdtree_subtrees` calls these phases."""
-    return Method(
-        memory=EventLists,
-        search=search,
-        stop=stop,
-        classify=classify,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_sorted_leaf if config.tests_nodes else emit_leaf,
-    )
+    return build_in_place(triangles, config, event_method(config), task_target(triangles.count))
 
 
 def task_target(count: int) -> TaskTarget:
@@ -132,17 +116,18 @@ def task_target(count: int) -> TaskTarget:
 
 def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, method: Method, target: TaskTarget) -> KdTree:
     """Builds the tree; levels are split together until the live nodes meet the target. method: what tasks do with a node."""
-    builder = InPlaceBuilder(triangles, config)
-    clipping = (merge_events,) if config.tests_nodes else ()
-    load((*KERNELS, *clipping, specialise(make_build_subtrees, method)), builder.device)
-    with builder.phase("sort"):
+    device = triangles.boxes.low.device
+    phase, clipping = Phases(device), (merge_events,) if config.tests_nodes else ()
+    load((*KERNELS, *clipping, specialise(make_build_subtrees, method)), device)
+    with phase("sort"):
         events = sorted_events(triangles)
-    with builder.phase("top levels"):
-        membership = builder.build_levels(events, target)
-    tasks = partial(builder.make_tasks, events, membership)
-    reservation, lists, results = build_tasks(method, triangles, config, tasks, SPARE_MEMORY, builder.phase, "fill")
-    work = [events.position, events.value, membership.node, membership.shared, *arrays_of(lists)]
-    return assemble(triangles, config, builder.phase, builder.levels[:-1], (reservation, results), work)
+    with phase("top levels"):
+        levels = InPlaceLevels(triangles, config, target, events)
+        levels.split()
+        levels.count_members()
+    reservation, lists, results = build_tasks(method, config.rules(triangles), levels.make_tasks, SPARE_MEMORY, phase, "fill")
+    work = [events.position, events.value, levels.membership.node, levels.membership.shared, *arrays_of(lists)]
+    return assemble(triangles, config, phase, levels.levels, (reservation, results), work)
 
 
 def cut_events(events: Events, nodes: int) -> int:
@@ -153,77 +138,64 @@ def cut_events(events: Events, nodes: int) -> int:
     return max(1, -(-most // events.chunk))
 
 
-class InPlaceBuilder:
-    """The state of one build."""
+class InPlaceLevels(Levels):
+    """The top levels while they are split.
 
-    def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig) -> None:
-        self.triangles = triangles
-        self.config = config
-        self.device = triangles.boxes.low.device
-        self.cost: SplitCost = config.cost.struct()
-        self.limits: StopLimits = config.stop.limits(triangles.count, triangles.size)
-        self.width = config.cost.width
-        self.phase = Phases(self.device)
+    Args:
+        triangles: boxes of the mesh's triangles.
+        config: cost model and stop rules, and whether triangles are clipped.
+        target: when the levels end.
+        events: sorted; replaced if triangles are clipped.
+    """
+
+    chunks_per_thread = ITEM_CHUNKS_PER_THREAD
+
+    def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, target: TaskTarget, events: Events) -> None:
+        super().__init__(triangles.boxes.low.device, root_level(triangles))
+        self.triangles, (self.cost, self.limits) = triangles, config.rules(triangles)
+        self.config, self.target, self.events = config, target, events
         self.parts = ClippedReferences(triangles, config.split_clipping) if config.tests_nodes else None
         """What is classified in place of triangles, if they are clipped."""
-        self.levels: list[np.ndarray] = []
-        """Live nodes of each level so far."""
-        root = LiveNode()
-        root.low = wp.vec3(*triangles.low)
-        root.high = wp.vec3(*triangles.high)
-        root.triangles = triangles.count
-        self.live = array_of_structs([root], LiveNode, self.device)
+        self.membership = Membership()
+        """The nodes that contain each triangle."""
+        self.membership.node = wp.zeros(triangles.count, dtype=int, device=self.device)
+        self.membership.shared = wp.empty(1, dtype=int, device=self.device)
 
     @property
     def count(self) -> int:
         """Triangles, or references to them."""
         return self.parts.count if self.parts else self.triangles.count
 
-    def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
-        """Launches a kernel on the build's device."""
-        launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=ITEM_CHUNKS_PER_THREAD)
+    def goes_on(self) -> bool:
+        """Until the nodes meet the target."""
+        triangles, target = self.nodes["frame"]["triangles"][~self.nodes["finished"]], self.target
+        met = len(triangles) >= target.tasks and triangles.max() <= target.triangles
+        return len(triangles) > 0 and len(self.levels) < MAX_LEVELS and not met
 
-    def build_levels(self, events: Events, target: TaskTarget) -> Membership:
-        """Builds level after level until the live nodes meet the target; returns the nodes that contain each triangle."""
-        membership = Membership()
-        membership.node = wp.zeros(self.triangles.count, dtype=int, device=self.device)
-        membership.shared = wp.empty(1, dtype=int, device=self.device)
-        open_nodes, largest = 1, self.triangles.count
-        while open_nodes > 0 and len(self.levels) < MAX_LEVELS and (open_nodes < target.tasks or largest > target.triangles):
-            self.search(events, membership)
-            self.stop()
-            children, open_nodes, largest = self.emit()
-            parts, parents = self.parts, self.live
-            membership = parts.classify(events, membership, parents) if parts else self.classify(membership)
-            self.levels.append(self.live.numpy())
-            self.live = children
-            if parts:
-                self.count_members(membership)
-        self.count_members(membership)
-        self.levels.append(self.live.numpy())
-        return membership
-
-    def count_members(self, membership: Membership) -> None:
-        """Sets the triangle counts of the last level's nodes to the actual numbers, because what is copied to them must fit.
-        The counts of a sweep may differ if there is NaN."""
+    def count_members(self) -> None:
+        """Sets the triangle counts of the nodes to the actual numbers, because what is copied to them must fit. The counts of a
+        sweep may differ if there is NaN, or if triangles are clipped."""
         chunks = -(-self.count // CHUNK)
-        self.members = wp.empty((chunks, len(self.live)), dtype=int, device=self.device)
-        self.run(fill_phase.count_task_triangles, chunks, self.count, membership, self.members)
-        self.run(fill_phase.total_triangles, len(self.live), self.members, self.live, chunk=64)
+        members = wp.empty((chunks, len(self.nodes)), dtype=int, device=self.device)
+        self.run(fill_phase.count_task_triangles, chunks, self.count, self.membership, members)
+        self.members = members.numpy()
+        """(chunks, nodes) triangles of each node in each chunk of triangles."""
+        self.nodes["frame"]["triangles"] = self.members.sum(axis=0)
 
-    def search(self, events: Events, membership: Membership) -> None:
+    def search(self) -> None:
         """Finds the best plane of every live node, in each chunk of events."""
-        nodes = len(self.live)
+        self.live = wp.array(self.nodes, dtype=LiveNode, device=self.device)
+        nodes, events = len(self.nodes), self.events
         chunks = cut_events(events, nodes)
         counts = wp.empty((3, chunks, nodes), dtype=wp.vec3i, device=self.device)
         frames = wp.empty((3, chunks, nodes), dtype=AxisFrame, device=self.device)
-        self.sweeps = sweeps = wp.empty((3, chunks, nodes), dtype=Sweep, device=self.device)
-        self.run(level_phase.count_events, 3 * chunks, events, membership, counts)
-        min_known_cost = self.scan(events, counts)
-        work = [membership, self.live, counts, min_known_cost, frames, sweeps]
+        self.sweeps = wp.empty((3, chunks, nodes), dtype=Sweep, device=self.device)
+        self.run(level_phase.count_events, 3 * chunks, events, self.membership, counts)
+        min_known_cost = self.scan(counts)
+        work = [self.membership, self.live, counts, min_known_cost, frames, self.sweeps]
         self.run(level_phase.search_planes, 3 * chunks, self.cost, events, *work)
 
-    def scan(self, events: Events, counts: wp.array) -> wp.array:
+    def scan(self, counts: wp.array) -> wp.array:
         """Turns counts of chunks into the counts before them; returns each node's least cost of its first
         planes in the chunks."""
         chunks, nodes = counts.shape[1:]
@@ -234,7 +206,8 @@ class InPlaceBuilder:
             self.run(level_phase.sum_blocks, 3 * blocks, block_chunks, counts, before)
             self.run(level_phase.scan_blocks, 3, before)
         block_cost = wp.empty((3, blocks, nodes), dtype=float, device=self.device)
-        self.run(level_phase.scan_chunks, 3 * blocks, self.cost, events, self.live, block_chunks, counts, before, block_cost)
+        work = [self.live, block_chunks, counts, before, block_cost]
+        self.run(level_phase.scan_chunks, 3 * blocks, self.cost, self.events, *work)
         min_known_cost = wp.empty(nodes, dtype=float, device=self.device)
         self.run(level_phase.min_of_blocks, nodes, block_cost, min_known_cost, chunk=64)
         return min_known_cost
@@ -243,53 +216,74 @@ class InPlaceBuilder:
         """Takes the best plane of all chunks; a node becomes a leaf, or is split there."""
         self.run(level_phase.decide, len(self.live), self.cost, self.limits, self.sweeps, self.live, chunk=16)
 
-    def emit(self) -> tuple[wp.array, int, int]:
-        """The next level's live nodes, how many of them may be split, and the triangles of the largest of these."""
-        children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
-        counts = wp.empty(3, dtype=int, device=self.device)
-        self.run(level_phase.emit_children, 1, self.live, children, counts)
-        total, open_nodes, largest = map(int, counts.numpy())
-        return children[:total], open_nodes, largest
+    def emit(self) -> None:
+        """Lists the children, with the counts of the search."""
+        self.nodes = nodes = self.live.numpy()
+        self.children = children_of(nodes)
+        triangles, split = nodes["frame"]["triangles"], nodes["split"]
+        left = np.where(nodes["finished"], triangles, split["left"])
+        self.children["frame"]["triangles"] = of_children(nodes, left, split["right"])
+        self.live = wp.array(nodes, dtype=LiveNode, device=self.device)
 
-    def classify(self, membership: Membership) -> Membership:
-        """Computes the triangles' nodes on the next level."""
+    def partition(self) -> None:
+        """Every triangle replaces its nodes by their children."""
+        if self.parts:
+            self.membership = self.parts.classify(self.events, self.membership, self.live)
+        else:
+            self.membership = self.refined()
+        self.levels.append(self.nodes)
+        self.nodes = self.children
+        if self.parts:
+            self.count_members()
+
+    def refined(self) -> Membership:
+        """The triangles' nodes on the next level."""
         count, boxes, device = self.triangles.count, self.triangles.boxes, self.device
         chunks = -(-count // CHUNK)
         counts = wp.empty(chunks, dtype=int, device=device)
         refined = Membership()
         refined.node = wp.empty(count, dtype=int, device=device)
-        self.run(members_phase.count_shared, chunks, count, boxes, self.live, membership, refined, counts)
+        inputs = [count, boxes, self.live, self.membership, refined]
+        self.run(members_phase.count_shared, chunks, *inputs, counts)
         sizes = counts.numpy()
-        places = wp.array(np.cumsum(sizes) - sizes, dtype=int, device=device)
+        places = wp.array(starts_of(sizes), dtype=int, device=device)
         refined.shared = wp.empty(max(1, int(sizes.sum())), dtype=int, device=device)
-        self.run(members_phase.refine_members, chunks, count, boxes, self.live, membership, refined, places)
+        self.run(members_phase.refine_members, chunks, *inputs, places)
         return refined
 
-    def make_tasks(self, events: Events, membership: Membership, spare: float) -> tuple[Reservation, EventLists, wp.array]:
+    def make_tasks(self, spare: float) -> tuple[Reservation, EventLists, wp.array]:
         """Makes one task of each live node: its triangles, events and working memory. Also returns the roots of the tasks."""
-        reservation = Reservation(self.levels[-1]["triangles"], 6, spare, self.width, self.device)
+        roots = self.nodes["frame"].copy()
+        reservation = Reservation(roots["triangles"], 6, spare, self.config.cost.width, self.device)
         lists = lists_for(reservation, self.triangles, self.config)
-        frames = wp.empty(len(reservation.tasks), dtype=Frame, device=self.device)
-        self.run(fill_phase.make_roots, len(reservation.tasks), self.live, frames, chunk=64)
-        self.copy_to_tasks(events, membership, reservation.tasks, lists, frames)
-        return reservation, lists, frames
+        local = self.fill_triangles(reservation, lists)
+        self.fill_events(reservation, local, lists, roots)
+        return reservation, lists, wp.array(roots, dtype=Frame, device=self.device)
 
-    def copy_to_tasks(
-        self, events: Events, membership: Membership, tasks: wp.array, lists: EventLists, frames: wp.array
-    ) -> None:
-        """Copies triangles and events to their tasks."""
-        count, device = self.count, self.device
-        chunks = -(-count // CHUNK)
-        places = wp.empty((chunks, len(tasks)), dtype=int, device=device)
+    def fill_triangles(self, reservation: Reservation, lists: EventLists) -> Membership:
+        """Copies triangles to their tasks; returns their indices there, at the same places as their tasks."""
+        count, device, tasks = self.count, self.device, reservation.tasks
         local = Membership()
         local.node = wp.empty(count, dtype=int, device=device)
-        local.shared = wp.empty(len(membership.shared), dtype=int, device=device)
-        self.run(fill_phase.scan_task_triangles, len(tasks), tasks, self.members, places, chunk=64)
-        self.run(fill_phase.fill_task_triangles, chunks, count, membership, tasks, places, local, lists)
+        local.shared = wp.empty(len(self.membership.shared), dtype=int, device=device)
+        before = np.cumsum(self.members, axis=0) - self.members
+        places = wp.array(reservation.ranges["triangles_first"] + before, dtype=int, device=device)
+        inputs = [count, self.membership, tasks, places, local, lists]
+        self.run(fill_phase.fill_task_triangles, len(self.members), *inputs)
         if self.parts:
             self.run(name_triangles, len(lists.triangle), self.parts.triangle, lists.triangle, chunk=CHUNK)
-        chunks = cut_events(events, len(tasks))
-        places = wp.empty((3, chunks, len(tasks)), dtype=int, device=device)
-        self.run(fill_phase.count_task_events, 3 * chunks, events, membership, places)
-        self.run(fill_phase.scan_task_events, len(tasks), tasks, places, frames, chunk=64)
-        self.run(fill_phase.fill_task_events, 3 * chunks, events, membership, local, places, lists)
+        return local
+
+    def fill_events(self, reservation: Reservation, local: Membership, lists: EventLists, roots: np.ndarray) -> None:
+        """Copies events to their tasks, axis after axis, and stores the ranges of the lists in the roots."""
+        events, tasks = self.events, len(roots)
+        chunks = cut_events(events, tasks)
+        counts = wp.empty((3, chunks, tasks), dtype=int, device=self.device)
+        self.run(fill_phase.count_task_events, 3 * chunks, events, self.membership, counts)
+        made = counts.numpy()
+        before = np.cumsum(made.reshape(-1, tasks), axis=0).reshape(made.shape) - made
+        places = reservation.ranges["lists_first"] + before
+        roots["first"], roots["count"] = places[:, 0].T, made.sum(axis=1).T
+        roots["top"] = reservation.ranges["lists_first"] + made.sum(axis=(0, 1))
+        inputs = [events, self.membership, local, wp.array(places, dtype=int, device=self.device), lists]
+        self.run(fill_phase.fill_task_events, 3 * chunks, *inputs)

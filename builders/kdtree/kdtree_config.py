@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field
 
-from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.tree import StopRules
+from wrt.builders.cost import SplitCost, SurfaceAreaCost
+from wrt.builders.tree import StopLimits, StopRules
+from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.kdtree_nodes import MAX_INDEX
 
 LONGEST = "longest"
@@ -103,6 +104,10 @@ class KdTreeConfig:
             raise ValueError(f"hierarchy is {self.hierarchy!r}; choose from {', '.join(HIERARCHIES)}")
         if self.split_clipping and self.cell_tests != "none":
             raise ValueError("split_clipping tests triangles against all cells already; leave cell_tests out, or clipping off")
+
+    def rules(self, triangles: TriangleBoxes) -> tuple[SplitCost, StopLimits]:
+        """Cost model and stop rules of a build from these triangles, for kernels."""
+        return self.cost.struct(), self.stop.limits(triangles.count, triangles.size)
 
     @property
     def tests_nodes(self) -> bool:

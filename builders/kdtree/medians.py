@@ -7,7 +7,7 @@ many triangles on both sides, here the median of the boxes' centres. The axis is
 (`KdTreeConfig.axis`). The longest was long considered the better choice; Wald (2004) found that it need not be. An axis on
 which no plane divides the node is skipped.
 
-**Data.** One list of references per node (`reference_lists`).
+**Data.** One list of references per node (`wrt.builders.core.reference_lists`).
 
 **Phases** of a node: `method`. Search: `search_space` or `search_objects`. Classify and partition: one pass over
 the references.
@@ -27,14 +27,12 @@ References:
 
 import warp as wp
 
+from wrt.builders.core.reference_lists import ReferenceLists, Sides, measure_sides
+from wrt.builders.core.subtrees import Frame, Method
 from wrt.builders.cost import SplitCost, axis_frame, cheaper_by_area, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.early_cutting import cutting_early
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, emit_leaf, measure_sides, partition
-from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
-from wrt.builders.kdtree.scan.split_clipping import partition_clipping
-from wrt.builders.tree import KdTree, stop
+from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, uniform_scan
+from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.unchecked import load_float
 from wrt.kernels.runtime.options import exact_module
@@ -133,16 +131,8 @@ def search_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: F
 
 
 def method(search: wp.Function, config: KdTreeConfig) -> Method:
-    """What is done with a node, search aside. `kdtree_subtrees` calls these phases."""
-    return Method(
-        memory=ReferenceLists,
-        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
-        stop=stop,
-        classify=in_partition,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_leaf,
-    )
+    """What is done with a node, search aside."""
+    return scan_method(config, search)
 
 
 def build_spatial(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

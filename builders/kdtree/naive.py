@@ -5,7 +5,7 @@
 **Algorithm.** At every node, the planes at both ends of every triangle's box are compared with all triangles of the node
 (`exact_planes`). Nothing is sorted.
 
-**Data.** One list of references per node (`reference_lists`).
+**Data.** One list of references per node (`wrt.builders.core.reference_lists`).
 
 **Phases** of a node: `method`. Search: `exact_search`. Classify and partition: one pass over the references.
 
@@ -21,29 +21,17 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.1.2).
 """
 
+from wrt.builders.core.subtrees import Method
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.early_cutting import cutting_early
-from wrt.builders.kdtree.phases.kdtree_subtrees import Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.exact_planes import exact_search, values_for
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
-from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
-from wrt.builders.kdtree.scan.split_clipping import partition_clipping
-from wrt.builders.tree import KdTree, stop
+from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, uniform_scan
+from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 
 
 def method(config: KdTreeConfig) -> Method:
-    """What is done with a node. `kdtree_subtrees` calls these phases."""
-    search = exact_search(config.cost.occluder > 0.0)
-    return Method(
-        memory=ReferenceLists,
-        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
-        stop=stop,
-        classify=in_partition,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_leaf,
-    )
+    """What is done with a node."""
+    return scan_method(config, exact_search(config.cost.occluder > 0.0))
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

@@ -12,15 +12,15 @@ places; each chunk moves its events. The SAH is exact everywhere, so the tree is
 **Data.** One list of sorted events per axis and node, as in `sweep`: data moves with the nodes. This is the difference to
 `in_place`, in which events stay where they are.
 
-**Phases.** Large nodes: search, stop, classify, emit and partition of `event_levels`, called by `build`. The others: the phases
-of `method`, in tasks of one pool, each of which builds a subtree depth first. Assembly: `assemble`.
+**Phases.** Large nodes: those of `event_levels`. The others: the phases
+of `event_method`, in tasks of one pool, each of which builds a subtree depth first. Assembly: `assemble`.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.
 
 **What we changed.** The paper makes a task of each node. Here the large nodes of a level are one batch, and its chunks are
 shared among the threads. The paper does not classify in parallel, because marks that threads write share cache lines. Here
 triangles are classified by their boxes, in chunks of a node's list of triangles, so each chunk writes its own range. The tree
-is the same for any number of threads, chunks and tasks, also if triangles are clipped, in large nodes (`clipped_event_levels`)
+is the same for any number of threads, chunks and tasks, also if triangles are clipped, in large nodes (`event_levels`)
 and in tasks (`clipped_events`).
 
 References:
@@ -29,16 +29,16 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
 """
 
-from wrt.builders.kdtree.events.clipped_events import arrays_of, emit_sorted_leaf, partition_clipping
-from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
+from wrt.builders.core.subtrees import build_tasks, make_build_subtrees
+from wrt.builders.kdtree.events.clipped_events import arrays_of
+from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.events.event_sort import emit_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.clipped_event_levels import ClippedEventLevels, merge_lists
+from wrt.builders.kdtree.phases.clipped_event_chunks import merge_lists
 from wrt.builders.kdtree.phases.event_chunks import search_chunks
 from wrt.builders.kdtree.phases.event_levels import EventLevels
-from wrt.builders.kdtree.phases.kdtree_subtrees import Method, build_tasks, emit_inner, make_build_subtrees
-from wrt.builders.tree import KdTree, Phases, stop
+from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import get_num_threads, load, specialise
 
@@ -52,19 +52,6 @@ SPARE_MEMORY = 1.5
 """Working memory of a task relative to its own lists; doubled whenever it is too small."""
 
 
-def method(config: KdTreeConfig) -> Method:
-    """What is done with a node of a task. `kdtree_subtrees` calls these phases."""
-    return Method(
-        memory=EventLists,
-        search=search,
-        stop=stop,
-        classify=classify,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_sorted_leaf if config.tests_nodes else emit_leaf,
-    )
-
-
 def large_node(count: int) -> int:
     """Nodes of more triangles are split by all threads."""
     threads = get_num_threads()
@@ -73,20 +60,14 @@ def large_node(count: int) -> int:
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    phase = Phases(triangles.boxes.low.device)
+    phase, method = Phases(triangles.boxes.low.device), event_method(config)
     clipping = (merge_lists,) if config.tests_nodes else ()
-    kernels = (emit_events, search_chunks, copy_subtrees, *clipping, specialise(make_build_subtrees, method(config)))
+    kernels = (emit_events, search_chunks, copy_subtrees, *clipping, specialise(make_build_subtrees, method))
     load(kernels, phase.device)
     with phase("sort"):
-        kind = ClippedEventLevels if config.tests_nodes else EventLevels
-        levels = kind(triangles, config, large_node(triangles.count))
+        levels = EventLevels(triangles, config, large_node(triangles.count))
     with phase("top levels"):
-        while levels.any_large():
-            levels.search()
-            levels.stop()
-            levels.classify()
-            levels.emit()
-            levels.partition()
-    reservation, lists, results = build_tasks(method(config), triangles, config, levels.make_tasks, SPARE_MEMORY, phase, "copy")
+        levels.split()
+    reservation, lists, results = build_tasks(method, config.rules(triangles), levels.make_tasks, SPARE_MEMORY, phase, "copy")
     work = [levels.lists.event, levels.lists.triangle, levels.lists.child, *arrays_of(lists)]
     return assemble(triangles, config, phase, levels.levels, (reservation, results), work)

@@ -5,7 +5,7 @@
 **Algorithm.** Per node and axis: list the events of its triangles (end, planar, start), sort them by position, sweep over them
 with the counts N_L, N_P, N_R, and keep the plane of least cost. A node takes over nothing from its parent except the list of
 its triangles and their boxes. If triangles are clipped, those that straddle the plane are clipped to both children's cells
-(`split_clipping`), and enter them with the boxes of their parts.
+(`wrt.builders.core.clip`), and enter them with the boxes of their parts.
 
 **Data.** A list of triangle ids and boxes per node on the path from the root, and the events of the current node and axis
 (`Workspace`).
@@ -33,11 +33,11 @@ from time import perf_counter
 
 import warp as wp
 
+from wrt.builders.core.clip import PAD
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.early_cutting import cut_slab
-from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.tree import BuildStats, KdTree, PathState, StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree

@@ -10,15 +10,15 @@ with all planes (`event_lists`), in memory that stays in the cache.
 
 **Data.** References (`wrt.builders.triangle_references`) above, sorted events (`event_lists`) in the tasks.
 
-**Phases.** Top levels: search, stop, classify, emit and partition, called by `build`. Sort: `list_events`. Subtrees: the phases
-of `method`. Assembly: `assemble`.
+**Phases.** Top levels: those of `ReferenceLevels`. Sort: `list_events`. Subtrees: the phases
+of `event_method`. Assembly: `assemble`.
 
 **Complexity.** O(N log N), of which the sequential top takes O(N) per level.
 
 **What we changed.** The next level is sampled in a separate pass, because the samples divide the box of a node's triangles,
-which is known only after the copy. The paper samples the node's box while it copies. Clipping is an option, in the levels too
-(`clipped_chunks`). The paper assigns whole subtrees to threads; here the levels above them are parallel too. The tree is the
-same for any number of threads.
+which is known only after the copy. The paper samples the node's box while it copies. Clipping is an option, in the levels too.
+The paper assigns whole subtrees to threads; here the levels above them are parallel too. The tree is the same for any number of
+threads.
 
 References:
     S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
@@ -31,22 +31,21 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for, partition_clipping
-from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
+from wrt.builders.core.subtrees import (
+    Frame,
+    Reservation,
+    build_tasks,
+    make_build_subtrees,
+)
+from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for
+from wrt.builders.kdtree.events.event_lists import EventLists
+from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.events.task_events import list_task_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.kdtree_subtrees import (
-    Frame,
-    Method,
-    Reservation,
-    build_tasks,
-    emit_inner,
-    make_build_subtrees,
-)
 from wrt.builders.kdtree.scan.reference_chunks import bin_chunks
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels
-from wrt.builders.tree import KdTree, Phases, stop
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels
+from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import launch, load, specialise
 
@@ -60,46 +59,27 @@ SPARE_MEMORY = 1.5
 """Working memory of a task relative to its own lists, at least a third; doubled whenever it is too small."""
 
 
-def method(config: KdTreeConfig) -> Method:
-    """What is done with a node. `kdtree_subtrees` calls these phases."""
-    return Method(
-        memory=EventLists,
-        search=search,
-        stop=stop,
-        classify=classify,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_leaf,
-    )
-
-
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    phase = Phases(triangles.boxes.low.device)
-    load((bin_chunks, list_task_events, copy_subtrees, specialise(make_build_subtrees, method(config))), phase.device)
+    phase, method = Phases(triangles.boxes.low.device), event_method(config, by_id=False)
+    load((bin_chunks, list_task_events, copy_subtrees, specialise(make_build_subtrees, method)), phase.device)
     with phase("top levels"):
         levels = ReferenceLevels(triangles, config, LevelRules(EXACT, SAMPLES, sampled=0))
-        while levels.any_large():
-            levels.search()
-            levels.stop()
-            levels.classify()
-            levels.emit()
-            levels.partition()
-        top = levels.finished()
-    tasks = partial(list_events, top, triangles, config)
-    reservation, lists, results = build_tasks(method(config), triangles, config, tasks, SPARE_MEMORY, phase, "sort")
-    work = [top.references, *arrays_of(lists)]
-    return assemble(triangles, config, phase, top.levels[:-1], (reservation, results), work)
+        levels.split()
+    tasks = partial(list_events, levels, triangles, config)
+    reservation, lists, results = build_tasks(method, config.rules(triangles), tasks, SPARE_MEMORY, phase, "sort")
+    work = [levels.references, *arrays_of(lists)]
+    return assemble(triangles, config, phase, levels.levels, (reservation, results), work)
 
 
 def list_events(
-    top: TopLevels, triangles: TriangleBoxes, config: KdTreeConfig, spare: float
+    levels: ReferenceLevels, triangles: TriangleBoxes, config: KdTreeConfig, spare: float
 ) -> tuple[Reservation, EventLists, wp.array]:
     """Makes one task of each node of the last level: its memory, its sorted events, and the roots of the tasks."""
-    device, roots = top.references.device, top.levels[-1]["frame"]
+    device, roots = levels.references.device, levels.nodes["frame"]
     reservation = Reservation(roots["triangles"], 6, spare, config.cost.width, device)
     lists = lists_for(reservation, triangles, config)
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
     frames = wp.array(roots, dtype=Frame, device=device)
-    launch(list_task_events, len(roots), [top.references, source, reservation.tasks, frames, lists], device=device, chunk=1)
+    launch(list_task_events, len(roots), [levels.references, source, reservation.tasks, frames, lists], device=device, chunk=1)
     return reservation, lists, frames

@@ -9,7 +9,7 @@ task and no levels above it, on one thread. It is the baseline for all other bui
 
 **Data.** One list of sorted events per axis and node (`event_lists`).
 
-**Phases** of a node: `method`.
+**Phases** of a node: `event_method`.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.
 
@@ -22,31 +22,18 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithms 4.1.4 and 4.1.5).
 """
 
-from wrt.builders.kdtree.events.clipped_events import emit_sorted_leaf, partition_clipping
-from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
+from wrt.builders.kdtree.events.event_lists import EventLists, search
+from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.in_place import TaskTarget, build_in_place
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.early_cutting import cutting_early
-from wrt.builders.kdtree.phases.kdtree_subtrees import Method, emit_inner
-from wrt.builders.tree import KdTree, stop
+from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import use_threads
 
 
-def method(config: KdTreeConfig) -> Method:
-    """What is done with a node. `kdtree_subtrees` calls these phases."""
-    return Method(
-        memory=EventLists,
-        search=cutting_early(search, EventLists) if config.cuts_early else search,
-        stop=stop,
-        classify=classify,
-        partition=partition_clipping if config.tests_nodes else partition,
-        emit_inner=emit_inner,
-        emit_leaf=emit_sorted_leaf if config.tests_nodes else emit_leaf,
-    )
-
-
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes, on one thread."""
+    method = event_method(config, cutting_early(search, EventLists) if config.cuts_early else search)
     with use_threads(1):
-        return build_in_place(triangles, config, method(config), TaskTarget(tasks=1, triangles=triangles.count))
+        return build_in_place(triangles, config, method, TaskTarget(tasks=1, triangles=triangles.count))

@@ -14,7 +14,7 @@ and W words of `child`:
 Node 0 is the root; its box is `low`, `high`. The box of a child is the exact union of the boxes of its triangles. By the
 consistency rule (`wrt.kernels.simd.boxes`) a ray therefore enters every box around a triangle no later than it reaches the
 triangle. In a tree with spatial splits, leaves list the triangles that are partly in them, and boxes are those of the parts,
-enlarged as `wrt.builders.kdtree.scan.split_clipping` explains.
+enlarged as `wrt.builders.core.clip` explains.
 
 Depth-first and van Emde Boas orders of nodes and blocks do not change the speed of traversal
 (notebooks/records/2026-11-22-box-formats.md).

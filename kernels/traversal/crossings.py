@@ -16,7 +16,7 @@ child, it searches the left child if its interval contains t.
 is visited. Such a leaf exists. In a tree without split clipping, descend from the root: if the triangle straddles the plane, t
 is in the near interval, or beyond its end and so after the start of the far interval. If the triangle does not straddle the
 plane, its box lies on one side, t is in the interval of the box, and rounding is monotone. For clipped triangles see
-`wrt.builders.kdtree.scan.split_clipping`.
+`wrt.builders.core.clip`.
 
 The next crossing does not need this, nor does the nearest hit that is not with a given triangle
 (`wrt.kernels.traversal.single.skip_step`): if it is found in two leaves, it is still the same hit.

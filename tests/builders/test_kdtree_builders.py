@@ -8,11 +8,11 @@ import warp as wp
 from conftest import SCENES, snapped_soup
 
 import wrt
+from wrt.builders.core import levels as levels_engine
 from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, nested, streaming
 from wrt.builders.kdtree.events.event_sort import sorted_events
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
-from wrt.builders.kdtree.phases import event_levels
-from wrt.builders.kdtree.scan import reference_levels, scanning
+from wrt.builders.kdtree.scan import scanning
 from wrt.builders.kdtree.update.subtree_exchange import subtree_end
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
@@ -251,7 +251,7 @@ def test_threads_and_chunks_do_not_show(builder, monkeypatch):
     with use_threads(1):
         reference, _ = build(mesh, builder)
     for threads, chunk, least in ((2, 8192, 4096), (3, 100, 64), (8, 7, 1000)):
-        monkeypatch.setattr(reference_levels, "CHUNK", chunk)
+        monkeypatch.setattr(levels_engine, "CHUNK", chunk)
         monkeypatch.setattr(binned, "MIN_LARGE", least)
         with use_threads(threads):
             tree, _ = build(mesh, builder)
@@ -266,7 +266,7 @@ def test_nested_chunks_do_not_show(soup, monkeypatch):
     mesh = soup(6000, seed=5)
     reference, _ = build(mesh, "sweep")
     for threads, chunk, least in ((2, 8192, 2000), (3, 100, 64), (8, 7, 1000)):
-        monkeypatch.setattr(event_levels, "CHUNK", chunk)
+        monkeypatch.setattr(levels_engine, "CHUNK", chunk)
         monkeypatch.setattr(nested, "MIN_LARGE", least)
         with use_threads(threads):
             tree, _ = build(mesh, "nested")

@@ -14,11 +14,11 @@ from test_split_clipping import meets
 
 import wrt
 from wrt import scenes
+from wrt.builders.core import levels as levels_engine
+from wrt.builders.core.clip import PAD
 from wrt.builders.cost import Split, SplitCost, SurfaceAreaCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree import KDTREE_BUILDERS, binned
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
-from wrt.builders.kdtree.scan import reference_levels
-from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.kdtree.update.subtree_exchange import subtree_end
 from wrt.kernels.runtime.launch import use_threads
 
@@ -297,7 +297,7 @@ def test_the_first_levels_are_medians(levels, monkeypatch):
     mesh = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(18000).reshape(-1, 3))
     with use_threads(1):
         reference, _ = build(mesh, "binned", median_levels=levels)
-    monkeypatch.setattr(reference_levels, "CHUNK", 100)
+    monkeypatch.setattr(levels_engine, "CHUNK", 100)
     monkeypatch.setattr(binned, "MIN_LARGE", 500)
     with use_threads(3):
         tree, _ = build(mesh, "binned", median_levels=levels)

@@ -11,11 +11,12 @@ from test_kdtree_builders import build, hard_meshes, leaf_references
 
 import wrt
 from wrt import scenes
+from wrt.builders.core import levels as levels_engine
+from wrt.builders.core.clip import PAD
 from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, nested, streaming
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
-from wrt.builders.kdtree.phases import clipped_levels, event_levels
+from wrt.builders.kdtree.phases import clipped_levels
 from wrt.builders.kdtree.scan import scanning
-from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.kernels.runtime.launch import use_threads
 
 
@@ -203,7 +204,7 @@ def test_levels_make_the_naive_tree(name, tests, monkeypatch):
             np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
             np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
         for threads, least, chunk in ((2, 50, 8192), (3, 200, 7)):
-            monkeypatch.setattr(event_levels, "CHUNK", chunk)
+            monkeypatch.setattr(levels_engine, "CHUNK", chunk)
             monkeypatch.setattr(nested, "MIN_LARGE", least)
             with use_threads(threads):
                 tree, _ = build(mesh, "nested", **tests, **options)

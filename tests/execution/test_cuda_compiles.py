@@ -17,9 +17,10 @@ from wrt.builders.bvh.phases.bvh_levels import make_search_planes
 from wrt.builders.bvh.phases.bvh_subtrees import make_build_subtrees as make_bvh_subtrees
 from wrt.builders.bvh.phases.collapse import make_pick_children, make_solve
 from wrt.builders.bvh.projected_binned import PROJECTED
-from wrt.builders.kdtree import adaptive_sampling, between_medians, binned, in_place, medians, naive
+from wrt.builders.core.subtrees import make_build_subtrees
+from wrt.builders.kdtree import adaptive_sampling, between_medians, binned, medians, naive
+from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.kdtree_subtrees import make_build_subtrees
 from wrt.builders.kdtree.scan.reference_chunks import make_decide
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.kernels.layout.mesh_placement import make_shift
@@ -61,7 +62,7 @@ SCANNING_METHODS = (
     *(builder.method(WHOLE) for builder in (binned, naive, between_medians, adaptive_sampling)),
     *(medians.method(search, WHOLE) for search in (medians.search_space, medians.search_objects)),
 )
-KDTREE_METHODS = (in_place.method(WHOLE), in_place.method(CLIPPED), *SCANNING_METHODS, binned.method(CLIPPED), SAMPLED_AGAIN)
+KDTREE_METHODS = (event_method(WHOLE), event_method(CLIPPED), *SCANNING_METHODS, binned.method(CLIPPED), SAMPLED_AGAIN)
 
 
 def modules_with_kernels() -> list[str]:

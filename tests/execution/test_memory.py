@@ -13,7 +13,7 @@ import warp as wp
 
 import wrt
 from wrt import memory
-from wrt.builders.kdtree.scan.reference_levels import LiveRange
+from wrt.builders.core.levels import LiveNode
 from wrt.execution.triangle_records import records_of
 from wrt.memory import GRAIN, BlockPool, large_pages
 
@@ -190,12 +190,12 @@ def test_records_share_memory_only_one_after_the_other(monkeypatch):
 
 def test_layouts_worked_out_once():
     """Structs with a known layout go to NumPy and back as others do, by one dtype."""
-    layout = LiveRange.numpy_dtype()
-    assert layout is LiveRange.numpy_dtype()
-    assert layout == np.dtype(type(LiveRange).numpy_dtype(LiveRange))
+    layout = LiveNode.numpy_dtype()
+    assert layout is LiveNode.numpy_dtype()
+    assert layout == np.dtype(type(LiveNode).numpy_dtype(LiveNode))
     nodes = np.zeros(3, dtype=layout)
     nodes["frame"]["triangles"], nodes["split"]["position"], nodes["left"] = [1, 2, 3], 0.5, [7, 8, 9]
-    again = wp.array(nodes, dtype=LiveRange, device="cpu").numpy()
+    again = wp.array(nodes, dtype=LiveNode, device="cpu").numpy()
     assert again.dtype == layout
     assert again.tobytes() == nodes.tobytes()
 

@@ -101,14 +101,14 @@ def prepare(what: str, threads: int, compiler_flags: str | None = None) -> None:
 def share_small_work() -> None:
     """Makes what only large meshes meet happen with small ones: levels that threads split together, chunks, cells."""
     from wrt.builders.bvh import binned_bvh as bvh
+    from wrt.builders.core import levels as levels_engine
     from wrt.builders.kdtree import binned, streaming
     from wrt.builders.kdtree.lazy import lazy_kdtree as lazy
     from wrt.builders.kdtree.lazy import triangle_clusters as clusters
-    from wrt.builders.kdtree.scan import reference_levels
 
     bvh.MIN_LARGE, bvh.MIN_CHUNK, bvh.TASKS_PER_THREAD = 8, 4, 8
     streaming.EXACT, clusters.MIN_CHUNK, clusters.TRIANGLES_PER_CELL = 12, 16, 1
-    lazy.LARGE = reference_levels.CHUNK = 12
+    lazy.LARGE = levels_engine.CHUNK = 12
     for name in ("LARGE", "MIN_LARGE"):
         if hasattr(binned, name):
             setattr(binned, name, 12)

@@ -16,7 +16,7 @@ import wrt
 from wrt.builders.bvh import binned_bvh as binned
 from wrt.builders.bvh.bvh_statistics import bvh_statistics, unpack
 from wrt.builders.bvh.spatial import spatial_build
-from wrt.builders.kdtree.scan.split_clipping import PAD
+from wrt.builders.core.clip import PAD
 from wrt.builders.triangle_boxes import boxes_of, triangle_boxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import use_threads
@@ -273,9 +273,9 @@ def test_boxes_alone_cannot_be_split():
 def test_pads_are_those_of_the_scene():
     mesh = SCENES["teapot"]()
     triangles = triangle_boxes(*arrays_of(mesh))
-    assert spatial_build.clipped_mesh(triangles).pad == pytest.approx(PAD * triangles.size)
+    assert spatial_build.scene_mesh(triangles).pad == pytest.approx(PAD * triangles.size)
     triangles.of_size = 100.0
-    assert spatial_build.clipped_mesh(triangles).pad == pytest.approx(100.0 * PAD)
+    assert spatial_build.scene_mesh(triangles).pad == pytest.approx(100.0 * PAD)
 
 
 @pytest.mark.parametrize("far", [1.0, 1e2, 1e4])

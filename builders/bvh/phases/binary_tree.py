@@ -48,6 +48,18 @@ class Frame:
     depth: int
 
 
+@wp.func
+def child_of(frame: Frame, left: int, pair: int, side: int):
+    """The frame of a child, 0 for the left one of `left` triangles or 1, in the same buffer. The children are a pair."""
+    child = Frame()
+    child.node = 2 * pair + side
+    child.first = frame.first + side * left
+    child.count = wp.where(side == 0, left, frame.count - left)
+    child.buffer = frame.buffer
+    child.depth = frame.depth + 1
+    return child
+
+
 def empty_tree(triangles: int, device: wp.Device) -> BinaryTree:
     """Allocates the tree of a number of triangles."""
     tree = BinaryTree()

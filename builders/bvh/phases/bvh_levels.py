@@ -19,7 +19,7 @@ import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules
 from wrt.builders.bvh.phases.bin_heuristic import Heuristic
-from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, must_split_at_median
+from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, child_of, half_area, must_split_at_median
 from wrt.builders.bvh.phases.bvh_bins import (
     SLOT_BINS,
     Binning,
@@ -34,6 +34,7 @@ from wrt.builders.bvh.phases.bvh_bins import (
     partition_range,
     write_child_boxes,
 )
+from wrt.builders.core.levels import Chunk
 from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import write_references, write_sizes
 from wrt.kernels.layout.struct_arrays import with_known_layout
@@ -46,7 +47,7 @@ exact_module(__name__)
 
 @with_known_layout
 @wp.struct
-class LiveNode:
+class BinnedNode:
     """A large node of the current level."""
 
     frame: Frame
@@ -58,21 +59,6 @@ class LiveNode:
     part_count: int
     binning: Binning
     plane: Plane
-
-
-@with_known_layout
-@wp.struct
-class Chunk:
-    """A range of a live node's triangles."""
-
-    node: int
-    """Index of the live node."""
-    begin: int
-    """First reference."""
-    count: int
-    to_left: int
-    """Position to which its triangles on the left of the plane are written."""
-    to_right: int
 
 
 @wp.kernel
@@ -89,7 +75,7 @@ def make_references(
 
 
 @wp.func
-def merge_parts(node: LiveNode, parts: wp.array(dtype=float), domain: wp.array(dtype=float), at: int):
+def merge_parts(node: BinnedNode, parts: wp.array(dtype=float), domain: wp.array(dtype=float), at: int):
     """Computes the centroid box of a node from its parts."""
     for lane in range(8):
         least = load_float(parts, node.part_first * 8 + lane)
@@ -104,7 +90,7 @@ def bin_chunks(
     first: int,
     rules: BuildRules,
     references: wp.array(dtype=float),
-    nodes: wp.array(dtype=LiveNode),
+    nodes: wp.array(dtype=BinnedNode),
     chunks: wp.array(dtype=Chunk),
     parts: wp.array(dtype=float),
     domain: wp.array(dtype=float),
@@ -116,7 +102,7 @@ def bin_chunks(
     node = nodes[chunk.node]
     merge_parts(node, parts, domain, slot)
     binning = make_binning(domain, slot, bins_for(rules, node.frame.count))
-    bin_range(references, chunk.begin, chunk.count, binning, scratch, slot)
+    bin_range(references, chunk.begin, chunk.end - chunk.begin, binning, scratch, slot)
 
 
 @cache
@@ -129,7 +115,7 @@ def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
         rules: BuildRules,
         rays: rays_type,
         triangles: int,
-        nodes: wp.array(dtype=LiveNode),
+        nodes: wp.array(dtype=BinnedNode),
         chunks: wp.array(dtype=Chunk),
         domain: wp.array(dtype=float),
         scratch: Scratch,
@@ -161,7 +147,7 @@ def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
                 for b in range(node.plane.bin):
                     left += scratch.count[c * SLOT_BINS + node.plane.axis * bins + b]
                 to_left += left
-                to_right += chunks[c].count - left
+                to_right += chunks[c].end - chunks[c].begin - left
         nodes[index] = node
 
     return specialised_kernel(search_planes)
@@ -181,18 +167,18 @@ class Totals:
 
 
 @wp.func
-def add_chunks(index: int, node: LiveNode, size: int, chunks: wp.array(dtype=Chunk)):
+def add_chunks(index: int, node: BinnedNode, size: int, chunks: wp.array(dtype=Chunk)):
     """Divides a live node into chunks of `size` triangles."""
     for i in range(node.chunk_count):
         chunk = Chunk()
         chunk.node = index
         chunk.begin = node.frame.buffer + node.frame.first + i * size
-        chunk.count = wp.min(size, node.frame.count - i * size)
+        chunk.end = chunk.begin + wp.min(size, node.frame.count - i * size)
         chunks[node.chunk_first + i] = chunk
 
 
 @wp.kernel
-def cut_root(first: int, nodes: wp.array(dtype=LiveNode), size: int, chunks: wp.array(dtype=Chunk)):
+def cut_root(first: int, nodes: wp.array(dtype=BinnedNode), size: int, chunks: wp.array(dtype=Chunk)):
     """One item. Makes the chunks of the first level."""
     add_chunks(0, nodes[0], size, chunks)
 
@@ -204,8 +190,8 @@ def emit_children(
     large: int,
     size: int,
     max_levels: int,
-    nodes: wp.array(dtype=LiveNode),
-    next_nodes: wp.array(dtype=LiveNode),
+    nodes: wp.array(dtype=BinnedNode),
+    next_nodes: wp.array(dtype=BinnedNode),
     next_chunks: wp.array(dtype=Chunk),
     tasks: wp.array(dtype=Frame),
     top: wp.array(dtype=int),
@@ -224,12 +210,9 @@ def emit_children(
             top[total.pairs] = node.frame.first + node.plane.left
             total.pairs += 1
             for side in range(2):
-                child = LiveNode()
-                child.frame.first = node.frame.first + side * node.plane.left
-                child.frame.count = wp.where(side == 0, node.plane.left, node.frame.count - node.plane.left)
-                child.frame.node = 2 * (node.frame.first + node.plane.left) + side
+                child = BinnedNode()
+                child.frame = child_of(node.frame, node.plane.left, node.frame.first + node.plane.left, side)
                 child.frame.buffer = triangles - node.frame.buffer
-                child.frame.depth = node.frame.depth + 1
                 if child.frame.count > large and total.levels < max_levels:
                     child.chunk_first = total.chunks
                     child.chunk_count = (child.frame.count + size - 1) / size
@@ -252,7 +235,7 @@ def emit_children(
 def partition_chunks(
     first: int,
     references: wp.array(dtype=float),
-    nodes: wp.array(dtype=LiveNode),
+    nodes: wp.array(dtype=BinnedNode),
     chunks: wp.array(dtype=Chunk),
     parts: wp.array(dtype=float),
 ):
@@ -264,7 +247,7 @@ def partition_chunks(
         partition_range(
             references,
             chunk.begin,
-            chunk.count,
+            chunk.end - chunk.begin,
             node.binning,
             node.plane.axis,
             node.plane.bin,

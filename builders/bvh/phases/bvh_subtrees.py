@@ -10,7 +10,7 @@ import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules
 from wrt.builders.bvh.phases.bin_heuristic import Heuristic
-from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, Frame, half_area, middle, must_split_at_median
+from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, Frame, child_of, half_area, middle, must_split_at_median
 from wrt.builders.bvh.phases.bvh_bins import (
     Binning,
     Plane,
@@ -138,15 +138,9 @@ def make_build_subtree(heuristic: Heuristic) -> wp.Function:
                     plane.left = middle(frame.count, rules.cost.width_bits)
                     divide_in_the_middle(references, plane.left, domain, at, frame, pair, tree)
                 # emit
-                frame.depth += 1
-                right = frame
-                right.node = 2 * pair + 1
-                right.first += plane.left
-                right.count -= plane.left
-                stack[slot, waiting] = right
+                stack[slot, waiting] = child_of(frame, plane.left, pair, 1)
                 waiting += 1
-                frame.node = 2 * pair
-                frame.count = plane.left
+                frame = child_of(frame, plane.left, pair, 0)
         return next_pair
 
     return build_subtree

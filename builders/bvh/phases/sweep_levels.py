@@ -1,14 +1,13 @@
-"""The top of the exact sweep build: the large nodes of a level at once, parallel over chunks of their lists.
+"""The top levels of the exact sweep build (`wrt.builders.core.levels`). A node has the same range in three lists.
 
-    bound       every chunk of a list finds the box of its triangles; a scan over a node's chunks gives each the boxes before it
-                and behind it
-    search      every chunk tries the partitions that begin in it: areas to the right, from its end on, then those to the left
-    decide      every node takes the best of its chunks, by axis and place; where there is none, it is halved
-    partition   sides are marked by the list of the partition's axis; every chunk counts them, a scan tells it where to write,
-                and it moves its ids to the other buffer, in order
+    search      every chunk of a list finds the box of its triangles; a scan over the chunks of a list gives each the boxes
+                before it and behind it; every chunk then tries the partitions that begin in it: areas to the right, from its
+                end on, then those to the left
+    stop        every node takes the best of its chunks, by axis and place; where there is none, it is halved
+    classify    sides are marked by the list of the partition's axis; every chunk counts them
+    partition   every chunk moves its ids to the other buffer
 
-The host then lists the children; those that are no longer large become tasks (`sweep`). Minima and counts are the same in any
-grouping, so neither chunks nor threads show in the result, and a node gets the partition that a task would give it.
+Children that are no longer large become tasks (`sweep`).
 """
 
 import numpy as np
@@ -27,9 +26,9 @@ from wrt.builders.bvh.phases.sweep_lists import (
     mark_sides,
     store_box,
 )
+from wrt.builders.core.levels import Chunk, Levels, cut, place
 from wrt.builders.cost import leaf_cost
 from wrt.kernels.layout.struct_arrays import with_known_layout
-from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
@@ -44,82 +43,64 @@ MAX_LEVELS = 32
 
 @with_known_layout
 @wp.struct
-class LiveNode:
+class SweptNode:
     """A large node of the current level."""
 
     frame: Frame
-    chunk_first: int
-    """Its chunks of this level follow one another."""
-    chunk_count: int
+    chunk_first: wp.vec3i
+    """First chunk of each of its lists; the chunks of a list are contiguous, and their places are without the buffer's."""
+    chunk_count: wp.vec3i
     best: Partition
-
-
-@with_known_layout
-@wp.struct
-class Chunk:
-    """A range of a live node's lists."""
-
-    node: int
-    begin: int
-    """First place in the lists, without the buffer's."""
-    end: int
 
 
 @wp.struct
 class Part:
-    """A chunk of one list."""
+    """The search in a chunk."""
 
     box: Box
     before: Box
     """Of the node's triangles before it in the list."""
     behind: Box
     best: Partition
-    left: int
-    """How many of its triangles are on the left of the node's partition."""
-    to_left: int
-    """Where they are written to."""
-    to_right: int
 
 
 @wp.kernel
 def bound_chunks(
     first: int,
     lists: SweepLists,
-    nodes: wp.array(dtype=LiveNode),
+    nodes: wp.array(dtype=SweptNode),
     chunks: wp.array(dtype=Chunk),
-    parts: wp.array2d(dtype=Part),
+    parts: wp.array(dtype=Part),
 ):
-    """Item: axis * chunks + chunk. parts: (3, chunks)."""
-    item = first + wp.tid()
-    axis = item / chunks.shape[0]
-    index = item % chunks.shape[0]
+    """Item: a chunk."""
+    index = first + wp.tid()
     chunk = chunks[index]
     buffer = nodes[chunk.node].frame.buffer
     part = Part()
     part.box = empty_box()
     for i in range(chunk.begin, chunk.end):
-        part.box = enlarged(part.box, lists, lists.sorted[axis, buffer + i])
-    parts[axis, index] = part
+        part.box = enlarged(part.box, lists, lists.sorted[chunk.axis, buffer + i])
+    parts[index] = part
 
 
 @wp.kernel
-def scan_boxes(first: int, nodes: wp.array(dtype=LiveNode), parts: wp.array2d(dtype=Part)):
-    """Item: axis * nodes + node."""
+def scan_boxes(first: int, nodes: wp.array(dtype=SweptNode), parts: wp.array(dtype=Part)):
+    """Item: 3 * node + axis."""
     item = first + wp.tid()
-    axis = item / nodes.shape[0]
-    node = nodes[item % nodes.shape[0]]
+    begin = nodes[item / 3].chunk_first[item % 3]
+    count = nodes[item / 3].chunk_count[item % 3]
     box = empty_box()
-    for index in range(node.chunk_first, node.chunk_first + node.chunk_count):
-        part = parts[axis, index]
+    for index in range(begin, begin + count):
+        part = parts[index]
         part.before = box
-        parts[axis, index] = part
+        parts[index] = part
         box = joined(box, part.box)
     box = empty_box()
-    for k in range(node.chunk_count):
-        index = node.chunk_first + node.chunk_count - 1 - k
-        part = parts[axis, index]
+    for k in range(count):
+        index = begin + count - 1 - k
+        part = parts[index]
         part.behind = box
-        parts[axis, index] = part
+        parts[index] = part
         box = joined(box, part.box)
 
 
@@ -128,17 +109,16 @@ def search_chunks(
     first: int,
     rules: BuildRules,
     lists: SweepLists,
-    nodes: wp.array(dtype=LiveNode),
+    nodes: wp.array(dtype=SweptNode),
     chunks: wp.array(dtype=Chunk),
-    parts: wp.array2d(dtype=Part),
+    parts: wp.array(dtype=Part),
 ):
-    """Item: axis * chunks + chunk. Tries the partitions whose right side begins in the chunk."""
-    item = first + wp.tid()
-    axis = item / chunks.shape[0]
-    index = item % chunks.shape[0]
+    """Item: a chunk. Tries the partitions whose right side begins in it."""
+    index = first + wp.tid()
     chunk = chunks[index]
+    axis = chunk.axis
     frame = nodes[chunk.node].frame
-    part = parts[axis, index]
+    part = parts[index]
     box = part.behind
     for k in range(chunk.end - chunk.begin):
         i = chunk.end - 1 - k
@@ -159,25 +139,24 @@ def search_chunks(
                 best.left = left
         box = enlarged(box, lists, lists.sorted[axis, frame.buffer + i])
     part.best = best
-    parts[axis, index] = part
+    parts[index] = part
 
 
 @wp.kernel
-def decide(first: int, rules: BuildRules, nodes: wp.array(dtype=LiveNode), parts: wp.array2d(dtype=Part), tree: BinaryTree):
-    """Item: a live node."""
+def decide(first: int, rules: BuildRules, nodes: wp.array(dtype=SweptNode), parts: wp.array(dtype=Part), tree: BinaryTree):
+    """Item: a node."""
     index = first + wp.tid()
     node = nodes[index]
     frame = node.frame
-    last = parts[0, node.chunk_first + node.chunk_count - 1]
+    last = parts[node.chunk_first[0] + node.chunk_count[0] - 1]
     store_box(tree.box, frame.node, joined(last.before, last.box))
     best = Partition()
     best.cost = INFINITY
     if half_area(tree.box, frame.node) > 0.0 and not must_split_at_median(frame.depth, frame.count):
-        for axis in range(3):
-            for chunk in range(node.chunk_first, node.chunk_first + node.chunk_count):
-                candidate = parts[axis, chunk].best
-                if candidate.cost < best.cost:
-                    best = candidate
+        for chunk in range(node.chunk_first[0], node.chunk_first[2] + node.chunk_count[2]):
+            candidate = parts[chunk].best
+            if candidate.cost < best.cost:
+                best = candidate
     if best.cost == INFINITY:
         best.left = middle(frame.count, rules.cost.width_bits)
     node.best = best
@@ -187,71 +166,36 @@ def decide(first: int, rules: BuildRules, nodes: wp.array(dtype=LiveNode), parts
 
 
 @wp.kernel
-def mark_chunks(first: int, lists: SweepLists, nodes: wp.array(dtype=LiveNode), chunks: wp.array(dtype=Chunk)):
-    """Item: a chunk of the list of its node's axis."""
+def mark_chunks(first: int, lists: SweepLists, nodes: wp.array(dtype=SweptNode), chunks: wp.array(dtype=Chunk)):
+    """Item: a chunk. Marks the sides of its triangles, if its list is that of its node's axis."""
     chunk = chunks[first + wp.tid()]
     node = nodes[chunk.node]
-    mark_sides(lists, node.frame, node.best, chunk.begin, chunk.end)
+    if chunk.axis == node.best.axis:
+        mark_sides(lists, node.frame, node.best, chunk.begin, chunk.end)
 
 
 @wp.kernel
-def count_chunks(
-    first: int,
-    lists: SweepLists,
-    nodes: wp.array(dtype=LiveNode),
-    chunks: wp.array(dtype=Chunk),
-    parts: wp.array2d(dtype=Part),
-):
-    """Item: axis * chunks + chunk."""
-    item = first + wp.tid()
-    axis = item / chunks.shape[0]
-    index = item % chunks.shape[0]
+def count_chunks(first: int, lists: SweepLists, nodes: wp.array(dtype=SweptNode), chunks: wp.array(dtype=Chunk)):
+    """Item: a chunk. Counts its triangles on both sides."""
+    index = first + wp.tid()
     chunk = chunks[index]
     buffer = nodes[chunk.node].frame.buffer
     left = int(0)
     for i in range(chunk.begin, chunk.end):
-        left += int(lists.on_left[lists.sorted[axis, buffer + i]])
-    part = parts[axis, index]
-    part.left = left
-    parts[axis, index] = part
+        left += int(lists.on_left[lists.sorted[chunk.axis, buffer + i]])
+    chunk.left = left
+    chunk.right = chunk.end - chunk.begin - left
+    chunks[index] = chunk
 
 
 @wp.kernel
-def scan_counts(
-    first: int, nodes: wp.array(dtype=LiveNode), chunks: wp.array(dtype=Chunk), triangles: int, parts: wp.array2d(dtype=Part)
-):
-    """Item: axis * nodes + node."""
-    item = first + wp.tid()
-    axis = item / nodes.shape[0]
-    node = nodes[item % nodes.shape[0]]
-    to_left = triangles - node.frame.buffer + node.frame.first
-    to_right = to_left + node.best.left
-    for index in range(node.chunk_first, node.chunk_first + node.chunk_count):
-        part = parts[axis, index]
-        part.to_left = to_left
-        part.to_right = to_right
-        parts[axis, index] = part
-        to_left += part.left
-        to_right += chunks[index].end - chunks[index].begin - part.left
-
-
-@wp.kernel
-def move_chunks(
-    first: int,
-    lists: SweepLists,
-    nodes: wp.array(dtype=LiveNode),
-    chunks: wp.array(dtype=Chunk),
-    parts: wp.array2d(dtype=Part),
-):
-    """Item: axis * chunks + chunk."""
-    item = first + wp.tid()
-    axis = item / chunks.shape[0]
-    index = item % chunks.shape[0]
-    chunk = chunks[index]
+def move_chunks(first: int, lists: SweepLists, nodes: wp.array(dtype=SweptNode), chunks: wp.array(dtype=Chunk)):
+    """Item: a chunk."""
+    chunk = chunks[first + wp.tid()]
+    axis = chunk.axis
     buffer = nodes[chunk.node].frame.buffer
-    part = parts[axis, index]
-    left = part.to_left
-    right = part.to_right
+    left = chunk.to_left
+    right = chunk.to_right
     for i in range(chunk.begin, chunk.end):
         triangle = lists.sorted[axis, buffer + i]
         if lists.on_left[triangle] == wp.uint8(1):
@@ -262,66 +206,88 @@ def move_chunks(
             right += 1
 
 
-def split_top(rules: BuildRules, lists: SweepLists, tree: BinaryTree, large: int) -> tuple[np.ndarray, np.ndarray]:
-    """Splits nodes of more than `large` triangles.
+class SweepLevels(Levels):
+    """The top levels while they are split; `nodes` are large nodes only.
 
-    Returns:
-        The others, as frames, the largest first; and the pairs made, parents before children.
+    Args:
+        rules: costs and leaf size.
+        lists: of the root.
+        tree: to be written.
+        large: nodes of more triangles are split; the others become tasks.
     """
-    count = len(lists.on_left)
-    root = np.zeros(1, dtype=Frame.numpy_dtype())
-    root["count"] = count
-    open_nodes, finished, top = root, [], []
-    for _level in range(MAX_LEVELS):
-        is_large = open_nodes["count"] > large
-        finished.append(open_nodes[~is_large])
-        open_nodes = open_nodes[is_large]
-        if not len(open_nodes):
-            break
-        best = split_level(rules, lists, tree, open_nodes)
-        pairs = open_nodes["first"] + best["left"]
-        top.append(pairs)
-        open_nodes = children_of(open_nodes, best["left"], count)
-    tasks = np.concatenate([*finished, open_nodes])
-    return tasks[np.argsort(-tasks["count"], kind="stable")], np.concatenate(top) if top else np.empty(0, dtype=np.int32)
+
+    def __init__(self, rules: BuildRules, lists: SweepLists, tree: BinaryTree, large: int) -> None:
+        self.rules, self.lists, self.tree, self.large = rules, lists, tree, large
+        self.count = len(lists.on_left)
+        self.small: list[np.ndarray] = []
+        """Frames of the nodes that are not large, level by level."""
+        self.pairs: list[np.ndarray] = []
+        """The pairs made, level by level."""
+        root = np.zeros(1, dtype=SweptNode.numpy_dtype())
+        root["frame"]["count"] = self.count
+        super().__init__(lists.corner.device, self.only_large(root))
+
+    def only_large(self, nodes: np.ndarray) -> np.ndarray:
+        """The large ones of some nodes; notes the others."""
+        is_large = nodes["frame"]["count"] > self.large
+        self.small.append(nodes["frame"][~is_large])
+        return nodes[is_large]
+
+    def goes_on(self) -> bool:
+        """Until there are only small nodes."""
+        return len(self.nodes) > 0 and len(self.pairs) < MAX_LEVELS
+
+    def search(self) -> None:
+        """Finds the best partition of every chunk."""
+        frame = self.nodes["frame"]
+        first, count = (np.repeat(frame[name][:, None], 3, axis=1) for name in ("first", "count"))
+        chunks, self.nodes["chunk_first"], self.nodes["chunk_count"] = cut(first, count, CHUNK)
+        self.chunks = wp.array(chunks, dtype=Chunk, device=self.device)
+        self.parts = wp.empty(len(chunks), dtype=Part, device=self.device)
+        self.live = wp.array(self.nodes, dtype=SweptNode, device=self.device)
+        self.run(bound_chunks, len(chunks), self.lists, self.live, self.chunks, self.parts)
+        self.run(scan_boxes, 3 * len(self.live), self.live, self.parts)
+        self.run(search_chunks, len(chunks), self.rules, self.lists, self.live, self.chunks, self.parts)
+
+    def stop(self) -> None:
+        """Every node is divided by the best partition of its chunks."""
+        self.run(decide, len(self.live), self.rules, self.live, self.parts, self.tree)
+        self.nodes = self.live.numpy()
+
+    def classify(self) -> None:
+        """Marks and counts both sides."""
+        for kernel in (mark_chunks, count_chunks):
+            self.run(kernel, len(self.chunks), self.lists, self.live, self.chunks)
+
+    def emit(self) -> None:
+        """Lists the children, and computes where each chunk writes, in the other buffer."""
+        frame, left, chunks = self.nodes["frame"], self.nodes["best"]["left"], self.chunks.numpy()
+        self.pairs.append(frame["first"] + left)
+        to_left = self.count - frame["buffer"] + frame["first"]
+        place(chunks, *(np.repeat(to[:, None], 3, axis=1) for to in (to_left, to_left + left)))
+        self.chunks = wp.array(chunks, dtype=Chunk, device=self.device)
+        self.children = children_of(self.nodes, self.count)
+
+    def partition(self) -> None:
+        """Moves all ids to the other buffer."""
+        self.run(move_chunks, len(self.chunks), self.lists, self.live, self.chunks)
+        self.levels.append(self.nodes)
+        self.nodes = self.only_large(self.children)
+
+    def tasks(self) -> np.ndarray:
+        """Frames of the nodes that are left, the largest first."""
+        frames = np.concatenate([*self.small, self.nodes["frame"]])
+        return frames[np.argsort(-frames["count"], kind="stable")]
 
 
-def split_level(rules: BuildRules, lists: SweepLists, tree: BinaryTree, frames: np.ndarray) -> np.ndarray:
-    """Finds the best partition of each node, and moves its triangles to the other buffer; returns the partitions."""
-    device, count = lists.corner.device, len(frames)
-    pieces = -(-frames["count"] // CHUNK)
-    live = np.zeros(count, dtype=LiveNode.numpy_dtype())
-    live["frame"], live["chunk_count"], live["chunk_first"] = frames, pieces, np.cumsum(pieces) - pieces
-    chunks = np.zeros(pieces.sum(), dtype=Chunk.numpy_dtype())
-    node = chunks["node"] = np.repeat(np.arange(count), pieces)
-    chunks["begin"] = frames["first"][node] + (np.arange(len(chunks)) - live["chunk_first"][node]) * CHUNK
-    chunks["end"] = np.minimum(chunks["begin"] + CHUNK, (frames["first"] + frames["count"])[node])
-    nodes = wp.array(live, dtype=LiveNode, device=device)
-    cut = wp.array(chunks, dtype=Chunk, device=device)
-    parts = wp.empty((3, len(chunks)), dtype=Part, device=device)
-
-    def run(kernel: wp.Kernel, items: int, *inputs: object) -> None:
-        launch(kernel, items, inputs, device=device, chunk=1)
-
-    run(bound_chunks, 3 * len(chunks), lists, nodes, cut, parts)
-    run(scan_boxes, 3 * count, nodes, parts)
-    run(search_chunks, 3 * len(chunks), rules, lists, nodes, cut, parts)
-    run(decide, count, rules, nodes, parts, tree)
-    run(mark_chunks, len(chunks), lists, nodes, cut)
-    run(count_chunks, 3 * len(chunks), lists, nodes, cut, parts)
-    run(scan_counts, 3 * count, nodes, cut, len(lists.on_left), parts)
-    run(move_chunks, 3 * len(chunks), lists, nodes, cut, parts)
-    return nodes.numpy()["best"]
-
-
-def children_of(frames: np.ndarray, left: np.ndarray, triangles: int) -> np.ndarray:
-    """The frames of both children of each node, one node's after the other's."""
-    children = np.repeat(frames, 2)
-    right = np.tile([False, True], len(frames))
-    pairs, lefts = np.repeat(frames["first"] + left, 2), np.repeat(left, 2)
-    children["node"] = 2 * pairs + right
-    children["first"] += np.where(right, lefts, 0)
-    children["count"] = np.where(right, children["count"] - lefts, lefts)
-    children["buffer"] = triangles - children["buffer"]
-    children["depth"] += 1
+def children_of(nodes: np.ndarray, triangles: int) -> np.ndarray:
+    """Both children of each node, one node's after the other's."""
+    children = np.repeat(nodes, 2)
+    frame, left = children["frame"], children["best"]["left"]
+    right = np.tile([False, True], len(nodes))
+    frame["node"] = 2 * (frame["first"] + left) + right
+    frame["first"] += np.where(right, left, 0)
+    frame["count"] = np.where(right, frame["count"] - left, left)
+    frame["buffer"] = triangles - frame["buffer"]
+    frame["depth"] += 1
     return children

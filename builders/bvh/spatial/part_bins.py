@@ -1,7 +1,7 @@
 """Innermost loops of spatial splits: bin the parts of triangles, and divide a range at a plane.
 
 **Bins.** The box of a node is cut into slabs of equal width along an axis. A triangle adds to each slab that its box meets the
-box of its part there (`wrt.builders.kdtree.scan.split_clipping`, with the same pads), is counted as entering at the first of
+box of its part there (`wrt.builders.core.clip`, with the same pads), is counted as entering at the first of
 them, and as leaving at the last. The boxes on both sides of a plane between slabs are unions of those of slabs; the triangles
 on the left of it are those that entered before, those on the right are those that leave after (Stich et al. 2009).
 
@@ -15,7 +15,7 @@ References:
 import warp as wp
 
 from wrt.builders.bvh.phases.bvh_bins import SLOT_BINS, Scratch
-from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh
+from wrt.builders.core.clip import ClippedMesh
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 

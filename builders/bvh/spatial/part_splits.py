@@ -33,9 +33,9 @@ from wrt.builders.bvh.projected_binned import (
     sweep_axis,
 )
 from wrt.builders.bvh.spatial.part_bins import Slabs, bin_parts, divide_parts, make_slabs
+from wrt.builders.core.clip import ClippedMesh
 from wrt.builders.cost import leaf_cost
 from wrt.builders.influence.projected_cost import box_weight
-from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module

@@ -51,8 +51,7 @@ from wrt.builders.bvh.phases.reinsertion import Reinsertion, lay_out, wide_cost
 from wrt.builders.bvh.projected_binned import PROJECTED, ProjectedBuilder, is_cheap_leaf, weigh_nodes
 from wrt.builders.bvh.projected_binned import build as build_without
 from wrt.builders.bvh.spatial.part_splits import Branch, PartScratch, make_part_scratch, split
-from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh
-from wrt.builders.kdtree.scan.split_clipping import PAD
+from wrt.builders.core.clip import ClippedMesh, clipped_mesh
 from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import CHUNK, Boxes, TriangleBoxes
 from wrt.builders.triangle_references import write_order, write_references
@@ -126,7 +125,7 @@ def build_branches(
 # -- the build -----------------------------------------------------------------------------------------------------------
 
 
-def clipped_mesh(triangles: TriangleBoxes) -> ClippedMesh:
+def scene_mesh(triangles: TriangleBoxes) -> ClippedMesh:
     """The triangles to clip.
 
     Raises:
@@ -134,10 +133,7 @@ def clipped_mesh(triangles: TriangleBoxes) -> ClippedMesh:
     """
     if triangles.vertices is None or triangles.faces is None:
         raise ValueError("spatial splits clip triangles, and these boxes have none; build with spatial_splits=0")
-    mesh = ClippedMesh()
-    mesh.vertices, mesh.faces = triangles.vertices, triangles.faces
-    mesh.pad, mesh.shrinks = PAD * triangles.scene_size, True
-    return mesh
+    return clipped_mesh(triangles, triangles.scene_size)
 
 
 def build(triangles: TriangleBoxes, config: ProjectedConfig) -> Bvh:
@@ -147,10 +143,9 @@ def build(triangles: TriangleBoxes, config: ProjectedConfig) -> Bvh:
         ValueError: the boxes are not those of triangles.
     """
     device, count, rules = triangles.boxes.low.device, triangles.count, config.bvh.struct()
+    mesh, phase = scene_mesh(triangles), Phases(device)
     if count <= config.bvh.leaf_limit:  # the root could be a leaf, and such nodes are not cut
-        clipped_mesh(triangles)
         return build_without(triangles, config)
-    mesh, phase = clipped_mesh(triangles), Phases(device)
     plain = ProjectedBuilder(triangles, config)
     load([begin_references, lay_out, *plain.kernels()], device)
     capacity = count + int(count * config.spatial_splits)

@@ -5,7 +5,7 @@ longer contains all events of a child. Sorting every child's list again would co
 
 **Algorithm.** Partition removes the events of straddlers from both children's lists, and assembles from them the boxes of the
 straddlers (axis by axis: no box of a reference is stored elsewhere). Each straddler is clipped to both cells
-(`split_clipping`). The events of the remaining parts are sorted separately and merged into the child's lists, from the back, so
+(`core.clip`). The events of the remaining parts are sorted separately and merged into the child's lists, from the back, so
 that a list grows in place.
 
 **Data.** A clipped triangle has at most as many events on an axis as before. So the child that is compacted in place has room
@@ -28,12 +28,12 @@ References:
 
 import warp as wp
 
+from wrt.builders.core.clip import give_mesh
+from wrt.builders.core.subtrees import Frame, Parts, Reservation, Task
 from wrt.builders.cost import Split
 from wrt.builders.kdtree.events.event_lists import EventLists, emit_leaf
 from wrt.builders.kdtree.events.event_sort import END
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Parts, Reservation, Task
-from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_int, store_pair
 from wrt.kernels.runtime import native
@@ -233,8 +233,7 @@ def lists_for(reservation: Reservation, triangles: TriangleBoxes, config: KdTree
     lists.triangle = wp.empty(count, dtype=int, device=device)
     lists.side = wp.empty(count, dtype=wp.uint8, device=device)
     if config.tests_nodes:
-        lists.vertices, lists.faces = triangles.vertices, triangles.faces
-        lists.pad, lists.shrinks = PAD * triangles.size, config.split_clipping
+        give_mesh(lists, triangles, triangles.size, config.split_clipping)
         lists.number = wp.zeros(count, dtype=int, device=device)
         lists.straddler = wp.empty(16 * count, dtype=float, device=device)
         lists.new_events = wp.empty(4 * count, dtype=wp.vec2i, device=device)

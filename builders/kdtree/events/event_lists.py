@@ -12,11 +12,11 @@ References:
 
 import warp as wp
 
+from wrt.builders.core.subtrees import Frame, Parts, Task
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.events.least_plane import LeastPlane, find_least_plane
 from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Parts, Task
 from wrt.kernels.layout.unchecked import load_byte, load_pair, store_byte, store_pair
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY

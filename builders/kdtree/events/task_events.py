@@ -6,9 +6,9 @@ among equal positions. So the lists equal the corresponding part of the events o
 
 import warp as wp
 
+from wrt.builders.core.subtrees import Frame, Task
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import SAME_KINDS
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
 from wrt.builders.triangle_references import write_order
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module

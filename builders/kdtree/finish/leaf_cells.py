@@ -7,8 +7,8 @@ as there, and no hit is lost.
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.clip import ClippedMesh, clipped_mesh
 from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree
-from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh, clipped_mesh
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.runtime import native
@@ -87,7 +87,7 @@ def leaf_contents(
         low, high: (leaves, 3) float32, the box of what a leaf keeps within its cell; empty if it keeps nothing.
     """
     device, leaves = tree.nodes.device, np.flatnonzero(flat.is_leaf)
-    mesh = clipped_mesh(triangles, shrinks) if tested else ClippedMesh()
+    mesh = clipped_mesh(triangles, triangles.size, shrinks) if tested else ClippedMesh()
     begin, count = (
         wp.array(a[leaves].astype(np.int32), device=device) for a in (flat.first_block * tree.width, flat.triangles)
     )

@@ -10,9 +10,7 @@ The phases are count, scan and fill. One item is a pair of a cell and a cluster.
 import numpy as np
 import warp as wp
 
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
-from wrt.builders.kdtree.scan.reference_chunks import LiveRange
-from wrt.builders.kdtree.scan.reference_levels import TopLevels
+from wrt.builders.core.subtrees import Frame
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
@@ -85,8 +83,10 @@ def list_triangles(boxes: Boxes, order: wp.array, pairs: np.ndarray) -> tuple[wp
     return ids, numbers
 
 
-def as_roots(boxes: Boxes, cells: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> TopLevels:
-    """Cells as roots of subtrees, with their references.
+def as_roots(
+    boxes: Boxes, cells: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray
+) -> tuple[wp.array, np.ndarray]:
+    """The references of cells, and the cells as roots of subtrees, structured as `Frame`.
 
     Args:
         boxes: of all triangles.
@@ -94,8 +94,7 @@ def as_roots(boxes: Boxes, cells: np.ndarray, ids: wp.array, first: np.ndarray, 
         ids: triangles, cell after cell.
         first, sizes: (cells,) start and number of each cell's triangles.
     """
-    roots = np.zeros(len(cells), dtype=LiveRange.numpy_dtype())
-    frame = roots["frame"]
+    frame = np.zeros(len(cells), dtype=Frame.numpy_dtype())
     for name in ("low", "high", "depth"):
         frame[name] = cells[name]
     frame["path"]["growth"] = cells["growth"]
@@ -105,5 +104,4 @@ def as_roots(boxes: Boxes, cells: np.ndarray, ids: wp.array, first: np.ndarray, 
     references = wp.empty(8 * len(ids), dtype=float, device=ids.device)
     frames = wp.array(frame, dtype=Frame, device=ids.device)
     launch(list_references, len(cells), [boxes, ids, references, frames], device=ids.device, chunk=1)
-    roots["frame"] = frames.numpy()
-    return TopLevels([roots], references)
+    return references, frames.numpy()

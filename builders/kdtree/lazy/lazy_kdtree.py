@@ -9,7 +9,7 @@ of an existing hierarchy can represent them: the meshes of the scene, or the clu
 presort is a grid (`triangle_clusters`), two passes over the triangles.
 The binned builder (`binned`) builds the top of the tree from the clusters' boxes. It ends in *cells*: leaves with a list of
 clusters, which are not built yet. When rays request cells, their triangles are found among those of their clusters
-(`cell_lists`). The subtrees of all requested cells are built in one batch on all threads (`kdtree_subtrees`), and inserted into
+(`cell_lists`). The subtrees of all requested cells are built in one batch on all threads (`core.subtrees`), and inserted into
 the tree (`kdtree_grafting`). A cell of many triangles is itself sorted into clusters and divided into cells, like the root. So
 a small detailed object in a large scene is one cell until a ray reaches it.
 
@@ -43,6 +43,7 @@ from functools import partial
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.subtrees import build_tasks, make_build_subtrees
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree import binned
 from wrt.builders.kdtree.kdtree_config import GROUPS, MESHES, PREVIOUS, KdTreeConfig
@@ -53,7 +54,6 @@ from wrt.builders.kdtree.lazy.kdtree_grafting import EMPTY, close_finished, inse
 from wrt.builders.kdtree.lazy.scene_groups import OPENED, SceneGroups
 from wrt.builders.kdtree.lazy.triangle_clusters import Clusters, count_cells, leaves_of, sort_into_clusters
 from wrt.builders.kdtree.phases.assembly import copy_subtrees
-from wrt.builders.kdtree.phases.kdtree_subtrees import build_tasks, make_build_subtrees
 from wrt.builders.kdtree.scan.exact_planes import values_for
 from wrt.builders.kdtree.scan.reference_levels import LevelRules
 from wrt.builders.kdtree.scan.scanning import Scan, make_tasks
@@ -341,10 +341,10 @@ class LazyKdTree:
     def _build(self, numbers: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> None:
         """Builds the subtrees of cells and inserts them into the tree."""
         device, width = self.build_device, self.config.cost.width
-        top = as_roots(self.triangles.boxes, self.cells[numbers], ids, first, sizes)
+        references, roots = as_roots(self.triangles.boxes, self.cells[numbers], ids, first, sizes)
         scan = Scan(binned.method(self.config), LevelRules(LARGE, binned.BINS, binned.SAMPLED), values_for(binned.BINS))
-        tasks = partial(make_tasks, top, self.triangles, self.config, scan)
-        reservation, _, results = build_tasks(scan.method, self.triangles, self.config, tasks, CELL_SPARE_MEMORY)
+        tasks = partial(make_tasks, references, roots, self.triangles, self.config, scan)
+        reservation, _, results = build_tasks(scan.method, self.config.rules(self.triangles), tasks, CELL_SPARE_MEMORY)
         made = results.numpy()
         nodes, base = self._insert_gaps("node", numbers, made["nodes"])
         blocks = len(self.primitive) // width + np.cumsum(made["blocks"])

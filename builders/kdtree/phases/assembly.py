@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.subtrees import Parts, Reservation, Result, Task
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.kdtree_subtrees import Parts, Reservation, Result, Task
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree

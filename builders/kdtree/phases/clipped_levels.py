@@ -4,7 +4,7 @@
 has another box, and so other events, in each of its nodes.
 
 **Algorithm.** What is classified are *references*, at first one per triangle. A reference lies in one node. If its box
-straddles the node's plane, it is clipped to both children's cells (`split_clipping`): the part on the left keeps its number,
+straddles the node's plane, it is clipped to both children's cells (`core.clip`): the part on the left keeps its number,
 the one on the right becomes a new reference, and a part that does not exist lies in no node. Events are those of references.
 So the search of a level does not change. After it, the events of the straddlers are left out of the sorted lists, and those of
 their parts are sorted and merged in, chunk by chunk (`clipped_events` does the same within a task).
@@ -23,11 +23,10 @@ References:
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.clip import ClippedMesh, clipped_mesh
+from wrt.builders.core.levels import LiveNode, side_of, starts_of
 from wrt.builders.kdtree.events.event_sort import CHUNK, END, PLANAR, START, Events, event_position, event_value
-from wrt.builders.kdtree.phases.in_place_levels import LiveNode
-from wrt.builders.kdtree.phases.level_members import sides
 from wrt.builders.kdtree.phases.membership import Membership
-from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh, clipped_mesh
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, store_byte, store_int
 from wrt.kernels.runtime import native
@@ -44,7 +43,7 @@ NOWHERE = wp.constant(-1)
 
 
 @wp.func
-def side_of(boxes: Boxes, nodes: wp.array(dtype=LiveNode), own: int, reference: int):
+def side_in(boxes: Boxes, nodes: wp.array(dtype=LiveNode), own: int, reference: int):
     """The children to which a reference belongs, by its box: 1 left, 2 right, 3 both; of a finished node 1, of no node 0."""
     side = int(0)
     if own >= 0:
@@ -52,7 +51,7 @@ def side_of(boxes: Boxes, nodes: wp.array(dtype=LiveNode), own: int, reference: 
         side = 1
         if not node.finished:
             axis = node.split.axis
-            side = sides(node, boxes.low[axis, reference], boxes.high[axis, reference])
+            side = side_of(node.split, boxes.low[axis, reference], boxes.high[axis, reference])
     return side
 
 
@@ -69,7 +68,7 @@ def count_straddlers(
     chunk = first + wp.tid()
     count = int(0)
     for reference in range(chunk * CHUNK, wp.min(references, (chunk + 1) * CHUNK)):
-        count += wp.where(side_of(boxes, nodes, load_int(membership.node, reference), reference) == 3, 1, 0)
+        count += wp.where(side_in(boxes, nodes, load_int(membership.node, reference), reference) == 3, 1, 0)
     counts[chunk] = count
 
 
@@ -92,7 +91,7 @@ def classify_references(
     to = places[chunk]
     for reference in range(chunk * CHUNK, wp.min(references, (chunk + 1) * CHUNK)):
         own = load_int(membership.node, reference)
-        side = side_of(boxes, nodes, own, reference)
+        side = side_in(boxes, nodes, own, reference)
         store_byte(straddles, reference, wp.uint8(wp.where(side == 3, 1, 0)))
         if side == 3:
             store_int(straddlers, to, reference)
@@ -126,16 +125,16 @@ def clip_straddlers(
     reference = straddlers[item]
     added = references + item
     node = nodes[membership.node[reference]]
-    left_high = wp.vec3(node.high)
-    right_low = wp.vec3(node.low)
+    left_high = wp.vec3(node.frame.high)
+    right_low = wp.vec3(node.frame.low)
     left_high[node.split.axis] = node.split.position
     right_low[node.split.axis] = node.split.position
     triangle[added] = triangle[reference]
     refined.node[added] = NOWHERE
     refined.node[reference] = NOWHERE
-    if clip_part(mesh, boxes, triangle[reference], right_low, node.high, reference, added):
+    if clip_part(mesh, boxes, triangle[reference], right_low, node.frame.high, reference, added):
         refined.node[added] = node.left + 1
-    if clip_part(mesh, boxes, triangle[reference], node.low, left_high, reference, reference):
+    if clip_part(mesh, boxes, triangle[reference], node.frame.low, left_high, reference, reference):
         refined.node[reference] = node.left
 
 
@@ -237,7 +236,7 @@ class ClippedReferences:
 
     def __init__(self, triangles: TriangleBoxes, shrinks: bool) -> None:
         self.device = triangles.boxes.low.device
-        self.mesh = clipped_mesh(triangles, shrinks)
+        self.mesh = clipped_mesh(triangles, triangles.size, shrinks)
         self.count = triangles.count
         self.boxes = triangles.boxes
         self.triangle = wp.array(np.arange(self.count, dtype=np.int32), device=self.device)
@@ -254,7 +253,7 @@ class ClippedReferences:
         self.run(count_straddlers, chunks, count, self.boxes, nodes, membership, counts)
         sizes = counts.numpy()
         added = int(sizes.sum())
-        places = wp.array(np.cumsum(sizes) - sizes, dtype=int, device=device)
+        places = wp.array(starts_of(sizes), dtype=int, device=device)
         refined = Membership()
         refined.node = wp.empty(count + added, dtype=int, device=device)
         refined.shared = wp.zeros(1, dtype=int, device=device)
@@ -300,17 +299,28 @@ class ClippedReferences:
         new = empty_events(max(1, 2 * len(parts)), self.device)
         counts = []
         for axis in range(3):
-            low, high = (corner.numpy()[axis, parts] for corner in (self.boxes.low, self.boxes.high))
-            solid = low < high
-            position = np.concatenate([low, high[solid]])
-            kind = np.concatenate([np.where(solid, int(START), int(PLANAR)), np.full(solid.sum(), int(END))])
-            reference = np.concatenate([parts, parts[solid]])
-            order = np.lexsort((kind, position))
+            _, position, value = events_of(self.boxes, axis, parts, parts)
+            order = np.lexsort((value & 3, position))
             counts.append(len(order))
             new.position.numpy()[axis, : len(order)] = position[order]
-            new.value.numpy()[axis, : len(order)] = (reference << 2 | kind)[order]
+            new.value.numpy()[axis, : len(order)] = value[order]
         new.count = wp.vec3i(*counts)
         return new
+
+
+def events_of(boxes: Boxes, axis: int, parts: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The events of references along an axis, unsorted: which reference, position, and number << 2 | type.
+
+    Args:
+        boxes: of all references.
+        axis: 0 to 2.
+        parts: ids of the references.
+        number: what the events name them by."""
+    low, high = (corner.numpy()[axis, parts] for corner in (boxes.low, boxes.high))
+    solid = low < high
+    which = np.concatenate([np.arange(len(parts)), np.flatnonzero(solid)])
+    kind = np.concatenate([np.where(solid, int(START), int(PLANAR)), np.full(solid.sum(), int(END))])
+    return which, np.concatenate([low, high[solid]]), number[which] << 2 | kind
 
 
 def empty_events(capacity: int, device: wp.Device) -> Events:

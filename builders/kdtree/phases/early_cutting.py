@@ -18,10 +18,10 @@ from functools import cache
 
 import warp as wp
 
+from wrt.builders.core.reference_lists import ReferenceLists
+from wrt.builders.core.subtrees import Frame
 from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, leaf_cost, no_split
 from wrt.builders.kdtree.events.event_lists import EventLists
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
 from wrt.kernels.layout.unchecked import load_pair
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY

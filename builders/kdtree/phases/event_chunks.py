@@ -10,75 +10,32 @@ References:
 
 import warp as wp
 
+from wrt.builders.core.levels import Chunk, LiveNode, decided, side_of
+from wrt.builders.core.subtrees import Task
 from wrt.builders.cost import Split, SplitCost, axis_frame, no_split
 from wrt.builders.kdtree.events.event_lists import EventLists, sweep_range
 from wrt.builders.kdtree.events.event_sort import END, START, Events, event_position, event_value
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
-from wrt.builders.tree import StopLimits, stop
+from wrt.builders.tree import StopLimits
 from wrt.builders.triangle_boxes import Boxes
-from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_byte, store_int, store_pair
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-CHUNK = 8192
-"""Events or triangles in a chunk; the last chunk of a list has fewer."""
+COPIED = 8192
+"""Events or triangles of the root that are copied as one chunk."""
 
 
-@with_known_layout
 @wp.struct
-class EventNode:
-    """A node of the current level. Its events along an axis are the frame.count[axis] ones from frame.first[axis] on."""
+class ChunkSweep:
+    """The search in a chunk of events."""
 
-    frame: Frame
-    split: Split
-    finished: bool
-    """Whether it waits for the end of the levels."""
-    left: int
-    """Index of its left child on the next level (the right one follows); of itself if it is finished."""
-    triangles_first: int
-    """Start of its list of triangles."""
-    chunk_first: wp.vec3i
-    """First chunk of its events along each axis."""
-    chunk_count: wp.vec3i
-
-
-@with_known_layout
-@wp.struct
-class EventChunk:
-    """A part of a node's events along an axis."""
-
-    node: int
-    axis: int
-    begin: int
-    end: int
     begins: int
     """Triangles that begin in it; after the scan, before it."""
     ends: int
     any_planar: bool
     best: Split
     """Its best plane."""
-    left: int
-    """Number of its events that go to the left child."""
-    right: int
-    to_left: int
-    """Where they are written."""
-    to_right: int
-
-
-@with_known_layout
-@wp.struct
-class TriangleChunk:
-    """A part of a node's list of triangles; members as of `EventChunk`."""
-
-    node: int
-    begin: int
-    end: int
-    left: int
-    right: int
-    to_left: int
-    to_right: int
 
 
 @wp.struct
@@ -91,7 +48,7 @@ class LevelLists:
     """Triangle ids, node after node."""
     side: wp.array(dtype=wp.uint8)
     """Of each of these triangles, where its events go: 1 left, 2 right, 3 both; plus 4 times where the triangle goes. They
-    differ if the triangle is clipped, because its parts have events of their own (`clipped_event_levels`)."""
+    differ if the triangle is clipped, because its parts have events of their own (`event_levels`)."""
     right: wp.array(dtype=int)
     """Of each of these triangles, its id on the right; `triangle`, unless triangles are clipped."""
     child: wp.array(dtype=wp.vec2i)
@@ -103,8 +60,8 @@ def copy_events(first: int, events: Events, axis_first: wp.vec3i, lists: LevelLi
     """Item: axis * chunks + chunk. Writes the lists of the root; a triangle's index there is its id."""
     item = first + wp.tid()
     axis = item % 3
-    begin = item / 3 * CHUNK
-    for i in range(begin, wp.min(begin + CHUNK, events.count[axis])):
+    begin = item / 3 * COPIED
+    for i in range(begin, wp.min(begin + COPIED, events.count[axis])):
         event = wp.vec2i(wp.cast(event_position(events, axis, i), wp.int32), event_value(events, axis, i))
         store_pair(lists.event, axis_first[axis] + i, event)
 
@@ -132,7 +89,13 @@ def change_of_position(lists: LevelLists, begin: int, nominal: int, end: int):
 
 
 @wp.kernel
-def count_chunks(first: int, lists: LevelLists, nodes: wp.array(dtype=EventNode), chunks: wp.array(dtype=EventChunk)):
+def count_chunks(
+    first: int,
+    lists: LevelLists,
+    nodes: wp.array(dtype=LiveNode),
+    chunks: wp.array(dtype=Chunk),
+    sweeps: wp.array(dtype=ChunkSweep),
+):
     """Item: a chunk of events. Moves its ends to changes of the position, and counts what begins and ends between them."""
     index = first + wp.tid()
     chunk = chunks[index]
@@ -147,51 +110,59 @@ def count_chunks(first: int, lists: LevelLists, nodes: wp.array(dtype=EventNode)
         kind = load_pair(lists.event, i)[1] & 3
         begins += wp.where(kind == END, 0, 1)
         ends += wp.where(kind == START, 0, 1)
-    chunk.begins = begins
-    chunk.ends = ends
-    chunk.any_planar = begins + ends > chunk.end - chunk.begin
     chunks[index] = chunk
+    sweep = ChunkSweep()
+    sweep.begins = begins
+    sweep.ends = ends
+    sweep.any_planar = begins + ends > chunk.end - chunk.begin
+    sweeps[index] = sweep
 
 
 @wp.kernel
-def scan_chunks(first: int, nodes: wp.array(dtype=EventNode), chunks: wp.array(dtype=EventChunk)):
+def scan_chunks(first: int, nodes: wp.array(dtype=LiveNode), sweeps: wp.array(dtype=ChunkSweep)):
     """Item: 3 * node + axis. Turns counts of chunks into the counts before them."""
     item = first + wp.tid()
     node = nodes[item / 3]
     begins = int(0)
     ends = int(0)
     for index in range(node.chunk_first[item % 3], node.chunk_first[item % 3] + node.chunk_count[item % 3]):
-        chunk = chunks[index]
-        here = wp.vec2i(chunk.begins, chunk.ends)
-        chunk.begins = begins
-        chunk.ends = ends
-        chunks[index] = chunk
+        sweep = sweeps[index]
+        here = wp.vec2i(sweep.begins, sweep.ends)
+        sweep.begins = begins
+        sweep.ends = ends
+        sweeps[index] = sweep
         begins += here[0]
         ends += here[1]
 
 
 @wp.kernel
 def search_chunks(
-    first: int, cost: SplitCost, lists: LevelLists, nodes: wp.array(dtype=EventNode), chunks: wp.array(dtype=EventChunk)
+    first: int,
+    cost: SplitCost,
+    lists: LevelLists,
+    nodes: wp.array(dtype=LiveNode),
+    chunks: wp.array(dtype=Chunk),
+    sweeps: wp.array(dtype=ChunkSweep),
 ):
     """Item: a chunk of events. Finds its best plane."""
     index = first + wp.tid()
     chunk = chunks[index]
+    sweep = sweeps[index]
     node = nodes[chunk.node]
-    chunk.best = no_split()
+    sweep.best = no_split()
     if not node.finished and chunk.begin < chunk.end:
         frame = node.frame
         along = axis_frame(cost, chunk.axis, frame.low, frame.high, frame.triangles)
-        right = frame.triangles - chunk.ends
-        chunk.best = sweep_range(
-            cost, along, lists.event, chunk.begin, chunk.end, chunk.begins, right, chunk.any_planar, no_split()
+        right = frame.triangles - sweep.ends
+        sweep.best = sweep_range(
+            cost, along, lists.event, chunk.begin, chunk.end, sweep.begins, right, sweep.any_planar, no_split()
         )
-    chunks[index] = chunk
+    sweeps[index] = sweep
 
 
 @wp.kernel
 def decide(
-    first: int, cost: SplitCost, limits: StopLimits, nodes: wp.array(dtype=EventNode), chunks: wp.array(dtype=EventChunk)
+    first: int, cost: SplitCost, limits: StopLimits, nodes: wp.array(dtype=LiveNode), sweeps: wp.array(dtype=ChunkSweep)
 ):
     """Item: a node. Takes the best plane of all axes and chunks, in this order, and stops or splits."""
     index = first + wp.tid()
@@ -199,28 +170,14 @@ def decide(
     if not node.finished:
         best = no_split()
         for c in range(node.chunk_first[0], node.chunk_first[2] + node.chunk_count[2]):
-            if chunks[c].best.cost < best.cost:
-                best = chunks[c].best
-        frame = node.frame
-        path = stop(limits, cost, frame.depth, frame.triangles, frame.path, best, frame.high - frame.low)
-        node.split = best
-        node.finished = path.bad_splits < 0
-        if path.bad_splits >= 0:
-            node.frame.path = path
-        nodes[index] = node
-
-
-@wp.func
-def side_of(split: Split, low: float, high: float):
-    """The children of a box with this interval on the split axis: 1 left, 2 right, 3 both."""
-    if not (low < high) and low == split.position:
-        return wp.where(split.planar_left, 1, 2)
-    return wp.where(low < split.position, 1, 0) + wp.where(high > split.position, 2, 0)
+            if sweeps[c].best.cost < best.cost:
+                best = sweeps[c].best
+        nodes[index] = decided(cost, limits, node, best)
 
 
 @wp.kernel
 def classify_triangles(
-    first: int, boxes: Boxes, lists: LevelLists, nodes: wp.array(dtype=EventNode), chunks: wp.array(dtype=TriangleChunk)
+    first: int, boxes: Boxes, lists: LevelLists, nodes: wp.array(dtype=LiveNode), chunks: wp.array(dtype=Chunk)
 ):
     """Item: a chunk of triangles. Finds and counts their sides. Those of a finished node are all on the left."""
     index = first + wp.tid()
@@ -243,7 +200,7 @@ def classify_triangles(
 
 
 @wp.kernel
-def count_sides(first: int, lists: LevelLists, nodes: wp.array(dtype=EventNode), chunks: wp.array(dtype=EventChunk)):
+def count_sides(first: int, lists: LevelLists, nodes: wp.array(dtype=LiveNode), chunks: wp.array(dtype=Chunk)):
     """Item: a chunk of events. Counts them on both sides."""
     index = first + wp.tid()
     chunk = chunks[index]
@@ -263,9 +220,9 @@ def count_sides(first: int, lists: LevelLists, nodes: wp.array(dtype=EventNode),
 def move_triangles(
     first: int,
     lists: LevelLists,
-    nodes: wp.array(dtype=EventNode),
-    children: wp.array(dtype=EventNode),
-    chunks: wp.array(dtype=TriangleChunk),
+    nodes: wp.array(dtype=LiveNode),
+    children: wp.array(dtype=LiveNode),
+    chunks: wp.array(dtype=Chunk),
     target: LevelLists,
 ):
     """Item: a chunk of triangles. Lists them in the children, and notes their indices there."""
@@ -290,7 +247,7 @@ def move_triangles(
 
 @wp.kernel
 def move_events(
-    first: int, lists: LevelLists, nodes: wp.array(dtype=EventNode), chunks: wp.array(dtype=EventChunk), target: LevelLists
+    first: int, lists: LevelLists, nodes: wp.array(dtype=LiveNode), chunks: wp.array(dtype=Chunk), target: LevelLists
 ):
     """Item: a chunk of events. Moves them to the children's lists, in order."""
     chunk = chunks[first + wp.tid()]
@@ -312,9 +269,7 @@ def move_events(
 
 
 @wp.kernel
-def copy_tasks(
-    first: int, source: LevelLists, nodes: wp.array(dtype=EventNode), tasks: wp.array(dtype=Task), lists: EventLists
-):
+def copy_tasks(first: int, source: LevelLists, nodes: wp.array(dtype=LiveNode), tasks: wp.array(dtype=Task), lists: EventLists):
     """Item: a task. Copies its node's lists."""
     number = first + wp.tid()
     node = nodes[number]

@@ -1,12 +1,12 @@
-"""The top levels of the nested build: every large node of a level has its own sorted events, which move with it.
+"""The top levels of the nested build (`wrt.builders.core.levels`): every large node has its own sorted events, which move with
+it.
 
 Each phase of a level is parallel over nodes and, within a node, over chunks of its lists (Choi et al. 2010):
 
     search      FindBestPlane: every chunk of events counts the triangles that begin and end in it; a scan over the chunks of a
                 list gives each the counts before it; every chunk then evaluates its planes
-    stop        every node takes the best plane of its chunks, and stops, or splits
+    stop        every node takes the best plane of its chunks
     classify    every chunk of triangles finds their sides by their boxes; every chunk of events counts its events on both sides
-    emit        the host lists the children and computes where each chunk writes; the only host round trip of a level
     partition   FilterGeom: every chunk moves its triangles or its events to the children's lists
 
 The kernels are in `event_chunks`.
@@ -14,7 +14,15 @@ The kernels are in `event_chunks`.
 **Data.** The lists of a level are consecutive: node by node, the events along x, y and z. An event holds the index of its
 triangle within the node, so a node with its lists is a task as it stands. Nodes that wait for the end of the levels are copied.
 
+**Clipping.** As in the levels of the in-place build (`clipped_levels`), lists then hold references, at first one per triangle.
+A straddler is clipped to both children's cells; the part on the left keeps its number, and the one on the right gets a new one.
+Here data moves with the nodes: the straddlers' events are not moved to the children's lists, which leave room for the events of
+the parts. These are sorted, and merged into each list from the back, by one thread per list (`clipped_events` does the same
+within a task). The kernels are in `clipped_event_chunks`.
+
 References:
+    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
+        IEEE Symposium on Interactive Ray Tracing 2006.
     B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
         High Performance Graphics 2010.
 """
@@ -22,16 +30,29 @@ References:
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.levels import (
+    Chunk,
+    Levels,
+    LiveNode,
+    both_children,
+    children_of,
+    cut,
+    of_children,
+    place,
+    root_level,
+    starts_of,
+)
+from wrt.builders.core.subtrees import Frame, Reservation
 from wrt.builders.kdtree.events.clipped_events import lists_for
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import sorted_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.clipped_event_chunks import clip_listed, count_parts, list_straddlers, merge_lists
+from wrt.builders.kdtree.phases.clipped_levels import ClippedReferences, events_of, name_triangles
 from wrt.builders.kdtree.phases.event_chunks import (
-    CHUNK,
-    EventChunk,
-    EventNode,
+    COPIED,
+    ChunkSweep,
     LevelLists,
-    TriangleChunk,
     classify_triangles,
     copy_events,
     copy_tasks,
@@ -44,193 +65,176 @@ from wrt.builders.kdtree.phases.event_chunks import (
     scan_chunks,
     search_chunks,
 )
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.runtime.launch import launch
 
-CHUNKS_PER_THREAD = 4
-"""Chunks of items per thread in a launch: items cost about the same."""
 
-
-class EventLevels:
-    """The top levels while they are split. The phases of a level are called in the order of the module's docstring.
+class EventLevels(Levels):
+    """The top levels while they are split.
 
     Args:
         triangles: boxes of the mesh's triangles.
-        config: cost model and stop rules.
+        config: cost model and stop rules, and whether triangles are clipped.
         large: nodes of more triangles are split; the others become tasks.
     """
 
     def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, large: int) -> None:
-        self.triangles, self.config, self.large = triangles, config, large
-        self.device = triangles.boxes.low.device
-        self.cost, self.limits = config.cost.struct(), config.stop.limits(triangles.count, triangles.size)
-        self.levels: list[np.ndarray] = []
-        """The levels that are split, structured arrays of `EventNode`."""
-        events, count = sorted_events(triangles), triangles.count
+        super().__init__(triangles.boxes.low.device, root_level(triangles))
+        self.triangles, (self.cost, self.limits) = triangles, config.rules(triangles)
+        self.config, self.large, count = config, large, triangles.count
+        self.parts = ClippedReferences(triangles, config.split_clipping) if config.tests_nodes else None
+        """What the lists hold in place of triangles, if they are clipped."""
+        events = sorted_events(triangles)
         counts = np.array(events.count)
-        self.nodes = np.zeros(1, dtype=EventNode.numpy_dtype())
-        """The current level."""
         frame = self.nodes["frame"]
-        frame["low"], frame["high"], frame["triangles"], frame["parent"] = triangles.low, triangles.high, count, -1
-        frame["count"], frame["first"] = counts, np.cumsum(counts) - counts
+        frame["count"], frame["first"] = counts, starts_of(counts)
         self.nodes["finished"] = count <= large
         self.lists = self.make_lists(int(counts.sum()), count)
-        """Its lists."""
+        """The lists of the current level."""
         inputs = [events, wp.vec3i(*map(int, frame["first"][0])), self.lists]
-        self.run(copy_events, 3 * -(-int(counts.max()) // CHUNK), *inputs)
-        launch(list_ids, count, [self.lists.triangle], device=self.device, chunk=CHUNK)
+        self.run(copy_events, 3 * -(-int(counts.max()) // COPIED), *inputs)
+        launch(list_ids, count, [self.lists.triangle], device=self.device, chunk=COPIED)
+
+    @property
+    def boxes(self) -> Boxes:
+        """The boxes of what the lists hold."""
+        return self.parts.boxes if self.parts else self.triangles.boxes
 
     def make_lists(self, events: int, triangles: int) -> LevelLists:
         """Lists of this many events and triangles, still empty."""
         lists = LevelLists()
         lists.event = wp.empty(events, dtype=wp.vec2i, device=self.device)
         lists.triangle = wp.empty(triangles, dtype=int, device=self.device)
-        lists.right = lists.triangle
+        lists.right = wp.empty(triangles, dtype=int, device=self.device) if self.parts else lists.triangle
         lists.side = wp.empty(triangles, dtype=wp.uint8, device=self.device)
         lists.child = wp.empty(triangles, dtype=wp.vec2i, device=self.device)
         return lists
 
-    def run(self, kernel: wp.Kernel, count: int, *inputs: object) -> None:
-        """Launches a kernel whose items are large."""
-        launch(kernel, count, inputs, device=self.device, chunk=1, chunks_per_thread=CHUNKS_PER_THREAD)
-
-    def any_large(self) -> bool:
-        """Whether a node of the current level is to be split; if not, the nodes are the roots of tasks."""
-        return not self.nodes["finished"].all()
-
     def search(self) -> None:
         """Finds the best plane of every chunk of events."""
-        self.chunks = wp.array(cut_events(self.nodes), dtype=EventChunk, device=self.device)
-        self.live = wp.array(self.nodes, dtype=EventNode, device=self.device)
-        self.run(count_chunks, len(self.chunks), self.lists, self.live, self.chunks)
-        self.run(scan_chunks, 3 * len(self.live), self.live, self.chunks)
-        self.run(search_chunks, len(self.chunks), self.cost, self.lists, self.live, self.chunks)
+        frame = self.nodes["frame"]
+        chunks, self.nodes["chunk_first"], self.nodes["chunk_count"] = cut(frame["first"], frame["count"])
+        self.chunks = wp.array(chunks, dtype=Chunk, device=self.device)
+        self.sweeps = wp.empty(len(chunks), dtype=ChunkSweep, device=self.device)
+        self.live = wp.array(self.nodes, dtype=LiveNode, device=self.device)
+        self.run(count_chunks, len(chunks), self.lists, self.live, self.chunks, self.sweeps)
+        self.run(scan_chunks, 3 * len(self.live), self.live, self.sweeps)
+        self.run(search_chunks, len(chunks), self.cost, self.lists, self.live, self.chunks, self.sweeps)
 
     def stop(self) -> None:
         """Every node becomes a leaf, or is split at the best plane of its chunks."""
-        self.run(decide, len(self.live), self.cost, self.limits, self.live, self.chunks)
+        self.run(decide, len(self.live), self.cost, self.limits, self.live, self.sweeps)
 
     def classify(self) -> None:
         """Finds the sides of all triangles, and counts triangles and events on both sides."""
-        self.triangle_chunks = wp.array(cut_triangles(self.nodes), dtype=TriangleChunk, device=self.device)
-        self.run(classify_triangles, len(self.triangle_chunks), self.boxes, self.lists, self.live, self.triangle_chunks)
-        self.clip()
+        triangles = self.nodes["triangles_first"][:, None], self.nodes["frame"]["triangles"][:, None]
+        chunks, self.list_first, _ = cut(*triangles)
+        self.triangle_chunks = wp.array(chunks, dtype=Chunk, device=self.device)
+        self.run(classify_triangles, len(chunks), self.boxes, self.lists, self.live, self.triangle_chunks)
+        if self.parts:
+            self.clip(self.parts)
         self.run(count_sides, len(self.chunks), self.lists, self.live, self.chunks)
 
-    def clip(self) -> None:
-        """Clips the straddlers to both sides: not here."""
-
-    def reserve(self) -> None:
-        """Makes room in the children's lists for the events of clipped triangles: none here."""
-
-    def merge(self, target: LevelLists) -> None:
-        """Merges these events into the children's lists: none here."""
-
-    @property
-    def boxes(self) -> Boxes:
-        """The boxes of what the lists hold."""
-        return self.triangles.boxes
-
     def emit(self) -> None:
-        """Lists the nodes of the next level, and computes where each chunk writes."""
-        self.nodes, events, triangles = (a.numpy() for a in (self.live, self.chunks, self.triangle_chunks))
-        self.children = next_level(self.nodes, events, triangles, self.large)
-        self.reserve()
-        place_chunks(events, triangles, self.nodes, self.children)
-        self.chunks = wp.array(events, dtype=EventChunk, device=self.device)
-        self.triangle_chunks = wp.array(triangles, dtype=TriangleChunk, device=self.device)
-        self.live = wp.array(self.nodes, dtype=EventNode, device=self.device)
+        """Lists the children, and computes where each chunk writes."""
+        self.nodes = nodes = self.live.numpy()
+        events, triangles = self.chunks.numpy(), self.triangle_chunks.numpy()
+        self.children = children = children_of(nodes)
+        frame = children["frame"]
+
+        def counted(chunks: np.ndarray, first: np.ndarray) -> np.ndarray:
+            sides = (np.add.reduceat(chunks[side], first.ravel()).reshape(first.shape) for side in ("left", "right"))
+            return of_children(nodes, *sides)
+
+        frame["triangles"] = counted(triangles, self.list_first)[:, 0]
+        frame["count"] = counted(events, nodes["chunk_first"])
+        if self.parts:
+            self.reserve()
+        children["triangles_first"], frame["first"] = starts_of(frame["triangles"]), starts_of(frame["count"])
+        children["finished"] |= frame["triangles"] <= self.large
+        place(triangles, *both_children(nodes, children["triangles_first"][:, None]))
+        place(events, *both_children(nodes, frame["first"]))
+        self.chunks = wp.array(events, dtype=Chunk, device=self.device)
+        self.triangle_chunks = wp.array(triangles, dtype=Chunk, device=self.device)
+        self.live = wp.array(nodes, dtype=LiveNode, device=self.device)
 
     def partition(self) -> None:
-        """Moves triangles and events to the lists of the next level, which is then the current one."""
+        """Moves triangles and events to the lists of the next level."""
         frame = self.children["frame"]
         target = self.make_lists(int(frame["count"].sum()), int(frame["triangles"].sum()))
-        children = wp.array(self.children, dtype=EventNode, device=self.device)
+        children = wp.array(self.children, dtype=LiveNode, device=self.device)
         self.run(move_triangles, len(self.triangle_chunks), self.lists, self.live, children, self.triangle_chunks, target)
         self.run(move_events, len(self.chunks), self.lists, self.live, self.chunks, target)
-        self.merge(target)
+        if self.parts:
+            self.merge(target)
         self.levels.append(self.nodes)
         self.nodes, self.lists = self.children, target
+
+    # -- clipping --------------------------------------------------------------------------------------------------------
+
+    def clip(self, parts: ClippedReferences) -> None:
+        """Clips the straddlers to both sides, and counts references anew."""
+        chunks = self.triangle_chunks.numpy()
+        sizes = chunks["left"] + chunks["right"] - (chunks["end"] - chunks["begin"])
+        added, count = int(sizes.sum()), parts.count
+        places = wp.array(starts_of(sizes).astype(np.int32), dtype=int, device=self.device)
+        self.straddlers = wp.empty(max(1, added), dtype=wp.vec2i, device=self.device)
+        self.run(list_straddlers, len(chunks), self.lists, self.triangle_chunks, places, self.straddlers)
+        self.straddlers = self.straddlers[:added]
+        if added:
+            parts.enlarge(count + added)
+            inputs = [parts.mesh, count, self.lists, self.live, self.straddlers, parts.boxes, parts.triangle]
+            launch(clip_listed, added, inputs, device=self.device, chunk=64)
+            self.run(count_parts, len(chunks), self.lists, self.triangle_chunks)
+
+    def reserve(self) -> None:
+        """Makes room in the children's lists for the events of the parts."""
+        places, owners = self.straddlers.numpy().reshape(-1, 2).T
+        side = self.lists.side.numpy()[places] >> 2
+        ids = [list.numpy()[places] for list in (self.lists.triangle, self.lists.right)]
+        exists = [np.flatnonzero(side & bit) for bit in (1, 2)]
+        self.part_side = np.repeat([0, 1], [*map(len, exists)])
+        self.part_place = np.concatenate([places[own] for own in exists])
+        self.part_id = np.concatenate([of_side[own] for of_side, own in zip(ids, exists, strict=True)])
+        self.part_child = self.nodes["left"][np.concatenate([owners[own] for own in exists])] + self.part_side
+        count = self.children["frame"]["count"]
+        self.kept = count.copy()
+        for axis in range(3):
+            which, _, _ = events_of(self.boxes, axis, self.part_id, self.part_id)
+            count[:, axis] += np.bincount(self.part_child[which], minlength=len(count)).astype(np.int32)
+
+    def merge(self, target: LevelLists) -> None:
+        """Merges the events of the parts into the children's lists, in which they have the indices of the references."""
+        number = self.lists.child.numpy()[self.part_place, self.part_side]
+        listed, position, value = [], [], []
+        for axis in range(3):
+            which, at, of_axis = events_of(self.boxes, axis, self.part_id, number)
+            listed.append(3 * self.part_child[which] + axis)
+            position.append(at)
+            value.append(of_axis)
+        listed, position, value = map(np.concatenate, (listed, position, value))
+        order = np.lexsort((value & 3, position, listed))
+        if not len(order):
+            return
+        events = np.stack([position[order].view(np.int32), value[order].astype(np.int32)], axis=1)
+        lists = np.unique(listed)
+        sorted_lists, first = listed[order], self.children["frame"]["first"].ravel()[lists]
+        bounds = [np.searchsorted(sorted_lists, lists, side=side) for side in ("left", "right")]
+        ends = np.stack([first + self.kept.ravel()[lists], *bounds], axis=1).astype(np.int32)
+        inputs = [wp.array(ends, dtype=wp.vec3i, device=self.device), wp.array(first, dtype=int, device=self.device)]
+        self.run(merge_lists, len(lists), *inputs, wp.array(events, dtype=wp.vec2i, device=self.device), target)
+
+    # -- tasks -----------------------------------------------------------------------------------------------------------
 
     def make_tasks(self, spare: float) -> tuple[Reservation, EventLists, wp.array]:
         """Makes one task of each node of the last level: its memory, its lists, and the roots of the tasks."""
         roots = self.nodes["frame"].copy()
         reservation = Reservation(roots["triangles"], 6, spare, self.config.cost.width, self.device)
         lists = lists_for(reservation, self.triangles, self.config)
-        nodes = wp.array(self.nodes, dtype=EventNode, device=self.device)
+        nodes = wp.array(self.nodes, dtype=LiveNode, device=self.device)
         self.run(copy_tasks, len(roots), self.lists, nodes, reservation.tasks, lists)
+        if self.parts:
+            self.run(name_triangles, len(lists.triangle), self.parts.triangle, lists.triangle)
         roots["first"] += (reservation.ranges["lists_first"] - roots["first"][:, 0])[:, None]
         roots["top"] = reservation.ranges["lists_first"] + roots["count"].sum(axis=1)
         return reservation, lists, wp.array(roots, dtype=Frame, device=self.device)
-
-
-def cut(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Divides lists of these lengths into chunks, at least one each: the list of each chunk, and where it begins and ends."""
-    pieces = np.maximum(1, -(-counts // CHUNK))
-    owner = np.repeat(np.arange(len(counts)), pieces)
-    begin = (np.arange(len(owner)) - (np.cumsum(pieces) - pieces)[owner]) * CHUNK
-    return owner, begin, np.minimum(begin + CHUNK, counts[owner])
-
-
-def cut_events(nodes: np.ndarray) -> np.ndarray:
-    """The chunks of the nodes' events; stores their ranges in the nodes."""
-    frame = nodes["frame"]
-    owner, begin, end = cut(frame["count"].ravel())
-    chunks = np.zeros(len(owner), dtype=EventChunk.numpy_dtype())
-    chunks["node"], chunks["axis"] = owner // 3, owner % 3
-    chunks["begin"], chunks["end"] = (frame["first"].ravel()[owner] + at for at in (begin, end))
-    pieces = np.bincount(owner, minlength=3 * len(nodes))
-    nodes["chunk_count"] = pieces.reshape(-1, 3)
-    nodes["chunk_first"] = (np.cumsum(pieces) - pieces).reshape(-1, 3)
-    return chunks
-
-
-def cut_triangles(nodes: np.ndarray) -> np.ndarray:
-    """The chunks of the nodes' triangles."""
-    owner, begin, end = cut(nodes["frame"]["triangles"])
-    chunks = np.zeros(len(owner), dtype=TriangleChunk.numpy_dtype())
-    chunks["node"] = owner
-    chunks["begin"], chunks["end"] = (nodes["triangles_first"][owner] + at for at in (begin, end))
-    return chunks
-
-
-def next_level(nodes: np.ndarray, events: np.ndarray, triangles: np.ndarray, large: int) -> np.ndarray:
-    """Lists the children in order, with a finished node as its own child, and stores their indices in the nodes.
-
-    events, triangles: the counted chunks of the nodes' events and triangles."""
-    child_counts = np.where(nodes["finished"], 1, 2)
-    nodes["left"] = np.cumsum(child_counts) - child_counts
-    owner = np.repeat(np.arange(len(nodes)), child_counts)
-    children = nodes[owner]
-    frame, split = children["frame"], children["split"]
-    divided = ~children["finished"]
-    frame["depth"] += divided
-    list_starts = nodes["chunk_first"].ravel()
-    triangle_starts = np.searchsorted(triangles["node"], np.arange(len(nodes)))
-    for side, moved, here in (("left", "high", 0), ("right", "low", 1)):
-        of_side = np.flatnonzero(np.arange(len(children)) - nodes["left"][owner] == here)
-        parent = owner[of_side]
-        frame["triangles"][of_side] = np.add.reduceat(triangles[side], triangle_starts)[parent]
-        frame["count"][of_side] = np.add.reduceat(events[side], list_starts).reshape(-1, 3)[parent]
-        cut_off = of_side[divided[of_side]]
-        frame[moved][cut_off, split["axis"][cut_off]] = split["position"][cut_off]
-    children["triangles_first"] = np.cumsum(frame["triangles"]) - frame["triangles"]
-    counts = frame["count"].ravel()
-    frame["first"] = (np.cumsum(counts) - counts).reshape(-1, 3)
-    children["finished"] |= frame["triangles"] <= large
-    return children
-
-
-def place_chunks(events: np.ndarray, triangles: np.ndarray, nodes: np.ndarray, children: np.ndarray) -> None:
-    """Computes where each chunk writes."""
-    axis = events["axis"]
-    for side, here in (("left", 0), ("right", 1)):
-        for chunks, first, key in (
-            (triangles, children["triangles_first"], triangles["node"]),
-            (events, children["frame"]["first"], 3 * events["node"] + axis),
-        ):
-            child = np.minimum(nodes["left"][chunks["node"]] + here, len(children) - 1)  # of a finished node unused
-            start = first[child] if chunks is triangles else first[child, axis]
-            before = np.cumsum(chunks[side]) - chunks[side]
-            chunks[f"to_{side}"] = start + before - before[np.searchsorted(key, key)]

@@ -1,4 +1,4 @@
-"""The top levels of the in-place build: all live nodes of a level at once (Choi et al. 2010).
+"""The kernels of a level of the in-place build: all live nodes at once (Choi et al. 2010; `wrt.builders.core.levels`).
 
 **Data.** Data does not move: events stay in their sorted order, and each triangle has a list of its nodes (`membership`).
 
@@ -8,10 +8,10 @@
                 chunks gives each chunk the counts before it; every chunk then evaluates its planes; the best of all chunks
                 is the node's split
     stop, emit  NewGen: a node with a split gets two children, the others are finished
-    classify    ClassifyTriangles: every triangle replaces its nodes by their children (`level_members`)
+    partition   ClassifyTriangles: every triangle replaces its nodes by their children (`level_members`)
 
 Chunks begin where the position changes, so no plane is shared between chunks. The best plane among chunks is selected in the
-order of the axes and positions. So the result does not depend on threads or chunks.
+order of the axes and positions.
 
 **What we changed.** Most chunks are not searched, and the others only for nodes that may have their best plane there. The
 counts before and behind a chunk bound the cost of all its planes from below. They also give the cost of a node's first plane in
@@ -26,12 +26,12 @@ References:
 
 import warp as wp
 
-from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, plane_cost
+from wrt.builders.core.levels import LiveNode, decided
+from wrt.builders.cost import AxisFrame, SplitCost, axis_frame, no_split, plane_cost
 from wrt.builders.kdtree.events.event_sort import Events, event_position, event_value
 from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
-from wrt.builders.tree import PathState, StopLimits, stop
-from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.builders.tree import StopLimits
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
@@ -41,23 +41,6 @@ exact_module(__name__)
 
 SLACK = 1.0 + 1e-5
 """Factor by which the bound of a chunk must exceed a known cost before the chunk is skipped: far more than rounding."""
-
-
-@with_known_layout
-@wp.struct
-class LiveNode:
-    """A node of the current level."""
-
-    low: wp.vec3
-    high: wp.vec3
-    triangles: int
-    path: PathState
-    depth: int
-    finished: bool
-    """True for a leaf. It then waits for the end of the levels, and its task makes the same decision."""
-    left: int
-    """Live index of its left child on the next level (the right one follows); of itself if it is finished."""
-    split: Split
 
 
 @wp.func
@@ -164,10 +147,11 @@ def scan_chunks(
             if here[2] >= 0:
                 node = nodes[index]
                 position = event_position(events, axis, here[2])
-                if position > node.low[axis] and position < node.high[axis]:
-                    along = axis_frame(cost, axis, node.low, node.high, node.triangles)
+                frame = node.frame
+                if position > frame.low[axis] and position < frame.high[axis]:
+                    along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
                     # what ends there still counts as on the right: the plane costs no more than this
-                    known = plane_cost(cost, along, position, so_far[0], node.triangles - so_far[1])
+                    known = plane_cost(cost, along, position, so_far[0], frame.triangles - so_far[1])
                     least[index] = wp.min(least[index], known)
 
 
@@ -254,19 +238,18 @@ def search_planes(
     any_candidate = bool(False)
     for index in range(before.shape[2]):
         node = nodes[index]
+        triangles = node.frame.triangles
         counts = before[axis, chunk, index]
-        ended = node.triangles
+        ended = triangles
         if chunk + 1 < before.shape[1]:
             ended = before[axis, chunk + 1, index][1]
-        row[index] = start_sweep(counts[0], node.triangles - counts[1])
-        along[index] = axis_frame(cost, axis, node.low, node.high, node.triangles)
+        row[index] = start_sweep(counts[0], triangles - counts[1])
+        along[index] = axis_frame(cost, axis, node.frame.low, node.frame.high, triangles)
         is_candidate = bool(False)
         if not node.finished and begin < end:
             at = event_position(events, axis, begin)
             to = event_position(events, axis, end - 1)
-            is_candidate = may_contain_best(
-                cost, along[index], at, to, counts[0], node.triangles - ended, min_known_cost[index]
-            )
+            is_candidate = may_contain_best(cost, along[index], at, to, counts[0], triangles - ended, min_known_cost[index])
         if is_candidate:
             any_candidate = True
         else:
@@ -294,43 +277,4 @@ def decide(
                 candidate = sweeps[axis, chunk, index].best
                 if candidate.cost < best.cost:
                     best = candidate
-        path = stop(limits, cost, node.depth, node.triangles, node.path, best, node.high - node.low)
-        node.split = best
-        node.finished = path.bad_splits < 0
-        if path.bad_splits >= 0:
-            node.path = path
-        nodes[index] = node
-
-
-@wp.kernel
-def emit_children(first: int, nodes: wp.array(dtype=LiveNode), children: wp.array(dtype=LiveNode), count: wp.array(dtype=int)):
-    """One item. Lists the next level's nodes in order.
-
-    count: (3,) number of its nodes, of those that are not finished, and of the triangles of the largest of the latter."""
-    total = int(0)
-    open_nodes = int(0)
-    largest = int(0)
-    for index in range(nodes.shape[0]):
-        node = nodes[index]
-        node.left = total
-        nodes[index] = node
-        if node.finished:
-            children[total] = node
-            total += 1
-        else:
-            left = node
-            right = node
-            left.depth += 1
-            right.depth += 1
-            left.high[node.split.axis] = node.split.position
-            right.low[node.split.axis] = node.split.position
-            left.triangles = node.split.left
-            right.triangles = node.split.right
-            children[total] = left
-            children[total + 1] = right
-            total += 2
-            open_nodes += 2
-            largest = wp.max(largest, wp.max(left.triangles, right.triangles))
-    count[0] = total
-    count[1] = open_nodes
-    count[2] = largest
+        nodes[index] = decided(cost, limits, node, best)

@@ -1,4 +1,4 @@
-"""The classify phase of a level of the in-place build: every triangle replaces its nodes by their children.
+"""How a level of the in-place build ends: every triangle replaces its nodes by their children.
 
 ClassifyTriangles of Choi et al. 2010, by count, scan and fill: `count_shared`, a sum over the chunks on the host, and
 `refine_members`. Which nodes a triangle lies in: `membership`.
@@ -10,26 +10,14 @@ References:
 
 import warp as wp
 
+from wrt.builders.core.levels import LiveNode, side_of
 from wrt.builders.kdtree.events.event_sort import CHUNK
-from wrt.builders.kdtree.phases.in_place_levels import LiveNode
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
-
-
-@wp.func
-def sides(node: LiveNode, low: float, high: float):
-    """Children to which a box belongs, by its interval on the split axis: 1 left, 2 right, 3 both."""
-    if not (low < high) and low == node.split.position:
-        return wp.where(node.split.planar_left, 1, 2)
-    if high <= node.split.position:
-        return 1
-    if low >= node.split.position:
-        return 2
-    return 3
 
 
 @wp.func
@@ -42,7 +30,7 @@ def count_children(boxes: Boxes, nodes: wp.array(dtype=LiveNode), membership: Me
         node = nodes[member(membership, own, m)]
         if not node.finished:
             axis = node.split.axis
-            if sides(node, boxes.low[axis, triangle], boxes.high[axis, triangle]) == 3:
+            if side_of(node.split, boxes.low[axis, triangle], boxes.high[axis, triangle]) == 3:
                 count += 1
     return count
 
@@ -94,7 +82,7 @@ def refine_members(
             side = int(1)
             if not node.finished:
                 axis = node.split.axis
-                side = sides(node, boxes.low[axis, triangle], boxes.high[axis, triangle])
+                side = side_of(node.split, boxes.low[axis, triangle], boxes.high[axis, triangle])
             for child in range(2):
                 if (side & (1 << child)) != 0:
                     if count > 1:

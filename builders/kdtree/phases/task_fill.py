@@ -8,10 +8,9 @@ References:
 
 import warp as wp
 
+from wrt.builders.core.subtrees import Task
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import CHUNK, Events, event_position, event_value
-from wrt.builders.kdtree.phases.in_place_levels import LiveNode
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
 from wrt.kernels.layout.unchecked import load_int, store_int, store_pair
 from wrt.kernels.runtime.options import exact_module
@@ -30,28 +29,6 @@ def count_task_triangles(first: int, triangles: int, membership: Membership, cou
         own = load_int(membership.node, triangle)
         for m in range(member_count(membership, own)):
             row[member(membership, own, m)] += 1
-
-
-@wp.kernel
-def total_triangles(first: int, counts: wp.array2d(dtype=int), live: wp.array(dtype=LiveNode)):
-    """Item: a live node. Has it hold as many triangles as there are in it, by the counts of all chunks."""
-    index = first + wp.tid()
-    total = int(0)
-    for chunk in range(counts.shape[0]):
-        total += counts[chunk, index]
-    node = live[index]
-    node.triangles = total
-    live[index] = node
-
-
-@wp.kernel
-def scan_task_triangles(first: int, tasks: wp.array(dtype=Task), counts: wp.array2d(dtype=int), places: wp.array2d(dtype=int)):
-    """Item: a task. Turns counts of chunks into positions in `EventLists.triangle`."""
-    task = first + wp.tid()
-    place = tasks[task].triangles_first
-    for chunk in range(counts.shape[0]):
-        places[chunk, task] = place
-        place += counts[chunk, task]
 
 
 @wp.kernel
@@ -109,25 +86,6 @@ def count_task_events(first: int, events: Events, membership: Membership, counts
 
 
 @wp.kernel
-def scan_task_events(first: int, tasks: wp.array(dtype=Task), counts: wp.array3d(dtype=int), frames: wp.array(dtype=Frame)):
-    """Item: a task. Turns counts of chunks into positions in the task's consecutive lists, and stores the ranges of the
-    lists."""
-    task = first + wp.tid()
-    frame = frames[task]
-    place = tasks[task].lists_first
-    for axis in range(3):
-        begin = place
-        for chunk in range(counts.shape[1]):
-            count = counts[axis, chunk, task]
-            counts[axis, chunk, task] = place
-            place += count
-        frame.first[axis] = begin
-        frame.count[axis] = place - begin
-    frame.top = place
-    frames[task] = frame
-
-
-@wp.kernel
 def fill_task_events(
     first: int,
     events: Events,
@@ -152,18 +110,3 @@ def fill_task_events(
             row[task] = place + 1
             index = local_index(local, own, triangle, m)
             store_pair(lists.event, place, wp.vec2i(wp.cast(position, wp.int32), (index << 2) | (value & 3)))
-
-
-@wp.kernel
-def make_roots(first: int, live: wp.array(dtype=LiveNode), frames: wp.array(dtype=Frame)):
-    """Item: a live node. Makes it the root of its task; its lists follow later."""
-    number = first + wp.tid()
-    node = live[number]
-    frame = Frame()
-    frame.low = node.low
-    frame.high = node.high
-    frame.triangles = node.triangles
-    frame.path = node.path
-    frame.depth = node.depth
-    frame.parent = -1
-    frames[number] = frame

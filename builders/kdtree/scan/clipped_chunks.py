@@ -1,38 +1,14 @@
-"""Split clipping in the top levels of a build that scans references (`reference_levels`).
-
-A chunk finds the sides of its references as without clipping. A straddler is then clipped to both children's cells, and enters
-each with the box of its part there, or not at all (`split_clipping`). The counts say where chunks write, so the references are
-clipped twice: once to be counted, once to be moved. Few of them straddle a plane. Tasks clip the same references to the same
-boxes, so the tree does not depend on the level at which tasks begin.
-
-References:
-    S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
-        IEEE Symposium on Interactive Ray Tracing 2006.
-"""
+"""Clipping of the straddlers of a chunk of references (`reference_levels`)."""
 
 import warp as wp
 
-from wrt.builders.kdtree.scan.reference_chunks import Chunk, LiveRange
-from wrt.builders.kdtree.scan.reference_lists import Sides
-from wrt.builders.kdtree.scan.split_clipping import PAD
-from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.builders.triangle_references import copy_references
+from wrt.builders.core.clip import ClippedMesh
+from wrt.builders.core.levels import Chunk, LiveNode
+from wrt.builders.core.reference_lists import Sides
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
-
-
-@wp.struct
-class ClippedMesh:
-    """The triangles to clip."""
-
-    vertices: wp.array(dtype=wp.vec3)
-    faces: wp.array(dtype=wp.vec3i)
-    pad: float
-    """Enlargement of cells and boxes, in scene units."""
-    shrinks: bool
-    """Whether clipped triangles get the boxes of their parts."""
 
 
 @native.func_native(
@@ -71,7 +47,7 @@ def clip_range(
 def clip_chunk(
     mesh: ClippedMesh,
     references: wp.array(dtype=float),
-    node: LiveRange,
+    node: LiveNode,
     chunk: Chunk,
     moving: bool,
     target: wp.array(dtype=float),
@@ -87,7 +63,7 @@ def clip_chunk(
         mesh,
         references,
         chunk.begin,
-        chunk.count,
+        chunk.end - chunk.begin,
         split.axis,
         split.position,
         split.planar_left,
@@ -101,51 +77,3 @@ def clip_chunk(
         chunk.to_right,
         sides,
     )
-
-
-@wp.kernel
-def measure_clipped_chunks(
-    first: int,
-    mesh: ClippedMesh,
-    references: wp.array(dtype=float),
-    nodes: wp.array(dtype=LiveRange),
-    chunks: wp.array(dtype=Chunk),
-    measured: wp.array(dtype=Sides),
-):
-    """Item: a chunk. `measure_chunks` of `reference_chunks`, with clipping."""
-    slot = first + wp.tid()
-    chunk = chunks[slot]
-    node = nodes[chunk.node]
-    sides = Sides()
-    if node.finished:
-        sides.left = chunk.count
-    else:
-        clip_chunk(mesh, references, node, chunk, False, references, sides)
-    measured[slot] = sides
-
-
-@wp.kernel
-def move_clipped_chunks(
-    first: int,
-    mesh: ClippedMesh,
-    references: wp.array(dtype=float),
-    nodes: wp.array(dtype=LiveRange),
-    chunks: wp.array(dtype=Chunk),
-    target: wp.array(dtype=float),
-):
-    """Item: a chunk. `move_chunks` of `reference_chunks`, with clipping."""
-    chunk = chunks[first + wp.tid()]
-    node = nodes[chunk.node]
-    sides = Sides()
-    if node.finished:
-        copy_references(references, chunk.begin, chunk.count, target, chunk.to_left)
-    else:
-        clip_chunk(mesh, references, node, chunk, True, target, sides)
-
-
-def clipped_mesh(triangles: TriangleBoxes, shrinks: bool) -> ClippedMesh:
-    """The triangles to clip; shrinks: as of `ClippedMesh`."""
-    mesh = ClippedMesh()
-    mesh.vertices, mesh.faces = triangles.vertices, triangles.faces
-    mesh.pad, mesh.shrinks = PAD * triangles.size, shrinks
-    return mesh

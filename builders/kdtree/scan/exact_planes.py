@@ -13,9 +13,9 @@ from functools import cache
 
 import warp as wp
 
+from wrt.builders.core.reference_lists import ReferenceLists
+from wrt.builders.core.subtrees import Frame
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, planar_comparison
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 

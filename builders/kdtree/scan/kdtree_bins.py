@@ -18,8 +18,8 @@ from functools import cache
 
 import warp as wp
 
+from wrt.builders.core.subtrees import Frame
 from wrt.builders.cost import SplitCost, axis_frame, no_split, split_comparison
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 

@@ -12,46 +12,18 @@ from functools import cache
 
 import warp as wp
 
-from wrt.builders.cost import Split, SplitCost, no_split
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.core.clip import ClippedMesh
+from wrt.builders.core.levels import Chunk, LiveNode, decided
+from wrt.builders.core.reference_lists import Sides, measure_sides, move_range
+from wrt.builders.cost import SplitCost, no_split
+from wrt.builders.kdtree.scan.clipped_chunks import clip_chunk
 from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, make_binning, median_bin_plane, merge_bins
-from wrt.builders.kdtree.scan.reference_lists import Sides, measure_sides, move_range
-from wrt.builders.tree import StopLimits, stop
+from wrt.builders.tree import StopLimits
 from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import copy_references, write_references
-from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 
 exact_module(__name__)
-
-
-@with_known_layout
-@wp.struct
-class LiveRange:
-    """A node of the current level. Its list is the frame.count[0] references from frame.first[0] on."""
-
-    frame: Frame
-    split: Split
-    finished: bool
-    """Whether it waits for the end of the levels."""
-    left: int
-    """Index of its left child on the next level (the right one follows); of itself if it is finished."""
-    chunk_first: int
-    """First chunk; the chunks of a node are contiguous."""
-    chunk_count: int
-
-
-@with_known_layout
-@wp.struct
-class Chunk:
-    """A part of a node's references."""
-
-    node: int
-    begin: int
-    count: int
-    to_left: int
-    """Position to which its references on the left of the plane are written; all of them if the node is finished."""
-    to_right: int
 
 
 @wp.func
@@ -79,7 +51,7 @@ def bin_chunks(
     bins: int,
     sampled: int,
     references: wp.array(dtype=float),
-    nodes: wp.array(dtype=LiveRange),
+    nodes: wp.array(dtype=LiveNode),
     chunks: wp.array(dtype=Chunk),
     counter: wp.array2d(dtype=int),
 ):
@@ -92,7 +64,7 @@ def bin_chunks(
         behind = (chunk.begin - node.frame.first[0]) % step
         skip = (step - behind) % step
         node_binning = make_binning(node.frame, bins)
-        bin_range(references, chunk.begin + skip, chunk.count - skip, step, node_binning, counter, slot)
+        bin_range(references, chunk.begin + skip, chunk.end - chunk.begin - skip, step, node_binning, counter, slot)
 
 
 @wp.kernel
@@ -103,7 +75,7 @@ def decide(
     bins: int,
     sampled: int,
     median_levels: int,
-    nodes: wp.array(dtype=LiveRange),
+    nodes: wp.array(dtype=LiveNode),
     counter: wp.array2d(dtype=int),
     merged: int,
 ):
@@ -114,38 +86,25 @@ def decide(
     node = nodes[index]
     if not node.finished:
         slot = merged + index
-        merge_bins(counter, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
+        merge_bins(counter, slot, node.chunk_first[0], node.chunk_first[0] + node.chunk_count[0], bins)
         step = sample_step(node.frame.triangles, sampled)
-        node.split = no_split()
+        best = no_split()
         if node.frame.depth < median_levels:
-            node.split = median_bin_plane(cost, node.frame, counter, slot, bins, step)
-        if node.split.cost > 0.0:
-            node.split = best_bin_plane(cost, node.frame, counter, slot, bins, step)
-        frame = node.frame
-        path = stop(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
-        node.finished = path.bad_splits < 0
-        if path.bad_splits >= 0:
-            node.frame.path = path
-        nodes[index] = node
+            best = median_bin_plane(cost, node.frame, counter, slot, bins, step)
+        if best.cost > 0.0:
+            best = best_bin_plane(cost, node.frame, counter, slot, bins, step)
+        nodes[index] = decided(cost, limits, node, best)
 
 
 @cache
 def make_decide(memory_type: type, search: wp.Function) -> wp.Kernel:
     """The kernel whose item is a live node, and which searches it as a task does; search: as of `subtrees.Method`."""
 
-    def decide_by_search(
-        first: int, cost: SplitCost, limits: StopLimits, memory: memory_type, nodes: wp.array(dtype=LiveRange)
-    ):
+    def decide_by_search(first: int, cost: SplitCost, limits: StopLimits, memory: memory_type, nodes: wp.array(dtype=LiveNode)):
         index = first + wp.tid()
         node = nodes[index]
         if not node.finished:
-            node.split = search(cost, memory, index, node.frame)
-            frame = node.frame
-            path = stop(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
-            node.finished = path.bad_splits < 0
-            if path.bad_splits >= 0:
-                node.frame.path = path
-            nodes[index] = node
+            nodes[index] = decided(cost, limits, node, search(cost, memory, index, node.frame))
 
     return specialised_kernel(decide_by_search)
 
@@ -153,49 +112,50 @@ def make_decide(memory_type: type, search: wp.Function) -> wp.Kernel:
 @wp.kernel
 def measure_chunks(
     first: int,
+    mesh: ClippedMesh,
     references: wp.array(dtype=float),
-    nodes: wp.array(dtype=LiveRange),
+    nodes: wp.array(dtype=LiveNode),
     chunks: wp.array(dtype=Chunk),
     measured: wp.array(dtype=Sides),
 ):
-    """Item: a chunk. Measures the sides of its node's plane. In a finished node everything is on the left."""
+    """Item: a chunk. Measures the sides of its node's plane; straddlers are clipped if the mesh says so. In a finished node
+    everything is on the left."""
     slot = first + wp.tid()
     chunk = chunks[slot]
     node = nodes[chunk.node]
+    count = chunk.end - chunk.begin
     sides = Sides()
     if node.finished:
-        sides.left = chunk.count
+        sides.left = count
+    elif mesh.clips:
+        clip_chunk(mesh, references, node, chunk, False, references, sides)
     else:
         split = node.split
-        measure_sides(references, chunk.begin, chunk.count, split.axis, split.position, split.planar_left, sides)
+        measure_sides(references, chunk.begin, count, split.axis, split.position, split.planar_left, sides)
     measured[slot] = sides
 
 
 @wp.kernel
 def move_chunks(
     first: int,
+    mesh: ClippedMesh,
     references: wp.array(dtype=float),
-    nodes: wp.array(dtype=LiveRange),
+    nodes: wp.array(dtype=LiveNode),
     chunks: wp.array(dtype=Chunk),
     target: wp.array(dtype=float),
 ):
     """Item: a chunk. Moves its references to the next level's buffer."""
     chunk = chunks[first + wp.tid()]
     node = nodes[chunk.node]
+    begin = chunk.begin
+    count = chunk.end - begin
+    left = chunk.to_left
+    right = chunk.to_right
     split = node.split
     sides = Sides()
     if node.finished:
-        copy_references(references, chunk.begin, chunk.count, target, chunk.to_left)
+        copy_references(references, begin, count, target, left)
+    elif mesh.clips:
+        clip_chunk(mesh, references, node, chunk, True, target, sides)
     else:
-        move_range(
-            references,
-            chunk.begin,
-            chunk.count,
-            split.axis,
-            split.position,
-            split.planar_left,
-            target,
-            chunk.to_left,
-            chunk.to_right,
-            sides,
-        )
+        move_range(references, begin, count, split.axis, split.position, split.planar_left, target, left, right, sides)

@@ -1,27 +1,36 @@
 """A build that scans references: all threads split the top levels together, then each task of a pool builds one subtree.
 
-This is the common part of the builders that search by scanning. `reference_levels` splits large nodes, `kdtree_subtrees` builds
+This is the common part of the builders that search by scanning. `reference_levels` splits large nodes, `core.subtrees` builds
 the others by the phases that the builder's file lists, and `assembly` combines the parts. A search that is not divided into
 chunks runs on one thread per large node; then all threads divide the node's list (`uniform_scan`). So only the search of the
 root keeps the other threads waiting.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import warp as wp
 
+from wrt.builders.core.clip import give_mesh, partition_clipping
+from wrt.builders.core.reference_lists import ReferenceLists, emit_leaf, partition
+from wrt.builders.core.subtrees import (
+    Frame,
+    Method,
+    Reservation,
+    Task,
+    build_tasks,
+    emit_inner,
+    in_partition,
+    make_build_subtrees,
+)
 from wrt.builders.kdtree.kdtree_config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Reservation, Task, build_tasks, make_build_subtrees
+from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
 from wrt.builders.kdtree.scan.reference_chunks import bin_chunks, make_decide
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
-from wrt.builders.kdtree.scan.split_clipping import PAD
-from wrt.builders.tree import KdTree, Phases
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels
+from wrt.builders.tree import KdTree, Phases, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import copy_references
 from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
@@ -57,6 +66,20 @@ def copy_lists(
     copy_references(references, source[number], frames[number].triangles, lists.reference, tasks[number].lists_first)
 
 
+def scan_method(config: KdTreeConfig, search: wp.Function) -> Method:
+    """What is done with a node whose references are scanned; search: as of `Method`. `wrt.builders.core.subtrees` calls these
+    phases."""
+    return Method(
+        memory=ReferenceLists,
+        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
+        stop=stop,
+        classify=in_partition,
+        partition=partition_clipping if config.tests_nodes else partition,
+        emit_inner=emit_inner,
+        emit_leaf=emit_leaf,
+    )
+
+
 @dataclass(frozen=True)
 class Scan:
     """The builder-specific part of a scanning build.
@@ -66,14 +89,14 @@ class Scan:
         levels: how the top is split.
         values: floats that a search in a node writes; None for as many as the node has triangles, but at least MIN_VALUES.
         counters: counters that it needs in addition to those of the bins.
-        split_level: calls the phases of a level; None if large nodes are searched by the search of `method` too.
+        by_bins: whether large nodes are searched by the bins of their chunks; if not, by the search of `method` too.
     """
 
     method: Method
     levels: LevelRules
     values: int | None
     counters: int = 0
-    split_level: Callable[[ReferenceLevels], None] | None = None
+    by_bins: bool = False
 
 
 def uniform_scan(
@@ -91,32 +114,30 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
     phase = Phases(triangles.boxes.low.device)
     load((bin_chunks, copy_lists, copy_subtrees, specialise(make_build_subtrees, scan.method)), phase.device)
     with phase("top levels"):
-        top = split_top(triangles, config, scan)
-    tasks = partial(make_tasks, top, triangles, config, scan)
-    reservation, lists, results = build_tasks(scan.method, triangles, config, tasks, SPARE_MEMORY, phase)
-    work = [top.references, lists.reference, lists.counter, lists.value]
-    return assemble(triangles, config, phase, top.levels[:-1], (reservation, results), work)
+        levels = ReferenceLevels(triangles, config, scan.levels) if scan.by_bins else SearchedLevels(triangles, config, scan)
+        levels.split()
+    tasks = partial(make_tasks, levels.references, levels.nodes["frame"], triangles, config, scan)
+    reservation, lists, results = build_tasks(scan.method, config.rules(triangles), tasks, SPARE_MEMORY, phase)
+    work = [levels.references, lists.reference, lists.counter, lists.value]
+    return assemble(triangles, config, phase, levels.levels, (reservation, results), work)
 
 
-def split_top(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> TopLevels:
-    """Splits large nodes, level after level, until there are none."""
-    levels = ReferenceLevels(triangles, config, scan.levels)
-    while levels.any_large():
-        if scan.split_level:
-            scan.split_level(levels)
-        else:
-            split_level_by_search(levels, config, scan)
-    return levels.finished()
+class SearchedLevels(ReferenceLevels):
+    """The top levels of a build whose nodes of all sizes are searched in the same way, by one thread each."""
 
+    def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> None:
+        super().__init__(triangles, config, scan.levels)
+        self.config, self.scan = config, scan
 
-def split_level_by_search(levels: ReferenceLevels, config: KdTreeConfig, scan: Scan) -> None:
-    """Splits a level whose nodes are searched as in a task, each by one thread."""
-    kernel = specialise(partial(make_decide, ReferenceLists), scan.method.search)
-    lists = search_lists(levels.references, levels.nodes["frame"]["triangles"], config, scan)
-    levels.search_and_stop(kernel, lists)
-    levels.classify()
-    levels.emit()
-    levels.partition()
+    def search(self) -> None:
+        """Nothing but chunks: `stop` searches."""
+        self.cut()
+
+    def stop(self) -> None:
+        """Every node is searched, and becomes a leaf, or is split."""
+        kernel = specialise(partial(make_decide, ReferenceLists), self.scan.method.search)
+        lists = search_lists(self.references, self.nodes["frame"]["triangles"], self.config, self.scan)
+        launch(kernel, len(self.nodes), [self.cost, self.limits, lists, self.live], device=self.device, chunk=1)
 
 
 def search_lists(references: wp.array, sizes: np.ndarray, config: KdTreeConfig, scan: Scan) -> ReferenceLists:
@@ -136,20 +157,20 @@ def search_lists(references: wp.array, sizes: np.ndarray, config: KdTreeConfig, 
 
 
 def make_tasks(
-    top: TopLevels, triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan, spare: float
+    references: wp.array, roots: np.ndarray, triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan, spare: float
 ) -> tuple[Reservation, ReferenceLists, wp.array]:
-    """Makes one task of each node of the last level: its memory, its references, and the roots of the tasks."""
-    device, roots = top.references.device, top.levels[-1]["frame"].copy()
+    """Makes one task of each node of the last level, given as structured `Frame`s, whose lists are in `references`: its memory,
+    its references, and the roots of the tasks."""
+    device, roots = references.device, roots.copy()
     count = len(roots)
     reservation = Reservation(roots["triangles"], 1, spare, config.cost.width, device)
     entries = wp.empty(8 * reservation.entries, dtype=float, device=device)
     lists = search_lists(entries, roots["triangles"], config, scan)
     if config.tests_nodes:
-        lists.vertices, lists.faces = triangles.vertices, triangles.faces
-        lists.pad, lists.shrinks = PAD * triangles.size, config.split_clipping
+        give_mesh(lists, triangles, triangles.size, config.split_clipping)
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
     roots["first"][:, 0] = reservation.ranges["lists_first"]
     roots["top"] = reservation.ranges["lists_first"] + roots["triangles"]
     frames = wp.array(roots, dtype=Frame, device=device)
-    launch(copy_lists, count, [top.references, source, reservation.tasks, frames, lists], device=device, chunk=1)
+    launch(copy_lists, count, [references, source, reservation.tasks, frames, lists], device=device, chunk=1)
     return reservation, lists, frames

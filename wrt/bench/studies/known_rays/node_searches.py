@@ -20,9 +20,10 @@ from wrt.builders.bvh.phases import bvh_levels as levels
 from wrt.builders.bvh.phases.bin_heuristic import Heuristic
 from wrt.builders.bvh.phases.binary_tree import BinaryTree
 from wrt.builders.bvh.phases.bvh_bins import Plane, Scratch, make_scratch
-from wrt.builders.bvh.phases.bvh_levels import Chunk, LiveNode
+from wrt.builders.bvh.phases.bvh_levels import BinnedNode
 from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES, AxisOrder, AxisRules, axis_order
 from wrt.builders.bvh.projected_binned import ProjectedBuilder
+from wrt.builders.core.levels import Chunk
 from wrt.builders.influence.influence_area import InfluenceArea
 from wrt.builders.influence.projected_cost import Mixture, facing
 from wrt.builders.triangle_boxes import triangle_boxes
@@ -44,7 +45,7 @@ def make_search(heuristic: Heuristic) -> wp.Kernel:
         first: int,
         rules: BuildRules,
         rays: rays_type,
-        nodes: wp.array(dtype=LiveNode),
+        nodes: wp.array(dtype=BinnedNode),
         scratch: Scratch,
         slot: int,
         tree: BinaryTree,
@@ -83,13 +84,13 @@ class Searches:
     def _fill(self, size: int) -> tuple[wp.array, Scratch]:
         """Places the nodes, fills their bins, and searches once as the build does, which leaves the bins of each in a slot."""
         first = size * np.arange(self.count)
-        nodes = np.zeros(self.count, dtype=LiveNode.numpy_dtype())
+        nodes = np.zeros(self.count, dtype=BinnedNode.numpy_dtype())
         nodes["frame"]["first"], nodes["frame"]["count"], nodes["frame"]["node"] = first, size, 2 * first
         nodes["chunk_first"], nodes["chunk_count"] = np.arange(self.count), 1
         nodes["part_first"], nodes["part_count"] = 2 * np.arange(self.count), 1
         chunks = np.zeros(self.count, dtype=Chunk.numpy_dtype())
-        chunks["node"], chunks["begin"], chunks["count"] = np.arange(self.count), first, size
-        live, lists = wp.array(nodes, dtype=LiveNode, device="cpu"), wp.array(chunks, dtype=Chunk, device="cpu")
+        chunks["node"], chunks["begin"], chunks["end"] = np.arange(self.count), first, first + size
+        live, lists = wp.array(nodes, dtype=BinnedNode, device="cpu"), wp.array(chunks, dtype=Chunk, device="cpu")
         domain, scratch = wp.empty(8 * self.count, dtype=float, device="cpu"), make_scratch(2 * self.count, self.builder.device)
         box = self.builder.tree.box.numpy().reshape(-1, 8)  # in place
         references = self.builder.references.numpy()[: 8 * size * self.count].reshape(self.count, size, 8)

@@ -24,9 +24,7 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.cost import Split, SplitCost, no_split
-from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.tree import PathState, StopLimits
-from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime.launch import launch, specialise
@@ -246,14 +244,13 @@ class Reservation:
 
 
 def build_subtrees(
-    method: Method, triangles: TriangleBoxes, config: KdTreeConfig, reservation: Reservation, frames: wp.array, memory: Any
+    method: Method, rules: tuple[SplitCost, StopLimits], reservation: Reservation, frames: wp.array, memory: Any
 ) -> wp.array:
     """Builds all subtrees, the largest first; the threads take them from one pool. Returns the result of each task.
 
     Args:
         method: how subtrees are built.
-        triangles: boxes of the mesh's triangles.
-        config: cost model and stop rules.
+        rules: cost model and stop rules.
         reservation: the tasks and their memory ranges.
         frames: (tasks,) their roots.
         memory: the lists, as the method defines them.
@@ -261,7 +258,6 @@ def build_subtrees(
     device, count = frames.device, len(frames)
     stack = wp.empty((count, STACK), dtype=Frame, device=device)
     results = wp.empty(count, dtype=Result, device=device)
-    rules = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size)]
     inputs = [*rules, reservation.order, reservation.tasks, frames, memory, reservation.parts, stack, results]
     launch(specialise(make_build_subtrees, method), count, inputs, device=device, chunk=1, chunks_per_thread=count)
     return results
@@ -269,8 +265,7 @@ def build_subtrees(
 
 def build_tasks(
     method: Method,
-    triangles: TriangleBoxes,
-    config: KdTreeConfig,
+    rules: tuple[SplitCost, StopLimits],
     make_tasks: Callable[[float], tuple[Reservation, Any, wp.array]],
     spare: float,
     phase: Callable[[str], AbstractContextManager] = nullcontext,
@@ -279,7 +274,7 @@ def build_tasks(
     """Makes tasks and builds their subtrees; again with twice the memory if it was too small for one of them.
 
     Args:
-        method, triangles, config: as of `build_subtrees`.
+        method, rules: as of `build_subtrees`.
         make_tasks: spare -> the tasks, their lists and their roots.
         spare: as of `Reservation`, for the first attempt.
         phase: times the phases `name`, of `make_tasks`, and "subtrees".
@@ -292,7 +287,7 @@ def build_tasks(
         with phase(name):
             reservation, memory, frames = make_tasks(spare)
         with phase("subtrees"):
-            results = build_subtrees(method, triangles, config, reservation, frames, memory)
+            results = build_subtrees(method, rules, reservation, frames, memory)
         if not results.numpy()["overflow"].any():
             return reservation, memory, results
         spare *= 2.0

@@ -18,7 +18,7 @@ that leaf contains the hit's t: the leaf is visited before a later hit ends the 
 (`wrt.kernels.traversal.crossings`), which does not depend on the pad. Triangle tests that are not `accurate` may lose hits
 beside needles.
 
-Levels that several threads split together clip to the same boxes (`clipped_chunks`).
+Levels that several threads split together clip to the same boxes.
 
 **Tests without clipping.** If boxes are not to shrink (`KdTreeConfig.cell_tests`), the same clip only tells which cells a
 triangle meets: intersection tests in inner nodes, of which Rahikainen 2013 (4.1) reports that clipping is better.
@@ -35,11 +35,14 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
 """
 
+from typing import Any
+
 import warp as wp
 
+from wrt.builders.core.reference_lists import ReferenceLists, Sides, move_range, set_list
+from wrt.builders.core.subtrees import Frame, Task
 from wrt.builders.cost import Split
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, move_range, set_list
+from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 
@@ -47,6 +50,34 @@ exact_module(__name__)
 
 PAD = 2.0**-14
 """Enlargement of cells and boxes, relative to the scene's largest extent: 1024 units of 2^-24, see the module's docstring."""
+
+
+@wp.struct
+class ClippedMesh:
+    """The triangles to clip."""
+
+    vertices: wp.array(dtype=wp.vec3)
+    faces: wp.array(dtype=wp.vec3i)
+    pad: float
+    """Enlargement of cells and boxes, in scene units."""
+    shrinks: bool
+    """Whether clipped triangles get the boxes of their parts."""
+    clips: bool
+    """Whether anything is clipped; if not, nothing else is set."""
+
+
+def give_mesh(lists: Any, triangles: TriangleBoxes, size: float, shrinks: bool) -> None:
+    """Sets the members of a struct that are those of `ClippedMesh`; size: the scene's largest extent."""
+    lists.vertices, lists.faces = triangles.vertices, triangles.faces
+    lists.pad, lists.shrinks = PAD * size, shrinks
+
+
+def clipped_mesh(triangles: TriangleBoxes, size: float, shrinks: bool = True) -> ClippedMesh:
+    """The triangles to clip; arguments as of `give_mesh`."""
+    mesh = ClippedMesh()
+    mesh.clips = True
+    give_mesh(mesh, triangles, size, shrinks)
+    return mesh
 
 
 @native.func_native(

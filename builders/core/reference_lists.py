@@ -8,8 +8,8 @@ itself.
 
 import warp as wp
 
+from wrt.builders.core.subtrees import Frame, Parts, Task
 from wrt.builders.cost import Split
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Parts, Task
 from wrt.builders.triangle_references import write_order
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime import native
