@@ -25,25 +25,6 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 
 exact_module(__name__)
 
-RAYS_TO_LANES = """
-    wrt::RayLanes<L> loaded;
-    loaded.here = here;
-    wrt::load_lanes<true>(batch, first, loaded);
-    wrt::check_lanes(loaded);
-    WRT_FOR(L, k) { ox[k] = loaded.origin[0][k]; oy[k] = loaded.origin[1][k]; oz[k] = loaded.origin[2][k]; }
-    WRT_FOR(L, k) { dx[k] = loaded.direction[0][k]; dy[k] = loaded.direction[1][k]; dz[k] = loaded.direction[2][k]; }
-    WRT_FOR(L, k) { t_min[k] = loaded.t_min[k]; t[k] = loaded.t[k]; }
-"""
-"""C++ after ray.h that loads the `here` rays of `batch` from `first` on, at most L, into the caller's arrays ox, oy, oz
-(relative to the centre), dx, dy, dz, t_min and t."""
-
-VALID_LANE = """
-        const float x = dx[k], y = dy[k], z = dz[k], px = ox[k], py = oy[k], pz = oz[k];
-        const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
-        const bool valid = wrt::is_ray(x, y, z, px, py, pz, t_min[k], t[k]);
-"""
-"""C++ after ray.h that loads ray k of those and sets `valid`, as `load_ray` does."""
-
 KEPT_SIZE = 7 * LIST_LANES
 """Floats of `own`: what `prepare_one_by_one` reads, origins, directions and numbers of the rays in lanes, component by
 component."""
