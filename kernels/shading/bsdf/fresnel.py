@@ -1,5 +1,8 @@
 """Reflection and refraction at smooth boundaries: directions, and the share of light that is reflected.
 
+`mirrored`, `refracted` and `fresnel_exact` stand in `kernels/native/scattering.h` for W rays in lanes: the same operations in
+the same order.
+
 References:
     A. Fresnel: Memoire sur la loi des modifications que la reflexion imprime a la lumiere polarisee. 1823.
     C. Schlick: An inexpensive BRDF model for physically-based rendering. Computer Graphics Forum 13(3), 1994.

@@ -14,7 +14,8 @@ import warp as wp
 from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.shading.wavefront.lane_code import in_lanes
+from wrt.kernels.shading.sampling import MIX_1
+from wrt.kernels.shading.wavefront.lane_code import in_lanes, same
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.plain_step import ARRAYS, SURFACES
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
@@ -27,7 +28,7 @@ def make_shade_plain_trees(width: int) -> Any:
     """`shade_plain_trees` for so many lanes."""
     call = f"wrt::shade_trees<{width}>({ARRAYS}, step, first, begin, child, scratch, goes_on)"
 
-    @native.func_native("tree_step.h", in_lanes(call, SURFACES))
+    @native.func_native("tree_step.h", in_lanes(call, SURFACES, same(MIX_1=int(MIX_1))))
     def shade_plain_trees(
         first: int,
         begin: int,
