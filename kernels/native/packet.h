@@ -45,6 +45,10 @@ template <int RAYS, int LANES, bool SHARED_ORIGIN> struct Packet {
         kept = SHARED ? nullptr : own + 5 * P;
         state = rows + COMPONENTS * P;
     }
+
+    // By multiplication: a choice among three members would keep the whole struct in memory.
+    inline CUDA_CALLABLE float* inverse(int axis) const { return inverse_x + axis * P; }
+    inline CUDA_CALLABLE float* origin(int axis) const { return SHARED ? nullptr : inverse_x + (11 + axis) * P; }
 };
 
 /// The origin and the slack that all rays of a packet share, or the corresponding ends of their intervals.
@@ -200,10 +204,14 @@ struct OrderedInterval {
 
     inline CUDA_CALLABLE void widen(float value, bool counts)
     {
-        const int bits = __builtin_bit_cast(int, value), key = bits ^ ((bits >> 31) & 0x7fffffff);
-        const int low_key = counts ? key : 0x7fffffff, high_key = counts ? key : (int)0x80000000;
+        const int own = key(value), low_key = counts ? own : 0x7fffffff, high_key = counts ? own : (int)0x80000000;
         low = low_key < low ? low_key : low;
         high = high_key > high ? high_key : high;
+    }
+    static inline CUDA_CALLABLE int key(float value)
+    {
+        const int bits = __builtin_bit_cast(int, value);
+        return bits ^ ((bits >> 31) & 0x7fffffff);
     }
     static inline CUDA_CALLABLE float value(int key) { return __builtin_bit_cast(float, key ^ ((key >> 31) & 0x7fffffff)); }
     inline CUDA_CALLABLE float least() const { return value(low); }

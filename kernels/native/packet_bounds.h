@@ -108,15 +108,22 @@ inline CUDA_CALLABLE void set_inverse_axes(const Packet<P, W, SHARED>& packet, B
     if (!bounds.mixed_axes) return;
     for (int a = 0; a < 3; ++a) {
         if (!((inverse_low[a] < 0.0f) & !(inverse_high[a] < 0.0f))) continue;
-        const float *inverse = a == 0 ? packet.inverse_x : a == 1 ? packet.inverse_y : packet.inverse_z, *t = packet.t;
-        OrderedInterval forward, behind;
+        const float *inverse = packet.inverse(a), *t = packet.t;
+        // two loops: Clang does not vectorise a reduction of values that a condition selects
+        int ahead[P], behind[P];
+        OrderedInterval ends;
         WRT_FOR (P, k) {
-            const bool valid = t[k] >= -0.0f, ahead = valid & !(inverse[k] < 0.0f), back = valid & !ahead;
-            forward.widen(inverse[k], ahead);
-            behind.widen(inverse[k], back);
+            const bool valid = t[k] >= -0.0f, forward = valid & !(inverse[k] < 0.0f), back = valid & !forward;
+            ahead[k] = forward ? OrderedInterval::key(inverse[k]) : ends.low;
+            behind[k] = back ? OrderedInterval::key(inverse[k]) : ends.high;
         }
-        bounds.forward_small.c[a] = forward.least();
-        bounds.backward_small.c[a] = behind.greatest();
+        int least = ends.low, greatest = ends.high;
+        WRT_FOR (P, k) {
+            least = ahead[k] < least ? ahead[k] : least;
+            greatest = behind[k] > greatest ? behind[k] : greatest;
+        }
+        bounds.forward_small.c[a] = OrderedInterval::value(least);
+        bounds.backward_small.c[a] = OrderedInterval::value(greatest);
     }
 }
 
@@ -133,9 +140,9 @@ inline CUDA_CALLABLE void bound_crossings(const Packet<P, W, SHARED>& packet, Bo
         bounds.through_low.c[0] = bounds.through_high.c[0] = lows[next];
         bounds.through_low.c[1] = bounds.through_high.c[1] = lows[other];
     } else {
-        const float* along = main == 0 ? packet.origin_x : main == 1 ? packet.origin_y : packet.origin_z;
-        const float* across_x = main == 0 ? packet.origin_y : main == 1 ? packet.origin_z : packet.origin_x;
-        const float* across_y = main == 0 ? packet.origin_z : main == 1 ? packet.origin_x : packet.origin_y;
+        const float* along = packet.origin(main);
+        const float* across_x = packet.origin(next);
+        const float* across_y = packet.origin(other);
         LaneIntervals<2, W> crossings;
         WRT_FOR_LANES (i) {
             crossings.template bound<P>(

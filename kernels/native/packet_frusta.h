@@ -230,8 +230,8 @@ inline CUDA_CALLABLE bool enters_behind_exit(const float* box, const Packet<P, W
     float first[3], last[3];
     for (int a = 0; a < 3; ++a) {
         const float low = box[a * W], high = box[(3 + a) * W];
-        const float* inverse = a == 0 ? packet.inverse_x : a == 1 ? packet.inverse_y : packet.inverse_z;
-        const float* origin = a == 0 ? packet.origin_x : a == 1 ? packet.origin_y : packet.origin_z;
+        const float* inverse = packet.inverse(a);
+        const float* origin = packet.origin(a);
         OrderedInterval entry, leave;
         WRT_FOR (P, k) {
             const float i = inverse[k], o = SHARED ? shared.origin[a] : origin[k],

@@ -32,9 +32,11 @@ inline CUDA_CALLABLE bool is_wide(float& usual, const Bounds& bounds, const Vec3
 template <class What, int P, int W, bool SHARED, class Bounds>
 inline CUDA_CALLABLE void activate_part(const Packet<P, W, SHARED>& packet, Bounds& bounds, int number)
 {
+    float *const t = packet.t, *const kept = packet.kept;
+    const int* const of = packet.part;
     WRT_FOR (P, k) {
-        packet.kept[k] = packet.t[k];
-        packet.t[k] = packet.part[k] == number ? packet.t[k] : -WRT_INFINITY;
+        kept[k] = t[k];
+        t[k] = of[k] == number ? t[k] : -WRT_INFINITY;
     }
     float lows[3], highs[3];
     bound_packet<What>(packet, bounds, lows, highs, true, SlackOfRays());
@@ -47,11 +49,14 @@ inline CUDA_CALLABLE int finish_part(
     const Packet<P, W, SHARED>& packet, const Bounds& bounds, int number, int parts, bool completed)
 {
     if (completed && number == 0) return 0;
-    int* of = packet.part;
+    int* const of = packet.part;
+    float *const t = packet.t, *const kept = packet.kept;
     WRT_FOR (P, k) {
-        const bool whole = number == 0, in = whole | (of[k] == number), over = (packet.t[k] == -WRT_INFINITY) | completed;
-        of[k] = in ? (over ? DONE : number) : of[k];
-        packet.t[k] = in ? packet.t[k] : packet.kept[k];
+        const float own = t[k], before = kept[k];
+        const int part = of[k];
+        const bool in = (number == 0) | (part == number), over = (own == -WRT_INFINITY) | completed;
+        of[k] = in ? (over ? DONE : number) : part;
+        t[k] = in ? own : before;
     }
     if (completed) return 0;
     const float* const low = bounds.origin_low.c;
@@ -65,7 +70,7 @@ inline CUDA_CALLABLE int finish_part(
         }
         return 0;
     }
-    const float* origin = axis == 0 ? packet.origin_x : axis == 1 ? packet.origin_y : packet.origin_z;
+    const float* origin = packet.origin(axis);
     WRT_FOR (P, k) {
         of[k] = of[k] == number ? parts + (origin[k] < middle ? 0 : 1) : of[k];
     }
@@ -193,8 +198,8 @@ inline CUDA_CALLABLE void bound_entries(
     if (!MOVED || !bounds.active) return;
     const float wide = ENTRY_MARGIN * bounds.slack;
     for (int a = 0; a < 3; ++a) {
-        const float* inverse = a == 0 ? packet.inverse_x : a == 1 ? packet.inverse_y : packet.inverse_z;
-        const float* origin = a == 0 ? packet.origin_x : a == 1 ? packet.origin_y : packet.origin_z;
+        const float* inverse = packet.inverse(a);
+        const float* origin = packet.origin(a);
         OrderedInterval entry;
         int lost = 0;
         WRT_FOR (P, k) {
