@@ -1,4 +1,4 @@
-// Triangles clipped to cells, and the loops of builders that do so (`wrt.builders.kdtree.scan.split_clipping`).
+// Triangles clipped to cells, and the loops of builders that do so (`wrt.builders.core.clip`).
 //
 // Mesh: a struct with `vertices` and `faces`, and `shrinks`, which says whether boxes get those of the parts.
 #pragma once

@@ -19,9 +19,9 @@ inline CUDA_CALLABLE bool is_direction(float x, float y, float z)
 }
 
 /// The components of a packet, RAYS floats each (wrt.kernels.traversal.packet.rays.packet_layout). state: the first of those
-/// that a triangle test keeps.
+/// that a triangle test keeps. OWN: the first of those that rays have if they share no origin.
 template <int RAYS, int LANES, bool SHARED_ORIGIN> struct Packet {
-    static constexpr int P = RAYS, W = LANES, COMPONENTS = SHARED_ORIGIN ? 11 : 17;
+    static constexpr int P = RAYS, W = LANES, OWN = 11, COMPONENTS = SHARED_ORIGIN ? OWN : OWN + 6;
     static constexpr bool SHARED = SHARED_ORIGIN;
 
     float *inverse_x, *inverse_y, *inverse_z, *t_min, *t;
@@ -39,7 +39,7 @@ template <int RAYS, int LANES, bool SHARED_ORIGIN> struct Packet {
         t_min = rows + 3 * P, t = rows + 4 * P, primitive = (int*)(rows + 5 * P);
         u = rows + 6 * P, v = rows + 7 * P, slope_x = rows + 8 * P, slope_y = rows + 9 * P;
         main_axis = (int*)(rows + 10 * P);
-        float* const own = SHARED ? nullptr : rows + 11 * P;
+        float* const own = SHARED ? nullptr : rows + OWN * P;
         origin_x = own, origin_y = SHARED ? nullptr : own + P, origin_z = SHARED ? nullptr : own + 2 * P;
         slack = SHARED ? nullptr : own + 3 * P, part = SHARED ? nullptr : (int*)(own + 4 * P);
         kept = SHARED ? nullptr : own + 5 * P;
@@ -48,7 +48,7 @@ template <int RAYS, int LANES, bool SHARED_ORIGIN> struct Packet {
 
     // By multiplication: a choice among three members would keep the whole struct in memory.
     inline CUDA_CALLABLE float* inverse(int axis) const { return inverse_x + axis * P; }
-    inline CUDA_CALLABLE float* origin(int axis) const { return SHARED ? nullptr : inverse_x + (11 + axis) * P; }
+    inline CUDA_CALLABLE float* origin(int axis) const { return SHARED ? nullptr : inverse_x + (OWN + axis) * P; }
 };
 
 /// The origin and the slack that all rays of a packet share, or the corresponding ends of their intervals.

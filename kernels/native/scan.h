@@ -30,7 +30,7 @@ inline CUDA_CALLABLE void grow_sides(float* low_side, float* high_side, const fl
     }
 }
 
-/// Stores the boxes of both sides in `wrt.builders.kdtree.scan.reference_lists.Sides`.
+/// Stores the boxes of both sides in `wrt.builders.core.reference_lists.Sides`.
 template <class Sides> inline CUDA_CALLABLE void store_sides(const float* low_side, const float* high_side, Sides& sides)
 {
     for (int j = 0; j < 3; ++j) {

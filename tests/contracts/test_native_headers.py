@@ -7,8 +7,10 @@ library: the headers include nothing of it.
 from __future__ import annotations
 
 import importlib.util
+import re
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -67,3 +69,23 @@ def test_headers_come_once_and_after_what_they_include():
     assert text.index("loops.h") < text.index("lanes.h") < text.index("box.h") < text.index("stream.h")
     assert "#include" not in text
     assert "#pragma once" not in text
+
+
+def exists(name: str) -> bool:
+    """Whether a dotted name is a module, or what a module has."""
+    parts = name.split(".")
+    for end in range(len(parts), 0, -1):
+        with suppress(ModuleNotFoundError):
+            found = importlib.import_module(".".join(parts[:end]))
+            for part in parts[end:]:
+                found = getattr(found, part, None)
+            return found is not None
+    return False
+
+
+def test_what_headers_refer_to_exists():
+    """Comments name the Python modules whose structs and rules they use; both move."""
+    names = {name for header in HEADERS for name in re.findall(r"\bwrt(?:\.[A-Za-z_]\w*)+", header.read_text())}
+    assert len(names) > 40
+    assert {name for name in names if not exists(name)} == set()
+    assert not exists("wrt.kernels.nothing")

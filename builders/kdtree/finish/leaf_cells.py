@@ -1,6 +1,6 @@
 """What lies in the cell of a leaf: which of its triangles meet it, and the box of their parts there.
 
-The clip is that of `split_clipping`, with cells enlarged by the same pad, so a triangle that is removed is as far from the cell
+The clip is that of `core.clip`, with cells enlarged by the same pad, so a triangle that is removed is as far from the cell
 as there, and no hit is lost.
 """
 

@@ -4,7 +4,7 @@ hit.
 **Problem.** The signs of the areas are exact, so whether a triangle is hit is exact too. The position of the hit is not. The
 areas of a needle, or of a triangle seen edge-on, are small differences of large products. Rounding these moves the weights, and
 so t, by up to the length of the triangle. Code that assumes that a hit is near its triangle then loses it: leaves of a kd-tree
-that list only the triangles that they meet (`split_clipping`), and packets that cull by vertices.
+that list only the triangles that they meet (`wrt.builders.core.clip`), and packets that cull by vertices.
 
 **Rule.** An area is the difference of two products. If the areas of a hit sum to less than `THIN` of the sum N of the
 magnitudes of the first products, they are recomputed in float64, in which products of float32 numbers are exact and their
