@@ -108,7 +108,7 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/viewer/browser.py",
-        old="and np.isfinite(position).all() and np.isfinite(target).all()",
+        old="np.isfinite(point).all() and ",
         new="",
         tests=f"{CONNECTIONS}::test_cameras_that_make_no_sense",
         promise=NONSENSE,

@@ -268,10 +268,11 @@ def test_the_scene_changes_while_it_is_shown(camera):
         one.look(camera)
         until(lambda: one.pictures)
         (session,) = viewer.sessions.values()
+        until(lambda: session.is_idle)
         with viewer.shared._lock:  # as while a tree is built
             count = one.pictures
             one.look(camera, image_width=88)
-            until(lambda: one.pictures > count, 20.0)
+            until(lambda: session.wish.size[0] == 88 and session.is_idle and one.pictures > count, 20.0)
         for step in range(10):
             scene.update(0, vertices=np.add(vertices, (0.0, 0.0, 0.1 * step)))
             viewer.refresh()

@@ -122,12 +122,12 @@ def pose_of(camera: Any) -> Pose | None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         length, distance = float(np.linalg.norm(turn)), float(np.linalg.norm(target - position)) or 1.0
-    if not (0.1 < length < 10.0 and 0.0 < fov < pi and np.isfinite(position).all() and np.isfinite(target).all()):
-        return None
-    w, x, y, z = (float(value) for value in turn / length)
-    forward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])  # +z of the camera
-    down = np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])  # +y
-    point = position + distance * forward
+        if not (0.1 < length < 10.0 and 0.0 < fov < pi):
+            return None
+        w, x, y, z = (float(value) for value in turn / length)
+        forward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])  # +z of the camera
+        down = np.array([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])  # +y
+        point = position + distance * forward  # not finite if position or target is not
     if not (np.isfinite(point).all() and (point != position).any()):
         return None
     return tuple(map(float, position)), tuple(map(float, point)), tuple(map(float, -down)), degrees(fov)
