@@ -177,7 +177,7 @@ class KdTree:
         width: triangles per block.
         stats: time and memory of the build.
         built_costs: (nodes,) cost of each subtree when it was built, if it was computed (`wrt.builders.rebuild_heuristic`).
-        layout: key in `wrt.builders.convert.node_layouts.LAYOUTS`.
+        layout: key in `wrt.builders.classics.kdtree.node_layouts.LAYOUTS`.
         pairs: (nodes,) vec2i, the same nodes in pairs, in the order of the layout; None if that is the builders' own.
     """
 

@@ -23,6 +23,9 @@ wp.init()
 
 import wrt  # noqa: E402
 from wrt import scenes  # noqa: E402
+from wrt.builders.bvh import BVH_BUILDERS  # noqa: E402
+from wrt.builders.core.late_import import Classic  # noqa: E402
+from wrt.builders.kdtree import KDTREE_BUILDERS  # noqa: E402
 from wrt.kernels.compilation.cores import available_cores  # noqa: E402
 
 if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 0)):
@@ -39,7 +42,20 @@ OTHER_WAYS_TO_PACKETS = ("repacked_packet", "multi_frusta", "mlrta", "aepsa", "o
 """Traversals that meet leaves by the steps of "packet" (`wrt.kernels.traversal.packet.core.packet_kernel`), or of "single":
 what they do with one triangle test, and with an origin that must be shared, is the same for all."""
 
+CLASSICS = {
+    builder.name for builder in (*KDTREE_BUILDERS.values(), *BVH_BUILDERS.values()) if isinstance(builder.build, Classic)
+}
+"""Builders of `wrt.builders.classics`."""
+
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks the tests of builders that neither "auto" nor the defaults choose."""
+    for item in items:
+        parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
+        if any(isinstance(parameter, str) and parameter in CLASSICS for parameter in parameters):
+            item.add_marker(pytest.mark.classics)
 
 
 @pytest.fixture(autouse=True, scope="module")

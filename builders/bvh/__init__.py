@@ -7,7 +7,7 @@ converts it to wide nodes. Every triangle is in exactly one leaf. Every box is t
 Trees for known rays may divide triangles among leaves (`wrt.builders.bvh.spatial`).
 
 To add a builder, write its file and add one line to `BVH_BUILDERS`. The tests, the command line and the benchmarks read the
-table.
+table. The sweep, which "auto" does not choose, is in `wrt.builders.classics`; its module is imported when it builds.
 """
 
 from collections.abc import Callable
@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import warp as wp
 
 from wrt.builders.bvh import binned_bvh as binned
-from wrt.builders.bvh import sweep_bvh as sweep
 from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.core.late_import import Classic
 from wrt.builders.tree import Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
 
@@ -51,8 +51,8 @@ BVH_BUILDERS: dict[str, BvhBuilder] = {
         BvhBuilder(
             "sweep",
             "Wald, Boulos, Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies (2007)",
-            sweep.build,
-            sweep.kernels,
+            Classic("bvh.sweep_bvh"),
+            Classic("bvh.sweep_bvh", "kernels"),
         ),
     )
 }

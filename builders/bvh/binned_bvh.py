@@ -34,7 +34,6 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.builders.bvh import subset_levels
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.phases import bvh_levels as level_phase
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections, Heuristic
@@ -43,8 +42,8 @@ from wrt.builders.bvh.phases.binary_tree import Frame, empty_tree
 from wrt.builders.bvh.phases.bvh_bins import make_scratch
 from wrt.builders.bvh.phases.bvh_levels import BinnedNode, Totals, make_search_planes
 from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees
-from wrt.builders.bvh.phases.collapse import collapse, collapse_kernels
-from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
+from wrt.builders.bvh.phases.collapse import collapse_kernels, improved
+from wrt.builders.core.late_import import classic_module
 from wrt.builders.core.levels import Chunk
 from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
@@ -94,9 +93,9 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
 def kernels(config: BvhConfig, triangles: int, heuristic: Heuristic = SURFACE) -> list[wp.Kernel]:
     """One kernel of each module that a build of so many triangles needs."""
     levels = [make_search_planes(heuristic)] if triangles > largest_task(triangles) else []
-    moving = [find_insertion_positions] if config.reinsertion else []
+    moving = [classic_module("bvh.reinsertion").find_insertion_positions] if config.reinsertion else []
     if config.subset < 1.0:
-        moving += subset_levels.KERNELS
+        moving += classic_module("bvh.subset_levels").KERNELS
     return [level_phase.make_references, *levels, make_build_subtrees(heuristic), *moving, *collapse_kernels(heuristic)]
 
 
@@ -150,20 +149,12 @@ class BinnedBuilder:
         load(self.kernels(), self.device)  # compilation is not a phase of the build
         with self.phase("references"):
             self.make_references()
-        chosen = subset_levels.choose(self.triangles.count, self.config.subset)
-        if len(chosen):
-            self.build_on_subset(chosen)
-        else:
+        if self.config.subset == 1.0 or not self.build_on_subset():
             with self.phase("top levels"):
                 self.build_levels()
         with self.phase("subtrees"):
             self.build_subtrees()
-        binary = self.result()
-        if self.config.reinsertion:
-            with self.phase("reinsertion"):
-                binary = reinsert(binary, self.triangles.count, self.config, self.phase.stats)
-        with self.phase("collapse"):
-            return collapse(binary, self.triangles, self.config, self.phase.stats)
+        return improved(self.result(), self.triangles, self.config, self.phase)
 
     def kernels(self) -> list[wp.Kernel]:
         """One kernel of each module."""
@@ -232,8 +223,14 @@ class BinnedBuilder:
         """A builder of the same kind for other triangles, all of them."""
         return BinnedBuilder(triangles, replace(self.config, subset=1.0), self.heuristic)
 
-    def build_on_subset(self, chosen: np.ndarray) -> None:
-        """Phases "subset" and "insertion": the upper levels are those of a tree over the chosen triangles."""
+    def build_on_subset(self) -> bool:
+        """Phases "subset" and "insertion": the upper levels are those of a tree over a subset of the triangles.
+
+        Returns whether there are enough triangles; if not, nothing is done."""
+        subset_levels = classic_module("bvh.subset_levels")
+        chosen = subset_levels.choose(self.triangles.count, self.config.subset)
+        if not len(chosen):
+            return False
         with self.phase("subset"):
             part = self.over(subset_levels.boxes_at(self.triangles, chosen))
             part.make_references()
@@ -245,6 +242,7 @@ class BinnedBuilder:
             upper = subset_levels.insert(self.references, count, chosen, centers, part.tree, self.tree)
         self.tasks, self.task_count, self.top = upper.tasks, len(upper.tasks), upper.top
         self.tasks_per_slot = -(-self.task_count // (SLOTS_PER_THREAD * get_num_threads()))
+        return True
 
     def build_subtrees(self) -> None:
         """Phase "subtrees": builds all tasks, the largest first, which balances the load; those on a subset by their place."""

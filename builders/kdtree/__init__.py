@@ -1,4 +1,4 @@
-"""Kd-tree builders: one file per method, and the table of all builders.
+"""Kd-tree builders: one file per method, and the tables of all builders and of all orders of nodes.
 
 **Contract.** A builder is a function `build(triangles, config) -> KdTree`. It takes the boxes of the triangles
 (`wrt.builders.triangle_boxes.TriangleBoxes`), and the cost model and stop rules as a frozen `KdTreeConfig`. It returns a tree
@@ -7,7 +7,7 @@ triangle is listed in every leaf whose interior its box meets. A triangle in a s
 split chose.
 
 To add a builder, write its file and add one line to `KDTREE_BUILDERS`. The tests, the command line and the benchmarks read the
-table.
+table. Builders that "auto" does not choose are in `wrt.builders.classics`; their modules are imported when they build.
 """
 
 from collections.abc import Callable
@@ -15,18 +15,8 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.builders.kdtree import (
-    adaptive_sampling,
-    between_medians,
-    binned,
-    in_place,
-    medians,
-    naive,
-    nested,
-    sorting_sweep,
-    streaming,
-    sweep,
-)
+from wrt.builders.core.late_import import Classic
+from wrt.builders.kdtree import binned, in_place
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.lazy import lazy_kdtree as lazy
 from wrt.builders.tree import KdTree
@@ -77,7 +67,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
         KdTreeBuilder("in_place", f"{CHOI}, in-place", in_place.build, clips=True, least_cost=True),
-        KdTreeBuilder("nested", f"{CHOI}, nested", nested.build, clips=True, least_cost=True),
+        KdTreeBuilder("nested", f"{CHOI}, nested", Classic("kdtree.nested.nested"), clips=True, least_cost=True),
         KdTreeBuilder(
             "binned",
             "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)",
@@ -90,14 +80,14 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
         KdTreeBuilder(
             "streaming",
             "Popov, Guenther, Seidel, Slusallek: Experiences with streaming construction of SAH KD-trees (2006)",
-            streaming.build,
+            Classic("kdtree.streaming"),
             clips=True,
             least_cost=True,
         ),
         KdTreeBuilder(
             "adaptive_sampling",
             "Hunt, Mark, Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic (2006)",
-            adaptive_sampling.build,
+            Classic("kdtree.adaptive_sampling"),
             clips=True,
             least_cost=True,
             any_cost=True,
@@ -112,11 +102,13 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             least_cost=True,
             start=lazy.start,
         ),
-        KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build, clips=True, least_cost=True, cuts_early=True),
+        KdTreeBuilder(
+            "sweep", f"{WALD_HAVRAN}, O(N log N)", Classic("kdtree.sweep"), clips=True, least_cost=True, cuts_early=True
+        ),
         KdTreeBuilder(
             "sorting_sweep",
             f"{WALD_HAVRAN}, O(N log^2 N)",
-            sorting_sweep.build,
+            Classic("kdtree.sorting_sweep"),
             clips=True,
             least_cost=True,
             any_cost=True,
@@ -125,7 +117,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
         KdTreeBuilder(
             "naive",
             f"{WALD_HAVRAN}, O(N^2)",
-            naive.build,
+            Classic("kdtree.naive"),
             most_triangles=5000,
             clips=True,
             least_cost=True,
@@ -135,11 +127,20 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
         KdTreeBuilder(
             "between_medians",
             "MacDonald, Booth: Heuristics for ray tracing using space subdivision (1990)",
-            between_medians.build,
+            Classic("kdtree.between_medians"),
             clips=True,
             cuts_early=True,
         ),
-        KdTreeBuilder("spatial_median", FUSSELL, medians.build_spatial, clips=True, cuts_early=True),
-        KdTreeBuilder("object_median", FUSSELL, medians.build_object, clips=True, cuts_early=True),
+        KdTreeBuilder("spatial_median", FUSSELL, Classic("kdtree.medians", "build_spatial"), clips=True, cuts_early=True),
+        KdTreeBuilder("object_median", FUSSELL, Classic("kdtree.medians", "build_object"), clips=True, cuts_early=True),
     )
 }
+
+NATIVE = "depth_first"
+"""The order in which builders write nodes; in that order a left child needs no index, and nodes are not in pairs."""
+
+LAYOUTS: dict[str, Callable] = {
+    name: Classic("kdtree.node_layouts", f"place_{name}")
+    for name in ("random", "breadth_first", NATIVE, "subtrees", "pages", "van_emde_boas")
+}
+"""Name -> (unpacked tree) -> (nodes,) position of each inner node's left child, an even number from 2 on; the root is at 0."""

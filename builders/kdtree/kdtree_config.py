@@ -68,8 +68,8 @@ class KdTreeConfig:
         resamplings: scans after the first, 1 to `MOST_RESAMPLINGS`, for the builder that takes adaptive samples.
         median_levels: levels that are split at the median of the triangles before costs decide, 0 to `MOST_MEDIAN_LEVELS`, for
             the builder that bins.
-        cell_tests: key in `CELL_TESTS`; builders carry out "nodes", and `wrt.builders.kdtree.finish` "leaves".
-        empty_space: key in `EMPTY_SPACE`; builders carry out "early", and `wrt.builders.kdtree.finish` "late".
+        cell_tests: key in `CELL_TESTS`; builders carry out "nodes", and `wrt.builders.classics.kdtree.postprocess` "leaves".
+        empty_space: key in `EMPTY_SPACE`; builders carry out "early", and `wrt.builders.classics.kdtree.postprocess` "late".
         hierarchy: key in `HIERARCHIES`, for the lazy builder.
 
     Raises:
@@ -118,6 +118,11 @@ class KdTreeConfig:
     def cuts_early(self) -> bool:
         """Whether a build cuts off large empty slabs before it searches for planes."""
         return self.empty_space in (EARLY, BOTH)
+
+    @property
+    def cuts_late(self) -> bool:
+        """Whether empty slabs of the finished tree's leaves are cut off."""
+        return self.empty_space in (LATE, BOTH)
 
     @property
     def longest_from(self) -> int:

@@ -10,7 +10,7 @@ A node is two 32-bit words:
 The left (lower) child of node i is node i + 1. A leaf of n triangles owns ceil(n / W) consecutive blocks of W lanes.
 
 There is a second order of the same nodes, in pairs: the two children of a node are adjacent. An inner node then stores the
-index of its left child, and the right child follows it. Pairs can be in any order (`wrt.builders.convert.node_layouts`).
+index of its left child, and the right child follows it. Pairs can be in any order (`wrt.builders.kdtree.LAYOUTS`).
 
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001 (depth-first layout).

@@ -18,8 +18,9 @@ from wrt.bench.studies.kdtrees.layout_comparison import (
     trace_pairs,
     trace_placed,
 )
-from wrt.builders.convert.compact_subtrees import to_compact
-from wrt.builders.convert.node_layouts import LAYOUTS, in_records, lay_out, with_layout
+from wrt.builders.classics.kdtree.compact_subtrees import to_compact
+from wrt.builders.classics.kdtree.node_layouts import in_records, lay_out, with_layout
+from wrt.builders.kdtree import LAYOUTS
 from wrt.builders.kdtree.kdtree_statistics import unpack
 from wrt.builders.kdtree.update.refill import refill
 from wrt.builders.tree_check import check_tree
@@ -28,6 +29,8 @@ from wrt.kernels.layout.compact_nodes import HEIGHTS
 from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, SingleConfig
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
+
+pytestmark = pytest.mark.classics
 
 
 @pytest.fixture(scope="module")

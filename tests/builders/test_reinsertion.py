@@ -15,11 +15,13 @@ from wrt.builders.bvh.binned_bvh import BinnedBuilder
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.bvh_statistics import bvh_statistics, half_area, unpack
 from wrt.builders.bvh.phases.binary_tree import LEAF
-from wrt.builders.bvh.phases.reinsertion import Reinsertion
+from wrt.builders.classics.bvh.reinsertion import Reinsertion
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import use_threads
+
+pytestmark = pytest.mark.classics
 
 WIDTH = 8
 ROUNDS = 4

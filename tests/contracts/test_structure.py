@@ -91,3 +91,20 @@ def test_public_methods_are_documented():
             documented_in_class = f"{attribute}:" in (kind.__doc__ or "")
             if not attribute.startswith("_") and callable(value):
                 assert value.__doc__ or documented_in_class, f"wrt.{name}.{attribute} has no docstring"
+
+
+@pytest.mark.parametrize("query", ["intersect", "occluded"])
+def test_classics_are_imported_on_demand(query):
+    """`import wrt`, a scene of the default accelerator and a query import no classic builder; a classic builder does."""
+    code = """
+import sys, numpy as np, wrt
+def classics(): return [name for name in sys.modules if name.startswith("wrt.builders.classics")]
+mesh = wrt.scenes.build("teapot", level=2)
+for accelerator in ("auto", "bvh", "kdtree"):
+    wrt.Scene(mesh, accelerator, device="cpu").QUERY(np.ones((8, 3), np.float32) * 9, -np.ones((8, 3), np.float32))
+before = classics()
+wrt.Scene(mesh, wrt.KdTree(builder="naive"), device="cpu").complete()
+print(before, "wrt.builders.classics.kdtree.naive" in classics())
+"""
+    result = subprocess.run([sys.executable, "-c", code.replace("QUERY", query)], capture_output=True, text=True, check=True)
+    assert result.stdout.splitlines()[-1] == "[] True"

@@ -17,8 +17,9 @@ from wrt.builders.bvh.phases.bvh_levels import make_search_planes
 from wrt.builders.bvh.phases.bvh_subtrees import make_build_subtrees as make_bvh_subtrees
 from wrt.builders.bvh.phases.collapse import make_pick_children, make_solve
 from wrt.builders.bvh.projected_binned import PROJECTED
+from wrt.builders.classics.kdtree import adaptive_sampling, between_medians, medians, naive
 from wrt.builders.core.subtrees import make_build_subtrees
-from wrt.builders.kdtree import adaptive_sampling, between_medians, binned, medians, naive
+from wrt.builders.kdtree import binned
 from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.scan.reference_chunks import make_decide

@@ -15,8 +15,7 @@ import warp as wp
 
 import wrt
 from wrt.accelerators.accelerator import Accelerator
-from wrt.builders.convert.node_layouts import LAYOUTS
-from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.builders.kdtree import KDTREE_BUILDERS, LAYOUTS
 from wrt.builders.kdtree.kdtree_config import HIERARCHIES
 from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
 from wrt.builders.tree import Bvh, KdTree

@@ -11,8 +11,10 @@ from test_projected_bvh import area_of, build
 
 import wrt
 from wrt.builders.bvh import binned_bvh as binned
-from wrt.builders.bvh import subset_levels
+from wrt.builders.classics.bvh import subset_levels
 from wrt.kernels.runtime.launch import use_threads
+
+pytestmark = pytest.mark.classics
 
 
 @pytest.fixture(autouse=True)

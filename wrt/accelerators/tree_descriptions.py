@@ -54,7 +54,7 @@ class KdTree:
         empty_space: "priced", "early", "late" or "both": empty space is cut off at a lower price (`empty_factor`); large slabs
             also before other planes are tried, and slabs of leaves when the tree is finished. `sweep`, `sorting_sweep`,
             `naive`, `adaptive_sampling` and the builders of medians support "early" and "both".
-        layout: key in `wrt.builders.convert.node_layouts.LAYOUTS`: the order of nodes in memory that the traversal "single"
+        layout: key in `wrt.builders.kdtree.LAYOUTS`: the order of nodes in memory that the traversal "single"
             walks for closest and any hits, in a copy beside the builder's own, which is depth first. Saved with a scene.
         hierarchy: "grid", "meshes", "previous" or "groups": from what the builder `lazy` starts: from triangles sorted into a
             grid, from the boxes of the scene's meshes, in updates from the clusters of the previous frame, or from the boxes of
@@ -90,9 +90,8 @@ class KdTree:
     hierarchy: str = "grid"
 
     def __post_init__(self) -> None:
-        from wrt.builders.convert.node_layouts import LAYOUTS, NATIVE
         from wrt.builders.cost import COST_MODELS
-        from wrt.builders.kdtree import KDTREE_BUILDERS
+        from wrt.builders.kdtree import KDTREE_BUILDERS, LAYOUTS, NATIVE
 
         convert_fields(self)
         lookup(KDTREE_BUILDERS, self.builder, "builder")
@@ -154,13 +153,19 @@ class KdTree:
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
         """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
-        from wrt.builders.convert.node_layouts import with_layout
-        from wrt.builders.kdtree import KDTREE_BUILDERS
-        from wrt.builders.kdtree.finish.finishing import finish
+        from wrt.builders.kdtree import KDTREE_BUILDERS, NATIVE
 
         config = self.config_for(triangles, width)
-        tree = finish(KDTREE_BUILDERS[self.builder].build(triangles, config), triangles, config)
-        return with_layout(tree, self.layout)
+        tree = KDTREE_BUILDERS[self.builder].build(triangles, config)
+        if config.cuts_late or config.cell_tests == "leaves":
+            from wrt.builders.classics.kdtree.postprocess.postprocess import postprocess
+
+            tree = postprocess(tree, triangles, config)
+        if self.layout != NATIVE:
+            from wrt.builders.classics.kdtree.node_layouts import with_layout
+
+            tree = with_layout(tree, self.layout)
+        return tree
 
     @property
     def takes_groups(self) -> bool:

@@ -177,9 +177,8 @@ def all_tables() -> dict[str, Rows]:
     from wrt.accelerators.ray_aware_bvh import TOP_LEVELS
     from wrt.builders.bvh import BVH_BUILDERS
     from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES
-    from wrt.builders.convert.node_layouts import LAYOUTS
     from wrt.builders.cost import COST_MODELS
-    from wrt.builders.kdtree import KDTREE_BUILDERS
+    from wrt.builders.kdtree import KDTREE_BUILDERS, LAYOUTS
     from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, HIERARCHIES, SEARCHED_AXES
     from wrt.builders.tree import TERMINATIONS
     from wrt.imaging.integrators import INTEGRATORS

@@ -215,7 +215,7 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
             raise ValueError(f"level_first holds {values['level_first'].dtype}, and must be a list of integers")
         values["level_first"] = tuple(values["level_first"].tolist())
     if "pairs" in values and values["pairs"].dtype == np.int32:
-        from wrt.builders.convert.node_layouts import aligned_copy
+        from wrt.builders.classics.kdtree.node_layouts import aligned_copy
 
         values["pairs"] = aligned_copy(values["pairs"])
     for name, dtype in (

@@ -39,8 +39,9 @@ from wrt.builders.bvh.phases.bin_heuristic import Heuristic
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, half_area_of_both
 from wrt.builders.bvh.phases.large_boxes import are_flat, holds_large_part, is_flat, is_large_area
+from wrt.builders.core.late_import import Classic
 from wrt.builders.cost import leaf_cost
-from wrt.builders.tree import BuildStats, Bvh
+from wrt.builders.tree import BuildStats, Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_BLOCKS, leaf_child
 from wrt.kernels.runtime import native
@@ -328,6 +329,13 @@ def solve_costs(binary: BinaryBuild, rules: BuildRules) -> None:
         work.launch(solve, 1, [rules, rays, tree, whole, binary.top, binary.space], name="top")
 
 
+def wide_cost(binary: BinaryBuild, rules: BuildRules) -> float:
+    """The least cost of a tree of wide nodes, times the root's area."""
+    solve_costs(binary, rules)
+    pair = int(binary.tree.pair[:1].numpy()[0])
+    return float(binary.space[pair * MAX_WIDTH : pair * MAX_WIDTH + 1].numpy()[0])
+
+
 def most_nodes(binary: BinaryBuild) -> int:
     """A bound on the number of wide nodes: that of pairs, and the root."""
     pairs = binary.subtrees.numpy()
@@ -378,3 +386,12 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
     stats.reserve(triangles.boxes.low, triangles.boxes.high, *used, bounds, child, primitive)
     low, high = wp.vec3(*map(float, triangles.low)), wp.vec3(*map(float, triangles.high))
     return Bvh(bounds, child, primitive, low, high, width, tuple(level_first), stats)
+
+
+def improved(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, phase: Phases) -> Bvh:
+    """The wide tree of a binary tree, after reinsertion if the configuration asks for it, as the last phases of a build."""
+    if config.reinsertion:
+        with phase("reinsertion"):
+            binary = Classic("bvh.reinsertion", "reinsert")(binary, triangles.count, config, phase.stats)
+    with phase("collapse"):
+        return collapse(binary, triangles, config, phase.stats)

@@ -17,7 +17,7 @@ The divisions of a node are compared as if its children were leaves, so single s
 kept if it costs less than that of the same triangles without spatial splits.
 
 **Phases.** References; levels, in which every large node is a work item, until all nodes are tasks; tasks, each of which builds
-a subtree depth first; order: the tree is copied without the unused room (`wrt.builders.bvh.phases.reinsertion`), so it does not
+a subtree depth first; order: the tree is copied without the unused room (`wrt.builders.bvh.phases.depth_first`), so it does not
 depend on threads and tasks; weights and collapse as in `projected_binned`.
 
 **Data.** References and pairs of nodes as in the binned build; a node owns `room` of both, from its first reference on.
@@ -46,8 +46,8 @@ from wrt.builders.bvh.bvh_config import BuildRules
 from wrt.builders.bvh.known_rays_config import KnownRays, ProjectedConfig, known_rays
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, empty_tree
-from wrt.builders.bvh.phases.collapse import collapse
-from wrt.builders.bvh.phases.reinsertion import Reinsertion, lay_out, wide_cost
+from wrt.builders.bvh.phases.collapse import collapse, wide_cost
+from wrt.builders.bvh.phases.depth_first import DepthFirstTree, lay_out
 from wrt.builders.bvh.projected_binned import PROJECTED, ProjectedBuilder, is_cheap_leaf, weigh_nodes
 from wrt.builders.bvh.projected_binned import build as build_without
 from wrt.builders.bvh.spatial.part_splits import Branch, PartScratch, make_part_scratch, split
@@ -164,7 +164,7 @@ def build(triangles: TriangleBoxes, config: ProjectedConfig) -> Bvh:
         run_branches(given, tree, tasks, False)
     with phase("order"):
         binary = BinaryBuild(tree, wp.empty(0, dtype=wp.vec2i, device=device), None, references, PROJECTED, rays)
-        binary = Reinsertion.of(binary, capacity).binary
+        binary = DepthFirstTree.of(binary, capacity).binary
         weigh(binary, rays)
     with phase("without splits"):
         plain.make_references()

@@ -26,7 +26,6 @@ from wrt.builders.core.subtrees import (
 )
 from wrt.builders.kdtree.kdtree_config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
 from wrt.builders.kdtree.scan.reference_chunks import bin_chunks, make_decide
 from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels
@@ -71,7 +70,7 @@ def scan_method(config: KdTreeConfig, search: wp.Function) -> Method:
     phases."""
     return Method(
         memory=ReferenceLists,
-        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
+        search=search,
         stop=stop,
         classify=in_partition,
         partition=partition_clipping if config.tests_nodes else partition,

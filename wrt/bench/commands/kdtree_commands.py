@@ -29,8 +29,8 @@ from wrt.bench.studies.kdtrees.layout_comparison import (
     compare_compact,
     compare_layouts,
 )
+from wrt.builders.classics.kdtree.streaming import EXACT
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.builders.kdtree.streaming import EXACT
 from wrt.cli.arguments import target_options
 from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import get_num_threads

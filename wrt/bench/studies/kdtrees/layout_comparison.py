@@ -1,4 +1,4 @@
-"""What a step through a kd-tree costs, by the order of its nodes (`wrt.builders.convert.node_layouts`) and by what they hold.
+"""What a step through a kd-tree costs, by the order of its nodes (`wrt.builders.kdtree.LAYOUTS`) and by what they hold.
 
 One tree in every layout, walked by the same rays, one at a time; layouts take turns. All of a query's time is charged to its
 steps, inner nodes and leaves, triangle tests included: those are the same for every layout.
@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.bench.core.workloads import WorkloadMaker
-from wrt.builders.convert.compact_subtrees import to_compact
-from wrt.builders.convert.node_layouts import LAYOUTS, in_records, lay_out
+from wrt.builders.classics.kdtree.compact_subtrees import to_compact
+from wrt.builders.classics.kdtree.node_layouts import in_records, lay_out
+from wrt.builders.kdtree import LAYOUTS
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.layout.compact_nodes import HEIGHTS
 from wrt.kernels.runtime.launch import launch, use_threads

@@ -33,11 +33,11 @@ from time import perf_counter
 
 import warp as wp
 
+from wrt.builders.classics.kdtree.early_cutting import cut_slab
 from wrt.builders.core.clip import PAD
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.early_cutting import cut_slab
 from wrt.builders.tree import BuildStats, KdTree, PathState, StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree

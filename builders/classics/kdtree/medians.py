@@ -27,6 +27,7 @@ References:
 
 import warp as wp
 
+from wrt.builders.classics.kdtree.early_cutting import early
 from wrt.builders.core.reference_lists import ReferenceLists, Sides, measure_sides
 from wrt.builders.core.subtrees import Frame, Method
 from wrt.builders.cost import SplitCost, axis_frame, cheaper_by_area, no_split
@@ -132,7 +133,7 @@ def search_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: F
 
 def method(search: wp.Function, config: KdTreeConfig) -> Method:
     """What is done with a node, search aside."""
-    return scan_method(config, search)
+    return scan_method(config, early(config, search))
 
 
 def build_spatial(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

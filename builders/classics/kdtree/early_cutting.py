@@ -7,7 +7,7 @@
 than a leaf. Otherwise the node is searched as usual.
 
 **What we changed.** Rahikainen 2013 (4.1) says that Havran tried three ways to cut off empty space, and does not describe them.
-Here they are: by a factor on the cost (`wrt.builders.cost`), early, and late, in leaves (`wrt.builders.kdtree.finish`).
+Here they are: by a factor on the cost (`wrt.builders.cost`), early, and late, in leaves (`postprocess`).
 
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
@@ -22,6 +22,7 @@ from wrt.builders.core.reference_lists import ReferenceLists
 from wrt.builders.core.subtrees import Frame
 from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, leaf_cost, no_split
 from wrt.builders.kdtree.events.event_lists import EventLists
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.kernels.layout.unchecked import load_pair
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
@@ -86,3 +87,8 @@ def cutting_early(search: wp.Function, memory: type) -> wp.Function:
         return split
 
     return search_events if memory is EventLists else search_references
+
+
+def early(config: KdTreeConfig, search: wp.Function, memory: type = ReferenceLists) -> wp.Function:
+    """`search`, with early cutting if the configuration asks for it."""
+    return cutting_early(search, memory) if config.cuts_early else search

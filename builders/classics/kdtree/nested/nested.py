@@ -29,15 +29,15 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
 """
 
+from wrt.builders.classics.kdtree.nested.clipped_event_chunks import merge_lists
+from wrt.builders.classics.kdtree.nested.event_chunks import search_chunks
+from wrt.builders.classics.kdtree.nested.event_levels import EventLevels
 from wrt.builders.core.subtrees import build_tasks, make_build_subtrees
 from wrt.builders.kdtree.events.clipped_events import arrays_of
 from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.events.event_sort import emit_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.clipped_event_chunks import merge_lists
-from wrt.builders.kdtree.phases.event_chunks import search_chunks
-from wrt.builders.kdtree.phases.event_levels import EventLevels
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import get_num_threads, load, specialise

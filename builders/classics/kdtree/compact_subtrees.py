@@ -22,7 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrt.builders.convert.node_layouts import aligned
+from wrt.builders.classics.kdtree.node_layouts import aligned
 from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree, unpack
 from wrt.builders.tree import KdTree
 from wrt.kernels.layout.compact_nodes import HEIGHTS, LONG

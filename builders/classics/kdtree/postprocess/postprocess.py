@@ -23,9 +23,9 @@ from time import perf_counter
 import numpy as np
 import warp as wp
 
+from wrt.builders.classics.kdtree.postprocess.leaf_cells import leaf_contents
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.kdtree.finish.leaf_cells import leaf_contents
-from wrt.builders.kdtree.kdtree_config import BOTH, LATE, KdTreeConfig
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree, half_area, unpack
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
@@ -38,9 +38,9 @@ EMPTY = (0, LEAF)
 """An empty leaf."""
 
 
-def finish(tree: KdTree, triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
+def postprocess(tree: KdTree, triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Carries out what the configuration leaves to the end of a build: the tree itself if that is nothing."""
-    removing, cutting = config.cell_tests == "leaves", config.empty_space in (LATE, BOTH)
+    removing, cutting = config.cell_tests == "leaves", config.cuts_late
     if not (removing or cutting):
         return tree
     start = perf_counter()

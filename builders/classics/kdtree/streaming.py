@@ -31,6 +31,7 @@ from functools import partial
 import numpy as np
 import warp as wp
 
+from wrt.builders.classics.kdtree.task_events import list_task_events
 from wrt.builders.core.subtrees import (
     Frame,
     Reservation,
@@ -40,7 +41,6 @@ from wrt.builders.core.subtrees import (
 from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_method import event_method
-from wrt.builders.kdtree.events.task_events import list_task_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.scan.reference_chunks import bin_chunks

@@ -28,12 +28,12 @@ References:
 """
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import warp as wp
 
+from wrt.builders.kdtree import LAYOUTS, NATIVE
 from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree, unpack
 from wrt.builders.tree import KdTree
 from wrt.kernels.layout.kdtree_nodes import LEAF
@@ -47,11 +47,8 @@ PAIRS = 4
 PAGE_PAIRS = 256
 """Pairs of nodes in a page of 4096 bytes."""
 
-NATIVE = "depth_first"
-"""The order in which builders write nodes; in that order a left child needs no index, and nodes are not in pairs."""
 
-
-def place_randomly(tree: UnpackedKdTree) -> np.ndarray:
+def place_random(tree: UnpackedKdTree) -> np.ndarray:
     """A random order with a fixed seed."""
     inner = np.flatnonzero(~tree.is_leaf)
     return in_order(tree, np.random.default_rng(0).permutation(inner))
@@ -129,17 +126,6 @@ def ancestors(tree: UnpackedKdTree, level: int) -> np.ndarray:
         inner = np.flatnonzero((tree.depth == depth) & ~tree.is_leaf)
         found[tree.left[inner]] = found[tree.right[inner]] = found[inner]
     return found
-
-
-LAYOUTS: dict[str, Callable[[UnpackedKdTree], np.ndarray]] = {
-    "random": place_randomly,
-    "breadth_first": place_breadth_first,
-    "depth_first": place_depth_first,
-    "subtrees": place_subtrees,
-    "pages": place_pages,
-    "van_emde_boas": place_van_emde_boas,
-}
-"""Name -> (tree) -> (nodes,) position of each inner node's left child, an even number from 2 on; the root is at 0."""
 
 
 def lay_out(tree: KdTree, layout: str) -> KdTree:

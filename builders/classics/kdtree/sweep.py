@@ -22,11 +22,11 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithms 4.1.4 and 4.1.5).
 """
 
+from wrt.builders.classics.kdtree.early_cutting import early
 from wrt.builders.kdtree.events.event_lists import EventLists, search
 from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.in_place import TaskTarget, build_in_place
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import use_threads
@@ -34,6 +34,6 @@ from wrt.kernels.runtime.launch import use_threads
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes, on one thread."""
-    method = event_method(config, cutting_early(search, EventLists) if config.cuts_early else search)
+    method = event_method(config, early(config, search, EventLists))
     with use_threads(1):
         return build_in_place(triangles, config, method, TaskTarget(tasks=1, triangles=triangles.count))

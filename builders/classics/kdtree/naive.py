@@ -21,6 +21,7 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.1.2).
 """
 
+from wrt.builders.classics.kdtree.early_cutting import early
 from wrt.builders.core.subtrees import Method
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.scan.exact_planes import exact_search, values_for
@@ -31,7 +32,7 @@ from wrt.builders.triangle_boxes import TriangleBoxes
 
 def method(config: KdTreeConfig) -> Method:
     """What is done with a node."""
-    return scan_method(config, exact_search(config.cost.occluder > 0.0))
+    return scan_method(config, early(config, exact_search(config.cost.occluder > 0.0)))
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

@@ -2,11 +2,11 @@
 
 import warp as wp
 
+from wrt.builders.classics.kdtree.nested.event_chunks import LevelLists
 from wrt.builders.core.clip import ClippedMesh
 from wrt.builders.core.levels import Chunk, LiveNode
 from wrt.builders.kdtree.events.clipped_events import precedes
 from wrt.builders.kdtree.phases.clipped_levels import clip_part
-from wrt.builders.kdtree.phases.event_chunks import LevelLists
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_byte, store_int, store_pair
 from wrt.kernels.runtime.options import exact_module

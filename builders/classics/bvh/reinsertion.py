@@ -35,15 +35,16 @@ References:
         Computer Graphics Forum 37(2), 2018.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
 
-from wrt.builders.bvh.bvh_config import MAX_WIDTH, BuildRules, BvhConfig
+from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
-from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, empty_tree, half_area
-from wrt.builders.bvh.phases.collapse import solve_costs
+from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, half_area
+from wrt.builders.bvh.phases.collapse import wide_cost
+from wrt.builders.bvh.phases.depth_first import STACK, DepthFirstTree, Links, join_boxes
 from wrt.builders.bvh.phases.large_boxes import is_small
 from wrt.builders.tree import BuildStats
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
@@ -54,26 +55,12 @@ from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-STACK = MAX_WIDE_DEPTH + 2
-
 SEARCHES = 64
 """Least number of searches in a launch."""
 
 MAX_RELATIVE_COST = 0.95
 """Relative cost up to which the tree with moves and finer leaves replaces the original: a margin for its emptier blocks
 (notebooks/records/2026-11-21-bvh-builders.md)."""
-
-
-@wp.struct
-class Links:
-    """Additional data of a tree whose nodes move."""
-
-    parent: wp.array(dtype=int)
-    """(pairs,) the parent of a pair; -1 for pair 0, the root's."""
-    height: wp.array(dtype=int)
-    """(nodes,) inner nodes on the longest path down from a node, itself included."""
-    stamp: wp.array(dtype=int)
-    """(nodes,) number of the last move during which the node was an ancestor of the moving one."""
 
 
 @wp.struct
@@ -89,12 +76,6 @@ class InsertionPositions:
 @native.func_native("reference.h", "return wrt::sides_of_both(a.data + (size_t)i * 8, b.data + (size_t)j * 8).half_area();")
 def joined_area(a: wp.array(dtype=float), i: int, b: wp.array(dtype=float), j: int) -> float:
     """Half the surface area of the box around box i of `a` and box j of `b`, both as in `BinaryTree.box`."""
-    ...
-
-
-@native.func_native("reference.h", "wrt::join_boxes(out.data + (size_t)o * 8, a.data + (size_t)i * 8, b.data + (size_t)j * 8);")
-def join_boxes(out: wp.array(dtype=float), o: int, a: wp.array(dtype=float), i: int, b: wp.array(dtype=float), j: int):
-    """Sets box o of `out` to the box around box i of `a` and box j of `b`."""
     ...
 
 
@@ -229,49 +210,6 @@ def move_nodes(
 
 
 @wp.kernel
-def lay_out(first: int, tree: BinaryTree, result: BinaryTree, links: Links, pairs: wp.array(dtype=int)):
-    """One item. Copies the tree depth first: pairs without gaps, parents before children, and triangles in the leaves' order.
-
-    pairs: (1,) number of pairs plus one.
-    """
-    old = wp.zeros(shape=(STACK,), dtype=int)
-    new = wp.zeros(shape=(STACK,), dtype=int)
-    links.parent[0] = -1
-    waiting = int(1)
-    next_pair = int(1)
-    cursor = int(0)
-    while waiting > 0:
-        waiting -= 1
-        node = load_int(old, waiting)
-        to = load_int(new, waiting)
-        pair = load_int(tree.pair, node)
-        join_boxes(result.box, to, tree.box, node, tree.box, node)
-        if pair == LEAF:
-            held = tree.range[node]
-            result.pair[to] = LEAF
-            result.range[to] = wp.vec2i(cursor, held[1])
-            links.height[to] = 0
-            for i in range(held[1]):
-                result.order[cursor + i] = tree.order[held[0] + i]
-            cursor += held[1]
-        else:
-            result.pair[to] = next_pair
-            links.parent[next_pair] = to
-            for side in range(2):
-                store_int(old, waiting + side, 2 * pair + 1 - side)
-                store_int(new, waiting + side, 2 * next_pair + 1 - side)
-            waiting += 2
-            next_pair += 1
-    for i in range(1, next_pair):
-        pair = next_pair - i
-        node = links.parent[pair]
-        left = result.range[2 * pair]
-        result.range[node] = wp.vec2i(left[0], left[1] + result.range[2 * pair + 1][1])
-        links.height[node] = 1 + wp.max(links.height[2 * pair], links.height[2 * pair + 1])
-    pairs[0] = next_pair
-
-
-@wp.kernel
 def join_leaves(first: int, rules: BuildRules, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i)):
     """Item: a subtree. Turns nodes that are small by these rules into leaves."""
     pairs = subtrees[first + wp.tid()]
@@ -280,32 +218,8 @@ def join_leaves(first: int, rules: BuildRules, tree: BinaryTree, subtrees: wp.ar
             tree.pair[node] = LEAF
 
 
-@dataclass
-class Reinsertion:
-    """A tree whose nodes move.
-
-    Attributes:
-        binary: the tree, a copy.
-        links: its additional data.
-        end: number of its pairs plus one.
-    """
-
-    binary: BinaryBuild
-    links: Links
-    end: int
-
-    @classmethod
-    def of(cls, binary: BinaryBuild, triangles: int) -> "Reinsertion":
-        """A copy of the tree in depth-first order."""
-        device = binary.space.device
-        links, tree, pairs = Links(), empty_tree(triangles, device), wp.empty(1, dtype=int, device=device)
-        links.parent = wp.empty(triangles, dtype=int, device=device)
-        links.height = wp.empty(2 * triangles, dtype=int, device=device)
-        links.stamp = wp.empty(2 * triangles, dtype=int, device=device)
-        launch(lay_out, 1, [binary.tree, tree, links, pairs], device=device)
-        end = int(pairs.numpy()[0])
-        subtrees = wp.array([(1, end)], dtype=wp.vec2i, device=device)
-        return cls(replace(binary, tree=tree, subtrees=subtrees, top=None), links, end)
+class Reinsertion(DepthFirstTree):
+    """A tree whose nodes move."""
 
     def search(self) -> InsertionPositions:
         """Finds the best position of every node."""
@@ -330,13 +244,6 @@ class Reinsertion:
     def arrays(self, places: InsertionPositions) -> list[wp.array]:
         """The arrays that are held during a round."""
         return [*self.binary.arrays(), self.links.parent, self.links.height, self.links.stamp, places.place, places.gain]
-
-
-def wide_cost(binary: BinaryBuild, rules: BuildRules) -> float:
-    """The least cost of a tree of wide nodes, times the root's area."""
-    solve_costs(binary, rules)
-    pair = int(binary.tree.pair[:1].numpy()[0])
-    return float(binary.space[pair * MAX_WIDTH : pair * MAX_WIDTH + 1].numpy()[0])
 
 
 def reinsert(binary: BinaryBuild, triangles: int, config: BvhConfig, stats: BuildStats) -> BinaryBuild:

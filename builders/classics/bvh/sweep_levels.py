@@ -15,7 +15,7 @@ import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules
 from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, middle, must_split_at_median, split_cost
-from wrt.builders.bvh.phases.sweep_lists import (
+from wrt.builders.classics.bvh.sweep_lists import (
     Box,
     Partition,
     SweepLists,

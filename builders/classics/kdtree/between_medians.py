@@ -26,12 +26,13 @@ References:
 
 import warp as wp
 
+from wrt.builders.classics.kdtree.adaptive_sampling import SAMPLES, count_samples
+from wrt.builders.classics.kdtree.early_cutting import early
+from wrt.builders.classics.kdtree.medians import first_axis, median_position
 from wrt.builders.core.reference_lists import ReferenceLists
 from wrt.builders.core.subtrees import Frame, Method
 from wrt.builders.cost import Split, SplitCost, axis_frame, cheaper_by_area, no_split
-from wrt.builders.kdtree.adaptive_sampling import SAMPLES, count_samples
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.medians import first_axis, median_position
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count
 from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, uniform_scan
 from wrt.builders.tree import KdTree
@@ -83,7 +84,7 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
 
 def method(config: KdTreeConfig) -> Method:
     """What is done with a node."""
-    return scan_method(config, search)
+    return scan_method(config, early(config, search))
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

@@ -30,6 +30,23 @@ References:
 import numpy as np
 import warp as wp
 
+from wrt.builders.classics.kdtree.nested.clipped_event_chunks import clip_listed, count_parts, list_straddlers, merge_lists
+from wrt.builders.classics.kdtree.nested.event_chunks import (
+    COPIED,
+    ChunkSweep,
+    LevelLists,
+    classify_triangles,
+    copy_events,
+    copy_tasks,
+    count_chunks,
+    count_sides,
+    decide,
+    list_ids,
+    move_events,
+    move_triangles,
+    scan_chunks,
+    search_chunks,
+)
 from wrt.builders.core.levels import (
     Chunk,
     Levels,
@@ -47,24 +64,7 @@ from wrt.builders.kdtree.events.clipped_events import lists_for
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import sorted_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.clipped_event_chunks import clip_listed, count_parts, list_straddlers, merge_lists
 from wrt.builders.kdtree.phases.clipped_levels import ClippedReferences, events_of, name_triangles
-from wrt.builders.kdtree.phases.event_chunks import (
-    COPIED,
-    ChunkSweep,
-    LevelLists,
-    classify_triangles,
-    copy_events,
-    copy_tasks,
-    count_chunks,
-    count_sides,
-    decide,
-    list_ids,
-    move_events,
-    move_triangles,
-    scan_chunks,
-    search_chunks,
-)
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.runtime.launch import launch
 

@@ -36,11 +36,12 @@ from functools import cache
 
 import warp as wp
 
+from wrt.builders.classics.kdtree.early_cutting import early
+from wrt.builders.classics.kdtree.medians import longest_axis
 from wrt.builders.core.reference_lists import ReferenceLists
 from wrt.builders.core.subtrees import Frame, Method
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, cheaper_split, no_split, plane_cost
 from wrt.builders.kdtree.kdtree_config import MOST_RESAMPLINGS, KdTreeConfig
-from wrt.builders.kdtree.medians import longest_axis
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count, bin_range, make_binning
 from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, uniform_scan
@@ -266,7 +267,7 @@ def searching(sample: wp.Function) -> wp.Function:
 
 def method(config: KdTreeConfig) -> Method:
     """What is done with a node."""
-    return scan_method(config, searching(sample_axis if config.resamplings == 1 else sample_axis_again))
+    return scan_method(config, early(config, searching(sample_axis if config.resamplings == 1 else sample_axis_again)))
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

@@ -41,11 +41,11 @@ from wrt.builders.bvh.phases.binary_tree import (
     must_split_at_median,
     split_cost,
 )
-from wrt.builders.bvh.phases.collapse import collapse, collapse_kernels
+from wrt.builders.bvh.phases.collapse import collapse_kernels, improved
 from wrt.builders.bvh.phases.large_boxes import is_small
-from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
-from wrt.builders.bvh.phases.sweep_levels import SweepLevels, bound_chunks
-from wrt.builders.bvh.phases.sweep_lists import (
+from wrt.builders.classics.bvh.reinsertion import find_insertion_positions
+from wrt.builders.classics.bvh.sweep_levels import SweepLevels, bound_chunks
+from wrt.builders.classics.bvh.sweep_lists import (
     Partition,
     SweepLists,
     area_of,
@@ -216,8 +216,4 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
         launch(build_by_sweep, len(tasks), inputs, device=device, chunk=1, chunks_per_thread=len(tasks))
     above = wp.array(np.concatenate(top), dtype=int, device=device) if top else None
     binary = BinaryBuild(tree, subtrees, above, wp.empty(16 * count, dtype=float, device=device))
-    if config.reinsertion:
-        with phase("reinsertion"):
-            binary = reinsert(binary, count, config, phase.stats)
-    with phase("collapse"):
-        return collapse(binary, triangles, config, phase.stats)
+    return improved(binary, triangles, config, phase)
