@@ -8,7 +8,7 @@ from bits.hit_bits import hit_hashes
 from bits.tree_bits import tree_hashes
 
 from wrt.kernels.compilation.target import lane_width
-from wrt.kernels.traversal.traversal_config import NEAREST_QUERIES
+from wrt.state.query_kinds import ANY, CLOSEST
 
 BUILDS = ("kdtree in_place", "kdtree binned", "bvh binned")
 
@@ -17,7 +17,7 @@ BUILDS = ("kdtree in_place", "kdtree binned", "bvh binned")
 def test_hits_have_their_bits():
     """At any width, on any tree, by any traversal."""
     kept = digests.read()["hits"]
-    found = list(hit_hashes(["teapot", "grid"], ["single", "stream", "packet"], ["woop"], NEAREST_QUERIES))
+    found = list(hit_hashes(["teapot", "grid"], ["single", "stream", "packet"], ["woop"], (CLOSEST, ANY)))
     assert len(found) == 24
     for case, engine, value in found:
         assert value == kept[case], f"{case}: {engine}"
