@@ -24,15 +24,19 @@ from typing import Any
 
 import warp as wp
 
+from wrt.kernels.answers import any_hit as any_kind
+from wrt.kernels.answers import closest_hit as closest_kind
+from wrt.kernels.answers import crossing_count, next_crossing
+from wrt.kernels.answers.best_hit import BestHit, start
+from wrt.kernels.answers.next_crossing import PreviousCrossing
 from wrt.kernels.layout.ray_batch import Ray, checked_ray
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, hit_normal, hit_position
 from wrt.kernels.query.spawn import faces_front, spawn_origin
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.leaf import Candidate, Counters, start
-from wrt.kernels.traversal.search_results import PreviousCrossing, results_of
+from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.single.walk_table import WALKS
-from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT, NEXT, StackConfig, TraversalConfig
-from wrt.kernels.traversal.two_level.instance_single import PARTS, InstanceTree, make_search_instances
+from wrt.kernels.traversal.traversal_config import StackConfig, TraversalConfig
+from wrt.kernels.traversal.two_level.instance_single import PARTS, InstanceTree, make_instance_walk
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -93,8 +97,13 @@ def search_next(scene: NoScene, ray: Ray, origin: wp.vec3d, after: int):
     return start(ray.t_max)
 
 
-SEARCHES = {CLOSEST: search_closest, ANY: search_any, COUNT: search_count, NEXT: search_next}
-"""The overloaded search function of each query."""
+SEARCHES = {
+    closest_kind.KIND: search_closest,
+    any_kind.KIND: search_any,
+    crossing_count.KIND: search_count,
+    next_crossing.KIND: search_next,
+}
+"""The overloaded search function of each kind of answer."""
 
 
 _handles: set[type] = set()
@@ -125,10 +134,10 @@ def handle_type(kind: str, width: int, levels: int, shared_leaves: bool = False)
     Handle.__qualname__ = f"Handle_{kind}_{width}_{levels}" + ("_shared" if shared_leaves else "")
     handle = wp.struct(Handle)
     _handles.add(handle)
-    for query, search in SEARCHES.items():
-        shared = shared_leaves and query == COUNT
-        config = TraversalConfig(TRIANGLE_TEST, width, query, False, shared_leaves=shared, stack=StackConfig(levels))
-        search.add_overload(make_search(handle, make_walk(config), results_of(config)))
+    for answer, search in SEARCHES.items():
+        shared = shared_leaves and answer.once
+        config = TraversalConfig(TRIANGLE_TEST, width, answer.name, False, shared_leaves=shared, stack=StackConfig(levels))
+        search.add_overload(make_search(handle, make_walk(config), answer.Search))
     return handle
 
 
@@ -153,9 +162,9 @@ def instances_handle_type(kind: str, width: int, levels: int) -> type:
     InstancesHandle.__qualname__ = f"InstancesHandle_{kind}_{width}_{levels}"
     handle = wp.struct(InstancesHandle)
     _handles.add(handle)
-    for query, search in SEARCHES.items():
-        config = TraversalConfig(TRIANGLE_TEST, width, query, coherent=False, stack=StackConfig(levels))
-        search.add_overload(make_instances_search(handle, make_search_instances(config, kind, levels), results_of(config)))
+    for answer, search in SEARCHES.items():
+        config = TraversalConfig(TRIANGLE_TEST, width, answer.name, coherent=False, stack=StackConfig(levels))
+        search.add_overload(make_instances_search(handle, make_instance_walk(config, kind, levels), answer.Search))
     seeing.add_overload(make_seeing(handle))
     return handle
 
@@ -265,7 +274,7 @@ ray_in.__class__ = QueryFunction  # Warp copies the function, with its class, fo
 
 
 @wp.func
-def hit_of(scene: Any, best: Candidate):
+def hit_of(scene: Any, best: BestHit):
     """Converts the result of a search to a `Hit`."""
     hit = Hit()
     hit.t = wp.inf

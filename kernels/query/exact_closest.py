@@ -1,14 +1,14 @@
 """Closest hits of a batch of rays in float64: the single-ray walks with the test of
-`wrt.kernels.traversal.single.exact_step`."""
+`wrt.kernels.answers.exact_hit`."""
 
 from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.exact_hit import ExactSearch
 from wrt.kernels.layout.ray_batch import FARTHEST, HitBatch, checked_ray, store_hit
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.leaf import Counters
-from wrt.kernels.traversal.search_results import ExactSearch
 from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -65,9 +65,29 @@ def search_for(rays: ExactRays, mesh: ExactMesh, i: int):
     return search
 
 
+@wp.func
+def rounded_ray(search: ExactSearch, center: wp.vec3d):
+    """The ray of a search in float32, relative to the scene's centre."""
+    origin, direction = wp.vec3(search.origin - center), wp.vec3(search.direction)
+    ray = checked_ray(origin, direction, wp.float32(search.t_min), wp.float32(search.t))
+    ray.valid = ray.valid and search.t_min >= wp.float64(0.0)
+    return ray
+
+
+@wp.func
+def store_exact(hits: ExactHits, i: int, search: ExactSearch):
+    """Stores the hit of ray i."""
+    t = search.t
+    if search.primitive < 0:
+        t = wp.float64(wp.inf)
+    hits.t[i] = t
+    hits.uv[i] = wp.vec2d(search.u, search.v)
+    store_hit(hits.rounded, i, wp.float32(t), search.primitive, wp.float32(search.u), wp.float32(search.v))
+
+
 @cache
-def make_kernel(kind: str, config: TraversalConfig) -> wp.Kernel:
-    """The kernel for a kind of tree (a key in `WALKS`) and a config with the query `EXACT`."""
+def make_exact_kernel(kind: str, config: TraversalConfig) -> wp.Kernel:
+    """The kernel for a kind of tree (a key in `WALKS`) and a config that asks for the closest hit in float64."""
     Tree, make_walk = WALKS[kind]
     walk = make_walk(config)
 
@@ -82,16 +102,11 @@ def make_kernel(kind: str, config: TraversalConfig) -> wp.Kernel:
     ):
         i = first + wp.tid()
         search = search_for(rays, mesh, i)
-        origin, direction = wp.vec3(search.origin - center), wp.vec3(search.direction)
-        ray = checked_ray(origin, direction, wp.float32(search.t_min), wp.float32(search.t))
-        if ray.valid and search.t_min >= wp.float64(0.0):
+        ray = rounded_ray(search, center)
+        if ray.valid:
             work = Counters()
             walk(tree, triangles, ray, search, i, work)
-        if search.primitive < 0:
-            search.t = wp.float64(wp.inf)
-        hits.t[i] = search.t
-        hits.uv[i] = wp.vec2d(search.u, search.v)
-        store_hit(hits.rounded, i, wp.float32(search.t), search.primitive, wp.float32(search.u), wp.float32(search.v))
+        store_exact(hits, i, search)
 
     return specialised_kernel(exact_hits)
 

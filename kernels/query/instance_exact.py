@@ -1,6 +1,6 @@
 """The closest hit in float64 through instances: rays are mapped to each geometry in float64, and rounded there.
 
-`wrt.kernels.traversal.single.exact_step` explains how a float32 tree finds the hit of brute force in float64. On two levels the
+`wrt.kernels.answers.exact_hit` explains how a float32 tree finds the hit of brute force in float64. On two levels the
 exact ray is mapped in float64. Its rounding to float32 in the geometry's space, and that of the vertices there, are the ones
 which the slack of the geometry's boxes covers. The boxes of instances have their slack for the rounding of the ray in the scene
 (`wrt.kernels.traversal.two_level.instance_single`). The vertices are those that the caller gave. So the hit is that of brute
@@ -12,17 +12,18 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit, start
+from wrt.kernels.answers.exact_hit import ExactSearch
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.instance_maps import object_ray, ray_environment, ray_mask
-from wrt.kernels.layout.ray_batch import Ray, RayBatch, checked_ray, is_direction, store_hit, usable_direction
+from wrt.kernels.layout.ray_batch import Ray, RayBatch, is_direction, usable_direction
 from wrt.kernels.layout.unchecked import load_int
-from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays, search_for
+from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays, rounded_ray, search_for, store_exact
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
-from wrt.kernels.traversal.leaf import Candidate, Counters, start
-from wrt.kernels.traversal.search_results import ExactSearch
+from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -68,7 +69,7 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
         search: wp.ref[Search],
         exact: wp.ref[ExactSearch],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         placement = search.top.placements[load_int(search.top.order, bvh.first_block(child) * wp.static(width))]
@@ -103,9 +104,9 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
-    """The kernel for a config with the query `EXACT`; arguments as of
-    `wrt.kernels.traversal.two_level.instance_single.make_kernel`."""
+def make_exact_instance_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
+    """The kernel for a config that asks for the closest hit in float64; arguments as of
+    `wrt.kernels.traversal.two_level.instance_single.make_instance_kernel`."""
     Part, Search = PARTS[kind], exact_search(kind)
     walk_keys = make_key_walk(config, levels, Search, make_visit(config, kind))
 
@@ -121,10 +122,9 @@ def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
     ):
         i = first + wp.tid()
         exact = search_for(rays, geometries[0].mesh, i)
-        origin, direction = wp.vec3(exact.origin - center), wp.vec3(exact.direction)
-        ray = checked_ray(origin, direction, wp.float32(exact.t_min), wp.float32(exact.t))
+        ray = rounded_ray(exact, center)
         root = root_of(top, ray_environment(seen, i))
-        if ray.valid and exact.t_min >= wp.float64(0.0) and root >= 0:
+        if ray.valid and root >= 0:
             search = Search()
             search.top = top
             search.parts = parts
@@ -135,11 +135,7 @@ def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
             slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
             work = Counters()
             walk_keys(top.tree, root, slabs, ray.t_min, search, exact, i, start(ray.t_max), work)
-        if exact.primitive < 0:
-            exact.t = wp.float64(wp.inf)
-        hits.t[i] = exact.t
-        hits.uv[i] = wp.vec2d(exact.u, exact.v)
-        store_hit(hits.rounded, i, wp.float32(exact.t), exact.primitive, wp.float32(exact.u), wp.float32(exact.v))
+        store_exact(hits, i, exact)
 
     return specialised_kernel(exact_hits_instances)
 

@@ -9,12 +9,11 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers import ANSWERS, batch_kinds
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.traversal.queued.next_queue import make_bound
-from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT
+from wrt.kernels.runtime.options import exact_module, named_kernel, specialised_kernel
 
 exact_module(__name__)
 
@@ -52,7 +51,7 @@ def make_gather(query: str) -> wp.Kernel:
 
     Item: a place in the queue; its ray must be valid.
     """
-    bound_of = make_bound(query)
+    bound_of = ANSWERS[query].bound
 
     def gather_queue(first: int, rays: RayBatch, hits: HitBatch, order: wp.array(dtype=int), queue: RayBatch):
         place = first + wp.tid()
@@ -73,7 +72,7 @@ def make_gather_live(query: str) -> wp.Kernel:
 
     Item: a slice of `size` places of `live`, of which begins[item + 1] - begins[item] are used. `order` receives the rays.
     """
-    bound_of = make_bound(query)
+    bound_of = ANSWERS[query].bound
 
     def gather_live(
         first: int,
@@ -102,64 +101,36 @@ def make_gather_live(query: str) -> wp.Kernel:
     return specialised_kernel(gather_live)
 
 
-@wp.kernel
-def merge_closest(
-    first: int,
-    order: wp.array(dtype=int),
-    mesh: SceneMesh,
-    ids: wp.array(dtype=int),
-    found: HitBatch,
-    hits: HitBatch,
-    corners: wp.array(dtype=wp.vec3),
-):
-    """Merges the closest hit that a part found for a ray. Item: a place in the queue. corners: (3 N,) by ray."""
-    place = first + wp.tid()
-    fetch_merged(order, mesh, ids, found, hits, corners, place + AHEAD)
-    i = order[place]
-    local = found.primitive[place]
-    if local >= 0:
-        t = found.t[place]
-        primitive = ids[local]
-        if t < hits.t[i] or (t == hits.t[i] and primitive < hits.primitive[i]):
-            hits.t[i] = t
-            hits.primitive[i] = primitive
-            hits.uv[i] = found.uv[place]
-            face = mesh.faces[local]
-            for corner in range(3):
-                corners[3 * i + corner] = mesh.vertices[face[corner]]
+@cache
+def make_part_merge(query: str) -> wp.Kernel:
+    """The kernel that merges what a part has answered to a ray. Item: a place in the queue. corners: (3 N,) by ray."""
+    merge, names_triangles = ANSWERS[query].merge, ANSWERS[query].names_triangles
+
+    def merge_part(
+        first: int,
+        order: wp.array(dtype=int),
+        mesh: SceneMesh,
+        ids: wp.array(dtype=int),
+        found: HitBatch,
+        hits: HitBatch,
+        corners: wp.array(dtype=wp.vec3),
+    ):
+        place = first + wp.tid()
+        i = order[place]
+        if wp.static(names_triangles):
+            fetch_merged(order, mesh, ids, found, hits, corners, place + AHEAD)
+            local = found.primitive[place]
+            if local >= 0:  # noqa: SIM102  (Warp evaluates both operands of `and`)
+                if merge(found, place, ids[local], hits, i):
+                    face = mesh.faces[local]
+                    for corner in range(3):
+                        corners[3 * i + corner] = mesh.vertices[face[corner]]
+        else:
+            merge(found, place, -1, hits, i)
+
+    return named_kernel(merge_part, f"merge_part_{query}")
 
 
-@wp.kernel
-def merge_any(
-    first: int,
-    order: wp.array(dtype=int),
-    mesh: SceneMesh,
-    ids: wp.array(dtype=int),
-    found: HitBatch,
-    hits: HitBatch,
-    corners: wp.array(dtype=wp.vec3),
-):
-    """Merges the any-hit result of a part. Item: a place in the queue."""
-    place = first + wp.tid()
-    if found.occluded[place]:
-        hits.occluded[order[place]] = True
-
-
-@wp.kernel
-def merge_crossings(
-    first: int,
-    order: wp.array(dtype=int),
-    mesh: SceneMesh,
-    ids: wp.array(dtype=int),
-    found: HitBatch,
-    hits: HitBatch,
-    corners: wp.array(dtype=wp.vec3),
-):
-    """Adds the crossings in a part. Item: a place in the queue."""
-    place = first + wp.tid()
-    i = order[place]
-    hits.counts[i] = hits.counts[i] + found.counts[place]
-
-
-MERGES = {CLOSEST: merge_closest, ANY: merge_any, COUNT: merge_crossings}
-"""Kernel that merges what a part found, for each query."""
+for merged in batch_kinds():
+    if merged.merge is not None:
+        make_part_merge(merged.name)

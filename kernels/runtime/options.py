@@ -33,6 +33,17 @@ def exact_module(name: str, gradients: bool = False) -> None:
     wp.set_module_options(EXACT | {"enable_backward": gradients}, name)
 
 
+def named_kernel(function: Callable, name: str) -> wp.Kernel:
+    """The kernel of a function that a factory made, in the Warp module of its Python module, beside the others there.
+
+    Args:
+        function: the function of the kernel.
+        name: of the kernel, another one for each.
+    """
+    function.__qualname__ = name
+    return wp.kernel(function)
+
+
 def specialised_kernel(function: Callable, gradients: bool = False) -> wp.Kernel:
     """The kernel of a function that a factory made, in a Warp module of its own, with the options of `exact_module`.
 

@@ -4,12 +4,13 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
-from wrt.kernels.traversal.leaf import Candidate, Counters
-from wrt.kernels.traversal.queued.queued_bvh import QueuedNodes, load_best
+from wrt.kernels.traversal.leaf import Counters
+from wrt.kernels.traversal.queued.queued_bvh import QueuedNodes
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -39,7 +40,7 @@ def make_log_kernel(config: TraversalConfig) -> wp.Kernel:
     ray's first visit in `words`. Nothing is stored in `hits`.
     """
     Search, begin, leaf = logged_search(config.triangle_test), begin_search(config.triangle_test), make_leaf(config)
-    load = load_best(config)
+    load = config.answer.load
 
     @wp.func
     def note(word: int, search: wp.ref[Search]):
@@ -54,7 +55,7 @@ def make_log_kernel(config: TraversalConfig) -> wp.Kernel:
         search: wp.ref[Search],
         hits: wp.ref[HitBatch],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         note(child, search)

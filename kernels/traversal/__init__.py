@@ -3,12 +3,13 @@
 **Contract.** For a frozen `TraversalConfig`, a traversal makes a kernel with the parameters `(first, tree, triangles, rays,
 hits, counters)`: `tree` is the struct of the tree kind, `triangles` are the blocks to which its leaves refer, `rays` and `hits`
 are structs of `wrt.kernels.layout.ray_batch`, `counters` is written only if the config enables it. One skeleton serves every
-query through `wp.static` switches. All traversals answer closest-hit and any-hit queries; counts and all hits are answered by
-those that list them in `queries` (`wrt.kernels.traversal.crossings`). Every traversal gives the same hits to the bit
-(`wrt.kernels.simd.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
+kind of query (`wrt.kernels.answers`) through `wp.static` switches. All traversals find the closest hit and any hit; other kinds
+are answered by those that can offer each hit, `each_hit` (`wrt.kernels.traversal.crossings`). Every traversal gives the
+same hits to the bit (`wrt.kernels.simd.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive
+id.
 
 Kernels elsewhere that are built around the walk of one ray (`wrt.kernels.query.device_functions`,
-`wrt.kernels.query.exact_closest`, `wrt.kernels.query.skip_triangle`) take it from `walk_table`.
+`wrt.kernels.query.exact_closest`) take it from `walk_table`.
 
 Scenes of instances have two-level kernels made of the same parts: `instance_single`, `instance_packets` and
 `instance_streams` in `wrt.kernels.traversal.two_level`.
@@ -19,10 +20,11 @@ a traversal's name.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import warp as wp
 
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.traversal import brute_force as brute
 from wrt.kernels.traversal.frusta import eye_frusta
 from wrt.kernels.traversal.interleaved import interleaved_bvh
@@ -31,11 +33,11 @@ from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
 from wrt.kernels.traversal.packet.core import entry_point, omnidirectional, packet_kdtree, packet_kernel, repacked_bvh
 from wrt.kernels.traversal.packet.core import packet_bvh as packet
 from wrt.kernels.traversal.queued import queued_bvh
-from wrt.kernels.traversal.single import single_bvh
-from wrt.kernels.traversal.single import single_kdtree as single
+from wrt.kernels.traversal.single.single_bvh import make_single_bvh_kernel
+from wrt.kernels.traversal.single.single_kdtree import make_single_kdtree_kernel
 from wrt.kernels.traversal.stream import stream_bvh, stream_kdtree
 from wrt.kernels.traversal.stream import stream_kernel as stream
-from wrt.kernels.traversal.traversal_config import ALL, ANY, CLOSEST, COUNT, NEAREST_QUERIES, QUERIES, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.traversal_scores import (
     Score,
     score_interleaved,
@@ -82,9 +84,11 @@ class Traversal:
         queued: whether rays wait at subtrees and its kernels trace them generation by generation
             (`wrt.execution.queued_tracing`).
         counters: struct of the work counters that its kernels write, at the first ray of an item.
-        queries: for each tree kind on which it answers more than closest-hit and any-hit queries, the queries that it answers.
+        each_hit: tree kinds on which it can offer each hit, so that it answers every kind of query; on others it answers the
+            `nearest` ones.
         orders: those of `ORDERS` in which it can trace rays.
-        two_level: for each tree kind, the queries that it answers through instances.
+        two_level: tree kinds of geometries through whose instances it traces rays: one by one, for all that it answers on such
+            a tree; else for what parts can answer (`AnswerKind.merge`).
         two_level_on_cuda: whether it does so on CUDA too.
         node_orders: whether it can walk the nodes of a kd-tree in another order (`wrt.KdTree(layout=...)`).
         own_spaces: whether it supports scenes whose trees have their own coordinate spaces (`wrt.FuzzyScene`).
@@ -111,9 +115,9 @@ class Traversal:
     wide: bool = False
     queued: bool = False
     counters: type = Counters
-    queries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    each_hit: tuple[str, ...] = ()
     orders: tuple[str, ...] = (AS_GIVEN, CELLS)
-    two_level: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    two_level: tuple[str, ...] = ()
     two_level_on_cuda: bool = False
     node_orders: bool = False
     own_spaces: bool = False
@@ -124,18 +128,19 @@ class Traversal:
 
     def supports(self, query: str, tree: str) -> bool:
         """Whether it answers a query on a tree kind."""
-        return query in self.queries.get(tree, NEAREST_QUERIES)
+        return ANSWERS[query].nearest or tree in self.each_hit
 
     def culls_backfaces(self, tree: str) -> bool:
         """Whether it can cull back faces on a tree kind.
 
         Traversals that answer every query can, because they test hits one by one; so can those that say so (`front_faces`).
         """
-        return tree in self.kernels and (self.front_faces or self.supports(ALL, tree))
+        return tree in self.kernels and (self.front_faces or tree in self.each_hit)
 
     def supports_through_instances(self, query: str, tree: str, is_cuda: bool) -> bool:
         """Whether it answers a query through instances whose trees are of a kind."""
-        return query in self.two_level.get(tree, ()) and (self.two_level_on_cuda or not is_cuda)
+        merges = self.walks_single_rays or ANSWERS[query].merge is not None
+        return tree in self.two_level and self.supports(query, tree) and merges and (self.two_level_on_cuda or not is_cuda)
 
     def has_mailbox(self, tree: str) -> bool:
         """Whether it can use a mailbox on a tree kind: only a kd-tree has triangles in several leaves."""
@@ -168,17 +173,17 @@ TRAVERSALS: dict[str, Traversal] = {
             "brute",
             "every ray against every triangle",
             {"none": brute.make_kernel},
-            queries={"none": QUERIES},
+            each_hit=("none",),
             own_spaces=True,
             shared_leaves=True,
         ),
         Traversal(
             "single",
             "Havran: Heuristic ray shooting algorithms (2001); Wald, Benthin, Boulos: Getting rid of packets (2008)",
-            {"kdtree": single.make_kernel, "bvh": single_bvh.make_kernel},
+            {"kdtree": make_single_kdtree_kernel, "bvh": make_single_bvh_kernel},
             mailbox=True,
-            queries={"kdtree": QUERIES, "bvh": QUERIES},
-            two_level={"kdtree": QUERIES, "bvh": QUERIES},
+            each_hit=("kdtree", "bvh"),
+            two_level=("kdtree", "bvh"),
             two_level_on_cuda=True,
             node_orders=True,
             own_spaces=True,
@@ -203,7 +208,7 @@ TRAVERSALS: dict[str, Traversal] = {
             non_temporal=True,
             mailbox=True,
             orders=(AS_GIVEN, CELLS, TILES),
-            two_level={"bvh": NEAREST_QUERIES},
+            two_level=("bvh",),
             score=score_packet,
         ),
         Traversal(
@@ -263,8 +268,8 @@ TRAVERSALS: dict[str, Traversal] = {
             streams=True,
             long_streams=True,
             counters=stream.StreamCounters,
-            queries={"bvh": QUERIES},
-            two_level={"bvh": (CLOSEST, ANY, COUNT)},
+            each_hit=("bvh",),
+            two_level=("bvh",),
             score=score_stream,
         ),
         Traversal(
@@ -277,7 +282,7 @@ TRAVERSALS: dict[str, Traversal] = {
             streams=True,
             long_streams=True,
             counters=stream.StreamCounters,
-            queries={"bvh": QUERIES},
+            each_hit=("bvh",),
             orders=(AS_GIVEN,),
             least_rays_per_item=256,
             score=score_interleaved,
@@ -288,7 +293,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "Navrátil, Fussell, Lin, Mark: Dynamic ray scheduling to improve ray coherence and bandwidth utilization (2007)",
             {"bvh": queued_bvh.make_kernel},
             queued=True,
-            queries={"bvh": QUERIES},
+            each_hit=("bvh",),
         ),
         Traversal(
             "wide_stream",

@@ -4,12 +4,12 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import improves, start
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
-from wrt.kernels.traversal.crossings import record_crossing
-from wrt.kernels.traversal.leaf import CounterRows, improves, start, store_best, triangle_step
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.leaf import CounterRows, triangle_step
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -33,9 +33,9 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     It uses the scalar form of the triangle test, so comparisons also check the lane form.
     """
     test = TRIANGLE_TESTS[config.triangle_test]
-    prepare, candidate, store = test.prepare, triangle_step(config), store_best(config)
-    record, crossing = record_crossing(config), config.crossing
-    counting, any_hit = config.counters, config.query == ANY
+    prepare, candidate, store = test.prepare, triangle_step(config), config.answer.store
+    nearest, accept = config.answer.nearest, config.answer.accept
+    counting, any_hit = config.counters, config.answer.ends_at_first
 
     def brute_force(
         first: int,
@@ -54,9 +54,9 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             state = prepare(ray.origin, ray.direction)
             while tested < tree.count:
                 hit = candidate(triangles.records, tested, state, slabs)
-                if wp.static(crossing):
+                if wp.static(not nearest):
                     if hit[0] >= ray.t_min and hit[0] <= ray.t_max:
-                        best = record(hits, i, best, hit[0], triangles.primitive[tested], hit[1], hit[2])
+                        best = accept(hits, i, best, hit[0], triangles.primitive[tested], hit[1], hit[2])
                 elif improves(hit[0], triangles.primitive[tested], ray.t_min, best):
                     best.t = hit[0]
                     best.primitive = triangles.primitive[tested]

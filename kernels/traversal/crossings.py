@@ -1,4 +1,4 @@
-"""Crossings: how the queries "count", "all" and "next" process a hit, and how a kd-tree reports each crossing once.
+"""Crossings: how a block of triangles offers its hits one by one, and how a kd-tree offers each crossing once.
 
 **Problem.** A closest hit may be found twice, and a ray on an edge may hit both triangles there: the result is the same. A
 count would be wrong. The triangle test decides edges and vertices (`TriangleTest.crossing`), and every triangle is in one leaf
@@ -18,8 +18,7 @@ is in the near interval, or beyond its end and so after the start of the far int
 plane, its box lies on one side, t is in the interval of the box, and rounding is monotone. For clipped triangles see
 `wrt.builders.core.clip`.
 
-The next crossing does not need this, nor does the nearest hit that is not with a given triangle
-(`wrt.kernels.traversal.single.skip_step`): if it is found in two leaves, it is still the same hit.
+Kinds of answers to which a hit may be offered twice do not need this (`AnswerKind.once`).
 
 **Cost.** A leaf searches only for a hit in the overlap with its neighbours, which is as wide as the slack of the boxes: one hit
 in many thousands.
@@ -29,86 +28,38 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
-from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, cross_plane
 from wrt.kernels.simd.lanes import lanes, lowest_bit
-from wrt.kernels.traversal.leaf import Candidate, clamp_block, improves
-from wrt.kernels.traversal.search_results import PreviousCrossing, results_of
+from wrt.kernels.traversal.leaf import clamp_block
 from wrt.kernels.traversal.shared_leaves import owns_shared
-from wrt.kernels.traversal.single.skip_step import count_unskipped, record_unskipped
-from wrt.kernels.traversal.traversal_config import ALL, NEXT, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
 
 
-@wp.func
-def place_of(hits: wp.ref[HitBatch], i: int, number: int):
-    """Element for hit `number` of ray i; -1 if it does not fit."""
-    place = i * hits.room + number
-    if hits.room == 0:
-        place = hits.begins[i] + number
-    elif number >= hits.room:
-        place = -1
-    return place
-
-
-@wp.func
-def record_next(previous: wp.ref[PreviousCrossing], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
-    """Keeps the first crossing that follows the given one."""
-    is_later = t > previous.t or (t == previous.t and primitive > previous.primitive)
-    if is_later and improves(t, primitive, previous.t, best):
-        best.t = t
-        best.primitive = primitive
-        best.u = u
-        best.v = v
-    return best
-
-
 @cache
-def record_crossing(config: TraversalConfig) -> wp.Function:
-    """`wp.func(hits, i, best, t, primitive, u, v) -> best`: processes one more hit of ray i."""
-    if config.query == NEXT:
-        return record_next
-    if config.skipping:
-        return count_unskipped if config.crossing else record_unskipped
-    storing = config.query == ALL
-
-    @wp.func
-    def record(hits: wp.ref[HitBatch], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
-        best.primitive += 1
-        if wp.static(storing):
-            place = place_of(hits, i, best.primitive)
-            if place >= 0:
-                hits.t[place] = t
-                hits.primitive[place] = primitive
-                hits.uv[place] = wp.vec2(u, v)
-        return best
-
-    return record
-
-
-@cache
-def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
-    """`wp.func(tree, node, interval, triangles, block, state, slabs, cells, hits, i, best) -> best`: processes a block's hits.
+def offering_step(config: TraversalConfig, Tree: type) -> wp.Function:
+    """`wp.func(tree, node, interval, triangles, block, state, slabs, cells, hits, i, best) -> best`: offers a block's hits.
 
     node: the leaf. interval: closed interval of t in which ray i is in the leaf. slabs, cells: the ray where the triangles are,
-    and in the tree's space, which may be another. hits: `results_of(config)`.
+    and in the tree's space, which may be another. hits: `AnswerKind.Search`.
     """
-    test, width = TRIANGLE_TESTS[config.triangle_test], config.width
+    test, width, answer = TRIANGLE_TESTS[config.triangle_test], config.width, config.answer
     Lanes, RayState = lanes(width), test.ray_state
-    intersect_block = test.forms(config.crossing).block_test(width)
+    intersect_block = test.forms(answer.crossings).block_test(width)
     clamp = clamp_block(test.record, width, config.cull_backfaces)
-    record, owns = record_crossing(config), owns_crossing(width)
+    accept, owns, Search = answer.accept, owns_crossing(width), answer.Search
     owns_split = owns_shared(max(width, 2), config.stack.levels)
-    once, Results = config.crossing and config.query != NEXT, results_of(config)
-    in_cells, in_boxes = once and Tree is KdNodes, once and Tree is WideNodes and config.shared_leaves
+    in_cells = answer.once and Tree is KdNodes
+    in_boxes = answer.once and Tree is WideNodes and config.shared_leaves
 
     @wp.func
     def step(
@@ -120,9 +71,9 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
         state: RayState,
         slabs: wp.ref[RaySlabs],
         cells: wp.ref[RaySlabs],
-        hits: wp.ref[Results],
+        hits: wp.ref[Search],
         i: int,
-        best: Candidate,
+        best: BestHit,
     ):
         t_lanes = Lanes()
         u_lanes = Lanes()
@@ -140,7 +91,7 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
             if wp.static(in_boxes):
                 owned = owns_split(tree, triangles, slot, cells, t_lanes[lane])
             if owned:
-                best = record(hits, i, best, t_lanes[lane], triangles.primitive[slot], u_lanes[lane], v_lanes[lane])
+                best = accept(hits, i, best, t_lanes[lane], triangles.primitive[slot], u_lanes[lane], v_lanes[lane])
         return best
 
     return step

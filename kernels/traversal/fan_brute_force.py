@@ -33,10 +33,10 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit, improves, start
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray, store_hit
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, greatest, least, ray_slabs, reach
-from wrt.kernels.traversal.leaf import Candidate, improves, start
 from wrt.kernels.triangle.support.vectors import cross, dot, miss
 
 exact_module(__name__)
@@ -119,7 +119,7 @@ def make_fan_step(form: str) -> wp.Function:
     by_planes = form == PLANES
 
     @wp.func
-    def step(fans: wp.ref[FanSet], fan: int, ray: Ray, slabs: wp.ref[RaySlabs], best: Candidate):
+    def step(fans: wp.ref[FanSet], fan: int, ray: Ray, slabs: wp.ref[RaySlabs], best: BestHit):
         centre = fans.centre[fan]
         s = ray.origin - centre
         n = cross(s, ray.direction)

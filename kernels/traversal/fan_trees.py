@@ -16,6 +16,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.bvh_nodes import WideNodes
@@ -33,11 +34,11 @@ from wrt.kernels.traversal.fan_brute_force import (
     FanSet,
     make_fan_step,
 )
-from wrt.kernels.traversal.leaf import Candidate, Counters, enter, start
+from wrt.kernels.traversal.leaf import Counters, enter
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_kdtree import Cell
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
-from wrt.kernels.traversal.traversal_config import NEAREST_QUERIES, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.two_level.linked_kdtrees import LinkedNodes, make_cell_walk
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -80,7 +81,7 @@ def make_fan_loop(config: TraversalConfig, form: str) -> wp.Function:
     step, counting = make_fan_step(form), config.counters
 
     @wp.func
-    def test_fans(search: wp.ref[FanSearch], slot: int, count: int, best: Candidate, work: wp.ref[Counters]):
+    def test_fans(search: wp.ref[FanSearch], slot: int, count: int, best: BestHit, work: wp.ref[Counters]):
         for place in range(slot, slot + count):
             fan = load_int(search.order, place)
             best = step(search.fans, fan, search.ray, search.slabs, best)
@@ -105,7 +106,7 @@ def make_bvh_walk(config: TraversalConfig, form: str) -> wp.Function:
         search: wp.ref[FanSearch],
         hits: wp.ref[HitBatch],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         return test_fans(search, bvh.first_block(child) * wp.static(width), bvh.leaf_triangles(child), best, work)
@@ -138,7 +139,7 @@ def make_kdtree_walk(config: TraversalConfig, form: str) -> wp.Function:
         search: wp.ref[FanSearch],
         hits: wp.ref[HitBatch],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         return test_fans(search, kdtree.first_block(node) * wp.static(width), kdtree.leaf_triangles(node), best, work)
@@ -181,9 +182,9 @@ def make_kernel(config: TraversalConfig, kind: str, form: str) -> wp.Kernel:
     Raises:
         ValueError: a query that counts crossings, or culling of back faces.
     """
-    if config.query not in NEAREST_QUERIES or config.cull_backfaces or config.skipping:
+    if not config.answer.nearest or config.cull_backfaces:
         raise ValueError("fans answer closest-hit and any-hit queries, of both sides; use wrt.Scene(scene.meshes) for others")
     if config.triangle_test != FAN_TESTS[form]:
         raise ValueError(f"fans in the form {form!r} have the triangle_test {FAN_TESTS[form]!r}; leave triangle_test out")
     Tree, make_walk = FAN_TREES[kind]
-    return make_ray_kernel(config, Tree, lambda own: make_walk(own, form))
+    return make_ray_kernel(config, Tree, make_walk(config, form))

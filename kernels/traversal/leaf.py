@@ -1,18 +1,15 @@
-"""One ray against one block of W triangles: the innermost step of all single-ray traversals.
-
-Ties go to the smaller t, then to the smaller primitive id, so the result does not depend on the order of blocks.
-"""
+"""One ray against one block of W triangles: the innermost step of all single-ray traversals."""
 
 from functools import cache
 
 import warp as wp
 
-from wrt.kernels.layout.ray_batch import HitBatch, store_hit
+from wrt.kernels.answers.best_hit import BestHit, improves
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, slab_interval
 from wrt.kernels.simd.lanes import lanes, lowest_bit
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import (
     Corners,
@@ -24,18 +21,6 @@ from wrt.kernels.triangle.support.record_blocks import (
 )
 
 exact_module(__name__)
-
-
-@wp.struct
-class Candidate:
-    """The best hit so far."""
-
-    t: float
-    """t of the hit; before the first hit, the ray's t_max."""
-    primitive: int
-    """-1 before the first hit. In queries for all crossings, their number so far minus one; t then stays the ray's t_max."""
-    u: float
-    v: float
 
 
 @wp.struct
@@ -74,42 +59,10 @@ class CounterRows:
 
 
 @wp.func
-def start(t_max: float):
-    """The candidate before the first hit."""
-    best = Candidate()
-    best.t = t_max
-    best.primitive = -1
-    return best
-
-
-@wp.func
-def improves(t: float, primitive: int, t_min: float, best: Candidate):
-    """Whether a hit at t (NaN for none) replaces the best so far. The range is closed: t_min <= t <= t_max."""
-    return t >= t_min and (t < best.t or (t == best.t and (best.primitive < 0 or primitive < best.primitive)))
-
-
-@wp.func
 def enter(slabs: RaySlabs, low: wp.vec3, high: wp.vec3, t_min: float, t_max: float):
     """(entry, leave): the part of the ray's range inside the scene's box; empty if entry > leave."""
     interval = slab_interval(slabs, low, high)
     return wp.vec2(wp.max(interval[0], t_min), wp.min(interval[1], t_max))
-
-
-@cache
-def store_best(config: TraversalConfig) -> wp.Function:
-    """`wp.func(hits, i, best)`: writes the result of the query for ray number i."""
-    any_hit, crossing = config.query == ANY, config.crossing
-
-    @wp.func
-    def store(hits: HitBatch, i: int, best: Candidate):
-        if wp.static(any_hit):
-            hits.occluded[i] = best.primitive >= 0
-        elif wp.static(crossing):
-            hits.counts[i] = best.primitive + 1
-        else:
-            store_hit(hits, i, best.t, best.primitive, best.u, best.v)
-
-    return store
 
 
 @native.func_native("leaf.h", "return wrt::comes_from_front<1>((const float*)&corners, wrt::box_ray(slabs));")
@@ -146,7 +99,7 @@ def clamp_block(record: Record, width: int, cull_backfaces: bool = False) -> wp.
 def triangle_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(records, slot, state, slabs) -> vec3 (t, u, v)`: one candidate, by the scalar test; t is NaN for none."""
     test = TRIANGLE_TESTS[config.triangle_test]
-    RayState, intersect, width = test.ray_state, test.forms(config.crossing).intersect, config.width
+    RayState, intersect, width = test.ray_state, test.forms(config.answer.crossings).intersect, config.width
     load, load_vertices = test.record.load, load_corners(test.record.components)
     culling = config.cull_backfaces
 
@@ -174,10 +127,10 @@ def block_step(config: TraversalConfig) -> wp.Function:
     Lanes = lanes(width)
     RayState = test.ray_state
     intersect_block, clamp = test.block_test(width), clamp_block(test.record, width, config.cull_backfaces)
-    any_hit = config.query == ANY
+    any_hit = config.answer.ends_at_first
 
     @wp.func
-    def step(triangles: TriangleBlocks, block: int, state: RayState, slabs: wp.ref[RaySlabs], t_min: float, best: Candidate):
+    def step(triangles: TriangleBlocks, block: int, state: RayState, slabs: wp.ref[RaySlabs], t_min: float, best: BestHit):
         t_lanes = Lanes()
         u_lanes = Lanes()
         v_lanes = Lanes()
@@ -204,11 +157,11 @@ def block_step(config: TraversalConfig) -> wp.Function:
 @cache
 def scalar_block_step(config: TraversalConfig) -> wp.Function:
     """The same as `block_step` by the scalar test, one triangle after the other: every early exit of a test is a branch."""
-    width, any_hit = config.width, config.query == ANY
+    width, any_hit = config.width, config.answer.ends_at_first
     RayState, candidate = TRIANGLE_TESTS[config.triangle_test].ray_state, triangle_step(config)
 
     @wp.func
-    def step(triangles: TriangleBlocks, block: int, state: RayState, slabs: wp.ref[RaySlabs], t_min: float, best: Candidate):
+    def step(triangles: TriangleBlocks, block: int, state: RayState, slabs: wp.ref[RaySlabs], t_min: float, best: BestHit):
         slot = block * wp.static(width)
         end = slot + wp.static(width)
         while slot < end:

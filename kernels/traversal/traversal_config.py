@@ -1,22 +1,11 @@
-"""The specialisation key of a traversal kernel, and the queries."""
+"""The specialisation key of a traversal kernel."""
 
 from dataclasses import dataclass
 
+from wrt.kernels.answers import ANSWERS, closest_hit
+from wrt.kernels.answers.answer_kind import AnswerKind
+from wrt.kernels.answers.skipped_triangle import skipping
 from wrt.kernels.traversal.mailbox import NONE
-
-CLOSEST = "closest"
-ANY = "any"
-COUNT = "count"
-ALL = "all"
-QUERIES = (CLOSEST, ANY, COUNT, ALL)
-"""Closest hit (t, primitive, uv); whether there is any hit; the number of crossings; all crossings."""
-
-NEXT, EXACT = "next", "exact"
-"""Queries that only the single-ray walks answer: the crossing that follows a given one (`wrt.kernels.query.device_functions`),
-and the closest hit in float64 (`wrt.kernels.query.exact_closest`)."""
-
-NEAREST_QUERIES = (CLOSEST, ANY)
-"""Queries that need one hit; the inclusive forms of the triangle tests answer them."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +26,11 @@ class SingleConfig:
     """Options of the walk of a single ray. The last two are for measurements.
 
     Attributes:
-        pair_words: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`), for `NEAREST_QUERIES`: the
-            words of 8 bytes that a node then takes, 1 but for measurements; 0 for the builders' order.
+        pair_words: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`), for `nearest` kinds of
+            answers: the words of 8 bytes that a node then takes, 1 but for measurements; 0 for the builders' order.
         scalar_test: whether the ray is tested against the triangles of a leaf one by one, by the scalar test.
         compact: levels of the compact subtrees that the nodes of a kd-tree are in (`wrt.kernels.layout.compact_nodes`), for
-            `NEAREST_QUERIES`; 0 for none.
+            `nearest` kinds of answers; 0 for none.
     """
 
     pair_words: int = 0
@@ -102,13 +91,13 @@ class TraversalConfig:
     Attributes:
         triangle_test: key in `TRIANGLE_TESTS`.
         width: triangles per block and children per wide node, 1 to 16.
-        query: one of `QUERIES`, or `NEXT` or `EXACT`.
+        query: key in `wrt.kernels.answers.ANSWERS`.
         coherent: whether neighbouring rays are expected to take similar paths through the tree; affects only speed.
         counters: whether work is counted per ray (`wrt.kernels.traversal.leaf.Counters`).
         mailbox: key in `wrt.kernels.traversal.mailbox.MAILBOXES`.
         cull_backfaces: whether triangles are hit only from their front (`wrt.kernels.traversal.leaf.comes_from_front`).
-        skipping: whether each ray ignores one triangle (`wrt.kernels.query.skip_triangle`); for the walks of "closest", "any"
-            and "count".
+        skipping: whether each ray ignores one triangle (`wrt.kernels.answers.skipped_triangle`), in walks that are asked for
+            the nearest hit or for a count.
         shared_leaves: whether a triangle may be in several leaves of a BVH, so that only one of them may report a crossing
             (`wrt.kernels.traversal.shared_leaves`).
         stack: for wide trees.
@@ -120,7 +109,7 @@ class TraversalConfig:
 
     triangle_test: str
     width: int
-    query: str = CLOSEST
+    query: str = closest_hit.KIND.name
     coherent: bool = True
     counters: bool = False
     mailbox: str = NONE
@@ -134,11 +123,6 @@ class TraversalConfig:
     tiles: TileConfig = TileConfig()
 
     @property
-    def crossing(self) -> bool:
-        """Whether each crossing of a surface must be reported exactly once."""
-        return self.query in (COUNT, ALL, NEXT)
-
-    @property
-    def custom_leaf_step(self) -> bool:
-        """Whether leaves need another step than the one that finds the closest hit in a block."""
-        return self.crossing or self.query == EXACT or self.skipping
+    def answer(self) -> AnswerKind:
+        """What is asked of each ray."""
+        return skipping(ANSWERS[self.query]) if self.skipping else ANSWERS[self.query]

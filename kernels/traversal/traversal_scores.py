@@ -11,7 +11,7 @@ notebooks/records/2026-11-21-plans.md, notebooks/records/2026-11-21-instances.md
 from collections.abc import Callable
 from typing import NamedTuple
 
-from wrt.kernels.traversal.traversal_config import ALL, ANY, COUNT, NEAREST_QUERIES
+from wrt.kernels.answers import ANSWERS
 
 RAYS_PER_TRIANGLE = 0.125
 """Rays per triangle from which coherent rays are traced in packets where no sample of them was traced: they are few, or still
@@ -158,7 +158,7 @@ class Situation(NamedTuple):
     """What a score depends on.
 
     Attributes:
-        query: one of `wrt.kernels.traversal.traversal_config.QUERIES`.
+        query: key in `wrt.kernels.answers.ANSWERS`.
         cull_backfaces: whether rays hit only the front of triangles.
         is_cuda: whether the query runs on CUDA.
         tree: kind of the scene's trees, "bvh" or "kdtree".
@@ -202,17 +202,17 @@ class Situation(NamedTuple):
     @property
     def tests_each_hit(self) -> bool:
         """Whether hits are tested one by one: all of them are reported, or some are discarded."""
-        return self.query in (COUNT, ALL) or self.cull_backfaces
+        return not ANSWERS[self.query].nearest or self.cull_backfaces
 
     @property
     def kinds_of_hits(self) -> str:
         """What is found by testing hits one by one."""
-        return "all hits" if self.query in (COUNT, ALL) else "front faces"
+        return "front faces" if ANSWERS[self.query].nearest else "all hits"
 
     @property
     def suits_instance_packets(self) -> bool:
         """Whether packets can carry out the query through instances, for rays that may be alike enough."""
-        return self.coherent and self.tree == "bvh" and self.query in NEAREST_QUERIES and not self.cull_backfaces
+        return self.coherent and self.tree == "bvh" and ANSWERS[self.query].nearest and not self.cull_backfaces
 
     @property
     def needs_sample(self) -> bool:
@@ -330,7 +330,7 @@ def score_interleaved(situation: Situation) -> tuple[float, str] | None:
         many = situation.rays >= MANY_COHERENT_RAYS
         enough = situation.triangles >= (limits.coherent_many if many else limits.coherent)
     else:
-        finds_any_of_many = situation.query == ANY and situation.rays >= MANY_RAYS
+        finds_any_of_many = ANSWERS[situation.query].ends_at_first and situation.rays >= MANY_RAYS
         least = limits.occlusion if finds_any_of_many else limits.incoherent
         enough = situation.triangles >= least or situation.rays < limits.few
     return (INTERLEAVED_RAYS, reason_for_streams(situation)) if enough else None

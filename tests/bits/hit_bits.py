@@ -9,8 +9,8 @@ from conftest import ENGINE_TESTS, SCENES, mixed_rays
 
 import wrt
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.traversal_config import ALL, ANY, CLOSEST, COUNT, QUERIES
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT, QUERIES
 
 from .digests import digest
 

@@ -26,9 +26,10 @@ from wrt.builders.kdtree.update.refill import refill
 from wrt.builders.tree_check import check_tree
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout.compact_nodes import HEIGHTS
-from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, SingleConfig
+from wrt.kernels.traversal.traversal_config import SingleConfig
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
+from wrt.state.query_kinds import ANY, CLOSEST
 
 pytestmark = pytest.mark.classics
 

@@ -24,10 +24,10 @@ AS_USERS = """
 import json
 import warp as wp
 from bits.hit_bits import hit_hashes
-from wrt.kernels.traversal.traversal_config import NEAREST_QUERIES
+from wrt.state.query_kinds import ANY, CLOSEST
 
 engines = ["single", "stream", "packet", "interleaved"]
-hashes = list(hit_hashes(["teapot", "grid"], engines, ["woop"], NEAREST_QUERIES))
+hashes = list(hit_hashes(["teapot", "grid"], engines, ["woop"], (CLOSEST, ANY)))
 print(json.dumps([hashes, wp.config.cpu_compiler_flags]))
 """
 

@@ -42,18 +42,12 @@ from wrt.kernels.traversal.fan_brute_force import NORMALS, VERTICES
 from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.shadows import light_buffer_lanes, light_buffer_query, multi_frusta
-from wrt.kernels.traversal.traversal_config import (
-    NEAREST_QUERIES,
-    QUERIES,
-    PacketConfig,
-    SingleConfig,
-    StackConfig,
-    TraversalConfig,
-)
+from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level import instance_single
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.ferko import VARIANTS
 from wrt.kernels.triangle.support.block_packing import make_kernel as make_packing_kernel
+from wrt.state.query_kinds import ANY, CLOSEST, QUERIES
 
 ARCHITECTURE = 75
 
@@ -190,9 +184,9 @@ def test_traversal(traversal, tree, triangle_test, query, tmp_path):
 SKIPPING = TraversalConfig("woop", 2, "count", skipping=True, stack=StackConfig(8))
 EXACT = TraversalConfig("woop", 2, "exact", stack=StackConfig(8))
 THROUGH_INSTANCES = {
-    "closest": lambda: instance_single.make_kernel(TraversalConfig("woop", 2, stack=StackConfig(8)), "bvh", 8),
-    "skip": lambda: instance_single.make_skipping_kernel(SKIPPING, "bvh", 8),
-    "precise": lambda: instance_exact.make_kernel(EXACT, "bvh", 8),
+    "closest": lambda: instance_single.make_instance_kernel(TraversalConfig("woop", 2, stack=StackConfig(8)), "bvh", 8),
+    "skip": lambda: instance_single.make_instance_kernel(SKIPPING, "bvh", 8),
+    "precise": lambda: instance_exact.make_exact_instance_kernel(EXACT, "bvh", 8),
     "gradients": lambda: instance_gradients.make_kernel(wp.vec3, wp.vec3, wp.vec3d, wp.transformf, False),
 }
 
@@ -204,7 +198,7 @@ def test_instances(name, tmp_path):
     assert name == "gradients" or not FUSIBLE.search(text)  # sums of gradients may fuse: no hit depends on them
 
 
-@pytest.mark.parametrize("query", NEAREST_QUERIES)
+@pytest.mark.parametrize("query", [CLOSEST, ANY])
 def test_stacks_in_shared_memory(query, tmp_path):
     """As a scene on CUDA asks for them: nothing but the block's memory holds waiting children."""
     config = TraversalConfig("woop", 2, query, stack=StackConfig(24, CUDA_BLOCK))

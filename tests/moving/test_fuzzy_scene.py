@@ -12,7 +12,7 @@ import wrt
 from wrt.builders.motion_clusters import assign_triangles, decompose, fit_maps, fuzzy_boxes
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal.traversal_config import StackConfig, TraversalConfig
-from wrt.kernels.traversal.two_level.fuzzy_boxes import make_kernel
+from wrt.kernels.traversal.two_level.fuzzy_boxes import make_fuzzy_kernel
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
 TWO = wrt.TriangleMesh.concatenate([BALL, BALL.transformed(trimesh.transformations.translation_matrix([4, 0, 0]))])
@@ -211,6 +211,6 @@ def test_bad_input(case):
 
 def test_compiles_for_cuda(tmp_path):
     config = TraversalConfig("woop", 2, "closest", stack=StackConfig(24, CUDA_BLOCK))
-    text = compile_to_ptx(make_kernel(config).module, tmp_path)
+    text = compile_to_ptx(make_fuzzy_kernel(config).module, tmp_path)
     assert ".entry" in text
     assert "fma.rn.f32" not in text

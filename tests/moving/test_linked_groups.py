@@ -13,7 +13,7 @@ from test_cuda_compiles import compile_to_ptx
 import wrt
 from wrt.builders.convert.kdtree_links import link_kdtrees
 from wrt.kernels.traversal.traversal_config import StackConfig, TraversalConfig
-from wrt.kernels.traversal.two_level.linked_kdtrees import make_kernel
+from wrt.kernels.traversal.two_level.linked_kdtrees import make_linked_kernel
 from wrt.meshes.placement import hierarchy_of, nested
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
@@ -147,6 +147,6 @@ def test_bad_input(case):
 
 
 def test_compiles_for_cuda(tmp_path):
-    text = compile_to_ptx(make_kernel(TraversalConfig("woop", 2, "closest", stack=StackConfig(72, 0))).module, tmp_path)
+    text = compile_to_ptx(make_linked_kernel(TraversalConfig("woop", 2, "closest", stack=StackConfig(72, 0))).module, tmp_path)
     assert ".entry" in text
     assert "fma.rn.f32" not in text

@@ -5,7 +5,7 @@ from tests.mutate.mutation import Mutation
 MUTATIONS = [
     # -- hits ----------------------------------------------------------------------------------------------------------
     Mutation(
-        path="kernels/query/skip_triangle.py",
+        path="kernels/answers/skipped_triangle.py",
         old="search.skipped = skipped[i % skipped.shape[0]]",
         new="search.skipped = skipped[0]",
         tests="tests/queries/test_skip.py::test_shapes_and_kinds",

@@ -10,6 +10,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 import test_algorithms
 import test_kdtree_builders
@@ -22,7 +23,12 @@ from conftest import SCENES
 import wrt
 from wrt.bench.studies.kdtrees.kdtree_pictures import color_of
 from wrt.builders.kdtree import KDTREE_BUILDERS, KdTreeBuilder
+from wrt.kernels.answers import ANSWERS
+from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.query.answers import ray_values
+from wrt.rays.rays import as_rays
+from wrt.state.query_kinds import Query
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "adding.md").read_text(encoding="utf-8")
@@ -52,6 +58,64 @@ def module_of(name: str, folder: Path) -> ModuleType:
     sys.modules[name] = module  # Warp looks for the source of kernels by the module's name
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory):
+    """The tutorial's query kind, in the table while tests ask for it."""
+    folder = tmp_path_factory.mktemp("kind")
+    kind = eval(block("entry: ANSWERS"), {"odd_crossings": module_of("odd_crossings", folder)})
+    assert kind.name not in ANSWERS
+    ANSWERS[kind.name] = kind
+    yield kind.name
+    del ANSWERS[kind.name]
+    sys.modules.pop("odd_crossings")
+
+
+ABLE = [(name, tree) for name, way in TRAVERSALS.items() for tree in way.each_hit]
+"""Traversals and trees on which each hit is offered to a kind of query."""
+
+
+def rays_through(mesh: wrt.TriangleMesh) -> tuple:
+    """Origins and directions of rays in and around a mesh; some end, some start between crossings."""
+    rng = np.random.default_rng(11)
+    low, high = mesh.bounds
+    origins = rng.uniform(low - 0.2 * (high - low), high + 0.2 * (high - low), (400, 3)).astype(np.float32)
+    t_max = np.where(rng.random(400) < 0.3, rng.random(400), np.inf).astype(np.float32)
+    return origins, rng.normal(size=(400, 3)).astype(np.float32), 0.0, t_max
+
+
+@pytest.mark.parametrize(("traversal", "tree"), ABLE)
+@pytest.mark.parametrize("mesh", ["teapot", "grid"])
+def test_query_kind_on_every_traversal(odd, mesh, traversal, tree):
+    """As the parity of counts by brute force; both parities occur."""
+    mesh = SCENES[mesh]()
+    scene = wrt.Scene(mesh, wrt.KdTree() if tree == "kdtree" else wrt.Bvh(), device="cpu")
+    rays = rays_through(mesh)
+    expected = scene.count(*rays, traversal="brute") % 2 == 1
+    assert 20 < expected.sum() < 380
+    found = ray_values(scene.state, as_rays(*rays), Query(odd, traversal))
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("tree", ["bvh", "kdtree"])
+def test_query_kind_through_instances(odd, tree):
+    mesh = SCENES["teapot"]()
+    moved = np.eye(4)
+    moved[:3, 3] = 0.25 * np.ptp(mesh.bounds, axis=0)
+    scene = wrt.Scene([wrt.Instance(mesh), wrt.Instance(mesh, moved)], tree, device="cpu")
+    rays = rays_through(mesh)
+    found = ray_values(scene.state, as_rays(*rays), Query(odd))
+    np.testing.assert_array_equal(found, scene.count(*rays) % 2 == 1)
+    if tree == "bvh":
+        found = ray_values(scene.state, as_rays(*rays), Query(odd, "stream"))
+        np.testing.assert_array_equal(found, scene.count(*rays) % 2 == 1)
+
+
+def test_query_kind_needs_a_traversal_that_offers_each_hit(odd):
+    scene = wrt.Scene(SCENES["teapot"](), "bvh", device="cpu")
+    with pytest.raises(ValueError, match="'packet' does not answer the query 'odd'"):
+        ray_values(scene.state, as_rays([0.0, 0, 9], [0.0, 0, -1], 0.0, 9.0), Query(odd, "packet"))
 
 
 def entry_of(name: str, folder: Path):
@@ -179,7 +243,12 @@ import sys
 sys.path[:0] = {tests!r}
 import wrt
 from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.kernels.answers import ANSWERS
+from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.query.answers import ray_values
+from wrt.rays.rays import as_rays
+from wrt.state.query_kinds import Query
 KDTREE_BUILDERS["mean_split"] = KDTREE_BUILDERS["object_median"]
 TRIANGLE_TESTS["dot_products"] = TRIANGLE_TESTS["badouel"]
 """

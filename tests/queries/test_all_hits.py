@@ -11,9 +11,9 @@ from test_watertight import BODIES, feature_points
 
 import wrt
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.traversal_config import ALL, COUNT
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.query import all_hits
+from wrt.state.query_kinds import ALL, COUNT
 
 pytestmark = pytest.mark.width
 

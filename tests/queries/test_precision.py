@@ -9,9 +9,10 @@ from conftest import degenerate_soup, mixed_rays, snapped_soup
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
-from wrt.kernels.query.exact_closest import make_kernel
-from wrt.kernels.traversal.traversal_config import EXACT, TraversalConfig
+from wrt.kernels.query.exact_closest import make_exact_kernel
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.query.verification import nearest64
+from wrt.state.query_kinds import EXACT
 
 TREES = ("bvh", "kdtree")
 
@@ -123,4 +124,4 @@ def test_geometries(device):
 
 @pytest.mark.parametrize("tree", TREES)
 def test_cuda(tree, tmp_path):
-    assert ".entry" in compile_to_ptx(make_kernel(tree, TraversalConfig("woop", 2, EXACT)).module, tmp_path)
+    assert ".entry" in compile_to_ptx(make_exact_kernel(tree, TraversalConfig("woop", 2, EXACT)).module, tmp_path)

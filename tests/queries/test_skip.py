@@ -9,8 +9,9 @@ from conftest import degenerate_soup, mixed_rays, snapped_soup
 from test_cuda_compiles import FUSIBLE, compile_to_ptx
 
 import wrt
-from wrt.kernels.query.skip_triangle import make_kernel
-from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, TraversalConfig
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.state.query_kinds import ANY, CLOSEST
 
 TREES = ("bvh", "kdtree")
 
@@ -188,6 +189,6 @@ def test_bad_arguments(device):
 @pytest.mark.parametrize(("tree", "query"), [("bvh", ANY), ("kdtree", CLOSEST)])
 def test_cuda(tree, query, tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "optimization_level", 1)  # what is asked is whether it compiles
-    text = compile_to_ptx(make_kernel(tree, TraversalConfig("woop", 2, query, skipping=True)).module, tmp_path)
+    text = compile_to_ptx(TRAVERSALS["single"].kernels[tree](TraversalConfig("woop", 2, query, skipping=True)).module, tmp_path)
     assert ".entry" in text
     assert not FUSIBLE.search(text)

@@ -17,7 +17,7 @@ from wrt.execution.executor import trace
 from wrt.kernels.runtime.launch import CUDA_BLOCK, use_threads
 from wrt.kernels.traversal import TRAVERSALS as TABLE
 from wrt.kernels.traversal.traversal_config import StackConfig, TraversalConfig
-from wrt.kernels.traversal.two_level.instance_single import make_kernel
+from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
 from wrt.planning.planner import make_plan
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
@@ -372,7 +372,7 @@ def test_from_many_threads(scene, rays):
 @pytest.mark.parametrize(("kind", "query"), [("bvh", "all"), ("kdtree", "closest")])
 def test_compiles_for_cuda(kind, query, tmp_path):
     config = TraversalConfig("woop", 2, query, stack=StackConfig(24, CUDA_BLOCK if kind == "bvh" else 0))
-    text = compile_to_ptx(make_kernel(config, kind, 8).module, tmp_path)
+    text = compile_to_ptx(make_instance_kernel(config, kind, 8).module, tmp_path)
     assert ".entry" in text
     assert "fma.rn.f32" not in text
 

@@ -10,8 +10,8 @@ import wrt
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, NEAREST_QUERIES
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.state.query_kinds import ANY, CLOSEST
 
 TREES = [wrt.KdTree(builder="in_place"), wrt.KdTree(builder="binned")] + [wrt.Bvh(builder=name) for name in BVH_BUILDERS]
 WALKS = [(tree, name) for name, way in TRAVERSALS.items() for tree in way.trees if tree != "none"]
@@ -37,10 +37,10 @@ def compared(traversal: str, tree: str, triangle_test: str) -> tuple[str, ...]:
     if TRAVERSALS[traversal].needs_shared_origin and not TRIANGLE_TESTS[triangle_test].needs_shared_origin:
         return ()  # the rays have their own origins: see test_eye_frusta.py
     if triangle_test == ENGINE_TESTS[0]:
-        return NEAREST_QUERIES
+        return (CLOSEST, ANY)
     if traversal in OTHER_WAYS_TO_PACKETS:
         return (CLOSEST,) if TRIANGLE_TESTS[triangle_test].needs_shared_origin else ()
-    return NEAREST_QUERIES if tree == TRAVERSALS[traversal].trees[0] else (CLOSEST,)
+    return (CLOSEST, ANY) if tree == TRAVERSALS[traversal].trees[0] else (CLOSEST,)
 
 
 @pytest.mark.parametrize("triangle_test", ENGINE_TESTS)

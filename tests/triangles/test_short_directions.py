@@ -12,7 +12,7 @@ from conftest import SCENES, assert_same_hits, mixed_rays
 
 import wrt
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.traversal_config import ANY, CLOSEST
+from wrt.state.query_kinds import ANY, CLOSEST
 
 TREES = {"kdtree": wrt.KdTree(builder="in_place"), "bvh": wrt.Bvh()}
 MESH = SCENES["random_triangles"]()

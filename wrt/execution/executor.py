@@ -14,11 +14,12 @@ import warp as wp
 
 from wrt.execution.batch import trace_batch
 from wrt.execution.prepared import prepare
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.planner import chosen_plan, find_plan
 from wrt.rays.ray_buffers import RayBuffers, buffers_of, set_environment, set_mask, to_device
 from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST, QUERIES, Query
+from wrt.state.query_kinds import AUTO, CLOSEST, QUERIES, Query
 
 if TYPE_CHECKING:
     from wrt.execution.given_areas import GivenAreas
@@ -126,7 +127,7 @@ def trace_chosen(
         return run_prepared(scene, chosen, buffers, kind, layout), None
     plan, rays = chosen.carried_out, buffers.batch
     rays.columns = buffers.columns if plan.reorder == "tiles" else 0
-    if scene.area_trees is not None and plan.accelerator != "none" and kind in (CLOSEST, ANY):
+    if scene.area_trees is not None and plan.accelerator != "none" and ANSWERS[kind].nearest:
         from wrt.execution.area_trees import trace_by_area
 
         return trace_by_area(scene, plan, rays, kind, counters, given)

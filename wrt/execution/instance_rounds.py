@@ -20,7 +20,6 @@ from wrt.kernels.runtime.launch import get_num_threads, launch, specialise
 from wrt.memory import empty, new_rays
 from wrt.planning.plan import Plan, stack_levels, traversal_config, traversal_of
 from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, COUNT
 
 if TYPE_CHECKING:
     from wrt.kernels.traversal.two_level.instance_streams import Sorted
@@ -54,7 +53,7 @@ def trace_rounds(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits
     if traversal_of(plan).packets:
         trace_packets(scene, plan, rays, hits, query)
         return
-    clear(hits, query)
+    hits.clear(query)
     for begin in range(0, rays.count, BLOCK):
         rounds = Rounds(scene, plan, rays, query, begin)
         rounds.list_instances(again=False)
@@ -65,27 +64,15 @@ def trace_rounds(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits
 def trace_packets(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str) -> None:
     """The same in packets that traverse both levels."""
     from wrt.kernels.traversal.packet.core.packet_kernel import rays_per_item
-    from wrt.kernels.traversal.two_level.instance_packets import make_kernel
+    from wrt.kernels.traversal.two_level.instance_packets import make_instance_packet_kernel
 
     config = traversal_config(plan, scene, query, False)
     # rays from one point have one origin in each instance, too
     config = replace(config, packet=replace(config.packet, shared_origin=rays.origin_stride == 0))
-    kernel = specialise(partial(make_kernel, levels=stack_levels(scene.tree.depth)), config)
+    kernel = specialise(partial(make_instance_packet_kernel, levels=stack_levels(scene.tree.depth)), config)
     grain = rays_per_item(config)
     inputs = [scene.upper(), scene.lower(plan, rays), rays, hits.struct()]
     launch(kernel, -(-rays.count // grain), inputs, device=scene.device, chunk=max(1, 1024 // grain))
-
-
-def clear(hits: DeviceHits, query: str) -> None:
-    """Sets the answers of rays that miss."""
-    if query == ANY:
-        hits.occluded.zero_()
-    elif query == COUNT:
-        hits.counts.zero_()
-    else:
-        hits.t.fill_(np.inf)
-        hits.primitive.fill_(-1)
-        hits.uv.zero_()
 
 
 class Rounds:
@@ -127,7 +114,7 @@ class Rounds:
     def trace_round(self, turn: int, hits: DeviceHits) -> bool:
         """Traces the rays through their instances of this round. Returns whether there were any."""
         from wrt.kernels.query.ordering.ray_order import scan_counts
-        from wrt.kernels.traversal.two_level.instance_streams import MERGE, count_instances, sort_by_instance
+        from wrt.kernels.traversal.two_level.instance_streams import count_instances, make_round_merge, sort_by_instance
 
         chunks = -(-self.count // self.chunk)
         counts = wp.zeros((chunks, len(self.top.placements)), dtype=int, device=self.device)
@@ -147,7 +134,7 @@ class Rounds:
         work = [segments, self.top.placements, self.lower, sorted_rays.rays, found, self.work]
         launch(self.kernel, len(segments), work, device=self.device, chunk=1)
         work = [self.top.placements, sorted_rays, found, self.search, hits.struct()]
-        launch(MERGE[self.query], count, work, device=self.device, chunk=4096)
+        launch(make_round_merge(self.query), count, work, device=self.device, chunk=4096)
         return True
 
     def trace_single_rays(self, order: wp.array, hits: DeviceHits) -> None:

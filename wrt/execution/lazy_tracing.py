@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import launch
 from wrt.memory import empty
 from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, CLOSEST
 
 if TYPE_CHECKING:
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree, Snapshot
@@ -101,8 +101,9 @@ def trace_lazily(tree: LazyKdTree, rays: RayBatch, hits: DeviceHits, query: str,
     """
     from wrt.kernels.traversal.single.lazy_requests import TO_ANY, TO_HIT, UNTRACED
 
-    query_range = {CLOSEST: TO_HIT, ANY: TO_ANY}.get(query)
-    if query_range is None:
+    answer = ANSWERS[query]
+    query_range = TO_HIT if answer.shortens else TO_ANY
+    if not answer.nearest:
         while len(request_cells(tree, tree.current, rays, hits, int(UNTRACED), ALL_CELLS)):
             pass
         trace(rays, hits)

@@ -27,13 +27,14 @@ import warp as wp
 from wrt.execution.traversal_launch import HITS, RAYS, RECORDS, TREE, divide, kernel_and_inputs, no_work
 from wrt.execution.triangle_records import records_of
 from wrt.host_arrays import point_at
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 from wrt.memory import new_rays
 from wrt.planning.plan import config_for_layout, stack_levels, traversal_config, traversal_of
 from wrt.rays.ray_arrays import new_batch, prepare_arguments
 from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
-from wrt.state.device_hits import DeviceHits, written
+from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import FEW_RAYS
 
 if TYPE_CHECKING:
@@ -206,7 +207,7 @@ class Staging:
         self.rays, self.hits = new_rays(FEW_RAYS, device), DeviceHits.new(kind, FEW_RAYS, device)
         arrays = self.rays.origins, self.rays.directions, self.rays.t_min, self.rays.t_max
         self._inputs = [array.numpy() for array in arrays]
-        self._outputs = [(name, getattr(self.hits, name).numpy()) for name in written(kind)]
+        self._outputs = [(name, getattr(self.hits, name).numpy()) for name in ANSWERS[kind].columns]
         self.shape: tuple[int, ...] | None = None
         self.inputs: list[np.ndarray] = []
         self.outputs: list[tuple[str, np.ndarray]] = []

@@ -9,7 +9,6 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.convert.queue_points import find_queue_points
-from wrt.execution.instance_rounds import clear
 from wrt.execution.traversal_launch import counter_rows
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.compilation.cache_size import l2_bytes
@@ -21,7 +20,6 @@ from wrt.kernels.traversal.queued.queued_bvh import QueuedNodes
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.memory import empty
 from wrt.planning.plan import Plan, kernel_factory, stack_levels, traversal_config, walked_tree
-from wrt.state.query_kinds import ALL, COUNT
 
 if TYPE_CHECKING:
     from wrt.kernels.layout.ray_batch import RayBatch
@@ -69,10 +67,7 @@ def generations(
     Arguments as of `trace_queued`; `upper`: the tree above its queue points, None for that of the machine's L2 cache.
     """
     device, upper = scene.device, upper or upper_nodes(scene, plan, l2_bytes())
-    if query in (COUNT, ALL):
-        hits.counts.zero_()
-    else:
-        clear(hits, query)
+    hits.clear(query)
     config, points = traversal_config(plan, scene, query, counters), len(upper.roots)
     kernel = specialise(kernel_factory(plan, scene), config)
     advance = make_advance(plan.width, stack_levels(upper.depth), query, counters)

@@ -64,9 +64,9 @@ def kernel_and_inputs(
     """
     counters = counter_rows(work)
     if scene.instances:
-        from wrt.kernels.traversal.two_level.instance_single import make_kernel
+        from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
 
-        factory = partial(make_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
+        factory = partial(make_instance_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
         return specialise(factory, config), [scene.upper(), scene.lower(plan, rays), rays, hits, counters]
     if plan.accelerator == "none":
         from wrt.kernels.traversal.brute_force import AllTriangles

@@ -46,7 +46,6 @@ from wrt.planning.planner import default_test
 from wrt.scene.archives import write_archive
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.storage import scene_arrays
-from wrt.state.query_kinds import CLOSEST
 from wrt.state.scene_state import Settings, new_mark
 
 
@@ -247,7 +246,7 @@ def part_state(
 
 def stored_records(state: MeshState) -> dict[str, np.ndarray]:
     """The triangle records of a part's tree, by the name of their array."""
-    test, mesh, tree = default_test(state.settings, CLOSEST), state.device_mesh, state.tree
+    test, mesh, tree = default_test(state.settings), state.device_mesh, state.tree
     blocks = pack_blocks(TRIANGLE_TESTS[test].record, mesh.vertices, mesh.faces, tree.primitive, tree.width)
     return {RECORDS + test: blocks.records.numpy()}
 

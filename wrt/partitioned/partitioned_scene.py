@@ -12,7 +12,7 @@ import warp as wp
 
 from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders.triangle_boxes import boxes_of
-from wrt.execution.instance_rounds import clear
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout import bvh_nodes
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
@@ -34,7 +34,7 @@ from wrt.query.blocks import parse_memory, progress_bar
 from wrt.query.query_options import PartOptions, check_options, new_query, takes
 from wrt.rays.ray_buffers import RayBuffers, to_device
 from wrt.rays.rays import as_rays
-from wrt.state.device_hits import DeviceHits, written
+from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import ANY, AUTO, CLOSEST, COUNT
 from wrt.state.scene_settings import as_settings
 from wrt.tables import lookup
@@ -204,7 +204,7 @@ class PartitionedScene:
         """Whether each ray hits anything, as of `wrt.Scene.occluded`; arguments and errors as in `intersect`."""
         check_options(PartitionedScene.occluded, options)
         buffers, batch, _, _ = self._answer(as_rays(origins, directions, t_min, t_max), ANY, **options)
-        return batch.result("occluded", buffers.form)
+        return batch.values(ANY, buffers.form)
 
     @takes(PartOptions, mode=CYCLE)
     def count(
@@ -213,7 +213,7 @@ class PartitionedScene:
         """Number of hits of each ray, as of `wrt.Scene.count`; arguments and errors as in `intersect`."""
         check_options(PartitionedScene.count, options)
         buffers, batch, _, _ = self._answer(as_rays(origins, directions, t_min, t_max), COUNT, **options)
-        return batch.result("counts", buffers.form)
+        return batch.values(COUNT, buffers.form)
 
     def release(self) -> None:
         """Drops all parts from memory; later queries load them again."""
@@ -318,13 +318,14 @@ class PartitionedScene:
             buffers = to_device(rays, settings.device, self._parts.center)
             batch = DeviceHits.new(query.kind, buffers.count, settings.device)
             if buffers.count:
-                clear(batch, query.kind)
-            corners = empty(3 * buffers.count if query.kind == CLOSEST else 0, wp.vec3, settings.device)
+                batch.clear(query.kind)
+            answer = ANSWERS[query.kind]
+            corners = empty(3 * buffers.count if answer.names_triangles else 0, wp.vec3, settings.device)
             jobs, ranges = [], [(begin, min(begin + BLOCK, buffers.count)) for begin in range(0, buffers.count, BLOCK)]
             while ranges:
                 begin, end = ranges.pop()
                 hits = piece_of(batch, query.kind, begin, end)
-                own = corners[3 * begin : 3 * end] if query.kind == CLOSEST else corners
+                own = corners[3 * begin : 3 * end] if answer.names_triangles else corners
                 block = part_of(buffers.batch, begin, end)
                 job = RayJob(self._cache, self._upper, query, block, buffers.coherent, hits, own, needed)
                 if run(job):
@@ -347,7 +348,7 @@ def piece_of(batch: DeviceHits, kind: str, begin: int, end: int) -> HitBatch:
     if end - begin == batch.count:
         return batch.struct()
     piece = DeviceHits(end - begin, batch.device)
-    piece.__dict__.update({name: getattr(batch, name)[begin:end] for name in written(kind)})
+    piece.__dict__.update({name: getattr(batch, name)[begin:end] for name in ANSWERS[kind].columns})
     return piece.struct()
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.executor import trace_chosen
-from wrt.kernels.query.part_queries import MERGES, make_gather
+from wrt.kernels.query.part_queries import make_gather, make_part_merge
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -111,7 +111,7 @@ class RayJob:
         for prepared in chosen.waiting():
             prepared.let_go()  # of the part, which may leave memory
         inputs = [order, part.state.device_mesh, part.ids, found.struct(), self.hits, self.corners]
-        launch(MERGES[kind], count, inputs, device=self.device, chunk=CHUNK)
+        launch(make_part_merge(kind), count, inputs, device=self.device, chunk=CHUNK)
         self.plan = self.plan or chosen.plan
         self.visits += 1
         self.traced += count

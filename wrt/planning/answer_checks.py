@@ -6,10 +6,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.traversal import TRAVERSALS, Traversal
 from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.rays.ray_buffers import shares_origin
-from wrt.state.query_kinds import ALL, COUNT
 from wrt.state.wide_trees import can_be_wide
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def can_answer(traversal: Traversal, scene: SceneState, query: str, cull_backfac
         and (not scene.instances or traversal.supports_through_instances(query, kind, scene.device.is_cuda))
         and (not scene.only_single or traversal.own_spaces)
         and (not traversal.wide or can_be_wide(scene))
-        and (traversal.shared_leaves or query not in (COUNT, ALL) or not scene.shares_leaves)
+        and (traversal.shared_leaves or not ANSWERS[query].once or not scene.shares_leaves)
     )
 
 
@@ -54,7 +54,7 @@ def check_leaves(scene: SceneState, query: str, traversal: Traversal) -> None:
     Raises:
         ValueError: the scene's BVH was built with spatial splits.
     """
-    if query in (COUNT, ALL) and scene.shares_leaves and not traversal.shared_leaves:
+    if ANSWERS[query].once and scene.shares_leaves and not traversal.shared_leaves:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.shared_leaves)
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on a BVH with spatial splits; "
@@ -122,7 +122,7 @@ def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest)
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on a {tree}; choose from auto, {able}"
         )
-    if query in (COUNT, ALL) and test.crossing is None:
+    if ANSWERS[query].crossings and test.crossing is None:
         able = ", ".join(name for name, entry in TRIANGLE_TESTS.items() if entry.crossing is not None)
         raise ValueError(
             f"triangle_test {test.name!r} may count a crossing at an edge twice or not at all; choose from auto, {able}"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.query.ordering.packet_overlap import (
     SAMPLED_PACKETS,
@@ -19,7 +20,6 @@ from wrt.kernels.query.ordering.packet_overlap import (
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, specialise
 from wrt.kernels.traversal.traversal_scores import Overlap
 from wrt.memory import keep_alive
-from wrt.state.query_kinds import ANY
 
 if TYPE_CHECKING:
     from wrt.kernels.layout.ray_batch import RayBatch
@@ -40,7 +40,7 @@ def measure_overlap(scene: SceneState, rays: RayBatch, packet: int, query: str) 
     """
     found = np.zeros(3, dtype=np.int32)
     result = wp.array(found, dtype=int, device=scene.device, copy=False)
-    inputs = [sampled_scene(scene), rays, packet, SAMPLED_PACKETS, SAMPLED_RAYS, int(query == ANY), result]
+    inputs = [sampled_scene(scene), rays, packet, SAMPLED_PACKETS, SAMPLED_RAYS, int(ANSWERS[query].ends_at_first), result]
     PreparedLaunch(sample_kernel(scene), inputs, scene.device).run(1, Chunks())
     steps, different, count = found.tolist()
     return Overlap(different / steps, steps / count) if count else Overlap(1.0, 0.0)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS, Traversal
 from wrt.kernels.traversal.traversal_config import (
-    NEAREST_QUERIES,
     PacketConfig,
     SingleConfig,
     StackConfig,
@@ -18,7 +18,6 @@ from wrt.kernels.traversal.traversal_config import (
     TraversalConfig,
 )
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT
 from wrt.state.wide_trees import wide_tree
 
 if TYPE_CHECKING:
@@ -128,14 +127,14 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
     """The specialisation of the traversal that carries out a plan."""
     traversal, families = traversal_of(plan), {}
     if traversal.packets:
-        non_temporal = plan.non_temporal and traversal.non_temporal and query == CLOSEST and not scene.instances
+        non_temporal = plan.non_temporal and traversal.non_temporal and ANSWERS[query].shortens and not scene.instances
         families["packet"] = PacketConfig(plan.packet, plan.shared_origin, plan.culling, non_temporal)
     if traversal.streams:
         families["stream"] = StreamConfig(plan.stream)
     if traversal.walks_boxes(plan.accelerator) or (scene.only_single and traversal.walks_tree):
         levels = stack_levels(walked_tree(plan, scene).depth)
         families["stack"] = StackConfig(levels, CUDA_BLOCK if scene.device.is_cuda else 0)
-    if traversal.walks_tree and query in (COUNT, ALL):
+    if traversal.walks_tree and ANSWERS[query].once:
         families["shared_leaves"] = scene.shares_leaves
     return TraversalConfig(
         plan.triangle_test,
@@ -152,7 +151,7 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
 def config_for_layout(config: TraversalConfig, plan: Plan, scene: SceneState) -> TraversalConfig:
     """The specialisation for the order of the tree's nodes: single rays walk pairs for their nearest hits, if there are any."""
     alone = not (scene.instances or scene.only_single) and plan.accelerator == "kdtree" and traversal_of(plan).node_orders
-    if alone and config.query in NEAREST_QUERIES and scene.tree.pairs is not None:
+    if alone and config.answer.nearest and scene.tree.pairs is not None:
         return replace(config, single=SingleConfig(pair_words=1))
     return config
 
@@ -179,7 +178,7 @@ def traversal_of(plan: Plan) -> Traversal:
 def plan_for_query(plan: Plan, query: str) -> Plan:
     """The plan as a query runs it: a triangle test may name another test for any-hit queries."""
     other = TRIANGLE_TESTS[plan.triangle_test].any_hit
-    return replace(plan, triangle_test=other) if query == ANY and other else plan
+    return replace(plan, triangle_test=other) if ANSWERS[query].ends_at_first and other else plan
 
 
 def walked_tree(plan: Plan, scene: SceneState) -> KdTree | Bvh:

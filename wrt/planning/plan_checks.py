@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.traversal import ORDERS, TRAVERSALS, Traversal
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS, Culling
 from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.planning.answer_checks import check_answer, check_origins
-from wrt.state.query_kinds import ALL, COUNT
 from wrt.state.wide_trees import wide_width
 from wrt.tables import lookup
 
@@ -74,7 +74,7 @@ def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> P
     if plan.mailbox != "none" and not traversal.has_mailbox(plan.accelerator):
         able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.has_mailbox("kdtree"))
         raise ValueError(f"plan.mailbox is {plan.mailbox!r}; mailboxes need a kdtree and one of {able}")
-    if plan.mailbox != "none" and query in (COUNT, ALL):
+    if plan.mailbox != "none" and not ANSWERS[query].nearest:
         raise ValueError(
             f"plan.mailbox is {plan.mailbox!r}, but the query {query!r} has to test a triangle in every leaf; use 'none'"
         )

@@ -7,6 +7,7 @@ from collections.abc import Hashable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.compilation.cache_size import l3_bytes
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS, Traversal
@@ -17,7 +18,7 @@ from wrt.planning.answer_checks import can_answer, check_answer, check_origins
 from wrt.planning.packet_sample import measure_overlap
 from wrt.planning.plan import ChosenPlan, Plan, plan_for_query, traversal_of
 from wrt.planning.plan_checks import check_plan, fits, longest_stream
-from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, Query
+from wrt.state.query_kinds import AUTO, CLOSEST, Query
 from wrt.state.wide_trees import can_be_wide, wide_form_pays, wide_form_savings, wide_width
 from wrt.tables import lookup
 
@@ -184,11 +185,11 @@ def choose_plan(
     )
 
 
-def default_test(scene: SceneState | Settings, query: str) -> str:
+def default_test(scene: SceneState | Settings, query: str = CLOSEST) -> str:
     """Name of the triangle test for queries that name none: the scene's, or the default test if the query counts and the
     scene's test cannot.
     """
-    if scene.triangle_test == AUTO or (query in (COUNT, ALL) and TRIANGLE_TESTS[scene.triangle_test].crossing is None):
+    if scene.triangle_test == AUTO or (ANSWERS[query].crossings and TRIANGLE_TESTS[scene.triangle_test].crossing is None):
         return DEFAULT_TEST
     return scene.triangle_test
 
@@ -260,7 +261,7 @@ def packet_vectors(scene: SceneState, rays: RayBuffers, query: str, traversal: T
     if is_dense(scene, rays, limits.crowded):
         return max(CROWDED_PACKET // scene.width, PACKET_VECTORS)
     measured = scene.accelerator.kind == "bvh" and traversal.walks_boxes("bvh")
-    large = is_dense(scene, rays, MANY_RAYS_PER_TRIANGLE) or (query == ANY and not scene.instances)
+    large = is_dense(scene, rays, MANY_RAYS_PER_TRIANGLE) or (ANSWERS[query].ends_at_first and not scene.instances)
     return limits.large_packet if measured and large else PACKET_VECTORS
 
 
@@ -285,7 +286,7 @@ def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, te
 def stores_past_caches(scene: SceneState, rays: RayBuffers, query: str) -> bool:
     """Whether packets write closest hits by non-temporal stores: so many that few of them would be in a cache when read."""
     has_stores = scene.is_cpu and platform.machine().lower() in ("x86_64", "amd64")
-    return has_stores and query == CLOSEST and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
+    return has_stores and ANSWERS[query].shortens and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
 
 
 def choose_order(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from wrt.execution.executor import answer
+from wrt.kernels.answers import ANSWERS
 from wrt.query import pickled_hits  # noqa: F401, says how hits are pickled
 from wrt.query.exact_hits import find_precisely
 from wrt.query.hits import Hits
 from wrt.query.skip import answer_skipping
-from wrt.state.query_kinds import AUTO, COUNT, Query
+from wrt.state.query_kinds import AUTO, Query
 
 if TYPE_CHECKING:
     from wrt.rays.rays import Rays
@@ -29,16 +30,15 @@ def closest_hits(scene: SceneState, rays: Rays, query: Query) -> Hits:
     return Hits(found.hits, found.form, scene, found.plan, found.work)
 
 
-def ray_values(scene: SceneState, rays: Rays, query: Query, name: str) -> Any:
-    """A value of each ray: "occluded" or "counts", in the rays' leading shape.
+def ray_values(scene: SceneState, rays: Rays, query: Query) -> Any:
+    """The value of each ray in the rays' leading shape.
 
     Args:
         scene: what the rays meet.
         rays: the rays.
-        query: of kind "any" or "count".
-        name: of the array that holds the values.
+        query: of a kind whose answers are one array, such as "any" or "count".
     """
-    if query.kind == COUNT:
+    if ANSWERS[query.kind].once:
         scene.require("count")
     found = answer(scene, rays, query) if query.skip is None else answer_skipping(scene, rays, query)
-    return found.hits.result(name, found.form)
+    return found.hits.values(query.kind, found.form)

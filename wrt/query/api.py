@@ -115,7 +115,7 @@ class Queries:
         Arguments and errors as in `intersect`. The search ends at the first hit found.
         """
         query = as_query(Queries.occluded, ANY, options)
-        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query, "occluded")
+        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query)
 
     @takes(ListOptions)
     def intersect_all(
@@ -154,7 +154,7 @@ class Queries:
         Equal to the number of hits that `intersect_all` lists. Arguments and errors as there, and `skip` as in `intersect`.
         """
         query = as_query(Queries.count, COUNT, options)
-        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query, "counts")
+        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query)
 
     @takes(ClosestBlockOptions)
     def intersect_blocks(

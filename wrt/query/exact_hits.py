@@ -74,7 +74,7 @@ def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
     Raises:
         ValueError: a choice that does not go with `precise`, or a scene without float64 vertices.
     """
-    from wrt.kernels.query.exact_closest import ExactHits, make_kernel
+    from wrt.kernels.query.exact_closest import ExactHits, make_exact_kernel
 
     if (query.traversal, query.triangle_test, query.counters, query.cull_backfaces) != (AUTO, AUTO, False, False):
         raise ValueError("precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out")
@@ -90,16 +90,16 @@ def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
         scene.complete()
         config, exact = traversal_config(plan, scene, EXACT, False), exact_rays(rays, buffers, device)
         if scene.instances:
-            from wrt.kernels.query.instance_exact import make_kernel as make_instance_kernel
+            from wrt.kernels.query.instance_exact import make_exact_instance_kernel
 
             batch, geometries = buffers.batch, exact_geometries(scene)
             inputs = [scene.upper(), scene.lower(plan, batch), geometries, center, batch, exact, hits]
-            factory = partial(make_instance_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
+            factory = partial(make_exact_instance_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
             triangles = [scene.device_mesh, geometries]
         else:
             mesh = exact_mesh(scene)
             inputs = [scene.tree.struct(), records_of(scene, plan, None), mesh, center, exact, hits]
-            factory, triangles = partial(make_kernel, plan.accelerator), [mesh]
+            factory, triangles = partial(make_exact_kernel, plan.accelerator), [mesh]
         launch(specialise(factory, config), buffers.count, inputs, device=device)
     return PreciseHits(hits, rounded, triangles, buffers.form, scene, plan)
 

@@ -67,7 +67,7 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
                 few = replace(buffers, given=sort_rays(buffers.batch, order, empty), shape=(len(undecided),))
                 aim(few.batch, DIRECTIONS[2], scene.device)
                 unsort_hits(order, odd_crossings(scene, plan, few).struct(), inside.struct(), ANY)
-    return inside.result("occluded", buffers.form)
+    return inside.values(ANY, buffers.form)
 
 
 def aim(points: RayBatch, direction: tuple[float, ...], device: wp.Device) -> None:

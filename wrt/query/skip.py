@@ -1,7 +1,7 @@
 """Queries whose rays each ignore one triangle: usually the one that they start on.
 
-Rays are traced one at a time (`wrt.kernels.query.skip_triangle`), whatever their number. A lazy tree is completed first, and
-the trees of influence areas are not used. For many rays, streams from `Hits.spawn` are about twice as fast
+Rays are traced one at a time (`wrt.kernels.answers.skipped_triangle`), whatever their number. A lazy tree is completed
+first, and the trees of influence areas are not used. For many rays, streams from `Hits.spawn` are about twice as fast
 (notebooks/records/2026-11-21-queries.md).
 """
 
@@ -18,7 +18,7 @@ from wrt.execution.executor import Answer, on_device
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
 from wrt.kernels.validation import host_array
-from wrt.planning.plan import plan_for_query, stack_levels, traversal_config
+from wrt.planning.plan import kernel_factory, plan_for_query, stack_levels, traversal_config
 from wrt.planning.planner import find_plan
 from wrt.query.hits import Hits
 from wrt.state.device_hits import DeviceHits
@@ -48,8 +48,6 @@ def answer_skipping(scene: SceneState, rays: Rays, query: Query) -> Answer:
         rays: the rays.
         query: of its options only `cull_backfaces` can be combined with `skip`.
     """
-    from wrt.kernels.query.skip_triangle import make_kernel
-
     with use_threads(scene.num_threads):
         buffers = on_device(scene, rays, query)
         check_skip(scene, {name: getattr(query, name) for name in ("traversal", "triangle_test", "counters", "precise")})
@@ -61,14 +59,14 @@ def answer_skipping(scene: SceneState, rays: Rays, query: Query) -> Answer:
         hits = DeviceHits.new(query.kind, buffers.count, scene.device)
         config = replace(traversal_config(carried_out, scene, query.kind, False), skipping=True)
         if scene.instances:
-            from wrt.kernels.traversal.two_level.instance_single import make_skipping_kernel
+            from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
 
             triangles = [scene.upper(), scene.lower(carried_out, buffers.batch)]
             kind, levels = carried_out.accelerator, stack_levels(scene.tree.depth)
-            kernel = specialise(partial(make_skipping_kernel, kind=kind, levels=levels), config)
+            kernel = specialise(partial(make_instance_kernel, kind=kind, levels=levels), config)
         else:
             triangles = [scene.tree.struct(), records_of(scene, carried_out, buffers.batch)]
-            kernel = specialise(partial(make_kernel, carried_out.accelerator), config)
+            kernel = specialise(kernel_factory(carried_out, scene), config)
         inputs = [*triangles, buffers.batch, skipped, hits.struct()]
         launch(kernel, buffers.count, inputs, device=scene.device, chunk=1024)
     return Answer(hits, buffers.form, plan)
@@ -89,7 +87,8 @@ def check_skip(scene: SceneState, others: dict[str, Any]) -> None:
 
 
 def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.array:
-    """The triangle that each ray ignores, numbered through all meshes, as `wrt.kernels.query.skip_triangle` takes it.
+    """The triangle that each ray ignores, numbered through all meshes, for
+    `wrt.kernels.traversal.single.single_kernel.make_skipping_kernel`.
 
     Raises:
         TypeError: neither hits nor integers.

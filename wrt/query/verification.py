@@ -222,7 +222,7 @@ class Check:
         self.origins, self.directions = origins, directions
         rays = Rays(origins + scene.center, directions)
         hits = closest_hits(scene, rays, Query(CLOSEST))
-        occluded = ray_values(scene, rays, Query(ANY), "occluded")
+        occluded = ray_values(scene, rays, Query(ANY))
         self.primitive, self.t = hits.batch.primitive.numpy(), hits.t.astype(np.float64)
         self.corners = vertex_rows(vertices, faces)
         self.expected, self.t_expected = nearest_hits(self.corners, origins, directions)

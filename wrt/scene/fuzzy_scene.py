@@ -246,9 +246,9 @@ class FrameTrees:
     @property
     def kernel_factory(self) -> Callable[[Any], wp.Kernel]:
         """Makes the kernel that walks the trees, from a `TraversalConfig`."""
-        from wrt.kernels.traversal.two_level.fuzzy_boxes import make_kernel
+        from wrt.kernels.traversal.two_level.fuzzy_boxes import make_fuzzy_kernel
 
-        return partial(make_kernel, kind=self.kind)
+        return partial(make_fuzzy_kernel, kind=self.kind)
 
     def struct(self) -> Any:
         """The trees as a traversal kernel reads them."""

@@ -9,19 +9,19 @@ import numpy as np
 import warp as wp
 
 from wrt.host_arrays import HostArray, write_flat
+from wrt.kernels.answers import ANSWERS
+from wrt.kernels.answers.answer_kind import COLUMNS, HIT_COLUMNS
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.memory import empty, empty_host, keep_alive
-from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT, FEW_RAYS
+from wrt.state.query_kinds import FEW_RAYS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from wrt.rays.rays import ResultForm
 
-DTYPES = {"t": wp.float32, "primitive": wp.int32, "uv": wp.vec2, "occluded": wp.bool, "counts": wp.int32}
+DTYPES = {name: column.dtype for name, column in COLUMNS.items()}
 """Arrays of answers, and what they hold."""
-
-CLOSEST_HITS = ("t", "primitive", "uv")
 
 BLOCK = {"uv": 0, "t": 8, "primitive": 12}
 """Where each array of closest hits begins in a block of 16 bytes a ray, in bytes a ray."""
@@ -51,8 +51,8 @@ class DeviceHits:
     def new(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
         """Memory for the answers to a query."""
         hits = cls(count, device)
-        names = written(query)
-        if query == CLOSEST and count > 0 and (count <= FEW_RAYS or device.is_cuda):
+        names = ANSWERS[query].columns
+        if names == HIT_COLUMNS and count > 0 and (count <= FEW_RAYS or device.is_cuda):
             hits._block = empty(count, wp.vec4, device)
         elif device.is_cpu and not device.is_capturing:
             return cls.new_on_host(query, count, device)
@@ -64,7 +64,7 @@ class DeviceHits:
     def new_on_host(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
         """The same on the CPU, while no graph is captured."""
         hits = cls(count, device)
-        hits._host = {name: empty_host(count, DTYPES[name]) for name in written(query)}
+        hits._host = {name: empty_host(count, DTYPES[name]) for name in ANSWERS[query].columns}
         return hits
 
     @classmethod
@@ -77,7 +77,8 @@ class DeviceHits:
     @classmethod
     def lists(cls, rays: int, hits: int, room: int, device: wp.Device) -> DeviceHits:
         """Memory for all hits of rays: so many hits together, of which each ray has room for `room`."""
-        made = cls.new(ALL, hits, device)
+        made = cls(hits, device)
+        made.__dict__.update({name: empty(hits, DTYPES[name], device) for name in HIT_COLUMNS})
         made.counts, made.room = empty(rays, wp.int32, device), room
         return made
 
@@ -125,9 +126,14 @@ class DeviceHits:
             batch.begins = self.begins
         return batch
 
+    def clear(self, query: str) -> None:
+        """Sets the answers to a query to those of rays that miss."""
+        for name in ANSWERS[query].columns:
+            getattr(self, name).fill_(COLUMNS[name].miss)
+
     def write_to(self, arguments: Any, query: str) -> None:
         """Writes addresses and lengths of a query's arrays into the packed form of a `HitBatch` that has such arrays."""
-        for name in written(query):
+        for name in ANSWERS[query].columns:
             field = getattr(arguments, name)
             field.data = self._address(name)
             field.shape[0] = self.count
@@ -146,6 +152,11 @@ class DeviceHits:
         values = self._host.get(name)
         return values.ptr if type(values) is HostArray and name not in self.__dict__ else getattr(self, name).ptr
 
+    def values(self, query: str, form: ResultForm) -> Any:
+        """The answers to a query of one array, as of `result`."""
+        (name,) = ANSWERS[query].columns
+        return self.result(name, form)
+
     def result(self, name: str, form: ResultForm) -> Any:
         """An array in the leading shape of the rays: a NumPy array, or a Warp array if the rays were."""
         if form.is_warp:
@@ -155,11 +166,6 @@ class DeviceHits:
             values = values.numpy()
         shape = form.shape + values.shape[1:]
         return values if values.shape == shape else values.reshape(shape)
-
-
-def written(query: str) -> tuple[str, ...]:
-    """Names of the arrays that a query writes for its rays."""
-    return ("occluded",) if query == ANY else ("counts",) if query == COUNT else CLOSEST_HITS
 
 
 def shaped(values: wp.array, form: ResultForm) -> Any:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from wrt.kernels.answers import all_crossings, any_hit, batch_kinds, closest_hit, crossing_count, exact_hit
+
 AUTO = "auto"
 
-CLOSEST, ANY, COUNT, ALL, EXACT = "closest", "any", "count", "all", "exact"
+CLOSEST, ANY, COUNT, ALL, EXACT = (file.KIND.name for file in (closest_hit, any_hit, crossing_count, all_crossings, exact_hit))
+"""Keys in `wrt.kernels.answers.ANSWERS`, for code that asks a query of such a kind."""
 
 FEW_RAYS = 1024
 """Most rays that are traced one by one on the CPU, whatever they look like: detecting coherence and setting up packets or
@@ -31,7 +34,7 @@ class Query(NamedTuple):
     """The kind of a query and its options, with their defaults; `wrt.Scene.intersect` explains them.
 
     Attributes:
-        kind: "closest", "any", "count" or "all".
+        kind: key in `wrt.kernels.answers.ANSWERS`: "closest", "any", "count" or "all".
         traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `wrt.Plan`.
         triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
         cull_backfaces: whether triangles are hit only from their front.
@@ -57,5 +60,5 @@ class Query(NamedTuple):
     max_hits: int | None = None
 
 
-QUERIES = {kind: Query(kind) for kind in (CLOSEST, ANY, COUNT, ALL)}
-"""A query of each kind with default options."""
+QUERIES = {kind.name: Query(kind.name) for kind in batch_kinds()}
+"""A query of each kind that a batch of rays can be asked, with default options."""

@@ -19,13 +19,14 @@ References:
 """
 
 from collections.abc import Callable
+from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers import ANSWERS, batch_kinds
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.launch import get_num_threads, launch
-from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.traversal_config import ALL, ANY, CLOSEST, COUNT
+from wrt.kernels.runtime.options import exact_module, named_kernel
 
 exact_module(__name__)
 
@@ -126,28 +127,20 @@ def gather_rays(first: int, rays: RayBatch, order: wp.array(dtype=int), sorted_r
         sorted_rays.environment[place] = rays.environment[i]
 
 
-@wp.kernel
-def scatter_hits(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, hits: HitBatch):
-    """Copies a closest hit back to the place of its ray. Item: a place in the order."""
-    place = first + wp.tid()
-    i = order[place]
-    hits.t[i] = sorted_hits.t[place]
-    hits.primitive[i] = sorted_hits.primitive[place]
-    hits.uv[i] = sorted_hits.uv[place]
+@cache
+def make_scatter(query: str) -> wp.Kernel:
+    """The kernel that copies the answer of a ray back to its place; lists of hits stay. Item: a place in the order."""
+    copy = ANSWERS[query].copy
+
+    def scatter(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, hits: HitBatch):
+        place = first + wp.tid()
+        copy(sorted_hits, place, hits, order[place])
+
+    return named_kernel(scatter, f"scatter_{query}")
 
 
-@wp.kernel
-def scatter_occlusion(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, hits: HitBatch):
-    """Copies an any-hit result back to the place of its ray. Item: a place in the order."""
-    place = first + wp.tid()
-    hits.occluded[order[place]] = sorted_hits.occluded[place]
-
-
-@wp.kernel
-def scatter_counts(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, hits: HitBatch):
-    """Copies a count back to the place of its ray. Item: a place in the order."""
-    place = first + wp.tid()
-    hits.counts[order[place]] = sorted_hits.counts[place]
+for kind in batch_kinds():
+    make_scatter(kind.name)
 
 
 @wp.kernel
@@ -215,10 +208,6 @@ def sort_rays(rays: RayBatch, order: wp.array, empty: Callable[[int, type, wp.De
     return result
 
 
-SCATTER = {CLOSEST: scatter_hits, ANY: scatter_occlusion, COUNT: scatter_counts, ALL: scatter_counts}
-"""Kernel that copies the results of each query back; lists of all hits are not moved."""
-
-
 def unsort_hits(order: wp.array, sorted_hits: HitBatch, hits: HitBatch, query: str) -> None:
     """Copies the results of sorted rays to the places of the original rays."""
-    launch(SCATTER[query], len(order), [order, sorted_hits, hits], device=order.device, chunk=4096)
+    launch(make_scatter(query), len(order), [order, sorted_hits, hits], device=order.device, chunk=4096)

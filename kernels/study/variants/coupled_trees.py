@@ -93,7 +93,7 @@ def make_kernel(config: TraversalConfig, within: TraversalConfig, small: int, kd
 @cache
 def single_walk(config: TraversalConfig, kdtree: bool) -> wp.Function:
     """`wp.func(trees, triangles, ray, hits, i, work) -> best`: traces one ray through the kd-tree or the BVH."""
-    walk = single_kdtree.make_walk(config) if kdtree else single_bvh.make_walk(config)
+    walk = single_kdtree.make_kdtree_walk(config) if kdtree else single_bvh.make_bvh_walk(config)
 
     @wp.func
     def by_kdtree(

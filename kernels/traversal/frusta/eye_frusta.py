@@ -57,7 +57,7 @@ from wrt.kernels.traversal.packet.culling.interval_culling import cull_triangles
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
 from wrt.kernels.traversal.packet.rays.packet_store import clear_packet, store_packet
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -171,7 +171,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     config = replace(config, packet=replace(config.packet, shared_origin=True))
     layout, waiting = packet_layout(config), most_waiting(config)
     gather, order, walk = gather_directions(layout), frustum_at(layout.rays), make_walk(config)
-    clear, store = clear_packet(layout), store_packet(layout, config.query == ANY)
+    clear, store = clear_packet(layout), store_packet(layout, config.answer.ends_at_first)
     packet_rays, size, memory, counting = layout.rays, layout.size, lane_memory(waiting), config.counters
 
     def multi_frusta(

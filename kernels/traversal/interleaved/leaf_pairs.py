@@ -15,7 +15,7 @@ from wrt.kernels.traversal.stream.stream_candidates import candidate_tester
 from wrt.kernels.traversal.stream.stream_kernel import stream_ray
 from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, append_candidates
 from wrt.kernels.traversal.stream.stream_pairs import line_lanes
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -31,7 +31,7 @@ def block_tester(config: TraversalConfig) -> wp.Function:
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     StreamRay, RayState = stream_ray(config.triangle_test), test.ray_state
     test_candidates, intersect_lines = candidate_tester(config), line_lanes(config)
-    append = append_candidates(width, config.query != ANY)
+    append = append_candidates(width, not config.answer.ends_at_first)
 
     @wp.func_native(f"""
         const int k = blocks.data[p];

@@ -40,14 +40,15 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout.kdtree_nodes import LEAF, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import count_bits, lowest_bit
-from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, block_step, enter, start, store_best
+from wrt.kernels.traversal.leaf import CounterRows, Counters, block_step, enter
 from wrt.kernels.traversal.lockstep.lockstep_lanes import FIELDS, ROWS, advance, compact, lane_start, pop, skip_blocks, walks
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -74,7 +75,7 @@ def leaf_phase(config: TraversalConfig) -> wp.Function:
     Walks = walks(lane_count(config))
     test_block = block_step(config)
     skip_leaf_blocks = skip_blocks(lane_count(config), config.width)
-    any_hit = config.query == ANY
+    any_hit = config.answer.ends_at_first
 
     @wp.func
     def test_leaves(
@@ -83,7 +84,7 @@ def leaf_phase(config: TraversalConfig) -> wp.Function:
         states: wp.array(dtype=RayState),
         slabs: wp.array(dtype=RaySlabs),
         t_min: wp.array(dtype=float),
-        best: wp.array(dtype=Candidate),
+        best: wp.array(dtype=BestHit),
         at_leaf: wp.uint32,
     ):
         untested = skip_leaf_blocks(group, 0) & at_leaf
@@ -123,7 +124,7 @@ def make_refill(config: TraversalConfig) -> wp.Function:
         states: wp.array(dtype=RayState),
         slabs: wp.array(dtype=RaySlabs),
         t_min: wp.array(dtype=float),
-        best: wp.array(dtype=Candidate),
+        best: wp.array(dtype=BestHit),
     ):
         ray = load_ray(rays, i)
         best[lane] = start(ray.t_max)
@@ -150,7 +151,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     count, run = lane_count(config), rays_per_item(config)
     Walks, refill_lane, advance_lanes = walks(count), make_refill(config), advance(count, counting)
     pop_lanes, compact_log = pop(count), compact(count)
-    test_leaves, store = leaf_phase(config), store_best(config)
+    test_leaves, store = leaf_phase(config), config.answer.store
     all_lanes = (1 << count) - 1
 
     def lockstep_kdtree(
@@ -170,7 +171,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         slabs = wp.zeros(shape=(wp.static(count),), dtype=RaySlabs)
         states = wp.zeros(shape=(wp.static(count),), dtype=RayState)
         t_min = wp.zeros(shape=(wp.static(count),), dtype=float)
-        best = wp.zeros(shape=(wp.static(count),), dtype=Candidate)
+        best = wp.zeros(shape=(wp.static(count),), dtype=BestHit)
         idle_node = tree.nodes.shape[0] - 1  # in depth-first order the last node is a leaf: idle lanes take no step
         for lane in range(wp.static(count)):
             group.node[lane] = idle_node

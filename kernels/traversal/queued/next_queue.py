@@ -19,6 +19,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
@@ -28,7 +29,6 @@ from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.leaf import CounterRows
-from wrt.kernels.traversal.traversal_config import ANY, CLOSEST
 
 exact_module(__name__)
 
@@ -46,23 +46,6 @@ class RayQueue:
     """(N,) number of the last queue point; -1 if there is none."""
 
 
-@cache
-def make_bound(query: str) -> wp.Function:
-    """`wp.func(hits, i, t_max) -> t` beyond which ray number i need not search: its best hit so far (t = inf for none), or its
-    t_max."""
-
-    @wp.func
-    def bound_of(hits: HitBatch, i: int, t_max: float):
-        bound = t_max
-        if wp.static(query == CLOSEST):
-            bound = wp.min(hits.t[i], t_max)
-        elif wp.static(query == ANY):
-            bound = wp.where(hits.occluded[i], -INFINITY, t_max)
-        return bound
-
-    return bound_of
-
-
 @wp.func
 def precedes(entry: float, point: int, other_entry: float, other: int):
     """Whether a ray passes a queue point before another one."""
@@ -78,11 +61,11 @@ def make_advance(width: int, levels: int, query: str, counting: bool = False) ->
 
     Args:
         width, levels: of the upper tree.
-        query: the query.
+        query: key in `ANSWERS`.
         counting: whether the nodes of the upper tree are counted.
     """
     test_boxes, Lanes, stack_size = intersected_boxes(width), lanes(width), levels * (width - 1) + 1
-    bound_of = make_bound(query)
+    bound_of = ANSWERS[query].bound
 
     def advance_rays(
         first: int,

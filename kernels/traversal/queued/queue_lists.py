@@ -10,6 +10,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
@@ -18,7 +19,6 @@ from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
-from wrt.kernels.traversal.queued.next_queue import make_bound
 
 exact_module(__name__)
 
@@ -120,7 +120,7 @@ def make_list_live(query: str) -> wp.Kernel:
     Item: a slice of `size` pairs of those from `begin` to `end`. Its rays are written to `live` from item * size on, in order,
     and their number to `counts`.
     """
-    bound_of = make_bound(query)
+    bound_of = ANSWERS[query].bound
 
     def list_live(
         first: int,

@@ -33,11 +33,11 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
-from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
+from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.queued.next_queue import RayQueue
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -57,32 +57,11 @@ class QueuedNodes:
 
 
 @cache
-def load_best(config: TraversalConfig) -> wp.Function:
-    """`wp.func(hits, i, t_max) -> best`: the result so far of ray number i; the inverse of `store_best`."""
-    any_hit, crossing = config.query == ANY, config.crossing
-
-    @wp.func
-    def load(hits: HitBatch, i: int, t_max: float):
-        best = start(t_max)
-        if wp.static(crossing):
-            best.primitive = hits.counts[i] - 1
-        elif wp.static(not any_hit):  # noqa: SIM102  (Warp evaluates both operands of `and`)
-            if hits.primitive[i] >= 0:
-                best.t = hits.t[i]
-                best.primitive = hits.primitive[i]
-                best.u = hits.uv[i][0]
-                best.v = hits.uv[i][1]
-        return best
-
-    return load
-
-
-@cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel that traces each waiting ray through its subtree. Item: a place in the order."""
     Search, begin, leaf = leaf_search(config.triangle_test), begin_search(config.triangle_test), make_leaf(config)
     walk_keys = make_key_walk(config, config.stack.levels, Search, leaf)
-    load, store, counting = load_best(config), store_best(config), config.counters
+    load, store, counting = config.answer.load, config.answer.store, config.counters
 
     def queued_bvh(
         first: int,

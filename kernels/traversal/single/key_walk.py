@@ -10,14 +10,14 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes
 from wrt.kernels.simd.boxes import RaySlabs
-from wrt.kernels.traversal.leaf import Candidate, Counters
-from wrt.kernels.traversal.search_results import results_of
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.leaf import Counters
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 
 exact_module(__name__)
 
@@ -36,7 +36,7 @@ def make_key_walk(
         visit: `wp.func(tree, child, search, hits, i, best, work) -> best`: processes a leaf.
         enter_node: `wp.func(node, search)`: for measurements, is called at each inner node; None for nothing.
     """
-    width, counting, any_hit, Results = max(config.width, 2), config.counters, config.query == ANY, results_of(config)
+    width, counting, any_hit, Results = max(config.width, 2), config.counters, config.answer.ends_at_first, config.answer.Search
     test_boxes, nearest, row, noting = ray_boxes(width), nearest_child(width), levels * width, enter_node is not None
 
     @wp.func
@@ -48,7 +48,7 @@ def make_key_walk(
         search: wp.ref[Search],
         hits: wp.ref[Results],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         keys = wp.zeros(shape=(row,), dtype=int)

@@ -22,6 +22,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import Ray
@@ -30,13 +31,12 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import INFINITY, RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes
-from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start
-from wrt.kernels.traversal.leaf_steps import make_custom_leaf_step
-from wrt.kernels.traversal.search_results import results_of
+from wrt.kernels.traversal.leaf import Counters, block_step
 from wrt.kernels.traversal.single.key_walk import make_key_walk
+from wrt.kernels.traversal.single.leaf_steps import make_leaf_step
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.single.traversal_stack import WaitingStack, waiting_stack
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -47,7 +47,7 @@ STACKED = 4
 """Greatest number of children per node for which the walk uses a stack instead of keys."""
 
 
-def make_walk(config: TraversalConfig) -> wp.Function:
+def make_bvh_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     return make_walk_with_stack(config) if config.width <= STACKED else make_walk_with_keys(config)
 
@@ -90,8 +90,8 @@ def make_leaf_loop(config: TraversalConfig, Tree: type) -> wp.Function:
     leaf: its node, or the child word that leads to it. within: closed interval of t in which ray i is in it. block, count: its
     first block and number of triangles. cells: the ray in the space of the tree. search: of the triangles, in theirs.
     """
-    LeafSearch, custom_leaf_step, Results = leaf_search(config.triangle_test), config.custom_leaf_step, results_of(config)
-    test_block = make_custom_leaf_step(config, Tree) if custom_leaf_step else block_step(config)
+    LeafSearch, nearest, Results = leaf_search(config.triangle_test), config.answer.nearest, config.answer.Search
+    test_block = block_step(config) if nearest else make_leaf_step(config, Tree)
     width, counting = config.width, config.counters
 
     @wp.func
@@ -105,14 +105,14 @@ def make_leaf_loop(config: TraversalConfig, Tree: type) -> wp.Function:
         search: wp.ref[LeafSearch],
         hits: wp.ref[Results],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         if wp.static(counting):
             work.leaves += 1
             work.triangles += count
         while count > 0:
-            if wp.static(custom_leaf_step):
+            if wp.static(not nearest):
                 best = test_block(tree, leaf, within, search.triangles, block, search.state, search.slabs, cells, hits, i, best)
             else:
                 best = test_block(search.triangles, block, search.state, search.slabs, search.t_min, best)
@@ -126,7 +126,8 @@ def make_leaf_loop(config: TraversalConfig, Tree: type) -> wp.Function:
 @cache
 def make_leaf(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, child, search, hits, i, best, work) -> best`: tests the triangles of a leaf."""
-    LeafSearch, Results, test_blocks = leaf_search(config.triangle_test), results_of(config), make_leaf_loop(config, WideNodes)
+    LeafSearch, Results = leaf_search(config.triangle_test), config.answer.Search
+    test_blocks = make_leaf_loop(config, WideNodes)
 
     @wp.func
     def test_leaf(
@@ -135,7 +136,7 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
         search: wp.ref[LeafSearch],
         hits: wp.ref[Results],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         within = wp.vec2(search.t_min, best.t)
@@ -198,7 +199,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
     begin, test_leaf = begin_search(config.triangle_test), make_leaf(config)
     step, stacked = inner_step(config), stack_of(config)
     open_stack, pop, local = stacked.open, stacked.pop, stacked.local
-    counting, any_hit, Results = config.counters, config.query == ANY, results_of(config)
+    counting, any_hit, Results = config.counters, config.answer.ends_at_first, config.answer.Search
 
     @wp.func
     def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
@@ -232,7 +233,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
 @cache
 def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
     """The walk with a row of keys per level."""
-    LeafSearch, Results, begin = leaf_search(config.triangle_test), results_of(config), begin_search(config.triangle_test)
+    LeafSearch, Results, begin = leaf_search(config.triangle_test), config.answer.Search, begin_search(config.triangle_test)
     walk_keys = make_key_walk(config, config.stack.levels, LeafSearch, make_leaf(config))
 
     @wp.func
@@ -245,6 +246,6 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_single_bvh_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    return make_ray_kernel(config, WideNodes, make_walk)
+    return make_ray_kernel(config, WideNodes, make_bvh_walk(config))

@@ -32,6 +32,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import start
 from wrt.kernels.layout import compact_nodes as compact
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
@@ -39,12 +40,11 @@ from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, cross_plane, ray_slabs, reach
-from wrt.kernels.traversal.leaf import Counters, block_step, enter, start
-from wrt.kernels.traversal.leaf_steps import make_custom_leaf_step
+from wrt.kernels.traversal.leaf import Counters, block_step, enter
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
-from wrt.kernels.traversal.search_results import results_of
+from wrt.kernels.traversal.single.leaf_steps import make_leaf_step
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
-from wrt.kernels.traversal.traversal_config import ANY, SingleConfig, TraversalConfig
+from wrt.kernels.traversal.traversal_config import SingleConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -157,14 +157,14 @@ def node_order(single: SingleConfig) -> tuple[wp.Function, wp.Function, int]:
 
 
 @cache
-def make_walk(config: TraversalConfig) -> wp.Function:
+def make_kdtree_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    custom_leaf_step, Results = config.custom_leaf_step, results_of(config)
-    test_block = make_custom_leaf_step(config, KdNodes) if custom_leaf_step else block_step(config)
+    nearest, Results = config.answer.nearest, config.answer.Search
+    test_block = block_step(config) if nearest else make_leaf_step(config, KdNodes)
     step = step_guessing if config.coherent else step_selecting
     load, children_of, root = node_order(config.single)
-    width, counting, any_hit = config.width, config.counters, config.query == ANY
+    width, counting, any_hit = config.width, config.counters, config.answer.ends_at_first
     forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
     remembering = config.mailbox != NONE
 
@@ -200,7 +200,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                     work.leaves += 1
                     work.triangles += count
                 while count > 0:
-                    if wp.static(custom_leaf_step):
+                    if wp.static(not nearest):
                         within = wp.vec2(cell.entry, cell.leave)
                         best = test_block(tree, cell.node, within, triangles, block, state, slabs, slabs, hits, i, best)
                     elif wp.static(remembering):
@@ -226,6 +226,6 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_single_kdtree_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    return make_ray_kernel(config, KdNodes, make_walk)
+    return make_ray_kernel(config, KdNodes, make_kdtree_walk(config))

@@ -1,30 +1,41 @@
-"""The kernel around a walk that traces one ray at a time, for every kind of tree."""
+"""The kernels around a walk that traces one ray at a time, for every kind of tree, on one level and on two."""
 
-from collections.abc import Callable
+from typing import Any
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import start
+from wrt.kernels.answers.skipped_triangle import skip_for
+from wrt.kernels.layout.instance_maps import centered_origin, ray_environment, ray_mask
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import specialised_kernel
-from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
+from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 
-def make_ray_kernel(config: TraversalConfig, Tree: type, make_walk: Callable[[TraversalConfig], wp.Function]) -> wp.Kernel:
+def make_ray_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Parts: Any = None) -> wp.Kernel:
     """A kernel for one specialisation that traces one ray per item.
+
+    With `skipping`, it is that of `make_skipping_kernel`. Through instances, lists of all hits are written from
+    `HitBatch.begins` on, so the hits of each ray must be counted first.
 
     Args:
         config: the specialisation of the walk.
         Tree: struct of the tree.
-        make_walk: makes `wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid.
+        walk: `wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid; or a walk through
+            instances (`wrt.kernels.traversal.two_level.instance_single.make_instance_walk`).
+        Parts: type of the array of geometries that instances place; None for a walk on one level.
     """
-    walk, store, counting = make_walk(config), store_best(config), config.counters
+    if config.skipping:
+        return make_skipping_kernel(config, Tree, walk, Parts)
+    store, counting, two_level = config.answer.store, config.counters, Parts is not None
+    lists, Triangles = two_level and bool(config.answer.listed), Parts if two_level else TriangleBlocks
 
     def single_ray(
         first: int,
         tree: Tree,
-        triangles: TriangleBlocks,
+        triangles: Triangles,
         rays: RayBatch,
         hits: HitBatch,
         counters: CounterRows,
@@ -34,9 +45,48 @@ def make_ray_kernel(config: TraversalConfig, Tree: type, make_walk: Callable[[Tr
         best = start(ray.t_max)
         work = Counters()
         if ray.valid:
-            best = walk(tree, triangles, ray, hits, i, work)
+            if wp.static(two_level):
+                origin = centered_origin(rays, i)
+                best = walk(tree, triangles, origin, ray, ray_mask(rays, i), ray_environment(rays, i), hits, i, work)
+            else:
+                best = walk(tree, triangles, ray, hits, i, work)
+            if wp.static(lists):
+                hits.begins[i] = hits.begins[i] - (best.primitive + 1)
         store(hits, i, best)
         if wp.static(counting):
             counters.rows[i] = work
 
     return specialised_kernel(single_ray)
+
+
+def make_skipping_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Parts: Any = None) -> wp.Kernel:
+    """The same for a config with `skipping` set: each ray ignores one triangle (`wrt.kernels.answers.skipped_triangle`).
+
+    In place of counters it gets `skipped`: (N,) the ignored triangle of each ray, or (n,) for rays in rows of n that share them
+    by column; -1 ignores nothing. Triangles are numbered through all instances.
+    """
+    store, two_level = config.answer.store, Parts is not None
+    Triangles = Parts if two_level else TriangleBlocks
+
+    def skipping_ray(
+        first: int,
+        tree: Tree,
+        triangles: Triangles,
+        rays: RayBatch,
+        skipped: wp.array(dtype=int),
+        hits: HitBatch,
+    ):
+        i = first + wp.tid()
+        ray = load_ray(rays, i)
+        best = start(ray.t_max)
+        if ray.valid:
+            search = skip_for(skipped, i, ray.t_min)
+            work = Counters()
+            if wp.static(two_level):
+                origin = centered_origin(rays, i)
+                best = walk(tree, triangles, origin, ray, ray_mask(rays, i), ray_environment(rays, i), search, i, work)
+            else:
+                best = walk(tree, triangles, ray, search, i, work)
+        store(hits, i, best)
+
+    return specialised_kernel(skipping_ray)

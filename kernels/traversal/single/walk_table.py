@@ -6,12 +6,12 @@ import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import KdNodes
-from wrt.kernels.traversal.single import single_bvh
-from wrt.kernels.traversal.single import single_kdtree as single
+from wrt.kernels.traversal.single.single_bvh import make_bvh_walk
+from wrt.kernels.traversal.single.single_kdtree import make_kdtree_walk
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 
 WALKS: dict[str, tuple[type, Callable[[TraversalConfig], wp.Function]]] = {
-    "bvh": (WideNodes, single_bvh.make_walk),
-    "kdtree": (KdNodes, single.make_walk),
+    "bvh": (WideNodes, make_bvh_walk),
+    "kdtree": (KdNodes, make_kdtree_walk),
 }
 """For each kind of tree its struct and the factory of its walk."""

@@ -44,7 +44,7 @@ from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE, collect_w
 from wrt.kernels.traversal.stream.stream_leaves import NodeList, leaf_tester
 from wrt.kernels.traversal.stream.stream_lists import Pairs
 from wrt.kernels.traversal.stream.stream_root import load_root
-from wrt.kernels.traversal.traversal_config import ANY, COUNT, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -55,9 +55,9 @@ BELOW_ALL_KEYS = wp.constant(-0x80000000)
 
 def child_order(config: TraversalConfig) -> int:
     """Which child of a node is visited first."""
-    if config.query == ANY:
+    if config.answer.ends_at_first:
         return FAR if config.coherent else NONE
-    return NONE if config.query == COUNT else NEAR
+    return NEAR if config.answer.front_to_back else NONE
 
 
 @cache

@@ -18,16 +18,16 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
-from wrt.kernels.traversal.crossings import record_crossing
-from wrt.kernels.traversal.leaf import Candidate, triangle_step
+from wrt.kernels.traversal.leaf import triangle_step
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, get_ray, ray_number, stream_ray
 from wrt.kernels.traversal.stream.stream_lists import Pairs, load_candidate
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -36,13 +36,13 @@ exact_module(__name__)
 
 def evaluates_in_lanes(config: TraversalConfig) -> bool:
     """Whether candidates are evaluated 16 at a time."""
-    return bool(TRIANGLE_TESTS[config.triangle_test].native) and not config.crossing and not config.cull_backfaces
+    return bool(TRIANGLE_TESTS[config.triangle_test].native) and config.answer.nearest and not config.cull_backfaces
 
 
 def lane_form(config: TraversalConfig) -> str:
     """C++ template arguments of what evaluates candidates, where `evaluates_in_lanes`."""
     test = TRIANGLE_TESTS[config.triangle_test]
-    return f"{test.native}, {config.width}, {test.record.components}, {int(config.query == ANY)}, {LIST_LANES}"
+    return f"{test.native}, {config.width}, {test.record.components}, {int(config.answer.ends_at_first)}, {LIST_LANES}"
 
 
 @cache
@@ -64,7 +64,7 @@ def test_in_lanes(config: TraversalConfig) -> wp.Function:
 
 
 @native.func_native("stream_candidates.h", "wrt::record_if_better(hit.c, primitive, t_min, best);")
-def record_if_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Candidate]):
+def record_if_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[BestHit]):
     """Replaces the best hit by the hit (t, u, v) if that `improves` it.
 
     It uses bit operations, because the compiler may turn a select into a branch, which is slower for incoherent rays
@@ -78,7 +78,7 @@ def scalar_test_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, stream, k, slot, hits, i)`: evaluates one candidate, of ray k of the stream and i of the batch."""
     StreamRay, RayState = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test].ray_state
     get, candidate = get_ray(config.triangle_test), triangle_step(config)
-    any_hit, crossing, record = config.query == ANY, config.crossing, record_crossing(config)
+    any_hit, nearest, accept = config.answer.ends_at_first, config.answer.nearest, config.answer.accept
 
     @native.func_native(
         "lanes.h",
@@ -87,7 +87,7 @@ def scalar_test_step(config: TraversalConfig) -> wp.Function:
         if ({int(any_hit)} && best.primitive >= 0) rays.data[k].best.t = __builtin_bit_cast(float, 0xff800000u);  // -inf
     """,
     )
-    def put_best(rays: wp.array(dtype=StreamRay), k: int, best: Candidate): ...
+    def put_best(rays: wp.array(dtype=StreamRay), k: int, best: BestHit): ...
 
     @wp.func
     def test_one(
@@ -100,17 +100,16 @@ def scalar_test_step(config: TraversalConfig) -> wp.Function:
     ):
         slabs = RaySlabs()
         state = RayState()
-        best = Candidate()
+        best = BestHit()
         t_min = get(stream, k, slabs, state, best)
         if wp.static(any_hit) and best.primitive >= 0:
             return  # the ray already has a hit
         hit = candidate(triangles.records, slot, state, slabs)
         primitive = load_int(triangles.primitive, slot)
-        if wp.static(crossing):
-            if hit[0] >= t_min and hit[0] <= best.t:
-                best = record(hits, i, best, hit[0], primitive, hit[1], hit[2])
-        else:
+        if wp.static(nearest):
             record_if_better(hit, primitive, t_min, best)
+        elif hit[0] >= t_min and hit[0] <= best.t:
+            best = accept(hits, i, best, hit[0], primitive, hit[1], hit[2])
         put_best(stream, k, best)
 
     return test_one

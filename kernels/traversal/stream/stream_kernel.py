@@ -41,12 +41,12 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
-from wrt.kernels.traversal.leaf import Candidate, store_best
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 exact_module(__name__)
@@ -109,7 +109,7 @@ def stream_ray(triangle_test: str) -> type:
     class StreamRay:
         slabs: RaySlabs
         t_min: float
-        best: Candidate
+        best: BestHit
         state: RayState
         number: int
 
@@ -137,7 +137,7 @@ def get_ray(triangle_test: str) -> wp.Function:
         k: int,
         slabs: wp.ref[RaySlabs],
         state: wp.ref[RayState],
-        best: wp.ref[Candidate],
+        best: wp.ref[BestHit],
     ) -> float: ...
 
     return get_ray_native
@@ -153,15 +153,14 @@ def ray_number(triangle_test: str) -> wp.Function:
     return number_of
 
 
-_MISS_ANY = "for (int k = 0; k < count; ++k) hits.occluded.data[begin + k] = false;"
-
-_MISS_ALL = "for (int k = 0; k < count; ++k) hits.counts.data[begin + k] = 0;"
-
-_MISS_CLOSEST = """
-    for (int k = 0; k < count; ++k) hits.t.data[begin + k] = __builtin_bit_cast(float, 0x7f800000);
-    for (int k = 0; k < count; ++k) hits.primitive.data[begin + k] = -1;
-    for (int k = 0; k < count; ++k) hits.uv.data[begin + k] = wp::vec2(0.0f, 0.0f);
-"""
+_MISSES = {
+    "t": "for (int k = 0; k < count; ++k) hits.t.data[begin + k] = __builtin_bit_cast(float, 0x7f800000);",
+    "primitive": "for (int k = 0; k < count; ++k) hits.primitive.data[begin + k] = -1;",
+    "uv": "for (int k = 0; k < count; ++k) hits.uv.data[begin + k] = wp::vec2(0.0f, 0.0f);",
+    "occluded": "for (int k = 0; k < count; ++k) hits.occluded.data[begin + k] = false;",
+    "counts": "for (int k = 0; k < count; ++k) hits.counts.data[begin + k] = 0;",
+}
+"""What writes each array of answers for rays that miss (`COLUMNS`)."""
 
 
 @cache
@@ -169,12 +168,12 @@ def store_stream(config: TraversalConfig) -> wp.Function:
     """`wp.func(stream, size, begin, count, hits)`: writes the results of the rays begin .. begin + count - 1, of which `size`
     are in the stream; the others miss."""
     StreamRay, number_of = stream_ray(config.triangle_test), ray_number(config.triangle_test)
-    store_one = store_best(config)
+    store_one = config.answer.store
 
-    @native.func_native("lanes.h", _MISS_ANY if config.query == ANY else _MISS_ALL if config.crossing else _MISS_CLOSEST)
+    @native.func_native("lanes.h", "\n".join(_MISSES[name] for name in config.answer.columns))
     def store_misses(begin: int, count: int, hits: HitBatch): ...
 
-    if config.query == ANY:
+    if config.answer.ends_at_first:
 
         @native.func_native(
             "lanes.h",
@@ -195,14 +194,14 @@ def store_stream(config: TraversalConfig) -> wp.Function:
         return store_occluded
 
     @wp.func_native("best = rays.data[k].best;")
-    def get_best(rays: wp.array(dtype=StreamRay), k: int, best: wp.ref[Candidate]): ...
+    def get_best(rays: wp.array(dtype=StreamRay), k: int, best: wp.ref[BestHit]): ...
 
     @wp.func
     def store(stream: wp.array(dtype=StreamRay), size: int, begin: int, count: int, hits: HitBatch):
         if size < count:
             store_misses(begin, count, hits)
         for k in range(size):
-            best = Candidate()
+            best = BestHit()
             get_best(stream, k, best)
             store_one(hits, begin + number_of(stream, k), best)
 

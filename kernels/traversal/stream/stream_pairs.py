@@ -12,16 +12,16 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.lanes import lanes
-from wrt.kernels.traversal.leaf import Candidate
 from wrt.kernels.traversal.stream.stream_candidates import candidate_tester
 from wrt.kernels.traversal.stream.stream_kernel import StreamCounters, get_ray, stream_ray
 from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, append_candidates, load_pair, store_pair
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -32,7 +32,7 @@ exact_module(__name__)
 def line_lanes(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, block, state) -> mask`: which triangles of a block the line of a ray meets."""
     test, Lanes = TRIANGLE_TESTS[config.triangle_test], lanes(config.width)
-    RayState, forms = test.ray_state, test.forms(config.crossing)
+    RayState, forms = test.ray_state, test.forms(config.answer.crossings)
     intersect_block = (forms.line_test or forms.block_test)(config.width)
 
     @wp.func
@@ -55,7 +55,7 @@ def line_filter(config: TraversalConfig) -> wp.Function:
     """
     test, width, counting = TRIANGLE_TESTS[config.triangle_test], config.width, config.counters
     StreamRay, RayState, get = stream_ray(config.triangle_test), test.ray_state, get_ray(config.triangle_test)
-    append, intersect_lines = append_candidates(width, config.query != ANY), line_lanes(config)
+    append, intersect_lines = append_candidates(width, not config.answer.ends_at_first), line_lanes(config)
 
     @wp.func
     def find_candidates(
@@ -75,7 +75,7 @@ def line_filter(config: TraversalConfig) -> wp.Function:
             k = load_pair(pairs, p, leaf)
             slabs = RaySlabs()
             state = RayState()
-            best = Candidate()
+            best = BestHit()
             get(stream, k, slabs, state, best)
             block = bvh.first_block(leaf)
             triangles_left = bvh.leaf_triangles(leaf)

@@ -28,10 +28,11 @@ References:
         22(9), 2006.
 """
 
-from functools import cache, partial
+from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH
@@ -39,7 +40,7 @@ from wrt.kernels.layout.ray_batch import HitBatch, Ray
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import ray_slabs, reach
-from wrt.kernels.traversal.leaf import Candidate, Counters, enter, start
+from wrt.kernels.traversal.leaf import Counters, enter
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf
 from wrt.kernels.traversal.single.single_kdtree import Cell
@@ -131,7 +132,7 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
         search: wp.ref[FuzzySearch],
         hits: wp.ref[HitBatch],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         cluster = search.tree.clusters[load_int(search.tree.order, bvh.first_block(child) * wp.static(width))]
@@ -152,7 +153,7 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
 
 
 @cache
-def make_walk(config: TraversalConfig, kind: str) -> wp.Function:
+def make_fuzzy_walk(config: TraversalConfig, kind: str) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     Tree, FuzzySearch = TREES[kind], fuzzy_search(config.triangle_test, kind)
     begin = begin_search(config.triangle_test)
@@ -173,6 +174,6 @@ def make_walk(config: TraversalConfig, kind: str) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig, kind: str = "bvh") -> wp.Kernel:
+def make_fuzzy_kernel(config: TraversalConfig, kind: str = "bvh") -> wp.Kernel:
     """The kernel for one specialisation; kind: of the clusters' trees, key of `TREES`."""
-    return make_ray_kernel(config, TREES[kind], partial(make_walk, kind=kind))
+    return make_ray_kernel(config, TREES[kind], make_fuzzy_walk(config, kind))

@@ -33,8 +33,8 @@ from wrt.kernels.traversal.packet.culling.interval_culling import cull_boxes
 from wrt.kernels.traversal.packet.leaves import occluder_cache as occluder
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
-from wrt.kernels.traversal.single.single_bvh import make_walk
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.single.single_bvh import make_bvh_walk
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.two_level.instance_rays import (
     ROWS,
     PacketMemory,
@@ -129,8 +129,8 @@ def trace_left_rays(config: TraversalConfig) -> wp.Function:
     together, one by one."""
     layout = packet_layout(config)
     needs_single_ray, active = packet_splitting.needs_single_ray(layout), is_active(layout)
-    continue_ray = ray_continuation(config, WideNodes, make_walk(config))
-    store, packet_rays = store_candidate(layout, config.query == ANY), config.packet.rays
+    continue_ray = ray_continuation(config, WideNodes, make_bvh_walk(config))
+    store, packet_rays = store_candidate(layout, config.answer.ends_at_first), config.packet.rays
     own_origins = 0 if config.packet.shared_origin else 1
 
     @wp.func
@@ -172,7 +172,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
     cache_leaf, trace_left, merge = (
         occluder.cache_leaf(layout),
         trace_left_rays(config),
-        merge_hits(layout, config.query == ANY),
+        merge_hits(layout, config.answer.ends_at_first),
     )
 
     @wp.func
@@ -191,13 +191,13 @@ def make_visit(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
+def make_instance_packet_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
     """The kernel for one specialisation. An item is a run of packets.
 
     levels: greatest number of inner nodes on a path of the upper tree.
     """
     load_and_bound, visit, cull = packet_loader(config), make_visit(config), cull_boxes(packet_layout(config))
-    next_root, store = next_group(config), store_rays(packet_layout(config), config.query == ANY)
+    next_root, store = next_group(config), store_rays(packet_layout(config), config.answer.ends_at_first)
     width, packet_rays, size, run = config.width, config.packet.rays, packet_layout(config).size, rays_per_item(config)
     row, nearest = levels * config.width, nearest_child(config.width)
 

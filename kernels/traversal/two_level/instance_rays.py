@@ -12,11 +12,11 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.leaf import Candidate
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
 from wrt.kernels.traversal.packet.rays.packet_load import bounding
@@ -149,7 +149,7 @@ def store_candidate(layout: PacketLayout, any_hit: bool) -> wp.Function:
     """`wp.func(memory, k, best)`: ray k of the packet has this hit, or none; in any-hit queries it is then done."""
 
     @native.func_native("packet_parts.h", f"wrt::store_hit<{cpp(any_hit)}>({layout.type}(memory.packet.data), k, best_of_ray);")
-    def store_candidate_native(memory: wp.ref[PacketMemory], k: int, best_of_ray: wp.ref[Candidate]): ...
+    def store_candidate_native(memory: wp.ref[PacketMemory], k: int, best_of_ray: wp.ref[BestHit]): ...
 
     return store_candidate_native
 

@@ -24,19 +24,20 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
-from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_ray, ray_environment, ray_mask
+from wrt.kernels.layout.instance_maps import Placement, object_ray
 from wrt.kernels.layout.kdtree_nodes import KdNodes
-from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
+from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_int
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import ray_slabs, reach
-from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, improves, start, store_best
-from wrt.kernels.traversal.search_results import PreviousCrossing, Skipping, results_of
+from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.single.key_walk import make_key_walk
+from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.single.walk_table import WALKS
-from wrt.kernels.traversal.traversal_config import ALL, NEXT, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -103,25 +104,19 @@ def root_of(top: InstanceTree, environment: int):
 
 
 @cache
-def merge_candidate(config: TraversalConfig) -> wp.Function:
-    """`wp.func(placement, found, t_min, hits, i, best) -> best`: merges the hits that a walk found in an instance."""
-    crossing, storing, Results = config.crossing and config.query != NEXT, config.query == ALL, results_of(config)
+def join_answers(config: TraversalConfig) -> wp.Function:
+    """`wp.func(first, found, t_min, hits, i, best) -> best`: joins what a walk found in an instance, whose triangles are
+    numbered from `first` on, and what was found before."""
+    answer = config.answer
+    join, renumber, lists, Results = answer.join, answer.renumber, bool(answer.listed), answer.Search
 
     @wp.func
-    def merge(placement: Placement, found: Candidate, t_min: float, hits: wp.ref[Results], i: int, best: Candidate):
-        if wp.static(crossing):
-            if wp.static(storing):
-                begin = hits.begins[i]
-                for place in range(begin, begin + found.primitive + 1):
-                    hits.primitive[place] = hits.primitive[place] + placement.first
-                hits.begins[i] = begin + found.primitive + 1
-            best.primitive += found.primitive + 1
-        elif found.primitive >= 0 and improves(found.t, placement.first + found.primitive, t_min, best):
-            best = found
-            best.primitive = placement.first + found.primitive
-        return best
+    def join_found(first: int, found: BestHit, t_min: float, hits: wp.ref[Results], i: int, best: BestHit):
+        if wp.static(lists):
+            renumber(hits, i, found.primitive + 1, first)
+        return join(found, first, t_min, best)
 
-    return merge
+    return join_found
 
 
 @cache
@@ -139,32 +134,12 @@ def instance_search(kind: str) -> type:
     return wp.struct(InstanceSearch)
 
 
-@wp.func
-def skipping_within(placement: Placement, search: Skipping):
-    """What a ray ignores of an instance. Other numbers than those of its triangles ignore nothing."""
-    own = Skipping()
-    own.t_min = search.t_min
-    own.skipped = search.skipped - placement.first
-    return own
-
-
-@wp.func
-def crossing_before(placement: Placement, previous: PreviousCrossing):
-    """The crossing after which those of an instance count: a number below 0 precedes all its triangles."""
-    own = PreviousCrossing()
-    own.t = previous.t
-    own.primitive = previous.primitive - placement.first
-    return own
-
-
 @cache
 def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
     """`wp.func(tree, child, search, hits, i, best, work) -> best`: visits a leaf of the upper tree, for `make_key_walk`."""
-    InstanceSearch, walk, merge = instance_search(kind), WALKS[kind][1](config), merge_candidate(config)
+    InstanceSearch, walk, join = instance_search(kind), WALKS[kind][1](config), join_answers(config)
     width = max(config.width, 2)  # children per node of the upper tree
-    Results = results_of(config)
-    within = {Skipping: skipping_within, PreviousCrossing: crossing_before}.get(Results)
-    numbered = within is not None
+    within, numbered, Results = config.answer.within, config.answer.within is not None, config.answer.Search
 
     @wp.func
     def visit(
@@ -173,7 +148,7 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
         search: wp.ref[InstanceSearch],
         hits: wp.ref[Results],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         placement = search.top.placements[load_int(search.top.order, bvh.first_block(child) * wp.static(width))]
@@ -182,19 +157,19 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
             if object_space_ray.valid:
                 part = search.parts[placement.geometry]
                 if wp.static(numbered):
-                    own = within(placement, hits)
+                    own = within(placement.first, hits)
                     found = walk(part.tree, part.triangles, object_space_ray, own, i, work)
-                    best = merge(placement, found, search.ray.t_min, hits, i, best)
+                    best = join(placement.first, found, search.ray.t_min, hits, i, best)
                 else:
                     found = walk(part.tree, part.triangles, object_space_ray, hits, i, work)
-                    best = merge(placement, found, search.ray.t_min, hits, i, best)
+                    best = join(placement.first, found, search.ray.t_min, hits, i, best)
         return best
 
     return visit
 
 
 @cache
-def make_search_instances(config: TraversalConfig, kind: str, levels: int) -> wp.Function:
+def make_instance_walk(config: TraversalConfig, kind: str, levels: int) -> wp.Function:
     """`wp.func(top, parts, origin, ray, mask, environment, hits, i, work) -> best` for a valid ray.
 
     Its origin relative to the scene's centre is also given in float64, as instances far from there need it.
@@ -204,7 +179,7 @@ def make_search_instances(config: TraversalConfig, kind: str, levels: int) -> wp
         kind: tree kind of the geometries, a key of `PARTS`.
         levels: greatest number of inner nodes on a path of the upper tree.
     """
-    Part, InstanceSearch, Results = PARTS[kind], instance_search(kind), results_of(config)
+    Part, InstanceSearch, Results = PARTS[kind], instance_search(kind), config.answer.Search
     walk_keys = make_key_walk(config, levels, InstanceSearch, make_visit(config, kind))
 
     @wp.func
@@ -236,59 +211,6 @@ def make_search_instances(config: TraversalConfig, kind: str, levels: int) -> wp
 
 
 @cache
-def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
-    """The kernel for one specialisation; arguments as in `make_search_instances`.
-
-    Lists of all hits are written from `HitBatch.begins` on, so the hits of each ray must be counted first.
-    """
-    Part, walk, store = PARTS[kind], make_search_instances(config, kind, levels), store_best(config)
-    counting, storing = config.counters, config.query == ALL
-
-    def single_ray_instances(
-        first: int,
-        top: InstanceTree,
-        parts: wp.array(dtype=Part),
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
-    ):
-        i = first + wp.tid()
-        ray = load_ray(rays, i)
-        best = start(ray.t_max)
-        work = Counters()
-        if ray.valid:
-            best = walk(top, parts, centered_origin(rays, i), ray, ray_mask(rays, i), ray_environment(rays, i), hits, i, work)
-            if wp.static(storing):
-                hits.begins[i] = hits.begins[i] - (best.primitive + 1)
-        store(hits, i, best)
-        if wp.static(counting):
-            counters.rows[i] = work
-
-    return specialised_kernel(single_ray_instances)
-
-
-@cache
-def make_skipping_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
-    """`wrt.kernels.query.skip_triangle.make_kernel` on two levels; triangles are numbered through all instances."""
-    Part, walk, store = PARTS[kind], make_search_instances(config, kind, levels), store_best(config)
-
-    def skipping_hits_instances(
-        first: int,
-        top: InstanceTree,
-        parts: wp.array(dtype=Part),
-        rays: RayBatch,
-        skipped: wp.array(dtype=int),
-        hits: HitBatch,
-    ):
-        i = first + wp.tid()
-        ray = load_ray(rays, i)
-        best = start(ray.t_max)
-        if ray.valid:
-            search = Skipping()
-            search.t_min = ray.t_min
-            search.skipped = skipped[i % skipped.shape[0]]
-            work = Counters()
-            best = walk(top, parts, centered_origin(rays, i), ray, ray_mask(rays, i), ray_environment(rays, i), search, i, work)
-        store(hits, i, best)
-
-    return specialised_kernel(skipping_hits_instances)
+def make_instance_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
+    """The kernel for one specialisation; arguments as in `make_instance_walk`."""
+    return make_ray_kernel(config, InstanceTree, make_instance_walk(config, kind, levels), wp.array(dtype=PARTS[kind]))

@@ -23,17 +23,18 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers import ANSWERS, batch_kinds
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_ray, ray_environment, ray_mask
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_int, store_int
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_module, named_kernel, specialised_kernel
 from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.stream import stream_bvh
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, StreamCounterRows, StreamCounters, store_stream, stream_ray
-from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree, root_of
 
 exact_module(__name__)
@@ -241,44 +242,30 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
     return specialised_kernel(streams_of_instances)
 
 
-@wp.kernel
-def merge_hits(
-    first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
-):
-    """Merges the closest hit of a ray into the results and shortens the ray. Item: a ray of a round."""
-    k = first + wp.tid()
-    i = sorted_rays.order[k]
-    if found.primitive[k] >= 0:
-        t = found.t[k]
-        primitive = placements[sorted_rays.instance[k]].first + found.primitive[k]
-        if t < hits.t[i] or (t == hits.t[i] and primitive < hits.primitive[i]):
-            hits.t[i] = t
-            hits.primitive[i] = primitive
-            hits.uv[i] = found.uv[k]
-            search.bound[i - search.begin] = t
+@cache
+def make_round_merge(query: str) -> wp.Kernel:
+    """The kernel that merges what a ray was answered in a round, and shortens the ray. Item: a ray of the round."""
+    answer = ANSWERS[query]
+    merge, bound_of, names_triangles = answer.merge, answer.bound, answer.names_triangles
+
+    def merge_round(
+        first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
+    ):
+        k = first + wp.tid()
+        i = sorted_rays.order[k]
+        changed = bool(False)
+        if wp.static(names_triangles):
+            if found.primitive[k] >= 0:
+                primitive = placements[sorted_rays.instance[k]].first + found.primitive[k]
+                changed = merge(found, k, primitive, hits, i)
+        else:
+            changed = merge(found, k, -1, hits, i)
+        if changed:
+            search.bound[i - search.begin] = bound_of(hits, i, search.bound[i - search.begin])
+
+    return named_kernel(merge_round, f"merge_round_{query}")
 
 
-@wp.kernel
-def merge_occlusion(
-    first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
-):
-    """Merges the any-hit result of a ray; a ray with a hit is done. Item: a ray of a round."""
-    k = first + wp.tid()
-    i = sorted_rays.order[k]
-    if found.occluded[k]:
-        hits.occluded[i] = True
-        search.bound[i - search.begin] = -INFINITY
-
-
-@wp.kernel
-def merge_counts(
-    first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
-):
-    """Adds the count of a ray to the results. Item: a ray of a round."""
-    k = first + wp.tid()
-    i = sorted_rays.order[k]
-    hits.counts[i] = hits.counts[i] + found.counts[k]
-
-
-MERGE = {CLOSEST: merge_hits, ANY: merge_occlusion, COUNT: merge_counts}
-"""Kernel that merges the results of a round, for each query."""
+for merged in batch_kinds():
+    if merged.merge is not None:
+        make_round_merge(merged.name)

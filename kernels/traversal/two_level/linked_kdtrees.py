@@ -29,17 +29,18 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
 from wrt.kernels.layout.unchecked import store_float, store_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach, slab_interval
-from wrt.kernels.traversal.leaf import Candidate, Counters, enter, start
+from wrt.kernels.traversal.leaf import Counters, enter
 from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf_loop
 from wrt.kernels.traversal.single.single_kdtree import Cell, pop_cell, split_cell, step_guessing, step_selecting
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -92,7 +93,7 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
         search: wp.ref[LeafSearch],
         hits: wp.ref[HitBatch],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         within = wp.vec2(cell.entry, cell.leave)
@@ -116,7 +117,7 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
         test_leaf: tests a leaf, as that of `make_leaf` does.
     """
     step = step_guessing if config.coherent else step_selecting
-    counting, any_hit = config.counters, config.query == ANY
+    counting, any_hit = config.counters, config.answer.ends_at_first
 
     @wp.func
     def walk(
@@ -126,7 +127,7 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
         search: wp.ref[Search],
         hits: wp.ref[HitBatch],
         i: int,
-        best: Candidate,
+        best: BestHit,
         work: wp.ref[Counters],
     ):
         cell = Cell()
@@ -181,9 +182,9 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
 
 
 @cache
-def make_walk(config: TraversalConfig) -> wp.Function:
+def make_linked_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
-    begin, crossing = begin_search(config.triangle_test), config.crossing
+    begin, crossing = begin_search(config.triangle_test), config.answer.crossings
     levels = max(config.stack.levels, MAX_TREE_DEPTH)
     walk_cells = make_cell_walk(config, levels, leaf_search(config.triangle_test), make_leaf(config))
 
@@ -204,6 +205,6 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_linked_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    return make_ray_kernel(config, LinkedNodes, make_walk)
+    return make_ray_kernel(config, LinkedNodes, make_linked_walk(config))

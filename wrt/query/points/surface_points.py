@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS
 from wrt.kernels.runtime.launch import use_threads
 from wrt.query.hits import Hits
 from wrt.rays.rays import ResultForm
-from wrt.state.device_hits import CLOSEST_HITS, DTYPES, DeviceHits
+from wrt.state.device_hits import DTYPES, DeviceHits
 
 if TYPE_CHECKING:
     from wrt.state.scene_state import SceneState
@@ -58,7 +59,7 @@ def _hits(scene: SceneState, number: np.ndarray, weights: np.ndarray, is_warp: b
         "uv": np.where(is_hit[:, None], weights.reshape(-1, 2), 0.0).astype(np.float32),
     }
     batch = DeviceHits(len(is_hit), scene.device)
-    batch.__dict__.update({name: wp.array(values[name], dtype=DTYPES[name], device=scene.device) for name in CLOSEST_HITS})
+    batch.__dict__.update({name: wp.array(values[name], dtype=DTYPES[name], device=scene.device) for name in HIT_COLUMNS})
     return Hits(batch, ResultForm(number.shape, is_warp, np.float64), scene, None)
 
 

@@ -142,9 +142,9 @@ class LinkedTrees:
     @property
     def kernel_factory(self) -> Callable[[Any], wp.Kernel]:
         """Makes the kernel that walks the trees, from a `TraversalConfig`."""
-        from wrt.kernels.traversal.two_level.linked_kdtrees import make_kernel
+        from wrt.kernels.traversal.two_level.linked_kdtrees import make_linked_kernel
 
-        return make_kernel
+        return make_linked_kernel
 
     def struct(self) -> Any:
         """The trees as a traversal kernel reads them."""

@@ -45,19 +45,20 @@ from functools import cache, partial
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import start
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_float, load_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
+from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
 from wrt.kernels.traversal.packet.core.packet_kdtree import MIXED_AXES, make_walk_packet, walk_memory
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, packet_step
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.tile_bounds import bound_rays
-from wrt.kernels.traversal.single.single_kdtree import Cell, make_walk, step_guessing
+from wrt.kernels.traversal.single.single_kdtree import Cell, make_kdtree_walk, step_guessing
 from wrt.kernels.traversal.traversal_config import TileConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -230,8 +231,8 @@ def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
 def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     """The kernel for one specialisation; `accelerated` selects AEPSA."""
     search = make_search(config, accelerated)
-    trace_packet = packet_step(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
-    store, counting = store_best(config), config.counters
+    trace_packet = packet_step(config, KdNodes, make_walk_packet(config), make_kdtree_walk(config), MIXED_AXES)
+    store, counting = config.answer.store, config.counters
     packet_rays, large, levels, split = config.packet.rays, rays_per_item(config), config.tiles.levels, config.tiles.split
     small = config.tiles.packets * packet_rays
     size, memory_size = packet_layout(config).size, walk_memory(config)

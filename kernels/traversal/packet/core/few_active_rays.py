@@ -13,15 +13,16 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
-from wrt.kernels.traversal.leaf import Candidate, Counters, block_step
+from wrt.kernels.traversal.leaf import Counters, block_step
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout
 from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
-from wrt.kernels.traversal.traversal_config import ANY, SingleConfig, TraversalConfig
+from wrt.kernels.traversal.traversal_config import SingleConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -48,7 +49,7 @@ def extract_ray(layout: PacketLayout) -> wp.Function:
         place: int,
         ray: wp.ref[RayState],
         slabs: wp.ref[RaySlabs],
-        best: wp.ref[Candidate],
+        best: wp.ref[BestHit],
     ) -> float: ...
 
     return extract_ray_native
@@ -65,7 +66,7 @@ def store_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
         wrt::store_hit<{cpp(any_hit)}>(own, bounds.few.c[place], best);
         wrt::shorten<{cpp(any_hit)}>(own, bounds);""",
     )
-    def store_ray_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], place: int, best: wp.ref[Candidate]): ...
+    def store_ray_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], place: int, best: wp.ref[BestHit]): ...
 
     return store_ray_native
 
@@ -113,7 +114,7 @@ def few_rays_step(config: TraversalConfig) -> wp.Function:
 
     Their number is `ray_count`. The leaf has `count` triangles, from block `first` on.
     """
-    layout, any_hit = packet_layout(config), config.query == ANY
+    layout, any_hit = packet_layout(config), config.answer.ends_at_first
     extract, store, count_work = extract_ray(layout), store_ray(layout, any_hit), count_few_rays(config)
     RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
     test_block = block_step(replace(config, single=SingleConfig()))
@@ -135,7 +136,7 @@ def few_rays_step(config: TraversalConfig) -> wp.Function:
         for place in range(ray_count):
             ray = RayState()
             slabs = RaySlabs()
-            best = Candidate()
+            best = BestHit()
             t_min = extract(packet, bounds, place, ray, slabs, best)
             primitive = best.primitive
             block = int(first)

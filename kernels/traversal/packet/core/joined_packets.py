@@ -26,7 +26,7 @@ from wrt.kernels.traversal.packet.leaves.covering_triangle import covered_packet
 from wrt.kernels.traversal.packet.rays.joint_bounds import fetch_ahead, join_packets, store_together
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.reversed_bounds import reverse_bounds
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -78,9 +78,9 @@ def joined_misses(config: TraversalConfig) -> wp.Function:
     Returns their number; 0 if they have to be traced.
     """
     layout, packet_rays = packet_layout(config), config.packet.rays
-    store = store_together(layout, config.query == ANY, config.packet.non_temporal)
+    store = store_together(layout, config.answer.ends_at_first, config.packet.non_temporal)
     count_misses, fetch = root_misses(config), fetch_ahead(layout)
-    fetches = config.query != ANY and not config.packet.non_temporal
+    fetches = not config.answer.ends_at_first and not config.packet.non_temporal
 
     @wp.func
     def miss_together(
@@ -137,7 +137,7 @@ def joined_occlusion(config: TraversalConfig) -> wp.Function:
 def may_cover(config: TraversalConfig) -> bool:
     """Whether packets may be occluded together."""
     certain = TRIANGLE_TESTS[config.triangle_test].packet_form.certain
-    return config.query == ANY and certain and not config.cull_backfaces
+    return config.answer.ends_at_first and certain and not config.cull_backfaces
 
 
 @cache

@@ -44,7 +44,7 @@ from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, packet_la
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
 from wrt.kernels.traversal.packet.rays.packet_store import store_packet
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -59,7 +59,7 @@ def rays_per_item(config: TraversalConfig) -> int:
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout = packet_layout(config)
-    load, store = load_packet(layout, CULLINGS[config.packet.culling].slopes), store_packet(layout, config.query == ANY)
+    load, store = load_packet(layout, CULLINGS[config.packet.culling].slopes), store_packet(layout, config.answer.ends_at_first)
     enter, split = enter_cell(layout), split_cell(layout)
     packet_leaf_step, few_rays_leaf_step = leaf_step(config), few_rays_step(config)
     counting, size_of_packet, P = config.counters, layout.size, config.packet.rays

@@ -50,8 +50,8 @@ from wrt.kernels.traversal.packet.leaves import occluder_cache as occluder
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import finish_packet
-from wrt.kernels.traversal.single.single_bvh import make_walk
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.single.single_bvh import make_bvh_walk
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -141,7 +141,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     fetch = fetch_kept(layout)
     box_tests = config.width * (config.packet.rays if culling.every_ray else 1)
     mailbox_size = MAILBOXES[config.mailbox].size
-    cached_leaf, cache_leaf, any_hit = occluder.cached_leaf(layout), occluder.cache_leaf(layout), config.query == ANY
+    cached_leaf, cache_leaf, any_hit = occluder.cached_leaf(layout), occluder.cache_leaf(layout), config.answer.ends_at_first
     width, counting = config.width, config.counters
     row = config.stack.levels * config.width
     max_steps = (MAX_STEPS_UNSPLIT if config.packet.shared_origin else MAX_STEPS_PER_RAY) * config.packet.rays
@@ -214,7 +214,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    walks = make_walk_packet(config), make_walk(config)
+    walks = make_walk_packet(config), make_bvh_walk(config)
     memory = walk_memory(config)
     later = finishes_later(config)
     answer = answer_together(config) if later and not config.counters else None

@@ -40,7 +40,7 @@ from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
-from wrt.kernels.traversal.single.single_kdtree import Cell, make_walk, step_guessing
+from wrt.kernels.traversal.single.single_kdtree import Cell, make_kdtree_walk, step_guessing
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -119,4 +119,5 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    return make_packet_kernel(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES, walk_memory(config))
+    walks = make_walk_packet(config), make_kdtree_walk(config)
+    return make_packet_kernel(config, KdNodes, *walks, MIXED_AXES, walk_memory(config))

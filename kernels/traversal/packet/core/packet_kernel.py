@@ -10,11 +10,12 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.answers.best_hit import BestHit, improves, start
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import count_bits
-from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, improves, start, store_best
+from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core import packet_splitting
@@ -27,7 +28,7 @@ from wrt.kernels.traversal.packet.rays.packet_load import finish_packet, load_pa
 from wrt.kernels.traversal.packet.rays.packet_store import fetch_hits, finish_stores, store_packet
 from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
 from wrt.kernels.traversal.packet.rays.reversed_bounds import reverse_bounds
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -55,7 +56,7 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
     layout = packet_layout(config)
     cull_triangles = CULLINGS[config.packet.culling].triangles(layout)
     culling, keep_fronts = config.cull_backfaces, keep_front_faces(layout)
-    test_triangles = test_block(layout, config.query == ANY, culling)
+    test_triangles = test_block(layout, config.answer.ends_at_first, culling)
     count_active, lanes_per_triangle = active_lanes(layout), lanes_tested(layout)
     filter_tested = MAILBOXES[config.mailbox].filter(config.width)
     width, counting = config.width, config.counters
@@ -102,7 +103,7 @@ def load_hit(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet, k, best)`: the best hit so far of an active ray of a packet."""
 
     @native.func_native("packet_parts.h", f"wrt::load_hit({layout.packet}, k, best);")
-    def load_hit_native(packet: wp.array(dtype=float), k: int, best: wp.ref[Candidate]): ...
+    def load_hit_native(packet: wp.array(dtype=float), k: int, best: wp.ref[BestHit]): ...
 
     return load_hit_native
 
@@ -111,7 +112,7 @@ def load_hit(layout: PacketLayout) -> wp.Function:
 def ray_continuation(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
     """`wp.func(tree, triangles, packet, k, ray, hits, i, work) -> best`: traces ray k of a packet, a valid one, up to its best
     hit so far; walk_ray: see `trace_single_rays`."""
-    load, any_hit = load_hit(packet_layout(config)), config.query == ANY
+    load, any_hit = load_hit(packet_layout(config)), config.answer.ends_at_first
 
     @wp.func
     def continue_ray(
@@ -124,7 +125,7 @@ def ray_continuation(config: TraversalConfig, Tree: type, walk_ray: wp.Function)
         i: int,
         work: wp.ref[Counters],
     ):
-        best = Candidate()
+        best = BestHit()
         load(packet, k, best)
         ray.t_max = best.t
         if wp.static(any_hit):
@@ -148,7 +149,7 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
     found, and search up to there. walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`. `work` is the work done for
     the packet so far; it is added to that of the first ray.
     """
-    store, counting, packet_rays = store_best(config), config.counters, config.packet.rays
+    store, counting, packet_rays = config.answer.store, config.counters, config.packet.rays
     needs_single_ray = packet_splitting.needs_single_ray(packet_layout(config))
     continue_ray = ray_continuation(config, Tree, walk_ray)
 
@@ -181,7 +182,8 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
 
 def reverses_bounds(config: TraversalConfig, reversible: bool) -> bool:
     """Whether packets may be bounded as seen from the ends of their rays; reversible: as of `packet_step`."""
-    return reversible and CULLINGS[config.packet.culling].reversible and config.query == ANY and not config.packet.shared_origin
+    occlusion = config.answer.ends_at_first and not config.packet.shared_origin
+    return reversible and CULLINGS[config.packet.culling].reversible and occlusion
 
 
 @cache
@@ -297,8 +299,8 @@ def packet_step(
     """
     layout, parts, culling = packet_layout(config), not config.packet.shared_origin, CULLINGS[config.packet.culling]
     load = load_packet(layout, culling.slopes, later, reverses_bounds(config, reversible))
-    store, fetch = store_packet(layout, config.query == ANY, config.packet.non_temporal), fetch_hits(layout)
-    fetches = config.query != ANY and not config.packet.non_temporal
+    store, fetch = store_packet(layout, config.answer.ends_at_first, config.packet.non_temporal), fetch_hits(layout)
+    fetches = not config.answer.ends_at_first and not config.packet.non_temporal
     single_rays, counting = trace_single_rays(config, Tree, walk_ray), config.counters
     trace = trace_packet(config, Tree, walk_packet, mixed_axes, reversible, later)
 

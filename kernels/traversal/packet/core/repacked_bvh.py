@@ -46,7 +46,7 @@ from wrt.kernels.traversal.packet.core.ray_repacking import (
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
 from wrt.kernels.traversal.packet.rays.packet_store import store_packet
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -79,7 +79,7 @@ def make_leaf(config: TraversalConfig, moved: bool) -> wp.Function:
     """`wp.func(tree, triangles, node, lane, met, packet, bounds, memory, work)`: tests the leaf that `met` rays meet."""
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
     inspect, test_leaf, test_few = culling.leaf(layout), leaf_step(config), few_rays_step(config)
-    shorten = shorten_rays(layout, moved, config.query == ANY)
+    shorten = shorten_rays(layout, moved, config.answer.ends_at_first)
 
     @wp.func
     def visit(
@@ -156,7 +156,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
     """
     culling, layout, inner = CULLINGS[config.packet.culling], packet_layout(config), halved(config)
     cull_boxes, nearest, list_meeting = culling.boxes(layout), nearest_child(config.width), list_rays(layout)
-    visit, shorten = make_leaf(config, moved), shorten_rays(layout, moved, config.query == ANY)
+    visit, shorten = make_leaf(config, moved), shorten_rays(layout, moved, config.answer.ends_at_first)
     descend = make_descent(config, inner) if inner else visit  # without smaller packets, never called
     repacks, smaller = inner is not None, inner.packet.rays if inner else 0
     width, counting, row = config.width, config.counters, config.stack.levels * config.width
@@ -219,7 +219,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
-    load, store = load_packet(layout, culling.slopes), store_packet(layout, config.query == ANY)
+    load, store = load_packet(layout, culling.slopes), store_packet(layout, config.answer.ends_at_first)
     start, walk = culling.start(layout), make_walk(config, False)
     packet_rays, size, memory_size, counting = config.packet.rays, layout.size, walk_memory(config), config.counters
 

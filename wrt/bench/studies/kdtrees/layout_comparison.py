@@ -105,7 +105,7 @@ def trace_placed(scene: Scene, tree: common.KdTree, rays: RayBuffers, walk: Sing
     """Closest or any hits of the rays, by a walk of the scene's tree in another form."""
     from wrt.execution.traversal_launch import counter_rows, no_work
     from wrt.kernels.traversal.leaf import Counters
-    from wrt.kernels.traversal.single.single_kdtree import make_kernel
+    from wrt.kernels.traversal.single.single_kdtree import make_single_kdtree_kernel
     from wrt.planning.plan import traversal_config
     from wrt.state.device_hits import DeviceHits
 
@@ -114,7 +114,7 @@ def trace_placed(scene: Scene, tree: common.KdTree, rays: RayBuffers, walk: Sing
     hits = DeviceHits.new(query, rays.count, scene.device)
     counters = counter_rows(no_work(Counters, scene.device.alias))
     inputs = [tree.struct(), records_of(scene.state, plan, rays.batch), rays.batch, hits.struct(), counters]
-    launch(make_kernel(config), rays.count, inputs, device=scene.device, chunk=1024)
+    launch(make_single_kdtree_kernel(config), rays.count, inputs, device=scene.device, chunk=1024)
     return hits
 
 

@@ -1,4 +1,4 @@
-"""The closest hit in float64, found through a float32 tree.
+"""The closest hit in float64, found through a float32 tree; asked by `wrt.kernels.query.exact_closest`.
 
 **Problem.** A float32 tree is half as large as a float64 tree, faster to traverse, and precise enough to find the
 triangles that a ray may hit. It does not decide which of two triangles is hit first if they are closer together than float32
@@ -29,20 +29,30 @@ References:
     T. Ize: Robust BVH ray traversal. Journal of Computer Graphics Techniques 2(2), 2013.
 """
 
-from functools import cache
-
 import warp as wp
 
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind
+from wrt.kernels.answers.best_hit import BestHit
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import RaySlabs
-from wrt.kernels.simd.lanes import lanes, lowest_bit
-from wrt.kernels.traversal.leaf import Candidate, clamp_block
-from wrt.kernels.traversal.search_results import ExactSearch
-from wrt.kernels.traversal.traversal_config import TraversalConfig
-from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
+
+
+@wp.struct
+class ExactSearch:
+    """Ray and triangles in float64, as the caller gave them, and the closest hit so far."""
+
+    origin: wp.vec3d
+    direction: wp.vec3d
+    t_min: wp.float64
+    vertices: wp.array(dtype=wp.vec3d)
+    faces: wp.array(dtype=wp.vec3i)
+    t: wp.float64
+    """t of the closest hit; before the first hit, the ray's t_max."""
+    primitive: int
+    """-1 before the first hit."""
+    u: wp.float64
+    v: wp.float64
 
 
 @wp.func
@@ -87,40 +97,22 @@ def test_exactly(search: wp.ref[ExactSearch], primitive: int):
             search.v = area_c / total
 
 
-@cache
-def exact_step(config: TraversalConfig, Tree: type) -> wp.Function:
-    """A block step with the parameters of `wrt.kernels.traversal.crossings.crossing_step`; `hits` is the search.
+@wp.func
+def exact_best(search: wp.ref[ExactSearch], best: BestHit):
+    """The closest hit so far, with its t rounded to float32, by which the walk goes on."""
+    if search.primitive >= 0:
+        best.primitive = search.primitive
+        best.t = wp.min(best.t, wp.float32(search.t))
+    return best
 
-    It returns a candidate with the exact t, rounded to float32, which the walk uses.
-    """
-    test, width = TRIANGLE_TESTS[config.triangle_test], config.width
-    Lanes, RayState, meet_boxes = lanes(width), test.ray_state, clamp_block(test.record, width)
-    lane_mask = (1 << width) - 1
 
-    @wp.func
-    def step(
-        tree: Tree,
-        node: int,
-        interval: wp.vec2,
-        triangles: TriangleBlocks,
-        block: int,
-        state: RayState,
-        slabs: wp.ref[RaySlabs],
-        cells: wp.ref[RaySlabs],
-        search: wp.ref[ExactSearch],
-        i: int,
-        best: Candidate,
-    ):
-        starts = Lanes(interval[0])
-        mask = meet_boxes(triangles.records, block, slabs, wp.uint32(wp.static(lane_mask)), starts, interval[0], best.t)
-        while mask != wp.uint32(0):
-            primitive = triangles.primitive[block * wp.static(width) + lowest_bit(mask)]
-            mask = mask & (mask - wp.uint32(1))
-            if primitive >= 0:
-                test_exactly(search, primitive)
-        if search.primitive >= 0:
-            best.primitive = search.primitive
-            best.t = wp.min(best.t, wp.float32(search.t))
-        return best
-
-    return step
+KIND = AnswerKind(
+    name="exact",
+    columns=HIT_COLUMNS,
+    shortens=True,
+    front_to_back=True,
+    walks_only=True,
+    Search=ExactSearch,
+    own_test=test_exactly,
+    best_of=exact_best,
+)

@@ -1,0 +1,49 @@
+"""Kinds of queries: one file for each, and the table of them.
+
+**Contract.** A kind says what is asked of each ray, and engines ask its row in place of its name: kernels by `wp.static` of the
+row's switches and by calling its functions, hosts for its arrays. The state of a search is a `BestHit`, in registers. Engines
+offer hits to a kind in one of three ways:
+* `nearest` kinds keep the best hit, by `improves`, or the first that is found. Engines compare hits for them, in lanes. All
+  traversals answer them.
+* Other kinds are offered each hit: `accept(search, i, best, t, primitive, u, v) -> best` of ray i. t is in the ray's range, and
+  no more than `best.t`. Those traversals answer them that say so (`Traversal.each_hit`).
+* A kind with a test of its own gets each triangle whose box its ray meets: `own_test(search, primitive)`, and `best_of(search,
+  best) -> best` after each block. Only single-ray walks do that.
+
+`search` is a `HitBatch`, into which the kind may write, or its own struct `Search`, which a kernel around the walk fills
+(`walks_only`). The other functions:
+* `store(hits, i, best)` writes the answer of a ray, and `load(hits, i, t_max) -> best` continues from there;
+* `bound(hits, i, t_max) -> t`: beyond it a ray with such an answer need not search, -inf if it is done;
+* `copy(found, place, hits, i)`: the answer `place` of one batch is that of ray i of another;
+* `merge(found, place, primitive, hits, i) -> bool`: the answer of ray i to a part of the triangles becomes the answer to all so
+  far; whether it changed. primitive: the number that the hit's triangle has in the scene, if answers name triangles. None
+  if parts do not answer the kind;
+* `join(found, first, t_min, best) -> best`: the same in registers, for an instance whose triangles are numbered from `first`
+  on; then `renumber(hits, i, count, first)` for lists, and `within(first, search) -> search` before, for a `Search` that
+  names triangles.
+
+A variant of several kinds is one file, too: `skipped_triangle` makes a row from a row.
+
+To add a kind, write its file and add one line to `ANSWERS` (docs/adding.md). Neither engines nor hosts ask for its name.
+"""
+
+from wrt.kernels.answers import all_crossings, any_hit, closest_hit, crossing_count, exact_hit, next_crossing
+from wrt.kernels.answers.answer_kind import AnswerKind
+
+ANSWERS: dict[str, AnswerKind] = {
+    kind.name: kind
+    for kind in (
+        closest_hit.KIND,
+        any_hit.KIND,
+        crossing_count.KIND,
+        all_crossings.KIND,
+        next_crossing.KIND,
+        exact_hit.KIND,
+    )
+}
+"""Kinds of queries by name."""
+
+
+def batch_kinds() -> tuple[AnswerKind, ...]:
+    """Those that a batch of rays can be asked, through any tree."""
+    return tuple(kind for kind in ANSWERS.values() if not kind.walks_only)

@@ -1,0 +1,90 @@
+"""What a row of `wrt.kernels.answers.ANSWERS` says."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch
+
+
+class Column(NamedTuple):
+    """An array of answers.
+
+    Attributes:
+        dtype: of its elements.
+        miss: the value for a ray without a hit.
+    """
+
+    dtype: type
+    miss: float | bool
+
+
+COLUMNS: Mapping[str, Column] = {
+    "t": Column(wp.float32, float("inf")),
+    "primitive": Column(wp.int32, -1),
+    "uv": Column(wp.vec2, 0.0),
+    "occluded": Column(wp.bool, False),
+    "counts": Column(wp.int32, 0),
+}
+"""The arrays of a `wrt.kernels.layout.ray_batch.HitBatch`."""
+
+HIT_COLUMNS = ("t", "primitive", "uv")
+"""Those of a hit."""
+
+
+@dataclass(frozen=True)
+class AnswerKind:
+    """A kind of query: what is asked of each ray. `wrt.kernels.answers` explains the functions.
+
+    Attributes:
+        name: key in `wrt.kernels.answers.ANSWERS`.
+        columns: of `COLUMNS`, those with an element for each ray.
+        listed: of `COLUMNS`, those with an element for each hit of a ray's list; none for answers of one element a ray.
+        shortens: whether a hit shortens the ray: nothing beyond it is searched.
+        ends_at_first: whether a ray is done with the first hit that is found.
+        crossings: whether a ray through an edge or a vertex crosses exactly one of the triangles there
+            (`TriangleTest.crossing`), rather than hitting all of them.
+        once: whether a hit that is offered twice would change the answer.
+        front_to_back: whether boxes are best visited in the order in which a ray enters them: hits then shorten the ray, or
+            lists are nearly sorted when they are found.
+        walks_only: whether only kernels that are built around the walk of one ray ask for it, with a `Search` of their own.
+        Search: struct that walks take as `hits`: where hits are stored, or what decides about them.
+        accept: `wp.func(search, i, best, t, primitive, u, v) -> best`; None if the best hit is kept.
+        own_test: `wp.func(search, primitive)`: tests a triangle, in place of the config's triangle test; None for that.
+        best_of: `wp.func(search, best) -> best`: what the search has found by `own_test`.
+        load, store, bound, copy, merge, join, renumber, within: see the package.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    listed: tuple[str, ...] = ()
+    shortens: bool = False
+    ends_at_first: bool = False
+    crossings: bool = False
+    once: bool = False
+    front_to_back: bool = False
+    walks_only: bool = False
+    Search: type = HitBatch
+    accept: wp.Function | None = None
+    own_test: wp.Function | None = None
+    best_of: wp.Function | None = None
+    load: wp.Function | None = None
+    store: wp.Function | None = None
+    bound: wp.Function | None = None
+    copy: wp.Function | None = None
+    merge: wp.Function | None = None
+    join: wp.Function | None = None
+    renumber: wp.Function | None = None
+    within: wp.Function | None = None
+
+    @property
+    def nearest(self) -> bool:
+        """Whether the best hit is all that is kept, so that engines may compare hits in lanes, without offering each."""
+        return self.accept is None and self.own_test is None
+
+    @property
+    def names_triangles(self) -> bool:
+        """Whether the answer of a ray names a triangle."""
+        return "primitive" in self.columns

@@ -1,0 +1,56 @@
+"""Whether a ray hits anything. The search ends at the first hit that is found."""
+
+import warp as wp
+
+from wrt.kernels.answers.answer_kind import AnswerKind
+from wrt.kernels.answers.best_hit import BestHit, join_nearest, start
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.boxes import INFINITY
+
+exact_module(__name__)
+
+
+@wp.func
+def load_any(hits: HitBatch, i: int, t_max: float):
+    """No hit: rays with one are not traced again."""
+    return start(t_max)
+
+
+@wp.func
+def store_any(hits: HitBatch, i: int, best: BestHit):
+    """Stores whether ray i has a hit."""
+    hits.occluded[i] = best.primitive >= 0
+
+
+@wp.func
+def bound_any(hits: HitBatch, i: int, t_max: float):
+    """-inf for a ray with a hit."""
+    return wp.where(hits.occluded[i], -INFINITY, t_max)
+
+
+@wp.func
+def copy_any(found: HitBatch, place: int, hits: HitBatch, i: int):
+    """Copies whether there is a hit."""
+    hits.occluded[i] = found.occluded[place]
+
+
+@wp.func
+def merge_any(found: HitBatch, place: int, primitive: int, hits: HitBatch, i: int):
+    """Whether a hit was found, which ray i then has."""
+    if found.occluded[place]:
+        hits.occluded[i] = True
+    return found.occluded[place]
+
+
+KIND = AnswerKind(
+    name="any",
+    columns=("occluded",),
+    ends_at_first=True,
+    load=load_any,
+    store=store_any,
+    bound=bound_any,
+    copy=copy_any,
+    merge=merge_any,
+    join=join_nearest,
+)

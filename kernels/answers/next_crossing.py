@@ -1,0 +1,57 @@
+"""The crossing that follows a given one, by t, then by triangle.
+
+Kernels of users ask for it (`wrt.kernels.query.device_functions`). If it is found in two leaves of a kd-tree, it is still the
+same crossing.
+"""
+
+import warp as wp
+
+from wrt.kernels.answers.answer_kind import AnswerKind
+from wrt.kernels.answers.best_hit import BestHit, improves, join_nearest
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
+
+
+@wp.struct
+class PreviousCrossing:
+    """Only crossings after this one count, ordered by t, then by triangle."""
+
+    t: float
+    primitive: int
+    """-1 if there is none."""
+
+
+@wp.func
+def accept_next(previous: wp.ref[PreviousCrossing], i: int, best: BestHit, t: float, primitive: int, u: float, v: float):
+    """Keeps the first crossing that follows the given one."""
+    is_later = t > previous.t or (t == previous.t and primitive > previous.primitive)
+    if is_later and improves(t, primitive, previous.t, best):
+        best.t = t
+        best.primitive = primitive
+        best.u = u
+        best.v = v
+    return best
+
+
+@wp.func
+def next_within(first: int, previous: PreviousCrossing):
+    """The crossing after which those of an instance count: a number below 0 precedes all its triangles."""
+    own = PreviousCrossing()
+    own.t = previous.t
+    own.primitive = previous.primitive - first
+    return own
+
+
+KIND = AnswerKind(
+    name="next",
+    columns=(),
+    shortens=True,
+    crossings=True,
+    front_to_back=True,
+    walks_only=True,
+    Search=PreviousCrossing,
+    accept=accept_next,
+    join=join_nearest,
+    within=next_within,
+)

@@ -1,0 +1,78 @@
+"""A variant of other kinds, in which each ray ignores one triangle: the one on which it starts.
+
+**Problem.** A ray that leaves a surface hits the triangle on which it starts again, at t near 0, in front or behind depending
+on rounding. A lower bound for t also loses thin walls and corners; `wrt.kernels.query.spawn` moves the origin by more than the
+rounding error. If the triangle is known, it can be excluded by its number: the origin stays unchanged, and no other hit is
+lost, however near.
+
+**Idea.** The candidate is dropped after its test and before it is compared with the best hit, so no hit that bounds the search
+is on the triangle. Boxes are visited as usual. The result is that of the mesh without the triangle, in a scene with the same
+bounding box.
+
+**Limits.** Neighbouring triangles are not ignored. A ray from an edge, or within rounding of it, may hit the triangle on the
+other side of the edge at t near 0, and a ray from one of two coincident triangles hits the other.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.answers.answer_kind import AnswerKind
+from wrt.kernels.answers.best_hit import BestHit, improves
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
+
+
+@wp.struct
+class Skipping:
+    """The triangle that a ray ignores."""
+
+    t_min: float
+    """t_min of the ray."""
+    skipped: int
+    """The ignored triangle; -1 if there is none."""
+
+
+@wp.func
+def skip_for(skipped: wp.array(dtype=int), i: int, t_min: float):
+    """What ray i ignores. skipped: (N,), or (n,) for rays in rows of n that share them by column."""
+    search = Skipping()
+    search.t_min = t_min
+    search.skipped = skipped[i % skipped.shape[0]]
+    return search
+
+
+@wp.func
+def accept_unskipped(search: wp.ref[Skipping], i: int, best: BestHit, t: float, primitive: int, u: float, v: float):
+    """Keeps the closest hit that is not on the ignored triangle."""
+    if primitive != search.skipped and improves(t, primitive, search.t_min, best):
+        best.t = t
+        best.primitive = primitive
+        best.u = u
+        best.v = v
+    return best
+
+
+@wp.func
+def count_unskipped(search: wp.ref[Skipping], i: int, best: BestHit, t: float, primitive: int, u: float, v: float):
+    """Counts a crossing that is not on the ignored triangle."""
+    best.primitive += wp.where(primitive == search.skipped, 0, 1)
+    return best
+
+
+@wp.func
+def skip_within(first: int, search: Skipping):
+    """What a ray ignores of an instance. Other numbers than those of its triangles ignore nothing."""
+    own = Skipping()
+    own.t_min = search.t_min
+    own.skipped = search.skipped - first
+    return own
+
+
+@cache
+def skipping(kind: AnswerKind) -> AnswerKind:
+    """The variant of a kind of query that keeps the best hit, or counts crossings."""
+    accept = accept_unskipped if kind.nearest else count_unskipped
+    return replace(kind, walks_only=True, Search=Skipping, accept=accept, within=skip_within)
