@@ -24,7 +24,7 @@ import importlib
 from pathlib import Path
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 if not (Path(__file__).parent / "kernels").is_dir():
     # In a checkout, kernels/ and builders/ are siblings of this folder; in an installation, they are inside it. Python

@@ -8,5 +8,8 @@ without an option they are compared with those. `WRT_WIDTH` and `WRT_TARGET` cho
 * **Trees** depend on the width: a hash for each scene, builder and width.
 * **Pictures** are hashed for each integrator and width.
 
-A hash that changes on purpose is written again in the commit that changes it, with the reason in its message.
+A hash that changes on purpose is written again in the commit that changes it, with the reason in its message. Files that users
+keep depend on these results, so that commit also raises a number in `wrt/revisions.py`: `--write` refuses changed hashes until
+then, and notes in `revisions.json` at which revision the hashes of each family were recorded. A raised revision is recorded
+for every width: run `--write --what trees` with each. New cases need no new revision.
 """

@@ -41,14 +41,14 @@ def computed(kinds: tuple[str, ...]) -> tuple[digests.Hashes, list[str]]:
 
 
 @click.command()
-@click.option("--write", is_flag=True, help="Keep the hashes, in place of comparing them.")
+@click.option("--write", is_flag=True, help="Keep the hashes; changed ones need a raised revision.")
 @click.option("--what", multiple=True, type=click.Choice(list(GROUPS)), help="Only these; repeat.  [all]")
 @click.option("--file", default=digests.KEPT, type=click.Path(path_type=Path), help="Where hashes are kept.")
 def main(write: bool, what: tuple[str, ...], file: Path) -> None:
     """Compares hashes of hits, trees and pictures with those that are kept."""
     found, lines = computed(what or tuple(GROUPS))
     if write:
-        digests.write(found, file)
+        lines += digests.write(found, file)
     else:
         lines += digests.differences(found, digests.read(file))
     for line in lines:

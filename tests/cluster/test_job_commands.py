@@ -182,7 +182,7 @@ def test_job_files_that_are_no_files(place):
 
 @pytest.mark.parametrize(
     ("manifest", "message"),
-    [(None, "has no job"), ("{", "cannot be read"), ('{"format": 2}', "it has no id"), ("[" * 100_000, "cannot be read")],
+    [(None, "has no job"), ("{", "cannot be read"), ('{"format": 3}', "it has no id"), ("[" * 100_000, "cannot be read")],
 )
 def test_status_of_what_is_no_job(place, manifest, message):
     """A manifest without some of its fields ended in a traceback."""

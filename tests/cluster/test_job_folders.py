@@ -155,7 +155,8 @@ MANIFESTS = {
     "an id of another kind": lambda one: signed({**fields(one), "id": "../../x"}),
     "scene of another kind": lambda one: signed({**fields(one), "scene": 3}),
     "options of another kind": lambda one: signed({**fields(one), "options": None}),
-    "earlier format": lambda one: {**one, "format": 1},
+    "answers of another kind": lambda one: signed({**fields(one), "answers": "1"}),
+    "earlier format": lambda one: {**one, "format": 2},
     "later format": lambda one: {**one, "format": [99]},
 }
 
@@ -181,7 +182,7 @@ def test_manifests_that_were_edited_are_refused(scene, rays, folder, kind):
 
 
 def test_formats():
-    assert FORMAT == 2
+    assert FORMAT == 3
 
 
 @pytest.mark.parametrize(

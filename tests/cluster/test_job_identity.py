@@ -360,6 +360,15 @@ def test_the_code_that_makes_rays_is_part_of_a_job(scene, rays, tmp_path):
     assert code_of(Least(1.0)) == code_of(Least(2.0)) != code_of(Greatest(1.0))
 
 
+def test_answers_of_another_revision_are_refused(scene, rays, tmp_path, monkeypatch):
+    """A job that goes on would mix answers of two versions of the code."""
+    blocks = scene.occluded_blocks(*rays, memory=MEMORY)
+    wrt.cluster.Job(tmp_path / "job", blocks).run(most=1)
+    monkeypatch.setattr("wrt.cluster.job.ANSWER_REVISION", 99)
+    with pytest.raises(ValueError, match=r"begun with a version of wrt that may give other answers .*: 1 before, 99 now"):
+        wrt.cluster.Job(tmp_path / "job", blocks)
+
+
 def test_a_worker_with_other_things_is_refused(scene, rays, tmp_path, monkeypatch):
     """A worker may have read another file of the scene, or imported another version of the function."""
     generated = wrt.GeneratedRays(lambda first, count: (rays[0][first : first + count], rays[1][first : first + count]), COUNT)
@@ -374,6 +383,10 @@ def test_a_worker_with_other_things_is_refused(scene, rays, tmp_path, monkeypatc
     moved = wrt.Scene(wrt.TriangleMesh(scene.meshes[0].vertices * np.float32(2), scene.meshes[0].faces), device="cpu")
     with pytest.raises(ValueError, match="a worker has another scene"):
         run(moved, generated)
+    with monkeypatch.context() as other:
+        other.setattr(job_blocks, "ANSWER_REVISION", 99)
+        with pytest.raises(ValueError, match=r"a worker has another version of wrt, whose answers have revision 99"):
+            run(scene, generated)
     monkeypatch.setattr(job_blocks, "kept", lambda key, make: make())
     with pytest.raises(ValueError, match="makes other rays on a worker"):
         run(scene, turned)

@@ -13,10 +13,12 @@ import pytest
 from bits import digests
 from bits.tree_bits import tree_hashes
 
+from wrt import revisions
 from wrt.kernels.compilation.target import lane_width
 
 TESTS = Path(__file__).parents[1]
 
+FAMILIES = (("trees", " bvh"), ("trees", " kdtree"), ("pictures", ""))
 BUILDS = ("kdtree in_place", "kdtree binned", "bvh binned")
 
 
@@ -54,6 +56,48 @@ def test_trees_have_their_bits():
         pytest.skip(f"no trees of {lane_width()} lanes are kept")
     for case, threads, value in tree_hashes(["grid", "needles"], [1, 2], BUILDS):
         assert value == kept[case], f"{case}: {threads}"
+
+
+def test_hashes_are_those_of_the_revisions():
+    """Hashes that change without a revision would leave stale trees, samples and jobs in use."""
+    kept, known = digests.read(), digests.recorded()
+    assert digests.faults_of_revisions(kept, known) == []
+    assert set(digests.family_digests(kept)) == set(known)
+    of_widths = {f"{results} {width}{kind}" for results, kind in FAMILIES for width in (8, 16)}
+    assert {"hits", *of_widths} <= set(known)
+
+
+@pytest.mark.parametrize(
+    ("family", "raised"),
+    [
+        ("hits", lambda patch: patch.setattr(revisions, "ANSWER_REVISION", 99)),
+        ("pictures 8", lambda patch: patch.setattr(revisions, "SAMPLE_REVISION", 99)),
+        ("trees 16 bvh", lambda patch: patch.setitem(revisions.TREE_REVISION, "bvh", 99)),
+        ("trees 16 kdtree", lambda patch: patch.setitem(revisions.TREE_REVISION, "kdtree", 99)),
+    ],
+)
+def test_changed_hashes_need_a_raised_revision(tmp_path, monkeypatch, family, raised):
+    path = tmp_path / "hashes.json"
+    kept = digests.read()
+    assert digests.write(kept, path) == []
+    before = path.read_bytes()
+    group = family if family in kept else family.rpartition(" ")[0]
+    case = next(case for case in kept[group] if digests.family_of(group, case) == family)
+    changed = {group: {case: "0" * 16}}
+
+    by_hand = {**kept, group: kept[group] | changed[group]}
+    assert [line.split(":")[0] for line in digests.faults_of_revisions(by_hand, digests.recorded(path))] == [family]
+    (refused,) = digests.write(changed, path)
+    assert refused.startswith(f"{family}: 1 hashes changed, such as {case}: raise the revision")
+    assert path.read_bytes() == before
+    assert digests.write({group: {"new bvh": "1" * 16}}, path) == [], "a new case changes no results"
+
+    raised(monkeypatch)
+    stale = digests.faults_of_revisions(digests.read(path), digests.recorded(path))
+    assert any(line.startswith(f"{family}: recorded at revision 1, and wrt/revisions.py has 99") for line in stale)
+    assert digests.write(changed, path) == []
+    assert digests.recorded(path)[family]["revision"] == 99
+    assert digests.read(path)[group][case] == "0" * 16
 
 
 def test_a_change_of_one_bit_is_a_difference():

@@ -69,6 +69,19 @@ def test_other_cameras_and_motions_are_refused(tmp_path):
             wrt.Rendering(scene, given[0], samples=6, depth=3, motion=given[1]).load_samples(path)
 
 
+@pytest.mark.parametrize("revisions", [(2, 1), (1, 2)])
+def test_samples_of_other_revisions_are_refused(tmp_path, monkeypatch, revisions):
+    """By the version of wrt, 0.1.0 throughout, samples of two versions of the code could not be told apart."""
+    path = tmp_path / "a.npz"
+    with monkeypatch.context() as other:
+        other.setattr("wrt.imaging.integrators.saved_samples.REVISIONS", revisions)
+        rendering().advance(1).save_samples(path)
+    made = rendering()
+    with pytest.raises(ValueError, match=rf"another version of wrt.*revisions \({revisions[0]}, {revisions[1]}\)"):
+        made.load_samples(path)
+    assert made.done == 0
+
+
 def test_damaged_files(tmp_path):
     path = tmp_path / "a.npz"
     with pytest.raises(FileNotFoundError, match="no samples at"):

@@ -16,6 +16,7 @@ from wrt.execution import executor, triangle_records
 from wrt.partitioned import partitioned_scene, ray_job
 from wrt.partitioned.cycling import PAIRS_PER_RAY, cycle
 from wrt.partitioned.partition_files import LIST, MAPPED, RECORDS, RELATIVE, part_path
+from wrt.revisions import TREE_REVISION
 from wrt.scene.archives import array_places, checksum, read_archive, write_archive
 
 MODES = tuple(partitioned_scene.MODES)
@@ -239,10 +240,10 @@ def test_a_file_that_was_written_again_is_checked_again(tmp_path, rays):
         scene.occluded(*rays)
 
 
-def test_trees_of_another_version_are_built_again(tmp_path, rays, monkeypatch):
+def test_trees_of_other_builders_are_built_again(tmp_path, rays, monkeypatch):
     path = tmp_path / "scene"
     expected = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu").intersect(*rays)
-    monkeypatch.setattr(wrt, "__version__", "another")
+    monkeypatch.setitem(TREE_REVISION, "bvh", 99)
     assert_same_hits(wrt.PartitionedScene(path, device="cpu").intersect(*rays), expected)
 
 

@@ -23,6 +23,7 @@ from wrt.builders.bvh import BVH_BUILDERS, few_triangles
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.tree_check import check_tree
 from wrt.kernels.layout.bvh_nodes import leaf_child
+from wrt.revisions import TREE_REVISION
 from wrt.scene.archives import ALIGNED, array_places, read_archive, write_archive
 from wrt.scene.storage import pack_tree, unpack_tree
 
@@ -182,12 +183,16 @@ def assert_same_tree(scene: wrt.Scene, other: wrt.Scene) -> None:
         np.testing.assert_array_equal(one[name], two[name])
 
 
-def test_another_version_builds_again(built, tmp_path, monkeypatch):
-    """What another version or a device of another width would build is not taken from a file."""
+def test_other_builders_build_again(built, tmp_path, monkeypatch):
+    """What builders of another revision or a device of another width would build is not taken from a file."""
     scene = wrt.Scene(meshes(), device="cpu")
     scene.save(tmp_path / "scene")
     pickled = pickle.dumps(scene)
     monkeypatch.setattr(wrt, "__version__", "0.0.7")
+    monkeypatch.setitem(TREE_REVISION, "kdtree", 99)  # another family
+    assert_same_tree(scene, wrt.Scene.load(tmp_path / "scene", device="cpu"))
+    assert built == ["bvh"]
+    monkeypatch.setitem(TREE_REVISION, "bvh", 99)
     assert_same_tree(scene, wrt.Scene.load(tmp_path / "scene", device="cpu"))
     assert_same_tree(scene, pickle.loads(pickled))
     assert built == ["bvh"] * 3

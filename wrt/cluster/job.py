@@ -28,11 +28,13 @@ from wrt.query.batches.block_outputs import ATTRIBUTES, check_out, store
 from wrt.query.batches.block_work import BlockQuery
 from wrt.query.blocks import Blocks, Piece, joined
 from wrt.rays.rays import Rays
+from wrt.revisions import ANSWER_REVISION
 from wrt.scene.storage import UNREADABLE
 
 OTHER = {
     "shape": "rays of another shape",
-    "scene": "another scene, or another version of wrt",
+    "answers": "a version of wrt that may give other answers (wrt.revisions.ANSWER_REVISION)",
+    "scene": "another scene",
     "query": "another query",
     "rays": "other rays",
     "options": "other options",
@@ -131,6 +133,7 @@ class Job:
         self._hashes = hashes_of_blocks(work, shape[0], rows) if is_whole(work) else None
         return {
             "shape": list(shape),
+            "answers": ANSWER_REVISION,
             "scene": scene_hash(work.scene),
             "query": query.method,
             "rays": rays_hash(work, self._hashes),

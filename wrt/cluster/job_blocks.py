@@ -24,6 +24,7 @@ from wrt.query.batches.block_work import BlockWork
 from wrt.query.batches.shared_files import kept
 from wrt.query.blocks import Blocks
 from wrt.rays.rays import Rays
+from wrt.revisions import ANSWER_REVISION
 
 BLOCK_HASH = "rays_hash"
 """Name under which a task brings the hash of its block's rays, and under which the file of an answer keeps it."""
@@ -99,8 +100,13 @@ class ExamineBlock:
             ValueError: they differ from those that the job began with.
         """
         id, number = self.manifest["id"], rows.start // self.manifest["rows"]
+        if (began := self.manifest["answers"]) != ANSWER_REVISION:
+            raise ValueError(
+                f"a worker has another version of wrt, whose answers have revision {ANSWER_REVISION}, and the job began with "
+                f"revision {began}; install the client's version there"
+            )
         if scene_hash(work.scene) != self.manifest["scene"]:
-            raise ValueError("a worker has another scene than the job began with, or another version of wrt; start it again")
+            raise ValueError("a worker has another scene than the job began with; start it again")
         is_elsewhere = self.generated and self.client != PROCESS
         if is_elsewhere and kept((id, self.generated), lambda: generated_hash(work.rays)) != self.generated:
             raise ValueError("the function makes other rays on a worker than here; give both the same code and data")

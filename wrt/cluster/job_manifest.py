@@ -13,7 +13,7 @@ from typing import Any
 
 from wrt.query.blocks import MAX_RAYS
 
-FORMAT = 2
+FORMAT = 3
 """Version of the folder's format."""
 
 METHODS = ("intersect", "occluded", "count")
@@ -76,6 +76,7 @@ def is_shape(value: Any) -> bool:
 
 FIELDS = {
     "id": lambda value: isinstance(value, str) and re.fullmatch("[0-9a-f]{16}", value) is not None,
+    "answers": lambda value: is_count(value, 1, MOST),
     "scene": lambda value: isinstance(value, str) and HASH.fullmatch(value) is not None,
     "rays": lambda value: isinstance(value, str) and HASH.fullmatch(value) is not None,
     "query": lambda value: value in METHODS,

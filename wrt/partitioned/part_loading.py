@@ -173,7 +173,7 @@ class PartLoader:
             check_places(file, places, arrays)
             bare = replace(known.known, bounds=None, child=None, primitive=None, low=low, high=high)
             return CheckedFile(identity, places, bare), None
-        # another version of wrt wrote it, or vectors have another width
+        # a version of wrt with other builders wrote it, or vectors have another width
         self.bytes_read = sum(array.nbytes for array in arrays.values())
         faces = wp.array(mesh.faces, dtype=wp.vec3i, device=as_device("cpu"), copy=False)
         tree = accelerator.build(triangle_boxes(vertices, faces, self.parts.center), width)

@@ -167,10 +167,10 @@ class Scene(Queries, Members):
     def load(cls, path: str | Path, *, device: str | wp.Device | None = None, num_threads: int | None = None) -> Scene:
         """Reads a saved scene. Its answers are bit for bit those of the scene that was saved.
 
-        The tree is rebuilt if this machine would build another one: if another version of wrt wrote the file, or if the
-        device has vectors of another width. Nothing in a file is executed, and no file makes a kernel access memory outside
-        its arrays. A checksum over all arrays detects damage. It is not a signature: where answers matter, load only files
-        that you trust.
+        The tree is rebuilt if this machine would build another one: if the file is of a version of wrt with other builders
+        (`wrt.revisions`), or if the device has vectors of another width. Nothing in a file is executed, and no file makes a
+        kernel access memory outside its arrays. A checksum over all arrays detects damage. It is not a signature: where
+        answers matter, load only files that you trust.
 
         Args:
             path: path of the file.

@@ -1,7 +1,7 @@
 """Scenes in files and pickles: the meshes, the description of the tree, and the tree, so that it need not be rebuilt.
 
 A tree is identified by its **key**: a hash of the vertices and faces that it was built over, of its description (`wrt.Bvh`,
-`wrt.KdTree`) with the width chosen for the device, and of the version of wrt. A stored tree is used only if its key
+`wrt.KdTree`) with the width chosen for the device, and of the revision of its builders. A stored tree is used only if its key
 matches; after any change the tree is rebuilt. So a scene's answers never depend on where its tree comes from.
 
 A file is an .npz archive of plain arrays, which runs no code when it is read (as a pickle would); its checksum detects
@@ -34,6 +34,7 @@ from wrt.materials.stored_materials import pack_materials, unpack_materials
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.node_graph import NOWHERE, NodeGraph
+from wrt.revisions import TREE_REVISION
 from wrt.scene.archives import read_archive, write_archive
 
 if TYPE_CHECKING:
@@ -147,9 +148,8 @@ def tree_key(vertices: np.ndarray, faces: np.ndarray, accelerator: Accelerator, 
         accelerator: the description of the tree.
         width: the device's vector width; used if the description leaves it open.
     """
-    from wrt import __version__
-
-    state = hashlib.sha256(f"{FORMAT} {__version__} {accelerator!r} {accelerator.config(width)!r}".encode())
+    revision = TREE_REVISION["kdtree" if isinstance(accelerator, descriptions.KdTree) else "bvh"]
+    state = hashlib.sha256(f"{FORMAT} {revision} {accelerator!r} {accelerator.config(width)!r}".encode())
     for array in (vertices, faces):
         state.update(f"{array.shape} {array.dtype.str}".encode())
         state.update(np.ascontiguousarray(array))

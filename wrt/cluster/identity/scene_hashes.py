@@ -19,16 +19,14 @@ _known: weakref.WeakKeyDictionary[Any, str] = weakref.WeakKeyDictionary()
 
 
 def scene_hash(scene: Any) -> str:
-    """SHA-256 of all that answers depend on: triangles, instances, triangle test, version of wrt; not of the tree."""
+    """SHA-256 of all that answers depend on: triangles, instances, triangle test; not of the tree."""
     return remembered(scene.state, state_hash)
 
 
 def state_hash(state: Any) -> str:
     """The hash of a state of a scene."""
-    from wrt import __version__
-
     geometry_ids = getattr(state, "geometry_ids", ())
-    whole = hashlib.sha256(json.dumps([__version__, state.triangle_test, len(state.meshes), *geometry_ids]).encode())
+    whole = hashlib.sha256(json.dumps([state.triangle_test, len(state.meshes), *geometry_ids]).encode())
     for mesh in state.meshes:
         whole.update(remembered(mesh, mesh_hash).encode())
     if state.instances:

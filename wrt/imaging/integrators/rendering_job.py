@@ -320,13 +320,11 @@ class Rendering:
 
     @property
     def key(self) -> str:
-        """64 hexadecimal digits: equal for renderings whose samples are equal. They follow from the scene, the camera, the
-        lights, the motion, the settings and the version of wrt."""
-        from wrt import __version__
-
+        """64 hexadecimal digits: equal for renderings whose samples are equal by the same version of wrt. They follow from
+        the scene, the camera, the lights, the motion and the settings."""
         settings = {name: value for name, value in vars(self.settings).items() if name not in NOT_IN_SAMPLES}
         scene = (*self._shown, self.camera, self._lights, self._motion)
-        return fingerprint(__version__, self.integrator, self.samples, settings, *scene)
+        return fingerprint(self.integrator, self.samples, settings, *scene)
 
     def save_samples(self, path: str | Path) -> None:
         """Writes the samples so far to a file (.npz), from which `load_samples` continues.
@@ -351,7 +349,7 @@ class Rendering:
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: the samples are of another picture, or the file is damaged.
+            ValueError: the samples are of another picture or another version of wrt, or the file is damaged.
         """
         self.done, film, squares = read_samples(Path(path), self.key, self.samples, self.pixels)
         self._film.assign(film)

@@ -1,9 +1,10 @@
 """The samples of an unfinished picture in a file, with a fingerprint of what the picture shows.
 
 The film holds sums in float32, to which samples are added one by one. So a picture that is continued from the file is the same
-bit for bit as one that was never interrupted. The fingerprint is a hash of everything the picture depends on: meshes with their
-materials, instances, camera, lights, motion, integrator, settings, and the version of wrt. Samples of another picture are
-refused. The size of waves, memory for textures, exposure and tone mapping may differ: they do not change samples.
+bit for bit as one that was never interrupted. The fingerprint is a hash of everything the picture depends on: meshes with
+their materials, instances, camera, lights, motion, integrator and settings. Samples of another picture are refused, and those
+of a version of wrt that makes other samples or hits (`wrt.revisions`). The size of waves, memory for textures, exposure and
+tone mapping may differ: they do not change samples.
 """
 
 from __future__ import annotations
@@ -16,11 +17,15 @@ from typing import Any
 import numpy as np
 
 from wrt.meshes.mesh import TriangleMesh
+from wrt.revisions import ANSWER_REVISION, SAMPLE_REVISION
 from wrt.scene.archives import read_archive, write_archive
 from wrt.scene.storage import UNREADABLE
 
 FILM = (("film", (3,)), ("squares", ()))
 """Arrays of the file, float32, and the shape of a pixel."""
+
+REVISIONS = (SAMPLE_REVISION, ANSWER_REVISION)
+"""Revisions of the code on which samples depend."""
 
 NOT_IN_SAMPLES = ("wave", "texture_memory", "exposure", "tone_mapping", "samples")
 """Settings on which samples do not depend; their number is part of the fingerprint by itself."""
@@ -63,7 +68,8 @@ def write_samples(path: Path, key: str, done: int, film: np.ndarray, squares: np
     Raises:
         OSError: the file cannot be written.
     """
-    write_archive(path, {"key": np.array(key), "done": np.array(done), "film": film, "squares": squares})
+    numbers = {"key": np.array(key), "revisions": np.array(REVISIONS), "done": np.array(done)}
+    write_archive(path, numbers | {"film": film, "squares": squares})
 
 
 def read_samples(path: Path, key: str, samples: int, pixels: int) -> tuple[int, np.ndarray, np.ndarray]:
@@ -77,22 +83,28 @@ def read_samples(path: Path, key: str, samples: int, pixels: int) -> tuple[int, 
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the samples are of another picture, or the file is damaged.
+        ValueError: the samples are of another picture or another version of wrt, or the file is damaged.
     """
     if not path.is_file():
         raise FileNotFoundError(f"no samples at '{path}': check the path (now in '{Path.cwd()}')")
     try:
         arrays = read_archive(path)
         found, done = str(arrays["key"]), int(arrays["done"])
+        revisions = tuple(arrays["revisions"].tolist()) if "revisions" in arrays else None  # 0.1.0 wrote none
         shaped = all(arrays[name].dtype == np.float32 and arrays[name].shape == (pixels, *shape) for name, shape in FILM)
     except PermissionError:
         raise
     except UNREADABLE as error:
         raise ValueError(f"'{path}' holds no samples, or is damaged ({error}); render the picture from the start") from error
+    if revisions != REVISIONS:
+        raise ValueError(
+            f"'{path}' is of another version of wrt, whose samples may differ (revisions {revisions or 'none'}, here "
+            f"{REVISIONS}); go on with that version, or render from the start"
+        )
     if found != key:
         raise ValueError(
-            f"'{path}' holds samples of another picture: the scene, the camera, the lights, the settings or the version of wrt "
-            "changed; change them back, or render from the start"
+            f"'{path}' holds samples of another picture: the scene, the camera, the lights or the settings changed; "
+            "change them back, or render from the start"
         )
     if not (shaped and 1 <= done <= samples):
         raise ValueError(f"'{path}' is damaged: it does not hold {samples} samples of {pixels} pixels at most")
