@@ -9,7 +9,7 @@ from wrt.bench.studies.triangles import pichler_variants as tried
 from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, exits, pairs
 from wrt.bench.studies.triangles.pichler_tables import Case
 from wrt.bench.studies.triangles.triangle_precision import solve
-from wrt.kernels.study.variants.watertight_pruning import LEAST_HEIGHT, PRUNED, ROUNDINGS, UNPRUNED
+from wrt.kernels.classics.studies.variants.watertight_pruning import LEAST_HEIGHT, PRUNED, ROUNDINGS, UNPRUNED
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 COUNT = 40_000
