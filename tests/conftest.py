@@ -24,6 +24,11 @@ wp.init()
 import wrt  # noqa: E402
 from wrt import scenes  # noqa: E402
 from wrt.kernels.compilation.cores import available_cores  # noqa: E402
+from wrt.kernels.on_demand import OnDemand  # noqa: E402
+from wrt.kernels.traversal import TRAVERSALS  # noqa: E402
+from wrt.kernels.traversal.mailbox import MAILBOXES  # noqa: E402
+from wrt.kernels.traversal.packet import CULLINGS  # noqa: E402
+from wrt.kernels.triangle import CLASSIC_TESTS  # noqa: E402
 
 if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 0)):
     os.environ.setdefault("WRT_COMPILE_JOBS", str(max(available_cores() // workers, 1)))
@@ -38,6 +43,22 @@ the engine does with a test is the same for all others; `test_triangle_tests.py`
 OTHER_WAYS_TO_PACKETS = ("repacked_packet", "multi_frusta", "mlrta", "aepsa", "omnidirectional", "queued")
 """Traversals that meet leaves by the steps of "packet" (`wrt.kernels.traversal.packet.core.packet_kernel`), or of "single":
 what they do with one triangle test, and with an origin that must be shared, is the same for all."""
+
+CLASSICS = {
+    *CLASSIC_TESTS,
+    *(name for name, way in TRAVERSALS.items() if any(isinstance(make, OnDemand) for make in way.kernels.values())),
+    *(name for name, one in CULLINGS.items() if any(isinstance(value, OnDemand) for value in vars(one).values())),
+    *(name for name, one in MAILBOXES.items() if isinstance(one.filter, OnDemand)),
+} - {"none"}
+"""Algorithms of kernels/classics. "none" is a key of several tables."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks the tests that have a classic as a parameter. Files that are about classics alone mark themselves."""
+    for item in items:
+        if hasattr(item, "callspec") and any(isinstance(one, str) and one in CLASSICS for one in item.callspec.params.values()):
+            item.add_marker("classics")
+
 
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
 

@@ -8,6 +8,8 @@ import pytest
 from wrt.bench.studies.triangles import pichler_tables as pichler
 from wrt.kernels.classics.triangle.ferko.variant import Variant
 
+pytestmark = pytest.mark.classics
+
 
 def test_counts_of_variants():
     """Three-fold: an order of its own is the plain order, so what lowers the number is the circle. Bounds lose no hit."""

@@ -13,6 +13,8 @@ from wrt.kernels.classics.studies.variants.axis_selection import SELECTIONS
 from wrt.kernels.classics.triangle import shevtsov
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
+pytestmark = pytest.mark.classics
+
 AWKWARD = np.array([-0.0, 0.0, 1.0, -1.0, np.inf, np.nan, 1e-40, -3e38], dtype=np.float32)
 
 

@@ -25,6 +25,8 @@ from wrt.kernels.runtime.launch import launch
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 
+pytestmark = pytest.mark.classics
+
 RNG = np.random.default_rng(4)
 CORNERS = np.concatenate([RNG.normal(size=(120, 3, 3)), 1e3 + RNG.normal(size=(20, 3, 3))]).astype(np.float32)
 EVERYTHING = (PLANE, UNIT_TRIANGLE, SIMILARITY, bounds.CIRCLE, bounds.BOX, order_part(3, False), order_part(4, True))

@@ -16,6 +16,8 @@ from wrt.kernels.classics.studies.pichler_2018 import BOX_SPHERE, FREE_COLUMNS, 
 from wrt.kernels.classics.triangle.ferko.record_part import join
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 
+pytestmark = pytest.mark.classics
+
 RNG = np.random.default_rng(11)
 CORNERS = RNG.normal(size=(200, 3, 3)).astype(np.float32)
 

@@ -12,6 +12,8 @@ from wrt.bench.studies.triangles.triangle_precision import solve
 from wrt.kernels.classics.studies.variants.watertight_pruning import LEAST_HEIGHT, PRUNED, ROUNDINGS, UNPRUNED
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
+pytestmark = pytest.mark.classics
+
 COUNT = 40_000
 FLOAT = np.float32
 WOOP = TRIANGLE_TESTS["woop"]
