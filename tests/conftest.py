@@ -16,10 +16,10 @@ AS_USERS = "WRT_TESTS_AS_USERS"
 
 if os.environ.get(AS_USERS) != "1":
     wp.config.cpu_compiler_flags = "-march=native -mllvm=-inline-threshold=1000 -O1"
-"""Most of the time of the tests goes into compiling kernels. Users' have -O2 and inline nine times as much (9000): kernels then run
-faster, which is not asked here. CPU seconds on a Zen CPU with AVX2, three packet kernels and four of builds: 14.9 with -O2 and
-1000, 14.4 with 225, 10.3 with -O1 and 1000, 10.6 with -O1 and 25, 4.1 with -O0. With -O1 Clang vectorises the loops that say so,
-which all loops over lanes do; with -O0 it vectorises none, and by LLVM's own threshold (225) it leaves some. The bits are the
+"""Most of the time of the tests goes into compiling kernels. Users' have -O2 and inline nine times as much (9000): kernels then
+run faster, which is not asked here. CPU seconds on a Zen CPU with AVX2, three packet kernels and four of builds: 14.9 with -O2
+and 1000, 14.4 with 225, 10.3 with -O1 and 1000, 10.6 with -O1 and 25, 4.1 with -O0. With -O1 Clang vectorises the loops that say
+so, which all loops over lanes do; with -O0 it vectorises none, and by LLVM's own threshold (225) it leaves some. The bits are the
 same; `test_bits.py` asks for them of the kernels that users run first, compiled as theirs are. Processes that tests start compile
 as users do, unless they are given these flags."""
 
@@ -34,6 +34,11 @@ from wrt.builders.bvh import BVH_BUILDERS  # noqa: E402
 from wrt.builders.core.late_import import Classic  # noqa: E402
 from wrt.builders.kdtree import KDTREE_BUILDERS  # noqa: E402
 from wrt.kernels.compilation.cores import available_cores  # noqa: E402
+from wrt.kernels.on_demand import OnDemand  # noqa: E402
+from wrt.kernels.traversal import TRAVERSALS  # noqa: E402
+from wrt.kernels.traversal.mailbox import MAILBOXES  # noqa: E402
+from wrt.kernels.traversal.packet import CULLINGS  # noqa: E402
+from wrt.kernels.triangle import CLASSIC_TESTS  # noqa: E402
 
 if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 0)):
     os.environ.setdefault("WRT_COMPILE_JOBS", str(max(available_cores() // workers, 1)))
@@ -50,19 +55,23 @@ OTHER_WAYS_TO_PACKETS = ("repacked_packet", "multi_frusta", "mlrta", "aepsa", "o
 what they do with one triangle test, and with an origin that must be shared, is the same for all."""
 
 CLASSICS = {
-    builder.name for builder in (*KDTREE_BUILDERS.values(), *BVH_BUILDERS.values()) if isinstance(builder.build, Classic)
-}
-"""Builders of `wrt.builders.classics`."""
-
-DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
+    *CLASSIC_TESTS,
+    *(name for name, way in TRAVERSALS.items() if any(isinstance(make, OnDemand) for make in way.kernels.values())),
+    *(name for name, one in CULLINGS.items() if any(isinstance(value, OnDemand) for value in vars(one).values())),
+    *(name for name, one in MAILBOXES.items() if isinstance(one.filter, OnDemand)),
+    *(name for table in (KDTREE_BUILDERS, BVH_BUILDERS) for name, one in table.items() if isinstance(one.build, Classic)),
+} - {"none"}
+"""Algorithms of kernels/classics and builders/classics. "none" is a key of several tables."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the tests of builders that neither "auto" nor the defaults choose."""
+    """Marks the tests that have a classic as a parameter. Files that are about classics alone mark themselves."""
     for item in items:
-        parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
-        if any(isinstance(parameter, str) and parameter in CLASSICS for parameter in parameters):
-            item.add_marker(pytest.mark.classics)
+        if hasattr(item, "callspec") and any(isinstance(one, str) and one in CLASSICS for one in item.callspec.params.values()):
+            item.add_marker("classics")
+
+
+DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
 
 
 @pytest.fixture(autouse=True, scope="module")

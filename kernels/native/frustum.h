@@ -1,4 +1,4 @@
-// The frusta of a block in the lanes of a vector (wrt.kernels.traversal.frusta.frustum_lanes).
+// The frusta of a block in the lanes of a vector (wrt.kernels.classics.traversal.frustum_lanes).
 #pragma once
 #include "packet.h"
 

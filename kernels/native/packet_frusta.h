@@ -1,4 +1,4 @@
-// Frusta of packets along their main axis, and what they cull (wrt.kernels.traversal.packet.culling.inverse_frustum).
+// Frusta of packets along their main axis, and what they cull (wrt.kernels.classics.culling.inverse_frustum).
 #pragma once
 #include "packet_culling.h"
 

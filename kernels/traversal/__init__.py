@@ -25,13 +25,13 @@ from dataclasses import dataclass
 import warp as wp
 
 from wrt.kernels.answers import ANSWERS
+from wrt.kernels.on_demand import OnDemand
 from wrt.kernels.traversal import brute_force as brute
-from wrt.kernels.traversal.frusta import eye_frusta
 from wrt.kernels.traversal.interleaved import interleaved_bvh
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
-from wrt.kernels.traversal.packet.core import entry_point, omnidirectional, packet_kdtree, packet_kernel, repacked_bvh
 from wrt.kernels.traversal.packet.core import packet_bvh as packet
+from wrt.kernels.traversal.packet.core import packet_kdtree, packet_kernel
 from wrt.kernels.traversal.queued import queued_bvh
 from wrt.kernels.traversal.single.single_bvh import make_single_bvh_kernel
 from wrt.kernels.traversal.single.single_kdtree import make_single_kdtree_kernel
@@ -214,7 +214,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "repacked_packet",
             "Boulos, Wald, Benthin: Adaptive ray packet reordering (2008)",
-            {"bvh": repacked_bvh.make_kernel},
+            {"bvh": OnDemand("traversal.repacked_bvh", "make_kernel")},
             packet_kernel.rays_per_item,
             long_items=True,
             packets=True,
@@ -223,8 +223,8 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "multi_frusta",
             "Benthin, Wald: Efficient ray traced soft shadows using multi-frusta tracing (2009), for rays from one point",
-            {"bvh": eye_frusta.make_kernel},
-            eye_frusta.rays_per_item,
+            {"bvh": OnDemand("traversal.eye_frusta", "make_kernel")},
+            OnDemand("traversal.eye_frusta", "rays_per_item"),
             packets=True,
             packet_vectors=1,
             needs_shared_origin=True,
@@ -234,8 +234,8 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "mlrta",
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
-            {"kdtree": entry_point.make_mlrta},
-            entry_point.rays_per_item,
+            {"kdtree": OnDemand("traversal.entry_point", "make_mlrta")},
+            OnDemand("traversal.entry_point", "rays_per_item"),
             packets=True,
             mailbox=True,
             orders=(AS_GIVEN,),
@@ -243,8 +243,8 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "aepsa",
             "Fowler, Collins, Manzke: Accelerated entry point search algorithm for real-time ray-tracing (2009)",
-            {"kdtree": entry_point.make_aepsa},
-            entry_point.rays_per_item,
+            {"kdtree": OnDemand("traversal.entry_point", "make_aepsa")},
+            OnDemand("traversal.entry_point", "rays_per_item"),
             packets=True,
             mailbox=True,
             orders=(AS_GIVEN,),
@@ -252,8 +252,8 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "omnidirectional",
             "Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees (2006)",
-            {"kdtree": omnidirectional.make_kernel},
-            omnidirectional.rays_per_item,
+            {"kdtree": OnDemand("traversal.omnidirectional", "make_kernel")},
+            OnDemand("traversal.omnidirectional", "rays_per_item"),
             packets=True,
             mailbox=True,
             orders=(AS_GIVEN,),

@@ -1,36 +1,13 @@
-"""Mailboxes: a ray or packet remembers the triangles that it has tested and does not test them again.
+"""The table of mailboxes: a ray or packet remembers the triangles that it has tested and does not test them again.
 
 **Problem.** A triangle that straddles a splitting plane is in several leaves of a kd-tree. A ray or packet that visits two of
 them tests it twice.
 
-**Ideas.** Arnaldi, Priol and Bouatouch stored the number of the last ray with each object. Several threads would write to these
-numbers at the same time, so all methods here store the memory with the ray. *Plain*: an array of the ids of all triangles that
-were tested, in their order, which is searched from the front: nothing is forgotten until the array is full. *Hashed* (Wald et
-al. 2001): a table per ray; the slot of a triangle follows from its id, and a new triangle replaces the old one. *Inverse*
-(Shevtsov et al. 2007): the ids of the last eight triangles, in a ring; every triangle is compared with all eight at once.
-Rahikainen (2013, section 4.1) surveys the methods.
-
-**Granularity: triangles.** Every leaf has blocks of its own, so a ray never meets a block twice; it meets its triangles twice.
-* A packet filters the triangles of a block that culling has left, usually a few of W. Each triangle that is skipped saves P / W
-  vector tests.
-* A single ray tests W triangles at once, so it can skip a block only if all of its triangles are known. A ring of eight does
-  not even hold a block of sixteen.
-
-Forgetting a triangle is always correct: the same hit is found again and replaces nothing.
-
-**Limits.** Mailboxes hardly pay on the CPUs measured, so "none" is the default
-(notebooks/records/2026-11-21-kdtree-packets.md, notebooks/records/2026-11-22-plain-mailbox.md). The plain array avoids the most
-tests, and to search it takes the longest.
+Forgetting a triangle is always correct: the same hit is found again and replaces nothing. Mailboxes hardly pay on the CPUs
+measured, so "none" is the default, and the methods are in `wrt.kernels.classics.traversal.mailboxes`.
 
 **Contract.** A mailbox is an array of ints for one ray or packet, initially 0, and `filter(width)`, a `wp.func(ids, block,
 mask, mailbox) -> mask` that removes remembered triangles from the mask and remembers the others.
-
-References:
-    B. Arnaldi, T. Priol, K. Bouatouch: A new space subdivision method for ray tracing CSG modelled scenes. The Visual Computer
-        3, 1987.
-    I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
-    M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures. GraphiCon 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013.
 """
 
 from collections.abc import Callable
@@ -39,7 +16,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime import native
+from wrt.kernels.on_demand import OnDemand
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -52,41 +29,6 @@ SLOTS = 64
 
 PLACES = 256
 """Triangles that a plain mailbox remembers; it forgets those that come later."""
-
-
-def _filter(name: str, width: int, size: int) -> str:
-    """C++: a filter of kernels/native/leaf.h."""
-    return f"return wrt::{name}<{width}, {size}>(ids.data + (size_t)block * {width}, mask, mailbox.data);"
-
-
-@cache
-def plain_filter(width: int) -> wp.Function:
-    """An array of `PLACES` ids, followed by their number."""
-
-    @native.func_native("leaf.h", _filter("plain_mailbox", width, PLACES))
-    def plain(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
-
-    return plain
-
-
-@cache
-def hashed_filter(width: int) -> wp.Function:
-    """A hash table of `SLOTS` ids."""
-
-    @native.func_native("leaf.h", _filter("hashed_mailbox", width, SLOTS))
-    def hashed(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
-
-    return hashed
-
-
-@cache
-def inverse_filter(width: int) -> wp.Function:
-    """A ring of `RING` ids, followed by the position of the next entry."""
-
-    @native.func_native("leaf.h", _filter("inverse_mailbox", width, RING))
-    def inverse(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
-
-    return inverse
 
 
 @cache
@@ -118,6 +60,7 @@ class Mailbox:
 
 
 NONE = "none"
+_METHODS = "traversal.mailboxes"
 
 MAILBOXES: dict[str, Mailbox] = {
     mailbox.name: mailbox
@@ -127,14 +70,19 @@ MAILBOXES: dict[str, Mailbox] = {
             "plain",
             "Arnaldi, Priol, Bouatouch: A new space subdivision method for ray tracing CSG modelled scenes (1987)",
             PLACES + 1,
-            plain_filter,
+            OnDemand(_METHODS, "plain_filter"),
         ),
-        Mailbox("hashed", "Wald et al.: Interactive rendering with coherent ray tracing (2001)", SLOTS, hashed_filter),
+        Mailbox(
+            "hashed",
+            "Wald et al.: Interactive rendering with coherent ray tracing (2001)",
+            SLOTS,
+            OnDemand(_METHODS, "hashed_filter"),
+        ),
         Mailbox(
             "inverse",
             "Shevtsov, Soupikov, Kapustin: Ray-triangle intersection algorithm for modern CPU architectures (2007)",
             RING + 1,
-            inverse_filter,
+            OnDemand(_METHODS, "inverse_filter"),
         ),
     )
 }

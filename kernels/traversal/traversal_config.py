@@ -57,7 +57,7 @@ class PacketConfig:
 
 @dataclass(frozen=True)
 class TileConfig:
-    """Tiles of rays that search for an entry point (`wrt.kernels.traversal.packet.core.entry_point`). For measurements.
+    """Tiles of rays that search for an entry point (`wrt.kernels.classics.traversal.entry_point`). For measurements.
 
     Attributes:
         packets: packets in the smallest tile.

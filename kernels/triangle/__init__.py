@@ -8,7 +8,7 @@ one triangle (`packet_form`). A test decides whether and where the ray's *line* 
 whether that t counts, by one rule for all tests (`wrt.kernels.simd.boxes`). A NaN in any input must give a miss.
 
 To add a test, write its file and add one line to `TRIANGLE_TESTS`. The tests, the command line and the benchmarks read the
-table.
+table. `wrt.kernels.classics.triangle` has the tests that "auto" never chooses; the table imports one when it is looked up.
 
 **How the tests are related.** Most tests evaluate the same sums of products in a different order. Signed volumes of the ray and
 the edges: `pluecker`, `segura_feito`, and for rays with a common origin `benthin` and `komatsu`. Cramer's rule:
@@ -17,42 +17,61 @@ the edges: `pluecker`, `segura_feito`, and for rays with a common origin `benthi
 without projection `havel_herout`.
 """
 
-from wrt.kernels.triangle import (
-    badouel,
-    baldwin_weber,
-    benthin,
-    ferko,
-    havel_herout,
-    jimenez,
-    kensler_shirley,
-    komatsu,
-    moeller_trumbore,
-    moeller_trumbore_precomputed,
-    pluecker,
-    segura_feito,
-    shevtsov,
-    wald,
-)
+from typing import Any
+
+from wrt.kernels.triangle import moeller_trumbore, wald
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.triangle_table import ClassicTest, TriangleTestTable
 from wrt.kernels.triangle.watertight import woop
 
-TRIANGLE_TESTS: dict[str, TriangleTest] = {
-    test.name: test
-    for test in (
+__all__ = ("CLASSIC_TESTS", "TRIANGLE_TESTS", "TriangleTest")
+
+_KOMATSU = "Komatsu, Kaeriyama, Suzuki, Takizawa, Kobayashi: A fast ray frustum-triangle intersection algorithm"
+_FERKO = "Pichler: Fast CPU Ray-Triangle Intersection Method, after Ferko and Ferko (2018)"
+_FERKO_VARIANTS = (
+    "utm",
+    "utm_bounds",
+    *(f"prune{fold}{order}" for fold in (3, 4) for order in ("", "_probability", "_weights", "_no_circle")),
+    "hybrid",
+)
+
+
+def _classic(name: str, paper: str, module: str = "", **flags: Any) -> ClassicTest:
+    """The row of a test of `wrt.kernels.classics.triangle`, whose module is called as the test unless it is given."""
+    return ClassicTest(name=name, paper=paper, module=module or name, **flags)
+
+
+TRIANGLE_TESTS = TriangleTestTable(
+    (
         woop.TEST,
         moeller_trumbore.TEST,
-        moeller_trumbore_precomputed.TEST,
-        kensler_shirley.TEST,
-        badouel.TEST,
+        _classic(
+            "moeller_trumbore_precomputed",
+            f"{_KOMATSU}, 2.2 (2008)",
+        ),
+        _classic("kensler_shirley", "Kensler, Shirley: Optimizing ray-triangle intersection via automated search (2006)"),
+        _classic("badouel", "Badouel: An efficient ray-polygon intersection (1990)"),
         wald.TEST,
-        baldwin_weber.TEST,
-        shevtsov.TEST,
-        havel_herout.TEST,
-        pluecker.TEST,
-        segura_feito.TEST,
-        jimenez.TEST,
-        benthin.TEST,
-        komatsu.TEST,
-        *ferko.TESTS,
+        _classic("baldwin_weber", "Baldwin, Weber: Fast ray-triangle intersections by coordinate transformation (2016)"),
+        _classic(
+            "shevtsov", "Shevtsov, Soupikov, Kapustin: Ray-triangle intersection algorithm for modern CPU architectures (2007)"
+        ),
+        _classic("havel_herout", "Havel, Herout: Yet faster ray-triangle intersection (using SSE4) (2010)"),
+        _classic("pluecker", "Amanatides, Choi: Ray tracing triangular meshes (1997)"),
+        _classic("segura_feito", "Segura, Feito: Algorithms to test ray-triangle intersection. Comparative study (2001)"),
+        _classic(
+            "jimenez", "Jimenez, Segura, Feito: A robust segment/triangle intersection algorithm for interference tests (2010)"
+        ),
+        _classic("benthin", "Benthin: Realtime ray tracing on current CPU architectures (2006)", needs_shared_origin=True),
+        _classic(
+            "komatsu",
+            f"{_KOMATSU} (2008)",
+            needs_shared_origin=True,
+        ),
+        *(_classic(f"ferko_{name}", _FERKO, module="ferko") for name in _FERKO_VARIANTS),
     )
-}
+)
+"""Triangle tests by name."""
+
+CLASSIC_TESTS: dict[str, ClassicTest] = {row.name: row for row in TRIANGLE_TESTS.rows.values() if isinstance(row, ClassicTest)}
+"""The rows of tests that "auto" never chooses, as they are before one is imported."""

@@ -1,7 +1,7 @@
 """Wald 2004: Badouel's projection with all per-triangle values precomputed.
 
-**Problem.** Badouel's test (`wrt.kernels.triangle.badouel`) recomputes the triangle's normal, its main axis and the area of its
-projection for every ray.
+**Problem.** Badouel's test (`wrt.kernels.classics.triangle.badouel`) recomputes the triangle's normal, its main axis and the
+area of its projection for every ray.
 
 **Idea.** Divide the plane's equation by the normal's main component, and write both barycentric coordinates as linear functions
 of the two other coordinates of the point at which the line meets the plane. One division and ten multiplications remain.
@@ -13,8 +13,8 @@ smallest, up to that of 1; negative numbers, NaN and infinities are larger. So `
 and u + v take one such comparison each instead of u >= 0, v >= 0, u + v <= 1. (Only -0 would be misclassified; the constants of
 the rows are chosen so that no sum is -0.) Waechter found that this saves time in scalar code on a Pentium 4, whose vector units
 lacked the comparison. On current vector units it is as fast as the comparison of floats in
-`wrt.kernels.triangle.baldwin_weber` (notebooks/records/2026-11-21-triangle-tests.md). The remaining advantage is that NaN needs
-no special case.
+`wrt.kernels.classics.triangle.baldwin_weber` (notebooks/records/2026-11-21-triangle-tests.md). The remaining advantage is that
+NaN needs no special case.
 
 **Departures.** The caller compares t with the ray's range. Rows are computed in float64, then rounded.
 

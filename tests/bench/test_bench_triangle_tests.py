@@ -17,7 +17,7 @@ from wrt.bench.core.paired_timing import Timing
 from wrt.bench.studies.triangles import komatsu_tables as tables
 from wrt.bench.studies.triangles.triangle_precision import MARGIN, aimed_pairs, errors, leaks, precision, solve
 from wrt.bench.studies.triangles.triangle_test_comparison import SITUATIONS, ratios, run_triangle_tests
-from wrt.kernels.study.komatsu_2008 import PUBLISHED
+from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
 from wrt.kernels.triangle import TRIANGLE_TESTS, moeller_trumbore
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.vectors import PlainRay

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from wrt.bench.studies.triangles import pichler_tables as pichler
-from wrt.kernels.triangle.ferko.variant import Variant
+from wrt.kernels.classics.triangle.ferko.variant import Variant
+
+pytestmark = pytest.mark.classics
 
 
 def test_counts_of_variants():

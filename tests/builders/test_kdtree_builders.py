@@ -8,8 +8,10 @@ import warp as wp
 from conftest import SCENES, snapped_soup
 
 import wrt
+from wrt.builders.classics.kdtree import streaming
+from wrt.builders.classics.kdtree.nested import nested
 from wrt.builders.core import levels as levels_engine
-from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, nested, streaming
+from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place
 from wrt.builders.kdtree.events.event_sort import sorted_events
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.scan import scanning

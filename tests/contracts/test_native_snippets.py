@@ -18,12 +18,12 @@ from native_guards import has_assembly, x86_without_guard
 from native_names import free_names
 
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
+from wrt.kernels.classics.studies.bare_triangle_tests import make_frusta
+from wrt.kernels.classics.studies.distance_checks import in_range
+from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
+from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
 from wrt.kernels.runtime import native
 from wrt.kernels.simd.box_lanes import ray_boxes
-from wrt.kernels.study.bare_triangle_tests import make_frusta
-from wrt.kernels.study.distance_checks import in_range
-from wrt.kernels.study.exit_counts import make_kernel as make_exit_kernel
-from wrt.kernels.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS

@@ -24,19 +24,20 @@ from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.scan.reference_chunks import make_decide
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
+from wrt.kernels.classics.studies.bare_triangle_tests import make_blocks, make_frusta, make_pairs, make_scalar
+from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
+from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
+from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
+from wrt.kernels.classics.studies.pichler_2018 import STUDIED
+from wrt.kernels.classics.studies.pruning_counts import make_kernel as make_counting_kernel
+from wrt.kernels.classics.studies.replayed_tests import make_kernel as make_replay_kernel
+from wrt.kernels.classics.studies.replayed_tests import make_lists
+from wrt.kernels.classics.studies.variants.watertight_pruning import PRUNED
+from wrt.kernels.classics.studies.walk_orders import make_kernel as make_walk_kernel
+from wrt.kernels.classics.triangle.ferko import VARIANTS
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.query import instance_exact, instance_gradients
 from wrt.kernels.runtime.launch import CUDA_BLOCK
-from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs, make_scalar
-from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
-from wrt.kernels.study.exit_counts import make_kernel as make_exit_kernel
-from wrt.kernels.study.komatsu_2008 import PUBLISHED
-from wrt.kernels.study.pichler_2018 import STUDIED
-from wrt.kernels.study.pruning_counts import make_kernel as make_counting_kernel
-from wrt.kernels.study.replayed_tests import make_kernel as make_replay_kernel
-from wrt.kernels.study.replayed_tests import make_lists
-from wrt.kernels.study.variants.watertight_pruning import PRUNED
-from wrt.kernels.study.walk_orders import make_kernel as make_walk_kernel
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.fan_brute_force import NORMALS, VERTICES
 from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel
@@ -45,7 +46,6 @@ from wrt.kernels.traversal.shadows import light_buffer_lanes, light_buffer_query
 from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level import instance_single
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.ferko import VARIANTS
 from wrt.kernels.triangle.support.block_packing import make_kernel as make_packing_kernel
 from wrt.state.query_kinds import ANY, CLOSEST, QUERIES
 

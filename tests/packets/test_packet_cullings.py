@@ -32,7 +32,7 @@ NONE, INTERVAL, LEAF_BOXES, CORNER_RAYS, FRUSTUM, VERTEX, TRANSIENT, TWO_PLANE, 
 VERTICES = load_corners(TRIANGLE_TESTS["woop"].record.components)
 FRUSTA = ("frustum", "two_plane", "transient_frustum")
 ERROR = 40.0 / 16.0
-"""What the lines of a frustum may err by, in slacks: 40 u reach (`wrt.kernels.traversal.packet.culling.inverse_frustum`)."""
+"""What the lines of a frustum may err by, in slacks: 40 u reach (`wrt.kernels.classics.culling.inverse_frustum`)."""
 
 
 @cache

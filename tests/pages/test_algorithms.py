@@ -21,12 +21,12 @@ from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, HIE
 from wrt.builders.tree import TERMINATIONS
 from wrt.cli.catalogue import PAPERS, all_tables
 from wrt.imaging.integrators.render_settings import INTEGRATORS
+from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
+from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
+from wrt.kernels.classics.studies.pichler_2018 import STUDIED
 from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
-from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
-from wrt.kernels.study.komatsu_2008 import PUBLISHED
-from wrt.kernels.study.pichler_2018 import STUDIED
 from wrt.kernels.traversal import ORDERS, TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS

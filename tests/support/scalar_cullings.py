@@ -10,9 +10,9 @@ triangle. The corners of an unused lane are NaN.
 
 import warp as wp
 
+from wrt.kernels.classics.culling.corner_rays import MARGIN
 from wrt.kernels.layout.ray_batch import TINY
 from wrt.kernels.traversal.packet.core.packet_cells import enter_slab
-from wrt.kernels.traversal.packet.culling.corner_rays import MARGIN
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.triangle.support.record_blocks import Corners, corners_high, corners_low
 
@@ -68,7 +68,7 @@ def out_of_range(bounds: PacketBounds, axis: int, low: wp.vec3, high: wp.vec3):
 
 @wp.func
 def every_ray_keeps(bounds: PacketBounds, corners: Corners):
-    """`wrt.kernels.traversal.packet.culling.every_ray`: keeps every triangle."""
+    """`wrt.kernels.classics.culling.every_ray`: keeps every triangle."""
     return is_used(corners)
 
 
@@ -171,7 +171,7 @@ def enter_frustum(bounds: PacketBounds, low: wp.vec3, high: wp.vec3):
 
 @wp.func
 def frustum_keeps(bounds: PacketBounds, corners: Corners):
-    """`wrt.kernels.traversal.packet.culling.inverse_frustum`: whether the triangle's box passes the test of `interval` and is
+    """`wrt.kernels.classics.culling.inverse_frustum`: whether the triangle's box passes the test of `interval` and is
     not outside the frustum."""
     if not interval_keeps(bounds, corners):
         return False
@@ -188,7 +188,7 @@ def across_size(bounds: PacketBounds, p: wp.vec3, z: int):
 
 @wp.func
 def corner_rays_keep(bounds: PacketBounds, corners: Corners):
-    """`wrt.kernels.traversal.packet.culling.corner_rays`: whether the four corner rays may pass all three edges on the same
+    """`wrt.kernels.classics.culling.corner_rays`: whether the four corner rays may pass all three edges on the same
     side.
 
     This applies to rays from one point; rays with separate origins are culled as in `interval`.

@@ -10,6 +10,8 @@ from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_
 
 import wrt
 
+pytestmark = pytest.mark.classics
+
 FRUSTA = "multi_frusta"
 
 

@@ -13,9 +13,9 @@ import wrt
 from wrt.bench.studies.kdtrees.entry_point_tiles import compare_levels, morton_view, tile_query
 from wrt.bench.studies.kdtrees.packet_widths import compare_widths
 from wrt.bench.studies.kdtrees.tree_coupling import coupled_query
+from wrt.kernels.classics.traversal import entry_point
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
-from wrt.kernels.traversal.packet.core import entry_point
 from wrt.kernels.traversal.traversal_config import TileConfig
 
 ENTRY_POINTS = ("mlrta", "aepsa")

@@ -8,9 +8,12 @@ import pytest
 import wrt
 from wrt.bench.studies.triangles.axis_variants import aligned_share, check_same, compare_flag, compare_selections, flag_in_table
 from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, pairs
-from wrt.kernels.study.variants.axis_flag import ALIGNED, TEST
-from wrt.kernels.study.variants.axis_selection import SELECTIONS
-from wrt.kernels.triangle import TRIANGLE_TESTS, shevtsov
+from wrt.kernels.classics.studies.variants.axis_flag import ALIGNED, TEST
+from wrt.kernels.classics.studies.variants.axis_selection import SELECTIONS
+from wrt.kernels.classics.triangle import shevtsov
+from wrt.kernels.triangle import TRIANGLE_TESTS
+
+pytestmark = pytest.mark.classics
 
 AWKWARD = np.array([-0.0, 0.0, 1.0, -1.0, np.inf, np.nan, 1e-40, -3e38], dtype=np.float32)
 

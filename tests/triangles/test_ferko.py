@@ -13,17 +13,19 @@ from test_triangle_tests import all_pairs
 import wrt
 from wrt.bench.studies.triangles.leaf_queries import leaf_query
 from wrt.bench.studies.triangles.pichler_tables import count_comparisons
+from wrt.kernels.classics.triangle.ferko import VARIANTS
+from wrt.kernels.classics.triangle.ferko import triangle_bounds as bounds
+from wrt.kernels.classics.triangle.ferko.pruning import FIXED_ORDER
+from wrt.kernels.classics.triangle.ferko.record_part import join, place
+from wrt.kernels.classics.triangle.ferko.rejection_regions import ABOVE, BELOW, LEFT, RIGHT, order_part, shares
+from wrt.kernels.classics.triangle.ferko.similarity import SIMILARITY, Similarity
+from wrt.kernels.classics.triangle.ferko.unit_triangle import UNIT_TRIANGLE
+from wrt.kernels.classics.triangle.ferko.variant import PLANE, Variant
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.ferko import VARIANTS
-from wrt.kernels.triangle.ferko import triangle_bounds as bounds
-from wrt.kernels.triangle.ferko.pruning import FIXED_ORDER
-from wrt.kernels.triangle.ferko.record_part import join, place
-from wrt.kernels.triangle.ferko.rejection_regions import ABOVE, BELOW, LEFT, RIGHT, order_part, shares
-from wrt.kernels.triangle.ferko.similarity import SIMILARITY, Similarity
-from wrt.kernels.triangle.ferko.unit_triangle import UNIT_TRIANGLE
-from wrt.kernels.triangle.ferko.variant import PLANE, Variant
 from wrt.kernels.triangle.support.block_packing import pack_blocks
+
+pytestmark = pytest.mark.classics
 
 RNG = np.random.default_rng(4)
 CORNERS = np.concatenate([RNG.normal(size=(120, 3, 3)), 1e3 + RNG.normal(size=(20, 3, 3))]).astype(np.float32)

@@ -11,10 +11,12 @@ from wrt.bench.studies.triangles import pichler_variants as tried
 from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, pairs
 from wrt.bench.studies.triangles.pichler_tables import Case
 from wrt.bench.studies.triangles.triangle_precision import aimed_pairs, errors
-from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
-from wrt.kernels.study.pichler_2018 import BOX_SPHERE, FREE_COLUMNS, FREE_MATRIX, MATRIX, STUDIED, WAYS
-from wrt.kernels.triangle.ferko.record_part import join
+from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
+from wrt.kernels.classics.studies.pichler_2018 import BOX_SPHERE, FREE_COLUMNS, FREE_MATRIX, MATRIX, STUDIED, WAYS
+from wrt.kernels.classics.triangle.ferko.record_part import join
 from wrt.kernels.triangle.support.block_packing import pack_blocks
+
+pytestmark = pytest.mark.classics
 
 RNG = np.random.default_rng(11)
 CORNERS = RNG.normal(size=(200, 3, 3)).astype(np.float32)

@@ -12,10 +12,11 @@ import warp as wp
 
 import wrt
 from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, exits, pairs
+from wrt.kernels.classics.studies.derivation_counts import count_derivation
+from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
+from wrt.kernels.classics.triangle import komatsu
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.study.derivation_counts import count_derivation
-from wrt.kernels.study.komatsu_2008 import PUBLISHED
-from wrt.kernels.triangle import TRIANGLE_TESTS, komatsu, moeller_trumbore
+from wrt.kernels.triangle import TRIANGLE_TESTS, moeller_trumbore
 from wrt.kernels.triangle.support.lane_form import LaneForm
 from wrt.kernels.triangle.support.operation_counts import Operations, count_operations
 from wrt.kernels.triangle.support.record_blocks import Corners, Record

@@ -9,8 +9,10 @@ from wrt.bench.studies.triangles import pichler_variants as tried
 from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, exits, pairs
 from wrt.bench.studies.triangles.pichler_tables import Case
 from wrt.bench.studies.triangles.triangle_precision import solve
-from wrt.kernels.study.variants.watertight_pruning import LEAST_HEIGHT, PRUNED, ROUNDINGS, UNPRUNED
+from wrt.kernels.classics.studies.variants.watertight_pruning import LEAST_HEIGHT, PRUNED, ROUNDINGS, UNPRUNED
 from wrt.kernels.triangle import TRIANGLE_TESTS
+
+pytestmark = pytest.mark.classics
 
 COUNT = 40_000
 FLOAT = np.float32

@@ -182,12 +182,12 @@ def all_tables() -> dict[str, Rows]:
     from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, HIERARCHIES, SEARCHED_AXES
     from wrt.builders.tree import TERMINATIONS
     from wrt.imaging.integrators import INTEGRATORS
+    from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
+    from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
+    from wrt.kernels.classics.studies.pichler_2018 import STUDIED
     from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
     from wrt.kernels.runtime.schedules import SCHEDULES
     from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
-    from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
-    from wrt.kernels.study.komatsu_2008 import PUBLISHED
-    from wrt.kernels.study.pichler_2018 import STUDIED
     from wrt.kernels.traversal import ORDERS, TRAVERSALS
     from wrt.kernels.traversal.mailbox import MAILBOXES
     from wrt.kernels.traversal.packet import CULLINGS
@@ -221,7 +221,7 @@ def all_tables() -> dict[str, Rows]:
         "mailboxes": entries(MAILBOXES, ("name", "paper")),
         "orders of rays": named("orders of rays", ORDERS),
         "packet orders": entries(PACKET_ORDERS, ("name", "paper")),
-        "triangle tests": entries(TRIANGLE_TESTS, tests),
+        "triangle tests": entries(TRIANGLE_TESTS.rows, tests),
         "fans": others("fans"),
         "as published": named("as published", PUBLISHED),
         "tried by Pichler": named("tried by Pichler", (*STUDIED, DAMMERTZ_KELLER.name)),

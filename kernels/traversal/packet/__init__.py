@@ -12,7 +12,8 @@ keep everything that any ray may hit, and the keys of boxes must not be later th
 intervals bound the rounded values too. The cullings that use planes are widened by more than rounding can move a hit. Culling
 therefore never changes the hits (`wrt.kernels.simd.boxes`, the consistency rule).
 
-To add a culling, write its file and add one line to `CULLINGS`; tests, command line and benchmarks use the table. The
+To add a culling, write its file and add one line to `CULLINGS` (those that "auto" never chooses are in
+`wrt.kernels.classics.culling`); tests, command line and benchmarks use the table. The
 tests have a scalar form of each loop over W boxes or triangles, in plain Warp (tests/support/scalar_cullings.py).
 
 References:
@@ -28,11 +29,10 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal.packet.culling import corner_rays, entry_exit, every_ray, leaf_boxes, side_planes
+from wrt.kernels.on_demand import OnDemand
 from wrt.kernels.traversal.packet.culling import interval_culling as interval
-from wrt.kernels.traversal.packet.culling import inverse_frustum as frustum
+from wrt.kernels.traversal.packet.culling import leaf_boxes, side_planes
 from wrt.kernels.traversal.packet.culling import transient_frustum as transient
-from wrt.kernels.traversal.packet.culling import two_plane_frustum as two_plane
 from wrt.kernels.traversal.packet.culling import vertex_culling as vertices
 from wrt.kernels.traversal.packet.culling.culling_hooks import no_leaf, no_start
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
@@ -88,14 +88,18 @@ class Culling:
         return test.accurate or not self.accurate
 
 
+EVERY_RAY, CORNER_RAYS = "culling.every_ray", "culling.corner_rays"
+FRUSTUM, TWO_PLANE, ENTRY_EXIT = "culling.inverse_frustum", "culling.two_plane_frustum", "culling.entry_exit"
+"""Modules of `wrt.kernels.classics`."""
+
 CULLINGS: dict[str, Culling] = {
     culling.name: culling
     for culling in (
         Culling(
             "none",
             "Wald, Slusallek, Benthin, Wagner: Interactive rendering with coherent ray tracing (2001)",
-            every_ray.cull_boxes,
-            every_ray.cull_triangles,
+            OnDemand(EVERY_RAY, "cull_boxes"),
+            OnDemand(EVERY_RAY, "cull_triangles"),
             every_ray=True,
         ),
         Culling(
@@ -120,17 +124,17 @@ CULLINGS: dict[str, Culling] = {
             "corner_rays",
             "Dmitriev, Havran, Seidel: Faster ray tracing with SIMD shaft culling (2004), boxes as interval",
             interval.cull_boxes,
-            corner_rays.cull_triangles,
+            OnDemand(CORNER_RAYS, "cull_triangles"),
             accurate=True,
             slopes=True,
         ),
         Culling(
             "frustum",
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005), inverse frustum culling",
-            frustum.cull_boxes,
-            frustum.cull_triangles,
+            OnDemand(FRUSTUM, "cull_boxes"),
+            OnDemand(FRUSTUM, "cull_triangles"),
             slopes=True,
-            start=frustum.start,
+            start=OnDemand(FRUSTUM, "start"),
         ),
         Culling(
             "vertex",
@@ -158,19 +162,19 @@ CULLINGS: dict[str, Culling] = {
         Culling(
             "two_plane",
             "Overbeck, Ramamoorthi, Mark: Large ray packets for real-time Whitted ray tracing (2008)",
-            frustum.cull_boxes,
+            OnDemand(FRUSTUM, "cull_boxes"),
             side_planes.cull_triangles,
             accurate=True,
-            start=two_plane.start,
+            start=OnDemand(TWO_PLANE, "start"),
         ),
         Culling(
             "entry_exit",
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005), frustum with two tests at leaves",
-            frustum.cull_boxes,
-            frustum.cull_triangles,
+            OnDemand(FRUSTUM, "cull_boxes"),
+            OnDemand(FRUSTUM, "cull_triangles"),
             slopes=True,
-            start=frustum.start,
-            leaf=entry_exit.leaf,
+            start=OnDemand(FRUSTUM, "start"),
+            leaf=OnDemand(ENTRY_EXIT, "leaf"),
         ),
     )
 }

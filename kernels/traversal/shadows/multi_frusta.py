@@ -24,7 +24,7 @@ component may be flushed to 0 (`wrt.kernels.layout.ray_batch`, short directions)
 
 **Differences from the paper.** The children of a wide node are in the lanes, as elsewhere in this project. Back faces are not
 culled at leaves, because `occluded` is hit by both sides. Eye rays have a traversal of their own
-(`wrt.kernels.traversal.frusta.eye_frusta`).
+(`wrt.kernels.classics.traversal.eye_frusta`).
 
 References:
     C. Benthin, I. Wald: Efficient ray traced soft shadows using multi-frusta tracing. High Performance Graphics 2009.

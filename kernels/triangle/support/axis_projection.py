@@ -5,7 +5,7 @@ A triangle's projection onto a coordinate plane keeps its barycentric coordinate
 component keeps most of its area. That axis is `k`; the other two, in cyclic order, are `p` and `q`.
 
 There are two representations. `RowsOfPlane` holds three linear functions (the plane, u and v) with their constants;
-`wrt.kernels.triangle.shevtsov` holds a vertex and two edges instead.
+`wrt.kernels.classics.triangle.shevtsov` holds a vertex and two edges instead.
 """
 
 from typing import Any

@@ -144,8 +144,8 @@ DIRECTION = tuple(RayValue(f"d{axis}", f"ray.direction.c[{i}]", axis) for i, axi
 """dx, dy, dz, of a struct with a `direction`."""
 
 FAR = RayValue("far", "ray.far")
-"""Where the ray ends: at its closest hit so far. Only published forms of tests read it (`wrt.kernels.study`), which have this
-exit; in the engine the traversal compares t."""
+"""Where the ray ends: at its closest hit so far. Only published forms of tests read it (`wrt.kernels.classics.studies`), which
+have this exit; in the engine the traversal compares t."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class LaneForm:
         steps: in order; the last one, or those before it, declare `t`, `u` and `v`.
         triangle: names of the record's own floats, in order; the vertices are ax ay az bx by bz cx cy cz.
         packet_setup: C++ before the `packet` expressions of `ray`.
-        apart: of a form made by `joined`, the form with all exits, which `wrt.kernels.study.exit_counts` counts.
+        apart: of a form made by `joined`, the form with all exits, which `wrt.kernels.classics.studies.exit_counts` counts.
     """
 
     ray: tuple[RayValue, ...]

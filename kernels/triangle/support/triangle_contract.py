@@ -26,8 +26,8 @@ class CrossingForms:
 
 @dataclass(frozen=True, kw_only=True)
 class TestForm:
-    """The lane loops of a test and their inputs: enough to measure it (`wrt.kernels.study.bare_triangle_tests`), not to
-    trace with it.
+    """The lane loops of a test and their inputs: enough to measure it (`wrt.kernels.classics.studies.bare_triangle_tests`), not
+    to trace with it.
 
     Attributes:
         name: key in tables.

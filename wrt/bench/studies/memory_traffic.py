@@ -1,8 +1,8 @@
 """Bytes that rays read from memory, by a model of the L2 cache: single rays, packets and queues.
 
-The visits of the kernels of `single` and `queued` are logged and read through the model (`wrt.kernels.study.cache_model`),
-scene and rays together, as one thread makes them. Packets are the union of the visits of their rays: the least that a packet
-reads.
+The visits of the kernels of `single` and `queued` are logged and read through the model
+(`wrt.kernels.classics.studies.cache_model`), scene and rays together, as one thread makes them. Packets are the union of the
+visits of their rays: the least that a packet reads.
 
 What is not counted: lines that are written back, the upper tree of the queued traversal, which stays in the cache, and the
 lists that are sorted between generations (8 bytes per ray and generation).
@@ -20,10 +20,10 @@ from wrt.execution import queued_tracing
 from wrt.execution.executor import on_device
 from wrt.execution.traversal_launch import no_work
 from wrt.execution.triangle_records import records_of
+from wrt.kernels.classics.studies.cache_model import LINE, count_misses
+from wrt.kernels.classics.studies.visit_log import make_log_kernel
 from wrt.kernels.compilation.cache_size import l2_bytes
 from wrt.kernels.runtime.launch import launch, specialise
-from wrt.kernels.study.cache_model import LINE, count_misses
-from wrt.kernels.study.visit_log import make_log_kernel
 from wrt.planning.plan import traversal_config, traversal_of
 from wrt.planning.planner import make_plan
 from wrt.rays.rays import as_rays

@@ -18,7 +18,7 @@ one. `kept` stores the t of a ray while another part is active.
 are done (figures: notebooks/records/2026-11-21-packets.md, notebooks/records/2026-11-26-joined-packets.md).
 
 **Source.** This reaction is ours. That of Boulos et al. (2008), packets made again where less than half of their rays are
-active, is `wrt.kernels.traversal.packet.core.repacked_bvh`.
+active, is `wrt.kernels.classics.traversal.repacked_bvh`.
 """
 
 from functools import cache

@@ -87,6 +87,6 @@ class PacketBounds:
     rise_high: wp.vec2
     margin: float
     """Error bound of these four planes plus the greatest distance of a hit from its triangle
-    (`wrt.kernels.traversal.packet.culling.inverse_frustum`)."""
+    (`wrt.kernels.classics.culling.inverse_frustum`)."""
     few: FewRays
     """Numbers of the rays that meet the current leaf, if they are at most `MAX_FEW_RAYS` (`Culling.leaf`)."""

@@ -1,7 +1,7 @@
 """A kd-tree for small packets and a BVH for wide ones, combined after Cadet and Lecussan (2007), against either tree alone.
 
-`coupled_query` prepares a query that walks both trees (`wrt.kernels.study.variants.coupled_trees`); `compare_coupling` times it
-for coherent and for scattered rays.
+`coupled_query` prepares a query that walks both trees (`wrt.kernels.classics.studies.variants.coupled_trees`);
+`compare_coupling` times it for coherent and for scattered rays.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.studies.kdtrees.entry_point_tiles import morton_view, tile_query
 from wrt.execution.traversal_launch import counter_rows, divide, no_work
 from wrt.execution.triangle_records import records_of
+from wrt.kernels.classics.studies.variants.coupled_trees import CoupledTrees, make_kernel
 from wrt.kernels.runtime.launch import launch, use_threads
-from wrt.kernels.study.variants.coupled_trees import CoupledTrees, make_kernel
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.meshes.mesh import TriangleMesh

@@ -28,8 +28,8 @@ from wrt.builders.bvh.phases.split_axes import AxisChoice
 from wrt.builders.influence.area_top_level import region_of
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea
 from wrt.builders.influence.regions import contain_points
+from wrt.kernels.classics.studies.walk_orders import EMPTY, INNER, LEAF, ORDERS, Lanes, Walked, make_kernel
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.study.walk_orders import EMPTY, INNER, LEAF, ORDERS, Lanes, Walked, make_kernel
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -135,7 +135,7 @@ def lanes_of(scene: Scene) -> Lanes:
 
 
 def walk(scene: Scene, rays: Rays, order: str, *, stops: bool = True) -> np.ndarray:
-    """(rays,) structured counts of walking a scene's BVH (`wrt.kernels.study.walk_orders`).
+    """(rays,) structured counts of walking a scene's BVH (`wrt.kernels.classics.studies.walk_orders`).
 
     Args:
         scene: with a BVH, on the CPU.

@@ -1,7 +1,7 @@
 """Two ideas for tests that project along an axis: Shevtsov's flag of axis-aligned triangles, and axes by shifts.
 
-`compare_flag`: with and without the flag (`wrt.kernels.study.variants.axis_flag`). `compare_selections`: Wald's test without a
-tree, with axes found in four ways (`wrt.kernels.study.variants.axis_selection`).
+`compare_flag`: with and without the flag (`wrt.kernels.classics.studies.variants.axis_flag`). `compare_selections`: Wald's test
+without a tree, with axes found in four ways (`wrt.kernels.classics.studies.variants.axis_selection`).
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.studies.kdtrees.entry_point_tiles import morton_view
 from wrt.bench.studies.triangles.isolated_tests import Beams, Run, Soup, closest
 from wrt.bench.studies.triangles.volume_search import random_soup
+from wrt.kernels.classics.studies.variants.axis_flag import TEST as FLAGGED
+from wrt.kernels.classics.studies.variants.axis_selection import SELECTIONS
 from wrt.kernels.simd.lanes import native_width
-from wrt.kernels.study.variants.axis_flag import TEST as FLAGGED
-from wrt.kernels.study.variants.axis_selection import SELECTIONS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.meshes.mesh import TriangleMesh
 from wrt.rays.rays import Rays

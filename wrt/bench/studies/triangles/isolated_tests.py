@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.classics.studies.bare_triangle_tests import make_blocks, make_frusta, make_pairs, make_scalar
+from wrt.kernels.classics.studies.dammertz_keller import ScalarTest
+from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exits
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs, make_scalar
-from wrt.kernels.study.dammertz_keller import ScalarTest
-from wrt.kernels.study.exit_counts import make_kernel as make_exits
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.kernels.triangle.support.operation_counts import Operations
 from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
@@ -145,7 +145,8 @@ def closest(test: TestForm | ScalarTest, soup: Soup, rays: Beams, *, frustum: in
 
 
 def traced(kernel: wp.Kernel, records: wp.array, triangles: int, rays: Beams, group: int = 1) -> Run:
-    """What launches a kernel of `wrt.kernels.study.bare_triangle_tests` that finds closest hits; group: rays of an item."""
+    """What launches a kernel of `wrt.kernels.classics.studies.bare_triangle_tests` that finds closest hits; group: rays of an
+    item."""
     t, found = wp.empty(rays.count, dtype=float, device=CPU), wp.empty(rays.count, dtype=int, device=CPU)
     inputs = [records, triangles, rays.origins, rays.stride, rays.directions, t, found]
 
@@ -157,7 +158,7 @@ def traced(kernel: wp.Kernel, records: wp.array, triangles: int, rays: Beams, gr
 
 
 def exits(test: TestForm, soup: Soup, rays: Beams, *, group_rays: int = 1, group_triangles: int = 1) -> Exits:
-    """Where the tests of all rays against all triangles end; groups as in `wrt.kernels.study.exit_counts`."""
+    """Where the tests of all rays against all triangles end; groups as in `wrt.kernels.classics.studies.exit_counts`."""
     names = (*test.lanes.exits, "hit")
     groups = rays.count // group_rays
     counts = wp.zeros((groups, 2 * len(names)), dtype=int, device=CPU)

@@ -33,10 +33,10 @@ from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.bench.core.workloads import WorkloadMaker
 from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, exits
 from wrt.bench.studies.triangles.triangle_test_comparison import ratios
+from wrt.kernels.classics.studies.derivation_counts import count_derivation
+from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
-from wrt.kernels.study.derivation_counts import count_derivation
-from wrt.kernels.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.triangle_contract import TestForm
 from wrt.meshes.mesh import TriangleMesh

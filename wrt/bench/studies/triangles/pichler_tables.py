@@ -29,11 +29,11 @@ from wrt.bench.core.workloads import Workload, WorkloadMaker
 from wrt.bench.studies.triangles.leaf_queries import leaf_query
 from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.rendering import render
+from wrt.kernels.classics.studies.pruning_counts import Pruned, make_kernel
+from wrt.kernels.classics.triangle.ferko import VARIANTS
+from wrt.kernels.classics.triangle.ferko.record_part import join
+from wrt.kernels.classics.triangle.ferko.variant import Variant
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.study.pruning_counts import Pruned, make_kernel
-from wrt.kernels.triangle.ferko import VARIANTS
-from wrt.kernels.triangle.ferko.record_part import join
-from wrt.kernels.triangle.ferko.variant import Variant
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.meshes.mesh import TriangleMesh
 from wrt.rays.ray_buffers import to_device
@@ -127,7 +127,7 @@ class Case:
 
 
 def count_comparisons(scene: Scene, rays: Rays, variant: Variant) -> dict[str, int]:
-    """Tests, points that reach the pruning, comparisons and hits, of all rays: `wrt.kernels.study.pruning_counts`.
+    """Tests, points that reach the pruning, comparisons and hits, of all rays: `wrt.kernels.classics.studies.pruning_counts`.
 
     Args:
         scene: triangles; all are looked at for each ray.

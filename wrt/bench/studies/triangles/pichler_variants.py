@@ -1,7 +1,7 @@
 """What Pichler 2018 tried and gave up: ways to make the transform, spheres, when to compare t; and rivals of chapter 3.
 
     replays             5.3, 5.5, 6.1: time of a test at a tree's share of hits, and where tests end, by the forms of
-                        `wrt.kernels.study.pichler_2018`
+                        `wrt.kernels.classics.studies.pichler_2018`
     edge_planes         3.1: Amanatides and Choi's two tests; the second was 35 % faster in their paper
     squared_errors      3.1: Havel and Herout's comparison of three tests by the mean squared error of the hit, for all tests
     subdivision         3.1: Dammertz and Keller's test, of which Woop et al. say that it is watertight and slow
@@ -29,11 +29,11 @@ from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, pairs
 from wrt.bench.studies.triangles.pichler_tables import ROUNDS, SCENES, Case
 from wrt.bench.studies.triangles.triangle_precision import leaks, solve
+from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
+from wrt.kernels.classics.studies.pichler_2018 import STUDIED
+from wrt.kernels.classics.studies.replayed_tests import make_kernel, make_lists
+from wrt.kernels.classics.studies.variants.watertight_pruning import PRUNED, UNPRUNED
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
-from wrt.kernels.study.pichler_2018 import STUDIED
-from wrt.kernels.study.replayed_tests import make_kernel, make_lists
-from wrt.kernels.study.variants.watertight_pruning import PRUNED, UNPRUNED
 from wrt.kernels.traversal.brute_force import AllTriangles
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.rays.ray_buffers import to_device

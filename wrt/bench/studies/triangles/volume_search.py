@@ -26,8 +26,8 @@ import numpy as np
 
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.studies.triangles.isolated_tests import Beams, Run, Soup, closest, traced
-from wrt.kernels.study.bare_triangle_tests import make_blocks
-from wrt.kernels.study.distance_checks import in_range
+from wrt.kernels.classics.studies.bare_triangle_tests import make_blocks
+from wrt.kernels.classics.studies.distance_checks import in_range
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.triangle_contract import TestForm
@@ -131,7 +131,7 @@ def as_test(form: Form) -> TestForm:
 
 def compare_forms(*, triangles: int = 2048, rays: int = 2048, width: int = 16, rounds: int = 7) -> list[dict[str, Any]]:
     """Time of the cheapest forms, and of the entries of the table of this kind, on random triangles; and of Wald's test with t
-    compared by floats and by integers (`wrt.kernels.study.distance_checks`).
+    compared by floats and by integers (`wrt.kernels.classics.studies.distance_checks`).
 
     Returns:
         A row for each: way, operations (None for those of the table), seconds, ratio to Moeller and Trumbore's entry (for

@@ -1,0 +1,1 @@
+"""Traversals that "auto" never chooses, and mailboxes (contract and table: `wrt.kernels.traversal`)."""

@@ -1,0 +1,1 @@
+"""Triangle tests that "auto" never chooses (contract and table: `wrt.kernels.triangle`)."""

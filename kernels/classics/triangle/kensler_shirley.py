@@ -1,0 +1,75 @@
+"""Kensler and Shirley 2006: the form of the volume test with the fewest operations.
+
+**Problem.** Tests in three dimensions (Moeller and Trumbore's, Pluecker's) are ratios of volumes of tetrahedra that ray and
+triangle span. A volume can be written in many ways, and the ways share different subexpressions.
+
+**Idea.** Count the operations of all forms without precomputed data. The cheapest form uses two cross products: one is the
+triangle's normal, the other that of the ray's direction and the vector from its origin to the triangle. The paper then orders
+the code with a genetic algorithm. Today's compilers choose the order, so we implement the form alone.
+
+**Data.** The three vertices.
+
+**Departures.** The form is that of `wrt.kernels.classics.triangle.moeller_trumbore_precomputed`, with edges and normal computed
+for every ray. The reciprocal is multiplied into the vector to the triangle at once, which saves two multiplications.
+
+**Limits.** Those of Moeller and Trumbore's test: not watertight, and not accurate at needles.
+
+References:
+    A. Kensler, P. Shirley: Optimizing ray-triangle intersection via automated search. IEEE Symposium on Interactive Ray
+        Tracing, 2006.
+"""
+
+import warp as wp
+
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Corners
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, prepare
+
+exact_module(__name__)
+
+
+@wp.func
+def intersect(ray: PlainRay, corners: Corners):
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
+    from_b = corners.a - corners.b
+    edge_c = corners.c - corners.a
+    normal = cross(edge_c, from_b)
+    scale = 1.0 / dot(normal, ray.direction)
+    s = scale * (corners.a - ray.origin)
+    g = cross(s, ray.direction)
+    u = dot(g, edge_c)
+    v = dot(g, from_b)
+    t = dot(normal, s)
+    if u >= 0.0 and v >= 0.0 and u + v <= 1.0 and t - t == 0.0:
+        return wp.vec3(t, u, v)
+    return miss()
+
+
+LANES = LaneForm(
+    ray=(*ORIGIN, *DIRECTION),
+    steps=(
+        Step(
+            exit="the line passes beside the triangle",
+            code=f"""
+                {minus("e1", "a", "b")}{minus("e2", "c", "a")}{crossed("n", "e2", "e1")}{minus("p", "a", "o")}
+                const float scale = 1.0f / {dotted("n", "d")};
+                const float sx = scale * px, sy = scale * py, sz = scale * pz;
+                {crossed("g", "s", "d")}
+                const float u = {dotted("g", "e2")}, v = {dotted("g", "e1")}, t = {dotted("n", "s")};
+            """,
+            passes="(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f) & (t - t == 0.0f)",
+        ),
+    ),
+)
+"""One step. A separate exit before t, which is one more product, is slower (notebooks/records/2026-11-21-triangle-tests.md)."""
+
+TEST = TriangleTest(
+    name="kensler_shirley",
+    paper="Kensler, Shirley: Optimizing ray-triangle intersection via automated search (2006)",
+    ray_state=PlainRay,
+    prepare=prepare,
+    intersect=intersect,
+    lanes=LANES,
+)

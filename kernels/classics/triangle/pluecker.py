@@ -1,0 +1,105 @@
+"""Pluecker test: on which side of each edge's line does the ray's line pass?
+
+**Problem.** A test by barycentric coordinates evaluates an edge as u >= 0 in one triangle and as u + v <= 1 in its neighbour.
+The two round differently, and a ray may pass between them.
+
+**Idea.** In Pluecker coordinates the sign of the inner product of two directed lines is the sense in which they turn about each
+other. A line meets a triangle if it turns about all three edges in the same sense. The other triangle directs the edge the
+other way, which negates the product exactly if it is computed symmetrically. So no ray passes along an edge.
+
+**Data.** The three vertices. Nothing is precomputed; for rays with a common origin see `wrt.kernels.classics.triangle.benthin`.
+
+**Departures.**
+
+* The origin is moved to 0, where the ray's moment vanishes. The inner product with the edge from p to q is then D . (p x q),
+  the volume that ray and edge span. The moments of lines far from 0 would cancel.
+* p x q itself cancels for a short, distant edge. It is half of (p + q) x (q - p), which does not cancel and is antisymmetric
+  too. (Davidovic et al. write the edge functions of rasterisation in this form.)
+* Signs are compared before the distance, as Benthin recommends. Rahikainen 2013 remarks that Komatsu et al. measured the
+  Pluecker test with the distance first.
+* The weights of the vertices are the three numbers over their sum; the test itself does not provide them.
+
+**Limits.** The edges at a vertex round independently, so the test is not `watertight`.
+
+References:
+    K. Shoemake: Pluecker coordinate tutorial. Ray Tracing News 11(1), 1998.
+    J. Amanatides, K. Choi: Ray tracing triangular meshes. Western Computer Graphics Symposium, 1997.
+    C. Benthin: Realtime ray tracing on current CPU architectures. PhD thesis, Saarland University, 2006.
+    T. Davidovic, T. Engelhardt, I. Georgiev, P. Slusallek, C. Dachsbacher: 3D rasterization: a bridge between rasterization
+        and ray casting. Graphics Interface 2012.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+"""
+
+import warp as wp
+
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Corners
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, plus, prepare
+
+exact_module(__name__)
+
+
+@wp.func
+def around(direction: wp.vec3, p: wp.vec3, q: wp.vec3):
+    """Twice the inner product of a line through 0 with the line from p to q."""
+    return dot(direction, cross(p + q, q - p))
+
+
+@wp.func
+def intersect(ray: PlainRay, corners: Corners):
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
+    a = corners.a - ray.origin
+    b = corners.b - ray.origin
+    c = corners.c - ray.origin
+    alpha = around(ray.direction, b, c)
+    beta = around(ray.direction, c, a)
+    gamma = around(ray.direction, a, b)
+    if not ((alpha >= 0.0 and beta >= 0.0 and gamma >= 0.0) or (alpha <= 0.0 and beta <= 0.0 and gamma <= 0.0)):
+        return miss()
+    normal = cross(b - a, c - a)
+    t = dot(normal, a) / dot(normal, ray.direction)
+    total = (alpha + beta) + gamma
+    scale = 1.0 / total
+    if t - t != 0.0 or total == 0.0:
+        return miss()
+    return wp.vec3(t, beta * scale, gamma * scale)
+
+
+LANES = LaneForm(
+    ray=(*ORIGIN, *DIRECTION),
+    steps=(
+        Step(
+            exit="the line does not turn the same way about all edges",
+            code=f"""
+                {minus("p", "a", "o")}{minus("q", "b", "o")}{minus("r", "c", "o")}
+                {plus("sa", "q", "r")}{minus("ea", "r", "q")}{crossed("ma", "sa", "ea")}
+                {plus("sb", "r", "p")}{minus("eb", "p", "r")}{crossed("mb", "sb", "eb")}
+                {plus("sc", "p", "q")}{minus("ec", "q", "p")}{crossed("mc", "sc", "ec")}
+                const float alpha = {dotted("d", "ma")}, beta = {dotted("d", "mb")}, gamma = {dotted("d", "mc")};
+            """,
+            passes="((alpha >= 0.0f) & (beta >= 0.0f) & (gamma >= 0.0f))"
+            " | ((alpha <= 0.0f) & (beta <= 0.0f) & (gamma <= 0.0f))",
+            keeps=("alpha", "beta", "gamma", *names("p"), *names("q"), *names("r")),
+        ),
+        Step(
+            exit="the line lies in the triangle's plane",
+            code=f"""
+                {minus("e1", "q", "p")}{minus("e2", "r", "p")}{crossed("n", "e1", "e2")}
+                const float t = {dotted("n", "p")} / {dotted("n", "d")};
+                const float total = (alpha + beta) + gamma, scale = 1.0f / total, u = beta * scale, v = gamma * scale;
+            """,
+            passes="(t - t == 0.0f) & (total != 0.0f)",
+        ),
+    ),
+)
+
+TEST = TriangleTest(
+    name="pluecker",
+    paper="Amanatides, Choi: Ray tracing triangular meshes (1997)",
+    ray_state=PlainRay,
+    prepare=prepare,
+    intersect=intersect,
+    lanes=LANES,
+)

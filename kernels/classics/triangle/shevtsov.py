@@ -1,0 +1,130 @@
+"""Shevtsov, Soupikov and Kapustin 2007: Wald's projection, Pluecker's inside test, the division last.
+
+**Problem.** Wald's test divides before it knows whether the triangle is hit. Most triangles are not.
+
+**Idea.** Multiply everything by the determinant, the rate at which the ray approaches the plane. The point at which the ray
+meets the plane, relative to a vertex and times the determinant, is a sum of products, and so are the barycentric coordinates
+times the determinant. The ray hits if these and the remainder of the determinant have the same sign: Pluecker's condition. Only
+a hit divides.
+
+**Data.** Ten floats, 40 bytes: the two other components of the normal over its main one, and the plane's distance over the
+same; two coordinates of a vertex; two of each of two edges, over the normal's main component; the axis.
+
+**Departures.** The paper's flag for triangles perpendicular to an axis, whose plane is simpler, is omitted: it saves nothing in
+scenes (`wrt.kernels.classics.studies.variants.axis_flag`). The equations are those printed as (2.13) in Rahikainen 2013, and
+they are correct. The record is computed in float64, then rounded.
+
+**Limits.** All lanes divide at once, so dividing last saves nothing with lanes; a single step is faster
+(notebooks/records/2026-11-21-triangle-tests.md). The inside test is relative to a vertex, which is precise. t is less precise,
+because the plane's distance is measured from the centre of the scene. The test is not watertight.
+
+References:
+    M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures. GraphiCon 2007.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+"""
+
+import warp as wp
+
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.triangle.support.axis_projection import main_axis, next_axis, turned, turned_lanes
+from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Corners, Record
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, miss, prepare
+
+exact_module(__name__)
+
+FlatTriangle = wp.types.vector(length=10, dtype=wp.float32)
+"""k; n_p, n_q, n: the plane x_k + n_p x_p + n_q x_q = n; a_p, a_q of vertex a; b_p, b_q of the edge b - a and c_p, c_q of the
+edge c - a, both over the normal's component k."""
+
+
+@wp.func
+def derive(corners: Corners, origin: wp.vec3):
+    """Record of a triangle. A triangle without area has components that are not finite."""
+    a = wp.vec3d(corners.a)
+    edge_b = wp.vec3d(corners.b) - a
+    edge_c = wp.vec3d(corners.c) - a
+    normal = cross(edge_b, edge_c)
+    k = main_axis(normal)
+    p = next_axis(k)
+    q = next_axis(p)
+    flat = FlatTriangle()
+    flat[0] = float(k)
+    flat[1] = float(normal[p] / normal[k])
+    flat[2] = float(normal[q] / normal[k])
+    flat[3] = float(a[k] + (normal[p] * a[p] + normal[q] * a[q]) / normal[k]) + 0.0  # + 0.0 turns -0 into 0
+    flat[4] = corners.a[p]
+    flat[5] = corners.a[q]
+    flat[6] = float(edge_b[p] / normal[k])
+    flat[7] = float(edge_b[q] / normal[k])
+    flat[8] = float(edge_c[p] / normal[k])
+    flat[9] = float(edge_c[q] / normal[k])
+    return flat
+
+
+@wp.func
+def weigh(flat: FlatTriangle, o: wp.vec3, d: wp.vec3, det: float, ahead: float):
+    """(t, u, v) of a turned ray, with t = ahead / det; t is NaN if the line passes beside the triangle or is parallel to it."""
+    x = ahead * d[1] - det * (flat[4] - o[1])
+    y = ahead * d[2] - det * (flat[5] - o[2])
+    u = flat[9] * x - flat[8] * y
+    v = flat[6] * y - flat[7] * x
+    w = det - (u + v)
+    if not ((u >= 0.0 and v >= 0.0 and w >= 0.0 and det > 0.0) or (u <= 0.0 and v <= 0.0 and w <= 0.0 and det < 0.0)):
+        return miss()
+    scale = 1.0 / det
+    t = ahead * scale
+    if t - t != 0.0:
+        return miss()
+    return wp.vec3(t, u * scale, v * scale)
+
+
+@wp.func
+def intersect(ray: PlainRay, flat: FlatTriangle):
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
+    o = turned(ray.origin, int(flat[0]))
+    d = turned(ray.direction, int(flat[0]))
+    det = (d[0] + flat[1] * d[1]) + flat[2] * d[2]
+    ahead = flat[3] - ((o[0] + flat[1] * o[1]) + flat[2] * o[2])
+    return weigh(flat, o, d, det, ahead)
+
+
+WEIGHTS = """
+    const float x = ahead * dp - det * (ap - op), y = ahead * dq - det * (aq - oq);
+    const float du = cq * x - cp * y, dv = bp * y - bq * x, dw = det - (du + dv);
+"""
+"""The first steps of `weigh` in C++."""
+
+LANES = LaneForm(
+    ray=(*ORIGIN, *DIRECTION),
+    triangle=("axis", "np", "nq", "n0", "ap", "aq", "bp", "bq", "cp", "cq"),
+    steps=(
+        Step(
+            exit="the line passes beside the triangle",
+            code=f"""
+                {turned_lanes("o")}{turned_lanes("d")}
+                const float det = (dk + np * dp) + nq * dq, ahead = n0 - ((ok + np * op) + nq * oq);
+                {WEIGHTS}
+            """,
+            passes="((du >= 0.0f) & (dv >= 0.0f) & (dw >= 0.0f) & (det > 0.0f))"
+            " | ((du <= 0.0f) & (dv <= 0.0f) & (dw <= 0.0f) & (det < 0.0f))",
+            keeps=("du", "dv", "det", "ahead"),
+        ),
+        Step(
+            exit="the line is parallel to the triangle",
+            code="const float scale = 1.0f / det, t = ahead * scale, u = du * scale, v = dv * scale;",
+            passes="t - t == 0.0f",
+        ),
+    ),
+)
+
+TEST = TriangleTest(
+    name="shevtsov",
+    paper="Shevtsov, Soupikov, Kapustin: Ray-triangle intersection algorithm for modern CPU architectures (2007)",
+    record=Record(10, derive),
+    ray_state=PlainRay,
+    prepare=prepare,
+    intersect=intersect,
+    lanes=LANES,
+)
