@@ -11,9 +11,11 @@ from test_kdtree_builders import build, hard_meshes, leaf_references
 
 import wrt
 from wrt import scenes
+from wrt.builders.classics.kdtree import streaming
+from wrt.builders.classics.kdtree.nested import nested
 from wrt.builders.core import levels as levels_engine
 from wrt.builders.core.clip import PAD
-from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, nested, streaming
+from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.phases import clipped_levels
 from wrt.builders.kdtree.scan import scanning

@@ -101,8 +101,9 @@ def prepare(what: str, threads: int, compiler_flags: str | None = None) -> None:
 def share_small_work() -> None:
     """Makes what only large meshes meet happen with small ones: levels that threads split together, chunks, cells."""
     from wrt.builders.bvh import binned_bvh as bvh
+    from wrt.builders.classics.kdtree import streaming
     from wrt.builders.core import levels as levels_engine
-    from wrt.builders.kdtree import binned, streaming
+    from wrt.builders.kdtree import binned
     from wrt.builders.kdtree.lazy import lazy_kdtree as lazy
     from wrt.builders.kdtree.lazy import triangle_clusters as clusters
 
