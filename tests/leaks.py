@@ -65,7 +65,7 @@ def trees(triangles: int) -> dict[str, wrt.KdTree | wrt.Bvh]:
     found: dict[str, wrt.KdTree | wrt.Bvh] = {f"bvh {name}": wrt.Bvh(builder=name) for name in BVH_BUILDERS}
     found["bvh of width 4"] = wrt.Bvh(width=4)
     for name, builder in KDTREE_BUILDERS.items():
-        if triangles <= builder.most_triangles:
+        if triangles <= builder.max_triangles:
             found[f"kdtree {name}"] = wrt.KdTree(builder=name)
             if builder.clips:
                 found[f"kdtree {name}, clipped"] = wrt.KdTree(builder=name, split_clipping=True)

@@ -91,7 +91,7 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
 
 
 def kernels(config: BvhConfig, triangles: int, heuristic: Heuristic = SURFACE) -> list[wp.Kernel]:
-    """One kernel of each module that a build of so many triangles needs."""
+    """One kernel of each module that a build of the given number of triangles needs."""
     levels = [make_search_planes(heuristic)] if triangles > largest_task(triangles) else []
     moving = [classic_module("bvh.reinsertion").find_insertion_positions] if config.reinsertion else []
     if config.subset < 1.0:

@@ -247,11 +247,11 @@ def pack(
 def morton_code(group: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """(n,) place of each box's centre on a Morton curve through the box of its group's centres."""
     centre = low.astype(np.float64) + high
-    least, most = (np.full((int(group.max()) + 1, 3), value) for value in (np.inf, -np.inf))
-    np.minimum.at(least, group, centre)
-    np.maximum.at(most, group, centre)
-    size = np.maximum(most - least, np.finfo(np.float64).tiny)[group]
-    cell = np.minimum((centre - least[group]) / size * MORTON_CELLS, MORTON_CELLS - 1).astype(np.int64)
+    low, high = (np.full((int(group.max()) + 1, 3), value) for value in (np.inf, -np.inf))
+    np.minimum.at(low, group, centre)
+    np.maximum.at(high, group, centre)
+    size = np.maximum(high - low, np.finfo(np.float64).tiny)[group]
+    cell = np.minimum((centre - low[group]) / size * MORTON_CELLS, MORTON_CELLS - 1).astype(np.int64)
     code = np.zeros(len(group), dtype=np.int64)
     for bit in range(10):
         for axis in range(3):

@@ -108,16 +108,16 @@ class Levels:
         """The current level; when no node is to be split any more, the roots of tasks."""
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
-        """Launches a kernel, with so many items at a time."""
+        """Launches a kernel, `chunk` items at a time."""
         launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=self.chunks_per_thread)
 
-    def goes_on(self) -> bool:
+    def should_split(self) -> bool:
         """Whether the current level is to be split."""
         return not self.nodes["finished"].all()
 
     def split(self) -> None:
         """Splits level after level."""
-        while self.goes_on():
+        while self.should_split():
             self.search()
             self.stop()
             self.classify()

@@ -32,7 +32,7 @@ class KdTreeBuilder:
         name: key in `KDTREE_BUILDERS`.
         paper: authors, title, year.
         build: (boxes, config) -> tree.
-        most_triangles: largest mesh in tests and benchmarks, because larger ones take too long; the builder accepts any size.
+        max_triangles: largest mesh in tests and benchmarks, because larger ones take too long; the builder accepts any size.
         clips: whether it clips triangles to cells if the config asks for it.
         least_cost: whether it finds the plane of least cost in a node of few triangles, among all planes at which a box begins
             or ends. If not, it chooses planes by another rule and leaves only the decision to stop to the cost.
@@ -47,7 +47,7 @@ class KdTreeBuilder:
     name: str
     paper: str
     build: Callable[[TriangleBoxes, KdTreeConfig], KdTree]
-    most_triangles: int = MAX_INDEX
+    max_triangles: int = MAX_INDEX
     clips: bool = False
     least_cost: bool = False
     any_cost: bool = False
@@ -118,7 +118,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             "naive",
             f"{WALD_HAVRAN}, O(N^2)",
             Classic("kdtree.naive"),
-            most_triangles=5000,
+            max_triangles=5000,
             clips=True,
             least_cost=True,
             any_cost=True,

@@ -78,7 +78,7 @@ def searching(ends_rays: bool) -> wp.Function:
     return search
 
 
-def method(config: KdTreeConfig) -> Method:
+def binned_method(config: KdTreeConfig) -> Method:
     """What is done with a node."""
     return scan_method(config, searching(config.cost.occluder > 0.0))
 
@@ -88,4 +88,4 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     threads = get_num_threads()
     large = max(MIN_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
     rules = LevelRules(large, BINS, SAMPLED, config.median_levels)
-    return build_scanning(triangles, config, Scan(method(config), rules, values_for(BINS), by_bins=True))
+    return build_scanning(triangles, config, Scan(binned_method(config), rules, values_for(BINS), by_bins=True))

@@ -132,10 +132,10 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, method: Metho
 
 def cut_events(events: Events, nodes: int) -> int:
     """Sets the size of chunks for this number of live nodes; returns the number of chunks of an axis."""
-    most = max(events.count)
-    longest = max(EVENT_CHUNK, -(-3 * most // (CHUNKS_PER_THREAD * get_num_threads())))
+    max_count = max(events.count)
+    longest = max(EVENT_CHUNK, -(-3 * max_count // (CHUNKS_PER_THREAD * get_num_threads())))
     events.chunk = min(max(EVENT_CHUNK, EVENTS_PER_NODE * nodes), longest)
-    return max(1, -(-most // events.chunk))
+    return max(1, -(-max_count // events.chunk))
 
 
 class InPlaceLevels(Levels):
@@ -166,7 +166,7 @@ class InPlaceLevels(Levels):
         """Triangles, or references to them."""
         return self.parts.count if self.parts else self.triangles.count
 
-    def goes_on(self) -> bool:
+    def should_split(self) -> bool:
         """Until the nodes meet the target."""
         triangles, target = self.nodes["frame"]["triangles"][~self.nodes["finished"]], self.target
         met = len(triangles) >= target.tasks and triangles.max() <= target.triangles

@@ -45,10 +45,10 @@ HIERARCHIES = {
 }
 """The hierarchy of boxes from which a lazy tree is built, by name."""
 
-MOST_RESAMPLINGS = 4
+MAX_RESAMPLINGS = 4
 """Most scans of a node after the first; each of them leaves fewer intervals."""
 
-MOST_MEDIAN_LEVELS = 12
+MAX_MEDIAN_LEVELS = 12
 """Most levels that are split at medians."""
 
 MIXED_FROM = 1000
@@ -65,8 +65,8 @@ class KdTreeConfig:
         axis: key in `AXES`, for builders that split at a median; the others try all axes.
         split_clipping: whether triangles are clipped to the cells that contain them, for builders that support it (`clipping`).
         searched_axes: key in `SEARCHED_AXES`, for the builder that takes adaptive samples.
-        resamplings: scans after the first, 1 to `MOST_RESAMPLINGS`, for the builder that takes adaptive samples.
-        median_levels: levels that are split at the median of the triangles before costs decide, 0 to `MOST_MEDIAN_LEVELS`, for
+        resamplings: scans after the first, 1 to `MAX_RESAMPLINGS`, for the builder that takes adaptive samples.
+        median_levels: levels that are split at the median of the triangles before costs decide, 0 to `MAX_MEDIAN_LEVELS`, for
             the builder that bins.
         cell_tests: key in `CELL_TESTS`; builders carry out "nodes", and `wrt.builders.classics.kdtree.postprocess` "leaves".
         empty_space: key in `EMPTY_SPACE`; builders carry out "early", and `wrt.builders.classics.kdtree.postprocess` "late".
@@ -93,9 +93,9 @@ class KdTreeConfig:
             raise ValueError(f"axis is {self.axis!r}; choose from {', '.join(AXES)}")
         if self.searched_axes not in SEARCHED_AXES:
             raise ValueError(f"searched_axes is {self.searched_axes!r}; choose from {', '.join(SEARCHED_AXES)}")
-        for name, most, least in (("resamplings", MOST_RESAMPLINGS, 1), ("median_levels", MOST_MEDIAN_LEVELS, 0)):
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(f"{name} is {getattr(self, name)}; it must be from {least} to {most}")
+        for name, max_value, min_value in (("resamplings", MAX_RESAMPLINGS, 1), ("median_levels", MAX_MEDIAN_LEVELS, 0)):
+            if not min_value <= getattr(self, name) <= max_value:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be from {min_value} to {max_value}")
         if self.cell_tests not in CELL_TESTS:
             raise ValueError(f"cell_tests is {self.cell_tests!r}; choose from {', '.join(CELL_TESTS)}")
         if self.empty_space not in EMPTY_SPACE:

@@ -332,7 +332,7 @@ inline CUDA_CALLABLE void combine(float* to, int width, const float* left, float
     to[W - 1] = holds_large ? 1.0f : 0.0f;
 }
 
-/// Inserts the W triangles from `begin` on into the tree of a subset; see `wrt.builders.bvh.subset_levels.find_block`.
+/// Inserts the W triangles from `begin` on into the tree of a subset; see `wrt.builders.classics.bvh.subset_levels.find_block`.
 template <int W, class Range>
 inline CUDA_CALLABLE void find_block(const float* references, int begin, int end, const float* planes, const int* pairs,
     const Range* ranges, int limit, float* keys, int* values)

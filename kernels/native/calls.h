@@ -90,7 +90,7 @@ inline void run_stages(Way* stages, int begin, int end, const int* counts, int s
 
 // -- steps of a build -----------------------------------------------------------------------------------------------------
 
-/// A kernel with its arguments: a step of `wrt.builders.bvh.phases.few_steps`.
+/// A kernel with its arguments: a step of `wrt.builders.bvh.phases.native_calls`.
 struct Call {
     Entry entry;
     void *bounds, *arguments;

@@ -29,7 +29,7 @@ def soup() -> wrt.TriangleMesh:
 ACCELERATORS = [wrt.Bvh(builder=name) for name in BVH_BUILDERS] + [
     wrt.KdTree(builder=name)
     for name, builder in KDTREE_BUILDERS.items()
-    if builder.start is None and builder.most_triangles > COUNT and name != "sorting_sweep"
+    if builder.start is None and builder.max_triangles > COUNT and name != "sorting_sweep"
 ]
 
 

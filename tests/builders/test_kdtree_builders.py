@@ -124,7 +124,7 @@ def test_events_are_sorted():
 @pytest.mark.parametrize("width", [1, 8])
 def test_invariants(scene_mesh, builder, width):
     """Leaves tile the root's box; every triangle is in every leaf whose inside its box meets, and in at least one leaf."""
-    if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].most_triangles:
+    if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].max_triangles:
         pytest.skip("too many triangles for this builder")
     tree, config = build(scene_mesh, builder, width=width, block_cost=1.5 if width == 1 else 0.5)
     flat = unpack(tree)
@@ -168,7 +168,7 @@ def test_exact_builders_equal_the_reference(scene_mesh, options):
     reference, config = build(scene_mesh, "sorting_sweep", **options)
     cost = kdtree_statistics(reference, scene_mesh.triangle_count, config.cost).sah_cost
     for builder in EXACT:
-        if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].most_triangles:
+        if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].max_triangles:
             continue
         tree, _ = build(scene_mesh, builder, **options)
         np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())

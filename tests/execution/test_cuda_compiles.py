@@ -52,12 +52,15 @@ from wrt.state.query_kinds import ANY, CLOSEST, QUERIES
 ARCHITECTURE = 75
 
 WHOLE, CLIPPED = KdTreeConfig(), KdTreeConfig(split_clipping=True)
-SAMPLED_AGAIN = adaptive_sampling.method(KdTreeConfig(resamplings=2, empty_space="early"))
+SAMPLED_AGAIN = adaptive_sampling.sampling_method(KdTreeConfig(resamplings=2, empty_space="early"))
 SCANNING_METHODS = (
-    *(builder.method(WHOLE) for builder in (binned, naive, between_medians, adaptive_sampling)),
-    *(medians.method(search, WHOLE) for search in (medians.search_space, medians.search_objects)),
+    binned.binned_method(WHOLE),
+    naive.naive_method(WHOLE),
+    between_medians.between_medians_method(WHOLE),
+    adaptive_sampling.sampling_method(WHOLE),
+    *(medians.median_method(search, WHOLE) for search in (medians.search_space, medians.search_objects)),
 )
-KDTREE_METHODS = (event_method(WHOLE), event_method(CLIPPED), *SCANNING_METHODS, binned.method(CLIPPED), SAMPLED_AGAIN)
+KDTREE_METHODS = (event_method(WHOLE), event_method(CLIPPED), *SCANNING_METHODS, binned.binned_method(CLIPPED), SAMPLED_AGAIN)
 
 
 def modules_with_kernels() -> list[str]:

@@ -19,7 +19,7 @@ from conftest import DEVICES, assert_same_hits, mixed_rays
 
 import wrt
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
-from wrt.builders.bvh import BVH_BUILDERS, few_triangles
+from wrt.builders.bvh import BVH_BUILDERS, small_mesh_build
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.tree_check import check_tree
 from wrt.kernels.layout.bvh_nodes import leaf_child
@@ -60,11 +60,11 @@ def built(monkeypatch) -> list[str]:
 
         monkeypatch.setattr(cls, "build", build)
 
-    def build_few(*given, original=few_triangles.build_few):
+    def build_small_mesh(*given, original=small_mesh_build.build_small_mesh):
         names.append("bvh")
         return original(*given)
 
-    monkeypatch.setattr(few_triangles, "build_few", build_few)
+    monkeypatch.setattr(small_mesh_build, "build_small_mesh", build_small_mesh)
     return names
 
 

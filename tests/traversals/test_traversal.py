@@ -20,7 +20,7 @@ WALKS = [(tree, name) for name, way in TRAVERSALS.items() for tree in way.trees 
 @pytest.mark.width
 @pytest.mark.parametrize("builder", KDTREE_BUILDERS)
 def test_every_kdtree_builder_gives_the_same_hits(scene_mesh, builder):
-    if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].most_triangles:
+    if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].max_triangles:
         pytest.skip("too many triangles for this builder")
     scene = wrt.Scene(scene_mesh, wrt.KdTree(builder=builder), device="cpu")
     origins, directions = mixed_rays(scene_mesh, 3000)

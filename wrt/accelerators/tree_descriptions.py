@@ -253,13 +253,13 @@ class Bvh:
 
     def kernels(self, triangles: int, width: int) -> list[wp.Kernel]:
         """One kernel of each module that a build of so many triangles needs; width: as in `config`."""
-        from wrt.builders.bvh import BVH_BUILDERS, few_triangles
-        from wrt.builders.bvh.phases.few_steps import run_steps
+        from wrt.builders.bvh import BVH_BUILDERS, small_mesh_build
+        from wrt.builders.bvh.phases.native_calls import run_steps
 
-        few = [run_steps] if self.may_be_few and triangles <= few_triangles.MOST else []
+        few = [run_steps] if self.may_be_few and triangles <= small_mesh_build.MAX_TRIANGLES else []
         return [*few, *BVH_BUILDERS[self.builder].kernels(self.config(width), triangles)]
 
     @property
     def may_be_few(self) -> bool:
-        """Whether trees of few triangles are built by `wrt.builders.bvh.few_triangles`."""
+        """Whether trees of few triangles are built by `wrt.builders.bvh.small_mesh_build`."""
         return type(self) is Bvh and self.builder == "binned" and not self.reinsertion and self.subset == 1.0

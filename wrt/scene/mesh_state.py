@@ -11,7 +11,7 @@ import numpy as np
 from wrt.accelerators.accelerator import resolve_accelerator
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
-from wrt.builders.bvh import few_triangles
+from wrt.builders.bvh import small_mesh_build
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.execution.expected_kernels import expect_build
 from wrt.kernels.runtime.launch import use_threads
@@ -166,11 +166,11 @@ def boxes_of_meshes(meshes: tuple[TriangleMesh, ...], placed: PlacedMeshes, hier
 
 
 def builds_few(meshes: tuple[TriangleMesh, ...], settings: Settings) -> bool:
-    """Whether the tree is one that `wrt.builders.bvh.few_triangles` builds."""
+    """Whether the tree is one that `wrt.builders.bvh.small_mesh_build` builds."""
     tree, device = settings.accelerator, settings.device
     if not isinstance(tree, Bvh) or not tree.may_be_few or not device.is_cpu or device.is_capturing:
         return False
-    return sum([mesh.triangle_count for mesh in meshes]) <= few_triangles.MOST
+    return sum([mesh.triangle_count for mesh in meshes]) <= small_mesh_build.MAX_TRIANGLES
 
 
 def build_few_state(meshes: tuple[TriangleMesh, ...], settings: Settings) -> MeshState:
@@ -178,7 +178,7 @@ def build_few_state(meshes: tuple[TriangleMesh, ...], settings: Settings) -> Mes
     try:
         center, vertices, mesh = lay_out_few(meshes)
         config = few_config(settings.accelerator, native_width(settings.device))
-        tree = few_triangles.build_few(config, mesh.center, vertices, mesh.faces, mesh.low, mesh.high, mesh.vertices)
+        tree = small_mesh_build.build_small_mesh(config, mesh.center, vertices, mesh.faces, mesh.low, mesh.high, mesh.vertices)
     except (MemoryError, RuntimeError):
         with memory_for_tree(meshes):  # entered here alone: few triangles feel it
             raise

@@ -35,7 +35,7 @@ SLOT_BINS = 4 * MAX_BINS
 
 SIZE_RANGE = wp.constant(8.0)
 """Least binary logarithm of the ratio of the largest and the smallest box's area for size to be an axis. The parts of scanned
-meshes differ less, and are spared the bins (notebooks/records/2026-11-24-large-triangles.md)."""
+meshes differ less, and do not need these bins (notebooks/records/2026-11-24-large-triangles.md)."""
 
 FEW = wp.constant(64)
 FEW_BINS = wp.constant(8)

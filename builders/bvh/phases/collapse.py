@@ -336,14 +336,14 @@ def wide_cost(binary: BinaryBuild, rules: BuildRules) -> float:
     return float(binary.space[pair * MAX_WIDTH : pair * MAX_WIDTH + 1].numpy()[0])
 
 
-def most_nodes(binary: BinaryBuild) -> int:
+def max_nodes(binary: BinaryBuild) -> int:
     """A bound on the number of wide nodes: that of pairs, and the root."""
     pairs = binary.subtrees.numpy()
     return 1 + int((pairs[:, 1] - pairs[:, 0]).sum()) + (0 if binary.top is None else len(binary.top))
 
 
 def empty_levels(nodes: int, width: int, device: wp.Device) -> WideLevels:
-    """Allocates the levels of up to so many wide nodes."""
+    """Allocates the levels of up to the given number of wide nodes."""
     wide = WideLevels()
     wide.source = wp.empty(nodes, dtype=int, device=device)
     wide.pick = wp.empty((nodes, width), dtype=int, device=device)
@@ -362,7 +362,7 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
     device, width = costs.device, config.cost.width
     rules = work.make("rules", 1, lambda _: config.struct())
     solve_costs(binary, rules)
-    wide = work.make("wide", most_nodes(binary), lambda size: empty_levels(size, width, device))
+    wide = work.make("wide", max_nodes(binary), lambda size: empty_levels(size, width, device))
     write(wide.source, np.zeros(1, dtype=np.int32))
     totals = work.empty("totals of levels", 2, int)
     write(totals, np.array([1, 0], dtype=np.int32))

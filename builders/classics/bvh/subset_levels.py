@@ -59,7 +59,7 @@ CHUNK = 1024
 
 
 def choose(count: int, share: float) -> np.ndarray:
-    """Ids, ascending int32, of a random subset of so many triangles; none of a small mesh, and none for a share of 1."""
+    """Ids, ascending int32, of a random share of `count` triangles; none of a small mesh, and none for a share of 1."""
     if share == 1.0 or count < 2 * MIN_SUBSET:
         return np.empty(0, dtype=np.int32)
     size = max(MIN_SUBSET, round(count * share))
@@ -262,9 +262,9 @@ def planes_of(tree: BinaryTree, levels: list[np.ndarray], centers: np.ndarray) -
         begin, middle = ranges[children[::2], 0], ranges[children[1::2], 0]
         end = begin + ranges[children[::2], 1] + ranges[children[1::2], 1]
         cuts = np.stack([begin, middle, end], axis=1)
-        most = np.maximum.reduceat(ordered, cuts.ravel(), axis=1).reshape(3, -1, 3)[:, :, 0]
-        least = np.minimum.reduceat(ordered, cuts.ravel(), axis=1).reshape(3, -1, 3)[:, :, 1]
-        axis, row = np.argmax(least - most, axis=0), np.arange(len(pairs))
+        max_left = np.maximum.reduceat(ordered, cuts.ravel(), axis=1).reshape(3, -1, 3)[:, :, 0]
+        min_right = np.minimum.reduceat(ordered, cuts.ravel(), axis=1).reshape(3, -1, 3)[:, :, 1]
+        axis, row = np.argmax(min_right - max_left, axis=0), np.arange(len(pairs))
         planes[pairs, axis] = 1.0
-        planes[pairs, 3] = 0.5 * most[axis, row] + 0.5 * least[axis, row]
+        planes[pairs, 3] = 0.5 * max_left[axis, row] + 0.5 * min_right[axis, row]
     return planes.ravel()

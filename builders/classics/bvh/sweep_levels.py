@@ -233,7 +233,7 @@ class SweepLevels(Levels):
         self.small.append(nodes["frame"][~is_large])
         return nodes[is_large]
 
-    def goes_on(self) -> bool:
+    def should_split(self) -> bool:
         """Until there are only small nodes."""
         return len(self.nodes) > 0 and len(self.pairs) < MAX_LEVELS
 

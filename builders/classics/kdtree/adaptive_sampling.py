@@ -16,8 +16,8 @@ after Popov et al. 2006, who propose it and did not need it).
 
 **Data.** One list of references per node (`wrt.builders.core.reference_lists`).
 
-**Phases** of a node: `method`. Search: `place_samples`, `count_samples` and `search_axis` for each axis searched. Classify and
-partition: one pass over the references.
+**Phases** of a node: `sampling_method`. Search: `place_samples`, `count_samples` and `search_axis` for each axis searched.
+Classify and partition: one pass over the references.
 
 **Complexity.** O(N) per level: two scans, the second of which compares with 16 planes at a time.
 
@@ -41,7 +41,7 @@ from wrt.builders.classics.kdtree.medians import longest_axis
 from wrt.builders.core.reference_lists import ReferenceLists
 from wrt.builders.core.subtrees import Frame, Method
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, cheaper_split, no_split, plane_cost
-from wrt.builders.kdtree.kdtree_config import MOST_RESAMPLINGS, KdTreeConfig
+from wrt.builders.kdtree.kdtree_config import MAX_RESAMPLINGS, KdTreeConfig
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count, bin_range, make_binning
 from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, uniform_scan
@@ -62,7 +62,7 @@ UNIFORM = wp.constant(8)
 SAMPLES = wp.constant(16)
 """Samples along an axis; the second scan compares a box with all of them at once."""
 
-INTERVALS = wp.constant((MOST_RESAMPLINGS + 1) * 16)
+INTERVALS = wp.constant((MAX_RESAMPLINGS + 1) * 16)
 """Room for the intervals of an axis: 17 after the second scan, and 16 more after every other one if none is eliminated."""
 
 
@@ -163,7 +163,7 @@ def right_of_sample(lists: ReferenceLists, number: int, frame: Frame, at: int, i
 
 
 @wp.func
-def least_between(cost: SplitCost, along: AxisFrame, low: float, high: float, left: int, right: int):
+def min_cost_between(cost: SplitCost, along: AxisFrame, low: float, high: float, left: int, right: int):
     """A lower bound of the cost of planes between two samples: the cost of a split without the slab in between.
 
     left: triangles on the left of the lower sample. right: those on the right of the upper one."""
@@ -193,7 +193,7 @@ def resample(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, 
     for _scan in range(1, lists.rules.resamplings):
         kept = int(0)
         for i in range(count):
-            bound = least_between(cost, along, low[i], high[i], left[i], right[i])
+            bound = min_cost_between(cost, along, low[i], high[i], left[i], right[i])
             if low[i] < high[i] and (bound < best.cost or cost.occluder > 0.0):
                 low[kept] = low[i]
                 high[kept] = high[i]
@@ -265,7 +265,7 @@ def searching(sample: wp.Function) -> wp.Function:
     return search
 
 
-def method(config: KdTreeConfig) -> Method:
+def sampling_method(config: KdTreeConfig) -> Method:
     """What is done with a node."""
     return scan_method(config, early(config, searching(sample_axis if config.resamplings == 1 else sample_axis_again)))
 
@@ -276,5 +276,5 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     return build_scanning(
         triangles,
         config,
-        uniform_scan(method(config), triangles, config, values, bins=int(UNIFORM) + 1, counters=2 * int(SAMPLES)),
+        uniform_scan(sampling_method(config), triangles, config, values, bins=int(UNIFORM) + 1, counters=2 * int(SAMPLES)),
     )

@@ -9,7 +9,8 @@ chosen as in `medians`.
 
 **Data.** One list of references per node (`wrt.builders.core.reference_lists`).
 
-**Phases** of a node: `method`. Search: `search_axis` and `try_box_faces`. Classify and partition: one pass over the references.
+**Phases** of a node: `between_medians_method`. Search: `search_axis` and `try_box_faces`. Classify and
+partition: one pass over the references.
 
 **Complexity.** O(N) per level: a selection for the object median, and a scan.
 
@@ -82,7 +83,7 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     return try_box_faces(cost, frame, split)
 
 
-def method(config: KdTreeConfig) -> Method:
+def between_medians_method(config: KdTreeConfig) -> Method:
     """What is done with a node."""
     return scan_method(config, early(config, search))
 
@@ -90,5 +91,7 @@ def method(config: KdTreeConfig) -> Method:
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     return build_scanning(
-        triangles, config, uniform_scan(method(config), triangles, config, values=None, counters=2 * int(SAMPLES))
+        triangles,
+        config,
+        uniform_scan(between_medians_method(config), triangles, config, values=None, counters=2 * int(SAMPLES)),
     )

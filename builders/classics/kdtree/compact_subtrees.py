@@ -55,7 +55,7 @@ def subtree_roots(tree: UnpackedKdTree, height: int) -> np.ndarray:
 
 
 def to_compact(tree: KdTree, height: int) -> KdTree:
-    """Copies the tree with its nodes in compact subtrees of so many levels, on the CPU. It needs a traversal compiled for them.
+    """Copies the tree with its nodes in compact subtrees of some levels, on the CPU. It needs a traversal compiled for them.
 
     Raises:
         ValueError: a height other than those of `HEIGHTS`, or too many blocks or subtrees.

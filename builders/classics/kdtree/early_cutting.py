@@ -3,7 +3,7 @@
 **Problem.** A greedy search takes the plane of least cost, which may leave empty space to be cut off below, node by node.
 
 **Algorithm.** The box of a node's triangles leaves up to six empty slabs of the node's own box. Those that fill at least
-`LEAST_SHARE` of the node along their axis are candidates; the one whose cut costs least is the node's split, if it costs less
+`MIN_SHARE` of the node along their axis are candidates; the one whose cut costs least is the node's split, if it costs less
 than a leaf. Otherwise the node is searched as usual.
 
 **What we changed.** Rahikainen 2013 (4.1) says that Havran tried three ways to cut off empty space, and does not describe them.
@@ -29,7 +29,7 @@ from wrt.kernels.simd.boxes import INFINITY
 
 exact_module(__name__)
 
-LEAST_SHARE = wp.constant(0.2)
+MIN_SHARE = wp.constant(0.2)
 """Least length of an empty slab, relative to the node's along the same axis."""
 
 
@@ -42,10 +42,10 @@ def cut_slab(cost: SplitCost, low: wp.vec3, high: wp.vec3, inner_low: wp.vec3, i
     if triangles > 0:
         for axis in range(3):
             along = axis_frame(cost, axis, low, high, triangles)
-            least = LEAST_SHARE * (high[axis] - low[axis])
-            if inner_low[axis] - low[axis] >= least:
+            min_length = MIN_SHARE * (high[axis] - low[axis])
+            if inner_low[axis] - low[axis] >= min_length:
                 best = cheaper_split(cost, along, inner_low[axis], 0, triangles, False, best)
-            if high[axis] - inner_high[axis] >= least:
+            if high[axis] - inner_high[axis] >= min_length:
                 best = cheaper_split(cost, along, inner_high[axis], triangles, 0, True, best)
     if not (best.cost < leaf_cost(cost, triangles)):
         best = no_split()

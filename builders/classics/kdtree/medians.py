@@ -9,7 +9,7 @@ which no plane divides the node is skipped.
 
 **Data.** One list of references per node (`wrt.builders.core.reference_lists`).
 
-**Phases** of a node: `method`. Search: `search_space` or `search_objects`. Classify and partition: one pass over
+**Phases** of a node: `median_method`. Search: `search_space` or `search_objects`. Classify and partition: one pass over
 the references.
 
 **Complexity.** O(N) per level: one scan of the node for the spatial median; a selection by partition (Hoare 1961), O(N) on
@@ -131,16 +131,18 @@ def search_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: F
     return split
 
 
-def method(search: wp.Function, config: KdTreeConfig) -> Method:
+def median_method(search: wp.Function, config: KdTreeConfig) -> Method:
     """What is done with a node, search aside."""
     return scan_method(config, early(config, search))
 
 
 def build_spatial(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree of spatial medians on the device that holds the boxes."""
-    return build_scanning(triangles, config, uniform_scan(method(search_space, config), triangles, config, values=1))
+    return build_scanning(triangles, config, uniform_scan(median_method(search_space, config), triangles, config, values=1))
 
 
 def build_object(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree of object medians on the device that holds the boxes."""
-    return build_scanning(triangles, config, uniform_scan(method(search_objects, config), triangles, config, values=None))
+    return build_scanning(
+        triangles, config, uniform_scan(median_method(search_objects, config), triangles, config, values=None)
+    )

@@ -7,7 +7,7 @@
 
 **Data.** One list of references per node (`wrt.builders.core.reference_lists`).
 
-**Phases** of a node: `method`. Search: `exact_search`. Classify and partition: one pass over the references.
+**Phases** of a node: `naive_method`. Search: `exact_search`. Classify and partition: one pass over the references.
 
 **Complexity.** O(N^2), too slow for more than a few ten thousand triangles. The builder shows the benefit of sorting, and
 reproduces the tree of the sorting builders by an independent method.
@@ -30,11 +30,11 @@ from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 
 
-def method(config: KdTreeConfig) -> Method:
+def naive_method(config: KdTreeConfig) -> Method:
     """What is done with a node."""
     return scan_method(config, early(config, exact_search(config.cost.occluder > 0.0)))
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    return build_scanning(triangles, config, uniform_scan(method(config), triangles, config, values_for(triangles.count)))
+    return build_scanning(triangles, config, uniform_scan(naive_method(config), triangles, config, values_for(triangles.count)))

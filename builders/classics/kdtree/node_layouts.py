@@ -83,7 +83,7 @@ def place_pages(tree: UnpackedKdTree) -> np.ndarray:
 
 
 def place_parts(tree: UnpackedKdTree, size: int, gaps: bool) -> np.ndarray:
-    """The upper parts of subtrees, of at most so many pairs. The first part begins with the root, which takes the place of a
+    """The upper parts of subtrees, of at most `size` pairs. The first part begins with the root, which takes the place of a
     pair. gaps: whether every part takes the room of a full one."""
     place = np.zeros(len(tree.axis), dtype=np.int64)
     left, right, leaf = tree.left.tolist(), tree.right.tolist(), tree.is_leaf.tolist()
@@ -161,7 +161,7 @@ def with_layout(tree: KdTree, layout: str) -> KdTree:
 
 
 def in_records(tree: KdTree, words: int) -> KdTree:
-    """A tree in pairs with its nodes in records of so many words of 8 bytes, of which a node takes the first: for measurements
+    """A tree in pairs with its nodes in records of some words of 8 bytes, of which a node takes the first: for measurements
     of what pointers in nodes cost. It needs traversals compiled for such records."""
     packed = tree.nodes.numpy()
     nodes = aligned(len(packed) * words)

@@ -342,7 +342,7 @@ class LazyKdTree:
         """Builds the subtrees of cells and inserts them into the tree."""
         device, width = self.build_device, self.config.cost.width
         references, roots = as_roots(self.triangles.boxes, self.cells[numbers], ids, first, sizes)
-        scan = Scan(binned.method(self.config), LevelRules(LARGE, binned.BINS, binned.SAMPLED), values_for(binned.BINS))
+        scan = Scan(binned.binned_method(self.config), LevelRules(LARGE, binned.BINS, binned.SAMPLED), values_for(binned.BINS))
         tasks = partial(make_tasks, references, roots, self.triangles, self.config, scan)
         reservation, _, results = build_tasks(scan.method, self.config.rules(self.triangles), tasks, CELL_SPARE_MEMORY)
         made = results.numpy()
@@ -378,7 +378,7 @@ def start(
         previous: the tree of the same triangles in the previous frame, for "previous"; None if there is none.
     """
     load(
-        (count_cells, list_references, move_nodes, copy_subtrees, make_build_subtrees(binned.method(config))),
+        (count_cells, list_references, move_nodes, copy_subtrees, make_build_subtrees(binned.binned_method(config))),
         triangles.boxes.low.device,
     )
     given = groups = None

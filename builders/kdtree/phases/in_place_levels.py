@@ -134,9 +134,9 @@ def scan_chunks(
     axis = item / before.shape[1]
     block = item % before.shape[1]
     total = before[axis, block]
-    least = block_cost[axis, block]
+    min_costs = block_cost[axis, block]
     for index in range(total.shape[0]):
-        least[index] = INFINITY
+        min_costs[index] = INFINITY
     for chunk in range(block * block_chunks, wp.min(counts.shape[1], (block + 1) * block_chunks)):
         of_chunk = counts[axis, chunk]
         for index in range(total.shape[0]):
@@ -152,18 +152,18 @@ def scan_chunks(
                     along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
                     # what ends there still counts as on the right: the plane costs no more than this
                     known = plane_cost(cost, along, position, so_far[0], frame.triangles - so_far[1])
-                    least[index] = wp.min(least[index], known)
+                    min_costs[index] = wp.min(min_costs[index], known)
 
 
 @wp.kernel
 def min_of_blocks(first: int, block_cost: wp.array3d(dtype=float), min_known_cost: wp.array(dtype=float)):
     """Item: a live node. min_known_cost: (nodes,) output, its least cost of all blocks and axes."""
     index = first + wp.tid()
-    least = float(INFINITY)
+    min_cost = float(INFINITY)
     for axis in range(3):
         for block in range(block_cost.shape[1]):
-            least = wp.min(least, block_cost[axis, block, index])
-    min_known_cost[index] = least
+            min_cost = wp.min(min_cost, block_cost[axis, block, index])
+    min_known_cost[index] = min_cost
 
 
 @wp.func

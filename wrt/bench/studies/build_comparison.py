@@ -54,7 +54,7 @@ def builder_peers(peers: Sequence[Peer], triangles: int, threads: int, device: s
 
 def kdtree_descriptions(triangles: int) -> list[KdTree]:
     """Every kd-tree builder that can be waited for with so many triangles."""
-    return [KdTree(builder=name) for name, builder in KDTREE_BUILDERS.items() if triangles <= builder.most_triangles]
+    return [KdTree(builder=name) for name, builder in KDTREE_BUILDERS.items() if triangles <= builder.max_triangles]
 
 
 def ask_builds(

@@ -191,7 +191,7 @@ class EventLevels(Levels):
         """Makes room in the children's lists for the events of the parts."""
         places, owners = self.straddlers.numpy().reshape(-1, 2).T
         side = self.lists.side.numpy()[places] >> 2
-        ids = [list.numpy()[places] for list in (self.lists.triangle, self.lists.right)]
+        ids = [ids.numpy()[places] for ids in (self.lists.triangle, self.lists.right)]
         exists = [np.flatnonzero(side & bit) for bit in (1, 2)]
         self.part_side = np.repeat([0, 1], [*map(len, exists)])
         self.part_place = np.concatenate([places[own] for own in exists])

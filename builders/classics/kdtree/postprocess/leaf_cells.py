@@ -60,13 +60,13 @@ def measure_leaves(
 ):
     """Item: a leaf. See `measure_range`; begin: first lane of its list."""
     leaf = first + wp.tid()
-    least = wp.vec3()
-    most = wp.vec3()
+    box_low = wp.vec3()
+    box_high = wp.vec3()
     kept[leaf] = measure_range(
-        mesh, boxes, primitive, begin[leaf], count[leaf], low[leaf], high[leaf], tested, keeps, least, most
+        mesh, boxes, primitive, begin[leaf], count[leaf], low[leaf], high[leaf], tested, keeps, box_low, box_high
     )
-    inner_low[leaf] = least
-    inner_high[leaf] = most
+    inner_low[leaf] = box_low
+    inner_high[leaf] = box_high
 
 
 def leaf_contents(

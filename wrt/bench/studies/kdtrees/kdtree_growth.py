@@ -81,7 +81,7 @@ def growth_turns(builders: Sequence[str], sizes: Sequence[int], rounds: int) -> 
 
 def builders_for(builders: Sequence[str], triangles: int) -> list[str]:
     """Those that can be waited for."""
-    return [name for name in builders if triangles <= KDTREE_BUILDERS[name].most_triangles]
+    return [name for name in builders if triangles <= KDTREE_BUILDERS[name].max_triangles]
 
 
 def make_teapot(triangles: int) -> TriangleMesh:

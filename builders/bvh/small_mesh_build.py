@@ -5,10 +5,10 @@ the arguments of launches, and to describe every intermediate result (notebooks/
 
 **Idea.** A `FewTriangles` has everything for up to `capacity` triangles: work arrays, and the kernels of all phases with packed
 arguments. A build writes what differs, which are numbers and addresses, and calls the kernels one after another, most of them
-from compiled code (`wrt.builders.bvh.phases.few_steps`). They are the kernels of `wrt.builders.bvh.binned_bvh`, and one task
+from compiled code (`wrt.builders.bvh.phases.native_calls`). They are the kernels of `wrt.builders.bvh.binned_bvh`, and one task
 builds the whole tree, as it does there. So the trees are the same.
 
-**Limits.** On the CPU, without reinsertion. Up to `MOST` triangles, which several threads would not build faster.
+**Limits.** On the CPU, without reinsertion. Up to `MAX_TRIANGLES` triangles, which several threads would not build faster.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from wrt.builders.bvh.phases.collapse import (
     scan_level,
     write_nodes,
 )
-from wrt.builders.bvh.phases.few_steps import run_collapse, run_steps, steps_of
+from wrt.builders.bvh.phases.native_calls import run_collapse, run_steps, steps_of
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import Boxes, compute_boxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
@@ -44,7 +44,7 @@ from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import load, specialise
 from wrt.kernels.runtime.workspace import give_back, host_view, take
 
-MOST = MIN_LARGE
+MAX_TRIANGLES = MIN_LARGE
 """Most triangles of such a build."""
 
 POINT = Struct("3f")
@@ -126,7 +126,7 @@ class FewTriangles:
     def build(
         self, center: wp.vec3d, vertices: np.ndarray, faces: wp.array, low: wp.vec3, high: wp.vec3, relative: wp.array
     ) -> Bvh:
-        """Writes `relative` and builds the tree; arguments as of `build_few`."""
+        """Writes `relative` and builds the tree; arguments as of `build_small_mesh`."""
         start, count = perf_counter(), len(faces)
         root, task = self.root, self.task
         root[0:3], root[4:7] = POINT.unpack(low), [-value for value in POINT.unpack(high)]
@@ -190,7 +190,7 @@ def empty(count: int, dtype: type) -> wp.array:
     return wp.empty(count, dtype=dtype, device="cpu")
 
 
-def build_few(
+def build_small_mesh(
     config: BvhConfig, center: wp.vec3d, vertices: np.ndarray, faces: wp.array, low: wp.vec3, high: wp.vec3, relative: wp.array
 ) -> Bvh:
     """Places triangles and builds their tree.
@@ -199,13 +199,13 @@ def build_few(
         config: of the tree, without reinsertion.
         center: the point that the tree is relative to.
         vertices: (V, 3) float32 or float64, contiguous.
-        faces: (F,) vec3i on the CPU, 1 to `MOST`.
+        faces: (F,) vec3i on the CPU, 1 to `MAX_TRIANGLES`.
         low, high: box of all triangles relative to the centre, rounded as the vertices are, without negative zeros.
         relative: (V,) vec3 on the CPU; receives the vertices relative to the centre.
     """
     dtype = wp.vec3 if vertices.dtype == np.float32 else wp.vec3d
     capacity = max(LEAST_CAPACITY, 1 << (len(faces) - 1).bit_length())
-    kind = build_few, config, dtype, capacity
+    kind = build_small_mesh, config, dtype, capacity
     few = take(kind) or FewTriangles(config, dtype, capacity)
     tree = few.build(center, vertices, faces, low, high, relative)
     give_back(kind, few)

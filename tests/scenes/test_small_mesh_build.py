@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.builders.bvh import few_triangles
+from wrt.builders.bvh import small_mesh_build
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.execution import prepared
 from wrt.execution.prepared import PreparedQuery
@@ -65,7 +65,7 @@ def test_the_trees_are_those_of_the_general_builder():
     flat, one = np.zeros((300, 3), dtype=np.float32), soup(1)
     unused = wrt.TriangleMesh(np.concatenate([soup(50).vertices, [[1e30, 0.0, 0.0]]]), soup(50).faces)
     geometries = [
-        *[soup(count, count) for count in (few_triangles.MOST, 1, 2, 17, 1025, 700, 3)],
+        *[soup(count, count) for count in (small_mesh_build.MAX_TRIANGLES, 1, 2, 17, 1025, 700, 3)],
         soup(500, 1, np.float64, 1e3, 1e6),
         soup(700, 2, np.float64, 1e-6),
         soup(300, 3, np.float32, 1e9),
@@ -81,10 +81,10 @@ def test_the_trees_are_those_of_the_general_builder():
         assert scene.tree.stats.peak_bytes > scene.tree.bytes
 
 
-def test_the_limits_of_few_triangles(monkeypatch):
-    assert is_built_as_few(monkeypatch, soup(few_triangles.MOST))
-    assert not is_built_as_few(monkeypatch, soup(few_triangles.MOST + 1))
-    assert not is_built_as_few(monkeypatch, [soup(few_triangles.MOST), soup(1)])
+def test_the_limits_of_small_meshes(monkeypatch):
+    assert is_built_as_few(monkeypatch, soup(small_mesh_build.MAX_TRIANGLES))
+    assert not is_built_as_few(monkeypatch, soup(small_mesh_build.MAX_TRIANGLES + 1))
+    assert not is_built_as_few(monkeypatch, [soup(small_mesh_build.MAX_TRIANGLES), soup(1)])
 
 
 def test_geometry_that_spreads_too_far_is_refused():
@@ -98,7 +98,7 @@ def test_too_little_memory_is_reported(monkeypatch):
     def fail(*given):
         raise MemoryError("no more")
 
-    monkeypatch.setattr(few_triangles, "build_few", fail)
+    monkeypatch.setattr(small_mesh_build, "build_small_mesh", fail)
     with pytest.raises(MemoryError, match="the tree of 7 triangles"):
         wrt.Scene(soup(7), device="cpu")
 
