@@ -188,6 +188,13 @@ def apply_environment() -> None:
     wp.config.cpu_compiler_flags = " ".join([*words, *(word for word in QUICKER if word not in words)])
 
 
+def quiet_warp() -> None:
+    """Turns off Warp's lines on stdout, unless `WRT_WARP_LOG=1` is set, Warp runs already or its level of messages was set."""
+    is_asked_for = os.environ.get("WRT_WARP_LOG", "0") not in ("", "0")
+    if wp.config.log_level == wp.LOG_INFO and not is_asked_for and not has_started():
+        wp.config.log_level = wp.LOG_WARNING
+
+
 def target_flags(name: str) -> tuple[str, ...]:
     """Compiler options of a target on this CPU."""
     flags = TARGETS[name].flags

@@ -18,6 +18,7 @@ import warp as wp
 from wrt.kernels.compilation import target
 
 target.apply_environment()
+target.quiet_warp()
 
 EXACT = {"fuse_fp": False}
 """Module options of all device code, with gradients or without."""

@@ -1,0 +1,43 @@
+"""A script prints what it prints: Warp's own lines are shown only to those who ask for them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+SCRIPT = """
+scene = wrt.Scene(wrt.scenes.build("teapot"), device="cpu")
+print(scene.intersect([5.0, 5.0, 5.0], [-1.0, -1.0, -0.8]).t > 0)
+"""
+LEVEL = "wp.config.log_level = wp.LOG_{}\n"
+
+
+def lines(before: str, **environment: str) -> list[str]:
+    """What the script prints on stdout."""
+    given = {name: value for name, value in os.environ.items() if name != "WRT_WARP_LOG"} | environment
+    command = [sys.executable, "-c", before + SCRIPT]
+    return subprocess.run(command, env=given, capture_output=True, text=True, check=True).stdout.splitlines()
+
+
+def test_a_script_prints_its_own_lines():
+    assert lines("import wrt") == ["True"]
+
+
+@pytest.mark.parametrize(
+    ("before", "environment"),
+    [
+        ("import wrt", {"WRT_WARP_LOG": "1"}),
+        ("import warp as wp\n" + LEVEL.format("DEBUG") + "import wrt", {}),
+        ("import wrt, warp as wp\n" + LEVEL.format("DEBUG"), {}),
+        ("import wrt, warp as wp\nwrt.Scene\n" + LEVEL.format("INFO"), {}),
+        ("import warp as wp\nwp.init()\nimport wrt", {}),
+    ],
+)
+def test_warp_speaks_where_it_is_asked_to(before, environment):
+    found = lines(before, **environment)
+    assert "True" in found
+    assert any(line.startswith("Warp ") for line in found)
+    assert any(line.startswith("Module ") for line in found)
