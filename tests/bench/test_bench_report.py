@@ -10,16 +10,17 @@ import warp as wp
 from click.testing import CliRunner
 from rich.console import Console
 
-from wrt.bench.commands import command_options, kdtree_commands
+from studies import builders as kdtree_commands
+from studies.kdtrees.kdtree_comparison import BuilderFigures
+from wrt.bench.commands import command_options
 from wrt.bench.commands.benchmark import COMPARISONS, bench, run_benchmark
 from wrt.bench.commands.command_options import table_console
+from wrt.bench.comparisons import startup_times as startup
 from wrt.bench.core import benchmark_plot as plot
 from wrt.bench.core.agreement import Agreement
 from wrt.bench.core.benchmark_report import ReportPrinter, build_table, percent, ray_table, times
 from wrt.bench.core.benchmark_results import Question, Row
 from wrt.bench.core.workloads import WORKLOADS
-from wrt.bench.studies import startup_times as startup
-from wrt.bench.studies.kdtrees.kdtree_comparison import BuilderFigures
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.cli import main

@@ -9,8 +9,8 @@ from click.testing import CliRunner
 
 from wrt import scenes
 from wrt.bench.commands import scaling_command as scaling
+from wrt.bench.comparisons import thread_scaling
 from wrt.bench.peers.embree_library import EMBREES, library, thread_limit
-from wrt.bench.studies import thread_scaling
 from wrt.cli import main
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 

@@ -195,7 +195,7 @@ def test_bench_builders(tmp_path):
 
 
 def test_growth_of_builders():
-    from wrt.bench.studies.kdtrees.kdtree_growth import growth_sizes, growth_turns, measure_growth
+    from studies.kdtrees.kdtree_growth import growth_sizes, growth_turns, measure_growth
 
     assert growth_sizes(3_000_000) == [1_000, 10_000, 100_000, 1_000_000, 3_000_000]
     assert growth_sizes(1_000) == [1_000]

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from wrt.bench.studies.known_rays import area_pictures, ray_distribution
-from wrt.bench.studies.triangles import komatsu_packets, komatsu_tables, pichler_tables
+from studies.known_rays import area_pictures, ray_distribution
+from studies.triangles import komatsu_packets, komatsu_tables, pichler_tables
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS

@@ -9,10 +9,10 @@ import pytest
 from click.testing import CliRunner
 
 import wrt
-from wrt.bench.commands.paper_commands import KOMATSU, PICHLER
+from studies.komatsu import KOMATSU, PICHLER
+from studies.triangles import komatsu_packets as packets
+from studies.triangles import komatsu_tables
 from wrt.bench.core.workloads import WorkloadMaker
-from wrt.bench.studies.triangles import komatsu_packets as packets
-from wrt.bench.studies.triangles import komatsu_tables
 from wrt.cli import main
 
 BALL = wrt.scenes.build("teapot", level=2, ground=False)

@@ -11,16 +11,16 @@ import warp as wp
 from click.testing import CliRunner
 
 import wrt
-from wrt.bench.commands import bounce_commands
-from wrt.bench.commands.benchmark import bench
-from wrt.bench.commands.command_options import table_console
-from wrt.bench.studies.bounces.shading_streams_comparison import (
+from studies import bounces as bounce_commands
+from studies.light.shading_streams_comparison import (
     WAYS,
     StreamFigures,
     compare_shading,
     scene_of_materials,
     utilisation,
 )
+from wrt.bench.commands.benchmark import bench
+from wrt.bench.commands.command_options import table_console
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.wavefront.path_step import MISSED
 from wrt.kernels.shading.wavefront.shading_streams import FILTERS, Streams, filter_streams

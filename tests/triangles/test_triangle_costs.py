@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, exits, pairs
+from studies.triangles.isolated_tests import Beams, Soup, closest, exits, pairs
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.study.derivation_counts import count_derivation
 from wrt.kernels.study.komatsu_2008 import PUBLISHED

@@ -172,9 +172,9 @@ def run_benchmark(
     Raises:
         ValueError: unknown names, or a size that does not divide into tiles.
     """
-    from wrt.bench.studies.build_comparison import ask_builds
-    from wrt.bench.studies.query_comparison import ask
-    from wrt.bench.studies.startup_times import ask_startup
+    from wrt.bench.comparisons.build_comparison import ask_builds
+    from wrt.bench.comparisons.query_comparison import ask
+    from wrt.bench.comparisons.startup_times import ask_startup
 
     options: dict[str, Any] = {"workloads": list(workloads), "peers": list(peers), "size": size, "order": order}
     options |= {"rounds": rounds, "threads": threads, "device": device}

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from studies.build_sizes import SIZES, SizeFigures, measure_sizes
 from wrt.bench.commands.command_options import (
     json_option,
     load_model,
@@ -19,13 +20,12 @@ from wrt.bench.commands.command_options import (
     usage_errors,
     write_json,
 )
+from wrt.bench.comparisons.thread_scaling import JobFigures, measure_scaling, measure_schedules, powers_of_two
 from wrt.bench.core.benchmark_plot import save_figure
 from wrt.bench.core.benchmark_results import machine
 from wrt.bench.peers.embree import Embree
 from wrt.bench.peers.embree_library import EMBREES
 from wrt.bench.peers.peer_table import make_peers
-from wrt.bench.studies.build_sizes import SIZES, SizeFigures, measure_sizes
-from wrt.bench.studies.thread_scaling import JobFigures, measure_scaling, measure_schedules, powers_of_two
 from wrt.cli.arguments import target_options
 from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import get_num_threads
