@@ -1,4 +1,4 @@
-"""`wrt bench animation`: ways to update moving meshes."""
+"""`python -m studies animation`: ways to update moving meshes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""`wrt bench bounces` and `wrt bench shading`: packets by bounce, with the rays of path tracing, and the survey's claims about
-them; streams that shade, beside sorting by material and a branch for each hit, generation by generation."""
+"""Packets by bounce, with the rays of path tracing, and the survey's claims about them; ways to shade hits of many materials:
+streams, sorting by material, a branch for each hit, generation by generation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`wrt bench builders`: kd-tree builders beside each other, and how they grow. `wrt bench layouts`: orders of nodes."""
+"""`studies builders`: kd-tree builders beside each other, and how they grow. `studies layouts`: orders of nodes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`wrt bench cluster`: one process and several, on CPU cores or GPUs, and a simulation of more."""
+"""`python -m studies cluster`: one process and several, on CPU cores or GPUs, and a simulation of more."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`wrt bench pichler` and `wrt bench komatsu`: the tables of the two papers on triangle tests, as tables and as JSON."""
+"""The tables of the two papers on triangle tests, Pichler 2018 and Komatsu et al. 2008, as tables and as JSON."""
 
 from __future__ import annotations
 

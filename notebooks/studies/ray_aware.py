@@ -1,4 +1,4 @@
-"""`wrt bench ray-aware`: the figures of `studies.known_rays.ray_aware_comparison` as tables and as JSON."""
+"""`python -m studies ray-aware`: the figures of `studies.known_rays.ray_aware_comparison` as tables and as JSON."""
 
 from __future__ import annotations
 

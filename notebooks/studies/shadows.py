@@ -1,4 +1,4 @@
-"""`wrt bench shadows`: shadow rays to a point light and to an area light."""
+"""`python -m studies shadows`: shadow rays to a point light and to an area light."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`wrt bench triangle-tests`: every ray-triangle test beside Moeller and Trumbore's."""
+"""`python -m studies triangle-tests`: every ray-triangle test beside Moeller and Trumbore's."""
 
 from __future__ import annotations
 

@@ -173,7 +173,7 @@ def test_uv_and_t_name_the_same_point(peer_name):
 def test_engines_cover_the_tables():
     engines = all_engines(2, "cpu")
     assert {engine.traversal for engine in engines} == {*TRAVERSALS}
-    assert {engine.triangle_test for engine in engines} == {"auto"}, "tests are compared by `wrt bench triangle-tests`"
+    assert {engine.triangle_test for engine in engines} == {"auto"}, "tests are compared by `python -m studies triangle-tests`"
     assert len({engine.name for engine in engines}) == len(engines)
     brute = next(engine for engine in engines if engine.traversal == "brute")
     assert brute.ray_limit(BRUTE_FORCE_PAIRS // 1000) == 1000

@@ -8,9 +8,9 @@ from click.testing import CliRunner
 
 import wrt
 from studies import animation as animation_command
+from studies.__main__ import studies
 from studies.moving import animation_comparison as animation
 from studies.moving.animation_comparison import ANIMATIONS, WAYS, Stage, compare_ways
-from wrt.cli import main
 
 CAMERA = wrt.PinholeCamera(32, 32, fov=55, position=(-6.0, -3.5, 2.0), look_at=(0.0, -0.6, 1.6), up=(0.0, 0.0, 1.0))
 COURT = wrt.scenes.atrium(bays=(3, 2), storeys=1, detail=1)
@@ -47,7 +47,7 @@ def test_command(monkeypatch, tmp_path):
     monkeypatch.setattr(animation_command, "atrium", lambda: COURT)
     file = tmp_path / "figures.json"
     options = ["--frames", "2", "--detail", "4", "--size", "16", "--rounds", "1", "--way", "groups", "--json", str(file)]
-    done = CliRunner().invoke(main, ["bench", "animation", "cloth", *options])
+    done = CliRunner().invoke(studies, ["animation", "cloth", *options])
     assert done.exit_code == 0, done.output
     assert "groups" in done.output
     assert '"same_bits": 1.0' in file.read_text()

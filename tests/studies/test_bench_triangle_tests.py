@@ -12,10 +12,10 @@ import warp as wp
 from click.testing import CliRunner
 
 import wrt
+from studies.__main__ import studies
 from studies.triangles import komatsu_tables as tables
 from studies.triangles.triangle_precision import MARGIN, aimed_pairs, errors, leaks, precision, solve
 from studies.triangles.triangle_test_comparison import SITUATIONS, ratios, run_triangle_tests
-from wrt.bench.commands.benchmark import bench
 from wrt.bench.core.paired_timing import Timing
 from wrt.kernels.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.triangle import TRIANGLE_TESTS, moeller_trumbore
@@ -98,7 +98,7 @@ def test_command(tmp_path):
     figures, picture = tmp_path / "figures.json", tmp_path / "picture.png"
     options = ["--test", "woop", "--situation", "soup", "--situation", "stream", "--size", "16", "--rounds", "1"]
     call = ["triangle-tests", "teapot", *options, "--no-precision", "--json", str(figures), "--plot", str(picture)]
-    result = CliRunner().invoke(bench, call)
+    result = CliRunner().invoke(studies, call)
     assert result.exit_code == 0, result.output
     for text in ("Speed", "soup", "stream", "Cost", "Exits", "moeller_trumbore", "woop", "hit"):
         assert text in result.output
@@ -109,14 +109,11 @@ def test_command(tmp_path):
     assert picture.stat().st_size > 5000
 
 
-def test_command_beside_the_old_one():
+def test_command_says_what_it_takes():
     runner = CliRunner()
-    assert "--situation" in runner.invoke(bench, ["triangle-tests", "--help"]).output
-    text = runner.invoke(bench, ["--help"]).output
-    assert "--workload" in text
-    assert "triangle-tests" in text
-    assert runner.invoke(bench, ["triangle-tests", "--test", "magic"]).exit_code == 2
-    missing = runner.invoke(bench, ["triangle-tests", "no_such_model"])
+    assert "--situation" in runner.invoke(studies, ["triangle-tests", "--help"]).output
+    assert runner.invoke(studies, ["triangle-tests", "--test", "magic"]).exit_code == 2
+    missing = runner.invoke(studies, ["triangle-tests", "no_such_model"])
     assert missing.exit_code == 2
     assert "built-in scenes are" in missing.output
 

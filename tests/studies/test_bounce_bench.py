@@ -1,4 +1,4 @@
-"""`wrt bench bounces`: the rays of paths with their tags, every way with the same hits, and verdicts that figures decide."""
+"""`studies bounces`: the rays of paths with their tags, every way with the same hits, and verdicts that figures decide."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from click.testing import CliRunner
 
 import wrt
 from studies import bounces as bounce_commands
+from studies.__main__ import studies
 from studies.bounces import print_bounces
 from studies.light.bounce_claims import judge
 from studies.light.bounce_comparison import WAYS, BounceFigures, compare_bounces
 from studies.light.bounce_rays import REFLECTED, TRANSMITTED, materials_of, trace_paths
-from wrt.bench.commands.benchmark import bench
 from wrt.imaging.integrators.wavefront import square_order
 from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
 
@@ -104,7 +104,7 @@ def test_command(tmp_path, monkeypatch):
     monkeypatch.setattr(bounce_commands, "compare_bounces", lambda *arguments, **options: figures())
     target = tmp_path / "bounces.json"
     arguments = ["bounces", "teapot", "--size", "16", "--bounces", "1", "--rounds", "1", "--json", str(target)]
-    done = CliRunner().invoke(bench, arguments)
+    done = CliRunner().invoke(studies, arguments)
     assert done.exit_code == 0, done.output
     assert "omnidirectional" in done.output
     written = json.loads(target.read_text())

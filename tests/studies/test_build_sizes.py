@@ -1,4 +1,4 @@
-"""`wrt bench build-sizes`: every contender builds every size, and figures fit together."""
+"""`python -m studies build-sizes`: every contender builds every size, and figures fit together."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from studies.__main__ import studies
 from studies.build_sizes import measure_sizes, wavy_sheet
 from wrt.bench.peers.peer_table import make_peers
-from wrt.cli import main
 
 
 @pytest.mark.parametrize("triangles", [50, 1000, 6000])
@@ -36,8 +36,8 @@ def test_contenders_are_new_for_each_size():
 
 def test_the_command_writes_figures(tmp_path):
     path = tmp_path / "figures.json"
-    command = ["bench", "build-sizes", "--triangles", "50", "--triangles", "200", "--rounds", "1", "--threads", "2"]
-    done = CliRunner().invoke(main, [*command, "--json", str(path)])
+    command = ["build-sizes", "--triangles", "50", "--triangles", "200", "--rounds", "1", "--threads", "2"]
+    done = CliRunner().invoke(studies, [*command, "--json", str(path)])
     assert done.exit_code == 0, done.output
     assert "Build by size, 2 threads" in done.output
     data = json.loads(path.read_text())

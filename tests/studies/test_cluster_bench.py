@@ -1,4 +1,4 @@
-"""`wrt bench cluster`: the model against its own limits, and the command on one process."""
+"""`python -m studies cluster`: the model against its own limits, and the command on one process."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from studies.__main__ import studies
 from studies.clusters.cluster_simulation import ClusterModel, simulate
 from studies.clusters.town import ground_points, sun_directions, town
-from wrt.cli import main
 
 
 def test_the_simulation_between_its_bounds():
@@ -43,7 +43,7 @@ def test_the_town():
 
 def test_the_command(tmp_path):
     given = ["--triangles", "2000", "--points", "50", "--suns", "40", "--task-rays", "400", "--workers", "1", "--rounds", "1"]
-    done = CliRunner().invoke(main, ["bench", "cluster", *given, "--json", str(tmp_path / "figures.json")])
+    done = CliRunner().invoke(studies, ["cluster", *given, "--json", str(tmp_path / "figures.json")])
     assert done.exit_code == 0, done.output
     assert "same bits: True" in done.output
     assert "1000 workers" in done.output

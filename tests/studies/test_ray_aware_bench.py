@@ -1,4 +1,4 @@
-"""`wrt bench ray-aware` and the experiments on known rays: complete, and consistent. Times are not checked."""
+"""`python -m studies ray-aware` and the experiments on known rays: complete, and consistent. Times are not checked."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import pytest
 from click.testing import CliRunner
 
 import wrt
+from studies.__main__ import studies
 from studies.known_rays import ray_aware_comparison as ray_aware
 from studies.known_rays import ray_distribution
 from studies.known_rays.affinity import compare_work
 from studies.known_rays.node_searches import AxisOrders, Searches
 from studies.known_rays.ray_cases import DIRECTIONS, SCENES, TREES, Case, cases
 from wrt.builders.bvh.phases.split_axes import AxisChoice
-from wrt.cli import main
 
 SMALL = wrt.scenes.random_triangles(count=300, size=0.2)
 
@@ -150,7 +150,7 @@ def test_work_of_trees():
 def test_command(tmp_path):
     file = tmp_path / "figures.json"
     options = ["--size", "8", "--rounds", "1", "--threads", "1", "--traversal", "single", "--json", str(file)]
-    result = CliRunner().invoke(main, ["bench", "ray-aware", "random_triangles", *options])
+    result = CliRunner().invoke(studies, ["ray-aware", "random_triangles", *options])
     assert result.exit_code == 0, result.output
     figures = json.loads(file.read_text())["figures"]
     assert {figure["question"] for figure in figures} == {"search", "build", "trace", "affinity"}

@@ -1,4 +1,4 @@
-"""`wrt bench shadows`: both lights beside the engines of `occluded`, with the same answers."""
+"""`python -m studies shadows`: both lights beside the engines of `occluded`, with the same answers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 import wrt
+from studies.__main__ import studies
 from studies.light.shadow_comparison import ENGINES, compare_shadows
-from wrt.bench.commands.benchmark import bench
 
 
 def test_figures():
@@ -35,7 +35,7 @@ def test_a_camera_that_sees_nothing():
 def test_command(tmp_path):
     target = tmp_path / "shadows.json"
     arguments = ["shadows", "teapot", "--size", "16", "--rounds", "1", "--samples", "2", "--resolution", "8", "--json", target]
-    done = CliRunner().invoke(bench, [*map(str, arguments)])
+    done = CliRunner().invoke(studies, [*map(str, arguments)])
     assert done.exit_code == 0, done.output
     assert "multi_frusta" in done.output
     written = json.loads(target.read_text())

@@ -186,9 +186,6 @@ def all_tables() -> dict[str, Rows]:
     from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
     from wrt.kernels.runtime.schedules import SCHEDULES
     from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
-    from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
-    from wrt.kernels.study.komatsu_2008 import PUBLISHED
-    from wrt.kernels.study.pichler_2018 import STUDIED
     from wrt.kernels.traversal import ORDERS, TRAVERSALS
     from wrt.kernels.traversal.mailbox import MAILBOXES
     from wrt.kernels.traversal.packet import CULLINGS
@@ -224,8 +221,8 @@ def all_tables() -> dict[str, Rows]:
         "packet orders": entries(PACKET_ORDERS, ("name", "paper")),
         "triangle tests": entries(TRIANGLE_TESTS, tests),
         "fans": others("fans"),
-        "as published": named("as published", PUBLISHED),
-        "tried by Pichler": named("tried by Pichler", (*STUDIED, DAMMERTZ_KELLER.name)),
+        "as published": named("as published", PAPERS["as published"]),
+        "tried by Pichler": named("tried by Pichler", PAPERS["tried by Pichler"]),
         "for measurements": others("for measurements"),
         "schedules": [{"name": schedule.name, "paper": schedule.source} for schedule in SCHEDULES.values()],
         "around a hit": others("around a hit"),

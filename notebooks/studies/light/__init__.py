@@ -1,1 +1,1 @@
-"""What the survey claims of packets by bounce, measured with the rays of path tracing."""
+"""Secondary rays: packets by bounce, shading in streams, shadow rays."""

@@ -271,11 +271,3 @@ def with_tree(mesh: TriangleMesh, *, pixels: int = 256, rounds: int = 9) -> list
             share = timings[f"{row['contender']} records"].ratio_to(timings["moeller_trumbore"])
             rows.append(row | {"records": share})
     return rows
-
-
-def subdivided(mesh: TriangleMesh, times: int = 1) -> TriangleMesh:
-    """The same surface with every triangle divided into four, so many times."""
-    divided = mesh.to_trimesh()
-    for _ in range(times):
-        divided = divided.subdivide()
-    return TriangleMesh(divided.vertices, divided.faces, name=f"{mesh.name or 'mesh'} x {4**times}")

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from studies.triangles.komatsu_tables import subdivided
 from wrt.bench.commands.command_options import (
     json_option,
     load_model,
@@ -19,7 +18,7 @@ from wrt.bench.commands.command_options import (
     usage_errors,
     write_json,
 )
-from wrt.bench.comparisons.auto_cases import KINDS, SCENES, SIZES, scene_of
+from wrt.bench.comparisons.auto_cases import KINDS, SCENES, SIZES, scene_of, subdivided
 from wrt.bench.comparisons.auto_choices import Choice, compare_choices
 from wrt.bench.core.benchmark_results import machine
 from wrt.cli.arguments import target_options

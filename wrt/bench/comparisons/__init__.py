@@ -1,1 +1,1 @@
-"""What is measured: peers beside wrt, threads, animations, and the claims of papers in the folders below."""
+"""What is measured: queries, builds and start-up beside peers, numbers of threads, and what "auto" chooses."""

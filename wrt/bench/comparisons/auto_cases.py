@@ -144,3 +144,11 @@ def scene_of(name: str, model: TriangleMesh, threads: int | None = None) -> tupl
         return (scene, mesh) if name == "instances" else (Scene(mesh, device="cpu", num_threads=threads), mesh)
     mesh = city() if name == "city" else model
     return Scene(mesh, device="cpu", num_threads=threads), mesh
+
+
+def subdivided(mesh: TriangleMesh, times: int = 1) -> TriangleMesh:
+    """The same surface with every triangle divided into four, so many times."""
+    divided = mesh.to_trimesh()
+    for _ in range(times):
+        divided = divided.subdivide()
+    return TriangleMesh(divided.vertices, divided.faces, name=f"{mesh.name or 'mesh'} x {4**times}")
