@@ -18,8 +18,8 @@ warp.config.cpu_compiler_flags = {wp.config.cpu_compiler_flags!r}
 import sys
 sys.path.insert(0, {str(FOLDER)!r})
 """
-"""Kernels as the other tests compile them, which may have done so already; studies are found, as by those who open a notebook in
-its folder."""
+"""Kernels as the other tests compile them, which may have done so already; studies are found, as in a notebook's
+folder."""
 
 FREEZE = "gc.freeze()\n"
 """Studies collect garbage before each round. What earlier cells made need not be scanned for it."""
