@@ -9,8 +9,8 @@ from click.testing import CliRunner
 
 import wrt
 from wrt.bench.commands.benchmark import bench
-from wrt.bench.studies import auto_choices
-from wrt.bench.studies.auto_cases import BEAMS, KINDS, cases, city, scene_of
+from wrt.bench.comparisons import auto_choices
+from wrt.bench.comparisons.auto_cases import BEAMS, KINDS, cases, city, scene_of
 from wrt.kernels.traversal.packet import CULLINGS
 
 

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 import wrt
+from wrt.bench.comparisons.query_comparison import ask
 from wrt.bench.core.agreement import closest_agreement, lists_agreement, occlusion_agreement, share
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns, time_call
 from wrt.bench.core.workloads import WORKLOADS, Workload, WorkloadMaker
@@ -17,7 +18,6 @@ from wrt.bench.peers.embree_library import EMBREES
 from wrt.bench.peers.engines import BRUTE_FORCE_PAIRS, all_engines
 from wrt.bench.peers.peer import Answer, Peer, Query, device_rays
 from wrt.bench.peers.peer_table import PEERS, make_peers
-from wrt.bench.studies.query_comparison import ask
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.scenes import teapot
 
@@ -173,7 +173,7 @@ def test_uv_and_t_name_the_same_point(peer_name):
 def test_engines_cover_the_tables():
     engines = all_engines(2, "cpu")
     assert {engine.traversal for engine in engines} == {*TRAVERSALS}
-    assert {engine.triangle_test for engine in engines} == {"auto"}, "tests are compared by `wrt bench triangle-tests`"
+    assert {engine.triangle_test for engine in engines} == {"auto"}, "tests are compared by `python -m studies triangle-tests`"
     assert len({engine.name for engine in engines}) == len(engines)
     brute = next(engine for engine in engines if engine.traversal == "brute")
     assert brute.ray_limit(BRUTE_FORCE_PAIRS // 1000) == 1000

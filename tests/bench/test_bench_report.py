@@ -4,22 +4,19 @@ import json
 import os
 from io import StringIO
 
-import numpy as np
 import pytest
 import warp as wp
 from click.testing import CliRunner
 from rich.console import Console
 
-from wrt.bench.commands import command_options, kdtree_commands
+from wrt.bench.commands import command_options
 from wrt.bench.commands.benchmark import COMPARISONS, bench, run_benchmark
-from wrt.bench.commands.command_options import table_console
+from wrt.bench.comparisons import startup_times as startup
 from wrt.bench.core import benchmark_plot as plot
 from wrt.bench.core.agreement import Agreement
 from wrt.bench.core.benchmark_report import ReportPrinter, build_table, percent, ray_table, times
 from wrt.bench.core.benchmark_results import Question, Row
 from wrt.bench.core.workloads import WORKLOADS
-from wrt.bench.studies import startup_times as startup
-from wrt.bench.studies.kdtrees.kdtree_comparison import BuilderFigures
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.cli import main
@@ -207,9 +204,7 @@ def test_the_command_refuses_what_it_cannot_do(arguments, message):
     assert "Traceback" not in done.output
 
 
-@pytest.mark.parametrize(
-    "command", [name for name in COMPARISONS if name not in ("animation", "build-sizes", "cluster", "pichler", "shading")]
-)
+@pytest.mark.parametrize("command", [*COMPARISONS])
 def test_warp_keeps_quiet(command, monkeypatch):
     """Lines on modules that are loaded do not stand between the figures of any comparison that takes a model."""
     monkeypatch.setattr(wp.config, "log_level", wp.LOG_INFO)
@@ -223,14 +218,3 @@ def test_a_plot_without_matplotlib_says_what_to_install(monkeypatch):
     done = CliRunner().invoke(bench, ["teapot", "--plot", "a.png"])
     assert done.exit_code == 2
     assert "a plot needs matplotlib" in done.output
-
-
-@pytest.mark.parametrize(
-    ("builder", "size", "exact"), [("streaming", 8192, True), ("streaming", 8193, False), ("binned", 9, False)]
-)
-def test_streaming_below_its_threshold_is_told(builder, size, exact, capsys):
-    """A comparison of builders on a mesh of 4,032 triangles took streaming's exact tree for what its sampling is worth."""
-    mesh = TriangleMesh(MESH.vertices, np.resize(MESH.faces, (size, 3)), name="many")
-    row = BuilderFigures(builder, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, {"near": 1.0, "random": 1.0})
-    kdtree_commands.print_figures([row], mesh, 1, table_console())
-    assert ("its tree is the exact one" in capsys.readouterr().out) == exact

@@ -1,4 +1,4 @@
-"""`wrt bench scaling` and `wrt bench scheduling`: all contenders in all jobs, and figures that fit together."""
+"""`wrt bench scaling`: all contenders in all jobs, and figures that fit together."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from click.testing import CliRunner
 
 from wrt import scenes
 from wrt.bench.commands import scaling_command as scaling
+from wrt.bench.comparisons import thread_scaling
 from wrt.bench.peers.embree_library import EMBREES, library, thread_limit
-from wrt.bench.studies import thread_scaling
 from wrt.cli import main
-from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 
 
 @pytest.fixture(autouse=True)
@@ -102,11 +101,3 @@ def test_scaling_says_that_embree_is_missing(monkeypatch):
     for version in EMBREES:
         assert f"Embree {version}: not installed; install it" in result.output
         assert f"Embree {version} / wrt" not in result.output
-
-
-def test_scheduling(tmp_path):
-    command = ["bench", "scheduling", "teapot", "--threads", "2", "--rounds", "1"]
-    result = CliRunner().invoke(main, [*command, "--json", str(tmp_path / "figures.json")])
-    assert result.exit_code == 0, result.output
-    jobs = json.loads((tmp_path / "figures.json").read_text())["jobs"]
-    assert all(set(job["names"]) == set(SCHEDULES) and job["names"][0] == DEFAULT_SCHEDULE for job in jobs)

@@ -1,4 +1,4 @@
-"""The rooms of the benchmark: imports go from commands to studies, peers and core, and a file's name is found once."""
+"""The rooms of the benchmark: imports go from commands to comparisons, peers and core, and a file's name is found once."""
 
 import ast
 from collections import Counter
@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH = ROOT / "wrt" / "bench"
-ORDER = ("core", "peers", "studies", "commands")
+ORDER = ("core", "peers", "comparisons", "commands")
 MAX_FILES = 13
 """A dozen and `__init__.py`."""
 

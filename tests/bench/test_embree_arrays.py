@@ -5,13 +5,13 @@ import pytest
 
 import wrt
 from wrt.bench.commands.benchmark import run_benchmark
+from wrt.bench.comparisons.build_comparison import builder_peers
 from wrt.bench.core.benchmark_results import Question, Row
 from wrt.bench.core.workloads import Workload, WorkloadMaker
 from wrt.bench.peers.embree import Embree
 from wrt.bench.peers.embree_arrays import EmbreeArrays
 from wrt.bench.peers.embree_library import EMBREES
 from wrt.bench.peers.peer_table import DEFAULT_PEERS, PEERS, make_peers
-from wrt.bench.studies.build_comparison import builder_peers
 from wrt.scenes import teapot
 
 MESH = teapot(level=2, ground=False)

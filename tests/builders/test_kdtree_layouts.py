@@ -10,7 +10,7 @@ import warp as wp
 from conftest import SCENES
 
 import wrt
-from wrt.bench.studies.kdtrees.layout_comparison import (
+from studies.kdtrees.layout_comparison import (
     ALLOCATIONS,
     compare_allocations,
     compare_compact,

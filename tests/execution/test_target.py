@@ -202,7 +202,7 @@ def test_code_is_compiled_for_the_target(way, tmp_path):
 def test_command_line(monkeypatch):
     chosen = []
     monkeypatch.setattr(target, "choose", lambda **given: chosen.append(given))
-    for command in (["info"], ["render"], ["verify"], ["bench"], ["bench", "builders"], ["bench", "layouts"]):
+    for command in (["info"], ["render"], ["verify"], ["bench"], ["bench", "auto"]):
         result = CliRunner().invoke(main, [*command, "--target", "x86-64-v3", "--lanes", "4", "--help"])
         assert result.exit_code == 0, result.output
         assert chosen == [{"target": "x86-64-v3"}, {"width": 4}]

@@ -171,43 +171,6 @@ def test_info_of_real_statistics(model):
     assert json.loads(run("info", "--json", "--level", 2).stdout)["tree"]["nodes"] > 0
 
 
-def test_bench_builders(tmp_path):
-    """Ratios refer to the sweep; exact builders cost the same; growth is shown from the smallest mesh on."""
-    file = tmp_path / "builders.json"
-    names = [part for name in ("in_place", "binned", "spatial_median") for part in ("--builder", name)]
-    options = ["--size", 16, "--rounds", 1, "--threads", 1, "--growth", 1000, "--json", file]
-    result = run("bench", "builders", "wood", *names, *options)
-    assert result.exit_code == 0, result.output
-    found = json.loads(file.read_text())
-    rows = {row["builder"]: row for row in found["builders"]}
-    assert [*rows] == ["sweep", "in_place", "binned", "spatial_median"]
-    assert all(name in result.output for name in rows)
-    assert rows["sweep"]["build_ratio"] == rows["sweep"]["sah_ratio"] == 1.0
-    assert rows["in_place"]["sah_ratio"] == 1.0 < rows["binned"]["sah_ratio"] < rows["spatial_median"]["sah_ratio"]
-    for row in rows.values():
-        assert row["seconds"] > 0
-        assert row["peak_bytes"] > row["tree_bytes"] > 0
-        assert set(row["trace_ratios"]) == {"near", "random"}
-    assert "Growth" in result.output
-    (growth,) = [grown for grown in found["growth"] if grown["builder"] == "binned"]
-    assert len(growth["triangles"]) == len(growth["per_n_log_n"]) == 1
-    assert run("bench", "builders", "--builder", "none such").exit_code == 2
-
-
-def test_growth_of_builders():
-    from wrt.bench.studies.kdtrees.kdtree_growth import growth_sizes, growth_turns, measure_growth
-
-    assert growth_sizes(3_000_000) == [1_000, 10_000, 100_000, 1_000_000, 3_000_000]
-    assert growth_sizes(1_000) == [1_000]
-    turns, sizes = [], (500, 20_000)
-    small, naive = measure_growth(["binned", "naive"], sizes, rounds=1, on_turn=turns.append)
-    assert len(turns) == growth_turns(["binned", "naive"], sizes, rounds=1) == 6
-    assert small.triangles[0] < small.triangles[1]
-    assert naive.triangles == small.triangles[:1]  # more than can be waited for
-    assert small.per_n_log_n[0] == naive.per_n_log_n[0] == 1.0
-    assert all(peak > tree > 0 for peak, tree in zip(small.peak_bytes, small.tree_bytes, strict=True))
-
-
 def test_bench_is_imported_when_called():
     pytest.importorskip("wrt.bench.commands.benchmark")
     assert "bench" in run("--help").output

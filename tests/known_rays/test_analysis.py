@@ -14,7 +14,7 @@ from test_influence import picture, window
 from test_projected_bvh import AREA_KINDS, area_of, rays_of
 
 import wrt
-from wrt.bench.studies.known_rays.ray_distribution import random_areas, stretched
+from studies.known_rays.ray_distribution import random_areas, stretched
 from wrt.builders.bvh.bvh_statistics import unpack
 
 shapely = pytest.importorskip("shapely", reason="shapely is not installed: pip install 'wrt[test-all]'")

@@ -21,7 +21,7 @@ import test_triangle_tests
 from conftest import SCENES
 
 import wrt
-from wrt.bench.studies.kdtrees.kdtree_pictures import color_of
+from studies.kdtrees.kdtree_pictures import color_of
 from wrt.builders.kdtree import KDTREE_BUILDERS, KdTreeBuilder
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.traversal import TRAVERSALS

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from wrt.bench.studies.known_rays import area_pictures, ray_distribution
-from wrt.bench.studies.triangles import komatsu_packets, komatsu_tables, pichler_tables
+from studies.known_rays import area_pictures, ray_distribution
+from studies.triangles import komatsu_packets, komatsu_tables, pichler_tables
 from wrt.builders.core.late_import import Classic
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.traversal.mailbox import MAILBOXES
@@ -63,7 +63,7 @@ def test_a_row_is_complete(row):
     if status.group(1) == "Built":
         assert names or "notebook" in where, "what is built is somewhere"
     for name in names:
-        if name.startswith("wrt ") or name in ("pichler", "traversal", "komatsu"):
+        if name.startswith(("wrt ", "python -m studies ")) or name in ("pichler", "traversal", "komatsu"):
             continue  # a command, or a notebook
         assert (ROOT / name).is_file() if "/" in name else found(name), f"{name} does not exist"
 

@@ -10,11 +10,16 @@ from pathlib import Path
 import pytest
 import warp as wp
 
+FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
+
 SETTINGS = f"""
 import gc, warp
 warp.config.cpu_compiler_flags = {wp.config.cpu_compiler_flags!r}
+import sys
+sys.path.insert(0, {str(FOLDER)!r})
 """
-"""Kernels as the other tests compile them, which may have done so already."""
+"""Kernels as the other tests compile them, which may have done so already; studies are found, as in a notebook's
+folder."""
 
 FREEZE = "gc.freeze()\n"
 """Studies collect garbage before each round. What earlier cells made need not be scanned for it."""
@@ -34,7 +39,7 @@ RATIO = re.compile(r"\b\d+\.\d+x\b|\b\d+(?:\.\d+)? times\b|\d %")
 QUOTED = re.compile(r"paper|thesis|report|et al|\((?:19|20)\d\d\b")
 """A paragraph that names the source of its figures."""
 
-NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 
 
 def test_there_are_notebooks():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import wrt
-from wrt.bench.studies.known_rays import area_experiments as experiments
-from wrt.bench.studies.known_rays import area_pictures as pictures
-from wrt.bench.studies.known_rays.ray_cases import SCENES, Case
-from wrt.bench.studies.known_rays.ray_distribution import average, scene_of, unclipped
-from wrt.bench.studies.known_rays.ray_scenes import head
+from studies.known_rays import area_experiments as experiments
+from studies.known_rays import area_pictures as pictures
+from studies.known_rays.ray_cases import SCENES, Case
+from studies.known_rays.ray_distribution import average, scene_of, unclipped
+from studies.known_rays.ray_scenes import head
 from wrt.known_rays.tree_analysis import analyse
 
 SMALL = wrt.scenes.random_triangles(count=300, size=0.2)

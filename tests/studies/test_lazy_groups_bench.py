@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wrt.bench.studies.kdtrees.lazy_groups import district, first_views, street_view
+from studies.kdtrees.lazy_groups import district, first_views, street_view
 from wrt.builders.kdtree.lazy import lazy_kdtree
 from wrt.meshes.placement import hierarchy_of
 

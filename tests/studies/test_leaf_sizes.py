@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import wrt
-from wrt.bench.studies.kdtrees.leaf_sizes import LeafFigures, compare_leaf_sizes, judge_leaves
+from studies.kdtrees.leaf_sizes import LeafFigures, compare_leaf_sizes, judge_leaves
 
 
 def test_larger_leaves():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import wrt
-from wrt.bench.studies import motion_costs
-from wrt.bench.studies.animation_comparison import Stage
+from studies.moving import motion_costs
+from studies.moving.animation_comparison import Stage
 
 CAMERA = wrt.PinholeCamera(32, 32, fov=40, position=(-3.0, -3.0, 1.6), look_at=(0.0, 0.0, 1.0), up=(0.0, 0.0, 1.0))
 FLOOR = wrt.scenes.build("teapot", level=2)

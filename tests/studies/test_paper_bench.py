@@ -1,4 +1,4 @@
-"""`wrt bench pichler` and `wrt bench komatsu`, and Komatsu's bundles: complete and consistent. Times are not checked."""
+"""`studies pichler` and `studies komatsu`, and Komatsu's bundles: complete and consistent. Times are not checked."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 import wrt
-from wrt.bench.commands.paper_commands import KOMATSU, PICHLER
+from studies.__main__ import studies
+from studies.komatsu import KOMATSU, PICHLER
+from studies.triangles import komatsu_packets as packets
+from studies.triangles import komatsu_tables
 from wrt.bench.core.workloads import WorkloadMaker
-from wrt.bench.studies.triangles import komatsu_packets as packets
-from wrt.bench.studies.triangles import komatsu_tables
-from wrt.cli import main
 
 BALL = wrt.scenes.build("teapot", level=2, ground=False)
 
@@ -21,7 +21,7 @@ BALL = wrt.scenes.build("teapot", level=2, ground=False)
 def run(tmp_path, *arguments):
     """What a command wrote."""
     file = tmp_path / "tables.json"
-    result = CliRunner().invoke(main, ["bench", *arguments, "--rounds", "1", "--json", str(file)])
+    result = CliRunner().invoke(studies, [*arguments, "--rounds", "1", "--json", str(file)])
     assert result.exit_code == 0, result.output
     return json.loads(file.read_text())["tables"], result.output
 
@@ -45,7 +45,7 @@ def test_komatsu(tmp_path):
 
 
 def test_no_such_size(tmp_path):
-    result = CliRunner().invoke(main, ["bench", "pichler", "--table", "6.1", "--scene", "needles", "--size", "10"])
+    result = CliRunner().invoke(studies, ["pichler", "--table", "6.1", "--scene", "needles", "--size", "10"])
     assert result.exit_code != 0
     assert "multiple of 4" in result.output
 

@@ -11,16 +11,16 @@ import warp as wp
 from click.testing import CliRunner
 
 import wrt
-from wrt.bench.commands import bounce_commands
-from wrt.bench.commands.benchmark import bench
-from wrt.bench.commands.command_options import table_console
-from wrt.bench.studies.bounces.shading_streams_comparison import (
+from studies import bounces as bounce_commands
+from studies.__main__ import studies
+from studies.light.shading_streams_comparison import (
     WAYS,
     StreamFigures,
     compare_shading,
     scene_of_materials,
     utilisation,
 )
+from wrt.bench.commands.command_options import table_console
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.wavefront.path_step import MISSED
 from wrt.kernels.shading.wavefront.shading_streams import FILTERS, Streams, filter_streams
@@ -92,7 +92,7 @@ def test_command(tmp_path, monkeypatch):
     monkeypatch.setattr(bounce_commands, "compare_shading", lambda scene, camera, **given: asked.update(given) or figures())
     target = tmp_path / "shading.json"
     arguments = ["shading", "--size", "16", "--balls", "2", "--depth", "2", "--stream", "64", "--json", str(target)]
-    done = CliRunner().invoke(bench, arguments)
+    done = CliRunner().invoke(studies, arguments)
     assert done.exit_code == 0, done.output
     assert (asked["depth"], asked["stream"], asked["rounds"]) == (2, 64, 3)
     assert "generation 1, 100 rays: 10% missed, 20% diffuse" in done.output

@@ -10,9 +10,9 @@ from conftest import SCENES, assert_same_hits, brute_force
 from test_packets import beams, ragged
 
 import wrt
-from wrt.bench.studies.kdtrees.entry_point_tiles import compare_levels, morton_view, tile_query
-from wrt.bench.studies.kdtrees.packet_widths import compare_widths
-from wrt.bench.studies.kdtrees.tree_coupling import coupled_query
+from studies.kdtrees.entry_point_tiles import compare_levels, morton_view, tile_query
+from studies.kdtrees.packet_widths import compare_widths
+from studies.kdtrees.tree_coupling import coupled_query
 from wrt.kernels.classics.traversal import entry_point
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE

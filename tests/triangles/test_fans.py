@@ -7,7 +7,7 @@ import pytest
 from conftest import mixed_rays
 
 import wrt
-from wrt.bench.studies.triangles.fan_comparison import closest, compare, compare_files, compare_trees, fans_of, on_device
+from studies.triangles.fan_comparison import closest, compare, compare_files, compare_trees, fans_of, on_device
 from wrt.builders.triangle_fans import build_fans
 
 GRID = np.arange(49).reshape(7, 7)

@@ -11,8 +11,8 @@ from conftest import assert_same_hits, degenerate_soup, mixed_rays
 from test_triangle_tests import all_pairs
 
 import wrt
-from wrt.bench.studies.triangles.leaf_queries import leaf_query
-from wrt.bench.studies.triangles.pichler_tables import count_comparisons
+from studies.triangles.leaf_queries import leaf_query
+from studies.triangles.pichler_tables import count_comparisons
 from wrt.kernels.classics.triangle.ferko import VARIANTS
 from wrt.kernels.classics.triangle.ferko import triangle_bounds as bounds
 from wrt.kernels.classics.triangle.ferko.pruning import FIXED_ORDER

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, exits, pairs
+from studies.triangles.isolated_tests import Beams, Soup, closest, exits, pairs
 from wrt.kernels.classics.studies.derivation_counts import count_derivation
 from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
 from wrt.kernels.classics.triangle import komatsu

@@ -1,8 +1,8 @@
 """The benchmark: wrt beside its peers, as ratios measured side by side in one run.
 
     commands/   `wrt bench` and what it compares: options, tables, files
-    studies/    what is measured: queries, builds and start-up of all peers (query_comparison.py, build_comparison.py,
-                startup_times.py), threads, animations; triangles/, kdtrees/, known_rays/: the claims of papers
+    comparisons/  what is measured: queries, builds and start-up of all peers (query_comparison.py, build_comparison.py,
+                startup_times.py), threads (thread_scaling.py), what "auto" chooses (auto_cases.py, auto_choices.py)
     peers/      the contenders, all with the same interface (peer.py): engines.py is wrt, embree.py Embree's C library
     core/       the rays (workloads.py), timing in turns (paired_timing.py), agreement, results, reports
 

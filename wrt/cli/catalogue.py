@@ -182,9 +182,6 @@ def all_tables() -> dict[str, Rows]:
     from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, HIERARCHIES, SEARCHED_AXES
     from wrt.builders.tree import TERMINATIONS
     from wrt.imaging.integrators import INTEGRATORS
-    from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
-    from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
-    from wrt.kernels.classics.studies.pichler_2018 import STUDIED
     from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
     from wrt.kernels.runtime.schedules import SCHEDULES
     from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
@@ -223,8 +220,8 @@ def all_tables() -> dict[str, Rows]:
         "packet orders": entries(PACKET_ORDERS, ("name", "paper")),
         "triangle tests": entries(TRIANGLE_TESTS.rows, tests),
         "fans": others("fans"),
-        "as published": named("as published", PUBLISHED),
-        "tried by Pichler": named("tried by Pichler", (*STUDIED, DAMMERTZ_KELLER.name)),
+        "as published": named("as published", PAPERS["as published"]),
+        "tried by Pichler": named("tried by Pichler", PAPERS["tried by Pichler"]),
         "for measurements": others("for measurements"),
         "schedules": [{"name": schedule.name, "paper": schedule.source} for schedule in SCHEDULES.values()],
         "around a hit": others("around a hit"),

@@ -185,7 +185,7 @@ EXITS = LaneForm(
 
 LANES = EXITS.joined(3, 1)
 """The first three exits joined into one. Nearly all vectors take it, so the branch is predicted, unlike one after each plane.
-`wrt.bench.studies.triangles.komatsu_tables` measures it."""
+`studies.triangles.komatsu_tables` measures it."""
 
 TEST = TriangleTest(
     name="komatsu",

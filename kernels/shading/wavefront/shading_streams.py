@@ -9,7 +9,7 @@ A generation is cut into streams of one length (theirs: 4096 rays), one an item.
 `Streams.order`, so the order is also that of a sort by kind within the stream.
 
 The answers are those of `path_step`, bit for bit: a ray's step depends on the ray alone. wrt's pictures are not made in this
-way, which the study `wrt.bench.studies.bounces.shading_streams_comparison` measures.
+way, which the study `studies.light.shading_streams_comparison` measures.
 
 References:
     C. P. Gribble, K. Ramani: Coherent ray tracing via stream filtering. IEEE Symposium on Interactive Ray Tracing 2008.

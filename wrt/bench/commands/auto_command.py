@@ -18,10 +18,9 @@ from wrt.bench.commands.command_options import (
     usage_errors,
     write_json,
 )
+from wrt.bench.comparisons.auto_cases import KINDS, SCENES, SIZES, scene_of, subdivided
+from wrt.bench.comparisons.auto_choices import Choice, compare_choices
 from wrt.bench.core.benchmark_results import machine
-from wrt.bench.studies.auto_cases import KINDS, SCENES, SIZES, scene_of
-from wrt.bench.studies.auto_choices import Choice, compare_choices
-from wrt.bench.studies.triangles.komatsu_tables import subdivided
 from wrt.cli.arguments import target_options
 from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import get_num_threads

@@ -22,21 +22,8 @@ DEFAULT_MODELS = ("teapot", "atrium", "wood")
 """Built-in scenes that are measured when no model is named."""
 
 COMPARISONS = {
-    "triangle-tests": ("triangle_tests_command", "triangle_tests"),
-    "pichler": ("paper_commands", "pichler_command"),
-    "komatsu": ("paper_commands", "komatsu_command"),
-    "builders": ("kdtree_commands", "builders_command"),
-    "ray-aware": ("ray_aware_command", "ray_aware_command"),
-    "layouts": ("kdtree_commands", "layouts_command"),
-    "build-sizes": ("scaling_command", "build_sizes_command"),
-    "scaling": ("scaling_command", "scaling_command"),
-    "scheduling": ("scaling_command", "scheduling_command"),
-    "shadows": ("shadows_command", "shadows_command"),
-    "cluster": ("cluster_command", "cluster_command"),
-    "animation": ("animation_command", "animation_command"),
     "auto": ("auto_command", "auto_command"),
-    "bounces": ("bounce_commands", "bounces_command"),
-    "shading": ("bounce_commands", "shading_command"),
+    "scaling": ("scaling_command", "scaling_command"),
 }
 """What can be compared within wrt, by what stands in place of the model: module of this package, and the command in it."""
 
@@ -106,13 +93,8 @@ def bench(
     arrays get it: the time includes filling each packet from flat arrays and copying its answers to flat arrays. wrt reads and
     writes flat arrays in all of them.
 
-    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench pichler` and `wrt bench komatsu
-    [MODELS]` repeat the tables of two papers on them, `wrt bench builders [MODEL]` compares kd-tree builders,
-    `wrt bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
-    build-sizes` builds of few and of many triangles, `wrt bench animation` ways to update moving meshes, `wrt bench auto
-    [MODEL]` what "auto" chooses, `wrt bench scaling [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways to
-    divide work among them, `wrt bench cluster` numbers of processes and of GPUs, `wrt bench shading` ways to shade hits of many
-    materials; each has options of its own.
+    `wrt bench auto [MODEL]` compares what "auto" chooses with every other choice, `wrt bench scaling [MODEL]` numbers of
+    threads; each has options of its own. Studies that repeat the tables of papers are in a checkout's notebooks/studies.
     """
     from wrt.bench.core.benchmark_plot import matplotlib_missing, save_plot
     from wrt.bench.core.benchmark_report import ReportPrinter
@@ -172,9 +154,9 @@ def run_benchmark(
     Raises:
         ValueError: unknown names, or a size that does not divide into tiles.
     """
-    from wrt.bench.studies.build_comparison import ask_builds
-    from wrt.bench.studies.query_comparison import ask
-    from wrt.bench.studies.startup_times import ask_startup
+    from wrt.bench.comparisons.build_comparison import ask_builds
+    from wrt.bench.comparisons.query_comparison import ask
+    from wrt.bench.comparisons.startup_times import ask_startup
 
     options: dict[str, Any] = {"workloads": list(workloads), "peers": list(peers), "size": size, "order": order}
     options |= {"rounds": rounds, "threads": threads, "device": device}

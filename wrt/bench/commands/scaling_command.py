@@ -1,4 +1,4 @@
-"""`wrt bench scaling`, `scheduling` and `build-sizes`: numbers of threads, ways to divide work, numbers of triangles."""
+"""`wrt bench scaling`: queries and builds by the number of threads."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -19,19 +18,13 @@ from wrt.bench.commands.command_options import (
     usage_errors,
     write_json,
 )
+from wrt.bench.comparisons.thread_scaling import JobFigures, measure_scaling, powers_of_two
 from wrt.bench.core.benchmark_plot import save_figure
 from wrt.bench.core.benchmark_results import machine
 from wrt.bench.peers.embree import Embree
 from wrt.bench.peers.embree_library import EMBREES
-from wrt.bench.peers.peer_table import make_peers
-from wrt.bench.studies.build_sizes import SIZES, SizeFigures, measure_sizes
-from wrt.bench.studies.thread_scaling import JobFigures, measure_scaling, measure_schedules, powers_of_two
-from wrt.cli.arguments import target_options
 from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import get_num_threads
-
-BUILDING = ("embree", "open3d", "embreex", "warp_mesh")
-"""Peers whose builds are timed, all that are found unless some are asked for."""
 
 
 @click.command("scaling")
@@ -66,20 +59,6 @@ def scaling_command(
     if plot_file is not None:
         with usage_errors():
             save_scaling_plot(figures, plot_file)
-
-
-@click.command("scheduling")
-@click.argument("model", default="teapot")
-@click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Turns of each schedule.")
-@threads_option
-@json_option
-def scheduling_command(model: str, rounds: int, threads: int | None, json_file: Path | None) -> None:
-    """Compares ways to divide work among threads on MODEL, a mesh file or a built-in scene."""
-    mesh, count = load_model(model), threads or get_num_threads()
-    with progress() as on_turn, usage_errors():
-        figures = measure_schedules(mesh, count, rounds, on_turn)
-    print_figures(f"schedules: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {count} threads", figures)
-    write_json(json_file, {"machine": machine("cpu"), "jobs": [asdict(row) for row in figures]})
 
 
 def print_figures(title: str, figures: Sequence[JobFigures]) -> None:
@@ -124,41 +103,3 @@ def save_scaling_plot(figures: Sequence[JobFigures], path: Path) -> None:
     axes.set_ylabel("speed, one thread = 1")
     axes.legend()
     save_figure(figure, path)
-
-
-@click.command("build-sizes")
-@target_options
-@click.option("--triangles", "sizes", multiple=True, type=Whole(2), help="Of a sheet; repeat. [1,000 to 3,000,000]")
-@click.option("--peer", "names", multiple=True, type=click.Choice([*BUILDING, "embree3", "embree4"]), help="Repeat. [all]")
-@click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Turns of each contender.")
-@threads_option
-@json_option
-def build_sizes_command(
-    sizes: tuple[int, ...], names: tuple[str, ...], rounds: int, threads: int | None, json_file: Path | None
-) -> None:
-    """Builds sheets of a thousand to millions of triangles, until the first ray is answered, beside the peers."""
-    count = threads or get_num_threads()
-
-    def make() -> list[Any]:
-        return make_peers(names or BUILDING, count, "cpu")[0]
-
-    missing = make_peers(names or BUILDING, count, "cpu")[1]
-    with progress() as on_turn, usage_errors():
-        figures = measure_sizes(make, sizes or SIZES, rounds, on_turn)
-    print_sizes(figures, count, table_console(140))
-    for name, reason in missing.items():
-        click.echo(f"left out: {name} ({reason})")
-    write_json(json_file, {"machine": machine("cpu"), "threads": count, "sizes": [asdict(row) for row in figures]})
-
-
-def print_sizes(figures: Sequence[SizeFigures], threads: int, console: Any) -> None:
-    """A line a size, a column a contender."""
-    from wrt.bench.core.benchmark_report import new_table, times
-
-    names = [*figures[0].seconds]
-    table = new_table((), ("triangles", *names))
-    for row in figures:
-        cells = [f"{row.seconds[name] * 1e3:.3g} ({times(row.ratios[name])})" if name in row.seconds else "-" for name in names]
-        table.add_row(f"{row.triangles:,}", *cells)
-    console.print(f"[bold]Build by size, {threads} thread{'s' * (threads > 1)}, ms (time / wrt)[/bold]", highlight=False)
-    console.print(table)

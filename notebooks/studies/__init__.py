@@ -1,0 +1,1 @@
+"""Studies: tables, figures and claims of papers, measured again. `python -m studies` lists them."""

@@ -1,0 +1,1 @@
+"""Secondary rays: packets by bounce, shading in streams, shadow rays."""

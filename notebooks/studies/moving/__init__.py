@@ -1,0 +1,1 @@
+"""Geometry that moves: ways to follow it, and what they cost."""

@@ -1,0 +1,58 @@
+"""Studies whose result is a list of rows: each is a function, and its command prints what it returns."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, is_dataclass
+from importlib import import_module
+from inspect import getdoc, signature
+from pathlib import Path
+from typing import Any
+
+import click
+
+from wrt.bench.commands.command_options import json_option, load_model, progress, table_console, usage_errors, write_json
+from wrt.bench.core.benchmark_results import machine
+from wrt.cli.number_types import Whole
+
+ROW_STUDIES = {
+    "axis-flag": ("triangles.axis_variants", "compare_flag"),
+    "axis-selections": ("triangles.axis_variants", "compare_selections"),
+    "entry-point-tiles": ("kdtrees.entry_point_tiles", "compare_levels"),
+    "fans": ("triangles.fan_comparison", "compare"),
+    "fan-trees": ("triangles.fan_comparison", "compare_trees"),
+    "leaf-sizes": ("kdtrees.leaf_sizes", "compare_leaf_sizes"),
+    "mailbox-costs": ("kdtrees.kdtree_claims", "mailbox_costs"),
+    "packet-widths": ("kdtrees.packet_widths", "compare_widths"),
+    "tree-coupling": ("kdtrees.tree_coupling", "compare_coupling"),
+    "volume-search": ("triangles.volume_search", "compare_forms"),
+    "area-work": ("known_rays.affinity", "compare_work"),
+    "octree-top-levels": ("known_rays.ray_distribution", "top_levels"),
+}
+"""Module of this package, and the function in it, by the name of the study."""
+
+
+def row_command(name: str) -> click.Command:
+    """The command of a study: MODEL where the function takes a mesh, an option for each of its whole numbers."""
+    module, attribute = ROW_STUDIES[name]
+    study = getattr(import_module(f"studies.{module}"), attribute)
+    taken = signature(study).parameters
+
+    def run(json_file: Path | None, model: str | None = None, **options: int) -> None:
+        from studies.komatsu import print_rows
+
+        meshes = () if model is None else (load_model(model),)
+        with progress() as on_turn, usage_errors():
+            on_turn(name)
+            rows = [asdict(row) if is_dataclass(row) else row for row in study(*meshes, **options)]
+        print_rows(table_console(200), name, rows)
+        write_json(json_file, {"machine": machine("cpu"), "rows": rows})
+
+    parameters: list[Any] = [click.Argument(["model"], default="teapot")] if "mesh" in taken else []
+    for key, parameter in taken.items():
+        if type(parameter.default) is int:
+            option = click.Option(
+                [f"--{key}"], default=parameter.default, show_default=True, type=Whole(0 if key == "seed" else 1)
+            )
+            parameters.append(option)
+    command = json_option(click.Command(name, callback=run, params=parameters, help=getdoc(study).split("\n\n")[0]))
+    return command

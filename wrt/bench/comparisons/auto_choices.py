@@ -1,0 +1,150 @@
+"""What "auto" chooses for a grid of cases, and its time over that of the best engine.
+
+The engines are all traversals that "auto" may choose and that can answer the query, those in packets with every culling that
+"auto" may choose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+from wrt.bench.comparisons.auto_cases import KINDS, SIZES, Case, cases
+from wrt.bench.core.paired_timing import Contender, Timing, take_turns
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.meshes.mesh import TriangleMesh
+from wrt.planning.answer_checks import can_answer
+from wrt.planning.plan import Plan
+from wrt.planning.plan_checks import fits
+from wrt.planning.planner import make_plan
+from wrt.rays.ray_buffers import to_device
+from wrt.scene.scene import Scene
+from wrt.state.query_kinds import ANY, AUTO, CLOSEST
+
+HOPELESS = 4.0
+"""An engine that once took so many times as long as another takes no part: it would take most of the time."""
+
+SETTLE = 0.01
+"""Seconds below which a turn starts with an untimed call."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was measured of one case.
+
+    Attributes:
+        scene, kind: the scene's name and the kind of rays.
+        triangles, rays: how many.
+        auto: the engine that "auto" chose, and why.
+        reason: as of the plan.
+        best: the fastest engine.
+        ratio: time of "auto" over the time of the best.
+        milliseconds: least time of each engine, which other work on the machine changes least; hopeless ones are left out.
+        open3d: the same of Open3D; None if it did not take part.
+    """
+
+    scene: str
+    kind: str
+    triangles: int
+    rays: int
+    auto: str
+    reason: str
+    best: str
+    ratio: float
+    milliseconds: dict[str, float]
+    open3d: float | None = None
+
+
+def compare_choices(
+    name: str,
+    scene: Scene,
+    mesh: TriangleMesh,
+    *,
+    kinds: Sequence[str] = KINDS,
+    sizes: Sequence[int] = SIZES,
+    rounds: int = 5,
+    peer: Any = None,
+    on_turn: Callable[[str], None] = lambda name: None,
+) -> Iterator[Choice]:
+    """The cases of a scene, one after the other.
+
+    Args:
+        name: of the scene.
+        scene: on the CPU.
+        mesh: its triangles as one mesh.
+        kinds, sizes: as of `cases`.
+        rounds: turns of each engine.
+        peer: a `wrt.bench.peers.peer.Peer` that has built the mesh, timed beside; None for none.
+        on_turn: told the name of each turn.
+    """
+    for case in cases(mesh, kinds, sizes):
+        begin = f"{name}, {case.kind}, {case.rays_count:,} rays"
+        yield compare(name, scene, case, rounds, peer, lambda engine, begin=begin: on_turn(f"{begin}: {engine}"))
+
+
+def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn: Callable[[str], None]) -> Choice:
+    """Times the engines of one case in turns."""
+    plans = engines(scene, case)
+    chosen = engine_name(plans[AUTO])
+    runs = {engine: partial(ask, scene, case, plan) for engine, plan in plans.items() if engine != AUTO}
+    runs[chosen] = partial(ask, scene, case, AUTO)
+    seconds = {}
+    for engine, run in runs.items():
+        run()
+        start = perf_counter()
+        run()
+        seconds[engine] = perf_counter() - start
+    least = min(seconds.values())
+    contenders = [Contender(one, runs[one]) for one in runs if one == chosen or seconds[one] < HOPELESS * least]
+    query = None if peer is None else peer.query(case.workload)
+    if query is not None:
+        contenders.append(Contender("Open3D", query.run))
+    timings: dict[str, Timing] = take_turns(contenders, rounds, settle=SETTLE, on_turn=on_turn)
+    beside = timings.pop("Open3D", None)
+    times = {engine: 1e3 * timing.spread[0] for engine, timing in timings.items()}
+    best = min(times, key=times.__getitem__)
+    return Choice(
+        scene=name,
+        kind=case.kind,
+        triangles=scene.triangle_count,
+        rays=case.rays_count,
+        auto=chosen,
+        reason=plans[AUTO].reason,
+        best=best,
+        ratio=times[chosen] / times[best],
+        milliseconds=times,
+        open3d=None if beside is None else 1e3 * beside.spread[0],
+    )
+
+
+def ask(scene: Scene, case: Case, traversal: str | Plan) -> Any:
+    """The answers of a case."""
+    return (scene.occluded if case.is_occlusion else scene.intersect)(case.rays, traversal=traversal)
+
+
+def engines(scene: Scene, case: Case) -> dict[str, Plan]:
+    """Plans by name, and the one that "auto" chooses by its own."""
+    state, kind = scene.state, ANY if case.is_occlusion else CLOSEST
+    buffers = to_device(case.rays, state.device, state.center)
+    plans = {AUTO: make_plan(state, buffers, AUTO, AUTO, kind)}
+    for traversal in TRAVERSALS.values():
+        if traversal.score is None or not can_answer(traversal, state, kind, False):
+            continue
+        plan = make_plan(state, buffers, traversal.name, AUTO, kind)
+        test = TRIANGLE_TESTS[plan.triangle_test]
+        able = [one for one in CULLINGS.values() if max(*one.scores, *one.filtered_scores) > 1.0]
+        for culling in able if traversal.packets else [None]:
+            if culling is None or fits(culling, traversal, state.accelerator.kind, test):
+                one = plan if culling is None else replace(plan, culling=culling.name)
+                plans[engine_name(one)] = one
+    return plans
+
+
+def engine_name(plan: Plan) -> str:
+    """The traversal, and the culling of packets."""
+    return f"{plan.traversal}, {plan.culling}" if plan.culling else plan.traversal

@@ -1,1 +1,0 @@
-"""What is measured: peers beside wrt, threads, animations, and the claims of papers in the folders below."""
