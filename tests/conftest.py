@@ -65,10 +65,12 @@ CLASSICS = {
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the tests that have a classic as a parameter. Files that are about classics alone mark themselves."""
+    """Marks the tests that have a classic as a parameter, and those of studies. Files about classics alone mark themselves."""
     for item in items:
         if hasattr(item, "callspec") and any(isinstance(one, str) and one in CLASSICS for one in item.callspec.params.values()):
             item.add_marker("classics")
+        if item.path.parent.name == "studies":
+            item.add_marker("studies")
 
 
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]

@@ -17,7 +17,7 @@ from math import isfinite, radians, sin, tan
 import numpy as np
 import warp as wp
 
-from wrt.kernels.influence.view import AreaView, mark_affine_rays
+from wrt.kernels.influence.view import AreaView, mark_rays_of_area
 from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.validation import as_float, as_numbers, as_real_array, convert_fields
 
@@ -183,7 +183,7 @@ def affine_rays(area: InfluenceArea, origins: np.ndarray, directions: np.ndarray
         near = np.ascontiguousarray((origins - center).astype(np.float32))
     rays = [wp.array(a, dtype=wp.vec3, device=device) for a in (near, np.ascontiguousarray(directions))]
     affine = wp.empty(len(near), dtype=wp.bool, device=device)
-    launch(mark_affine_rays, len(near), [area.view(center), *rays, sin(radians(tolerance)), affine], device=device, chunk=4096)
+    launch(mark_rays_of_area, len(near), [area.view(center), *rays, sin(radians(tolerance)), affine], device=device, chunk=4096)
     return affine.numpy()
 
 

@@ -30,7 +30,7 @@ def cpu_quota(process: Path = Path("/proc/self/cgroup"), groups: Path = CGROUPS)
         lines = process.read_text().splitlines()
     except OSError:
         return math.inf
-    least = math.inf
+    quota = math.inf
     for line in lines:
         _, controllers, path = line.split(":", 2)
         if controllers and "cpu" not in controllers.split(","):
@@ -38,11 +38,11 @@ def cpu_quota(process: Path = Path("/proc/self/cgroup"), groups: Path = CGROUPS)
         root = groups if not controllers else groups / "cpu"
         group = root / path.lstrip("/")
         for folder in (group, *group.parents):
-            least = min(least, _quota_of(folder))
+            quota = min(quota, _quota_of(folder))
             if folder == root:
                 break
-        least = min(least, _quota_of(root))  # in a container the path above may be that of the host
-    return least
+        quota = min(quota, _quota_of(root))  # in a container the path above may be that of the host
+    return quota
 
 
 def _quota_of(group: Path) -> float:

@@ -182,10 +182,10 @@ def apply_environment() -> None:
     flags = "-march=native" if wp.config.cpu_compiler_flags is None else wp.config.cpu_compiler_flags
     given, others = split_flags(flags)
     native = given == list(TARGETS["native"].flags)
-    words = flags.split()
+    options = flags.split()
     if os.environ.get(TARGET_VARIABLE) or (native and prefers_half_registers()):
-        words = [*target_flags(name), *others]
-    wp.config.cpu_compiler_flags = " ".join([*words, *(word for word in QUICKER if word not in words)])
+        options = [*target_flags(name), *others]
+    wp.config.cpu_compiler_flags = " ".join([*options, *(option for option in QUICKER if option not in options)])
 
 
 def quiet_warp() -> None:
@@ -208,7 +208,8 @@ def prefers_half_registers() -> bool:
 
 def split_flags(flags: str) -> tuple[list[str], list[str]]:
     """Compiler flags that select the target, and all others."""
-    words = flags.split()
-    named = {i + offset for i, word in enumerate(words) if word == "-target-cpu" for offset in (0, 1)}
-    named |= {i for i, word in enumerate(words) if word.startswith(("-march=", "-mprefer-vector-width="))}
-    return [word for i, word in enumerate(words) if i in named], [word for i, word in enumerate(words) if i not in named]
+    options = flags.split()
+    named = {i + offset for i, option in enumerate(options) if option == "-target-cpu" for offset in (0, 1)}
+    named |= {i for i, option in enumerate(options) if option.startswith(("-march=", "-mprefer-vector-width="))}
+    rest = [option for i, option in enumerate(options) if i not in named]
+    return [option for i, option in enumerate(options) if i in named], rest

@@ -1,16 +1,16 @@
 """Assigns rays to influence areas: an octree lookup over the areas' regions, and the range of t that an area's tree covers.
 
 An influence area is a region in which the distribution of rays is known. It has a tree of its own over the triangles that touch
-the region, built for that distribution. A ray is affine to an area if it starts in the region and its direction agrees with the
+the region, built for that distribution. A ray belongs to an area if it starts in the region and its direction agrees with the
 distribution (Falcone 2024, section 3.1). Forward and backward directions are equivalent, because their projections are the
 same.
 
-**The octree.** A cell is one word of `child`: the index of the first of its eight consecutive children, or ~list for a leaf,
+**The octree.** A cell is one number of `child`: the index of the first of its eight consecutive children, or ~list for a leaf,
 where `list` is the list of areas whose regions touch the leaf. Child 4 z + 2 y + x is the upper half along an axis if the bit
 of the axis is set. Leaves with the same areas share a list, so a cell costs only a few bytes. An octree of one cell, a leaf
-with all areas, is a plain array. In a kd-tree, a word is four times the index of the first of two children, plus the axis, and
-`plane` has the coordinate from which on points belong to the second child. The lists are conservative; the test of the region
-decides, after a test of its bounding box.
+with all areas, is a plain array. In a kd-tree, a number is four times the index of the first of two children, plus the axis,
+and `plane` has the coordinate from which on points belong to the second child. The lists are conservative; the test of the
+region decides, after a test of its bounding box.
 
 **The range that an area covers.** Regions are convex, so a ray that starts in one stays inside until the t at which it leaves.
 Every triangle that it can hit before that t touches the region and is therefore in the area's tree. A hit found there is the
@@ -50,7 +50,7 @@ class AreaTree:
     """The influence areas of a scene and an octree over their regions; coordinates are relative to the scene's centre."""
 
     regions: wp.array(dtype=Region)
-    """(areas,) regions in which affine rays start."""
+    """(areas,) regions in which rays that belong to them start."""
     views: wp.array(dtype=AreaView)
     """(areas,) distributions of their directions."""
     sine: float
@@ -83,11 +83,11 @@ def find_in_kdtree(areas: AreaTree, point: wp.vec3d):
         if not (point[axis] >= areas.low[axis] and point[axis] <= areas.high[axis]):
             return -1
     cell = int(0)
-    word = areas.child[0]
-    while word >= 0:
-        cell = (word >> 2) + wp.where(point[word & 3] >= areas.plane[cell], 1, 0)
-        word = areas.child[cell]
-    return ~word
+    child = areas.child[0]
+    while child >= 0:
+        cell = (child >> 2) + wp.where(point[child & 3] >= areas.plane[cell], 1, 0)
+        child = areas.child[cell]
+    return ~child
 
 
 @wp.func
@@ -106,12 +106,12 @@ def find_list(areas: AreaTree, point: wp.vec3d):
     x = int(place[0])
     y = int(place[1])
     z = int(place[2])
-    word = areas.child[0]
+    child = areas.child[0]
     level = int(areas.depth)
-    while word >= 0:
+    while child >= 0:
         level -= 1
-        word = areas.child[word + (((x >> level) & 1) | (((y >> level) & 1) << 1) | (((z >> level) & 1) << 2))]
-    return ~word
+        child = areas.child[child + (((x >> level) & 1) | (((y >> level) & 1) << 1) | (((z >> level) & 1) << 2))]
+    return ~child
 
 
 @wp.kernel
@@ -147,7 +147,7 @@ def reaches(region: Region, lanes: wp.array(dtype=float)):
 
 @wp.func
 def find_areas(areas: AreaTree, count: int, lanes: wp.array(dtype=float), marks: wp.array(dtype=int)):
-    """Finds the area of each ray of a block: the first one to which it is affine."""
+    """Finds the area of each ray of a block: the first one to which it belongs."""
     last = int(-1)
     for k in range(count):
         which = marks[wp.static(LIST_LANES) + k]

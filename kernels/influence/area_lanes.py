@@ -55,10 +55,10 @@ def try_area(
     lanes: wp.array(dtype=float),
     marks: wp.array(dtype=int),
 ):
-    """Assigns area `number` to the rays of list `which` that have no area yet and are affine to it.
+    """Assigns area `number` to the rays of list `which` that have no area yet and belong to it.
 
-    A ray is affine if it starts in the region, if its direction agrees with the area's distribution (forward or backward; in
-    radial areas a ray that starts at the common point always agrees), and if part of its range lies in the region.
+    A ray belongs to an area if it starts in the region, if its direction agrees with the area's distribution (forward or
+    backward; in radial areas a ray that starts at the common point always agrees), and if part of its range lies in the region.
     """
     ...
 

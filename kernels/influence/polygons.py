@@ -98,13 +98,13 @@ def convex_hull(points: wp.array(dtype=wp.vec2), count: int, hull: wp.array(dtyp
     """Writes the convex hull of at most 20 points, which it sorts; returns its number of corners (Andrew 1979)."""
     sort_points(points, count)
     corners = int(0)
-    least = int(1)  # corners that stay: one of the lower chain; then, for the upper chain, the whole lower chain
+    kept = int(1)  # corners that stay: one of the lower chain; then, for the upper chain, the whole lower chain
     for i in range(2 * count - 1):
         point = points[wp.where(i < count, i, 2 * count - 2 - i)]
-        while corners > least and cross(hull[corners - 1] - hull[corners - 2], point - hull[corners - 2]) <= 0.0:
+        while corners > kept and cross(hull[corners - 1] - hull[corners - 2], point - hull[corners - 2]) <= 0.0:
             corners -= 1
         hull[corners] = point
         corners += 1
         if i == count - 1:
-            least = corners
+            kept = corners
     return corners - wp.where(corners > 1, 1, 0)  # the last corner is the first one again

@@ -98,12 +98,12 @@ def is_separated(region: Region, low: wp.vec3d, high: wp.vec3d, axis: wp.vec3d):
     y = wp.abs(a[1])
     near_half = x * (region.width + region.near * region.widening) + y * (region.height + region.near * region.heightening)
     far_half = x * (region.width + region.far * region.widening) + y * (region.height + region.far * region.heightening)
-    least = wp.min(region.near * a[2] - near_half, region.far * a[2] - far_half)
-    most = wp.max(region.near * a[2] + near_half, region.far * a[2] + far_half)
+    lower = wp.min(region.near * a[2] - near_half, region.far * a[2] - far_half)
+    upper = wp.max(region.near * a[2] + near_half, region.far * a[2] + far_half)
     o = region.origin
     reach = wp.dot(wp.vec3d(wp.abs(o[0]), wp.abs(o[1]), wp.abs(o[2])), size)
-    slack = ROUNDING * (reach + half + wp.abs(middle) + wp.abs(least) + wp.abs(most))
-    return middle - half > most + slack or middle + half < least - slack
+    slack = ROUNDING * (reach + half + wp.abs(middle) + wp.abs(lower) + wp.abs(upper))
+    return middle - half > upper + slack or middle + half < lower - slack
 
 
 @wp.func

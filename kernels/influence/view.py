@@ -83,20 +83,20 @@ def is_aligned(view: AreaView, origin: wp.vec3, direction: wp.vec3, sine: float)
 
 
 @wp.func
-def is_affine(view: AreaView, origin: wp.vec3, direction: wp.vec3, sine: float):
+def belongs_to_area(view: AreaView, origin: wp.vec3, direction: wp.vec3, sine: float):
     """Whether a ray belongs to the area: it starts in it and is aligned with its rays (Falcone 2024, section 3.1)."""
     return contains_view_point(view, origin) and is_aligned(view, origin, direction, sine)
 
 
 @wp.kernel
-def mark_affine_rays(
+def mark_rays_of_area(
     first: int,
     view: AreaView,
     origins: wp.array(dtype=wp.vec3),
     directions: wp.array(dtype=wp.vec3),
     sine: float,
-    affine: wp.array(dtype=wp.bool),
+    belongs: wp.array(dtype=wp.bool),
 ):
     """Item: a ray, relative to the view's centre. Writes whether it belongs to the area."""
     i = first + wp.tid()
-    affine[i] = is_affine(view, origins[i], directions[i], sine)
+    belongs[i] = belongs_to_area(view, origins[i], directions[i], sine)

@@ -71,12 +71,12 @@ def children_depth_first(index: int, node: wp.vec2i):
 
 
 @cache
-def children_in_pairs(words: int) -> wp.Function:
-    """`children_depth_first` if nodes are in pairs, and each takes so many words of 8 bytes, of which it is the first."""
+def children_in_pairs(stride: int) -> wp.Function:
+    """`children_depth_first` if nodes are in pairs, and each is the first of `stride` words of 8 bytes."""
 
     @wp.func
     def children(index: int, node: wp.vec2i):
-        return wp.vec2i(node[1] >> 2, (node[1] >> 2) + wp.static(words))
+        return wp.vec2i(node[1] >> 2, (node[1] >> 2) + wp.static(stride))
 
     return children
 

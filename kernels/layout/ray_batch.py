@@ -117,11 +117,11 @@ def usable_direction(direction: wp.vec3):
     size = wp.abs(direction)
     largest = wp.where(size[0] > size[1], size[0], size[1])
     largest = wp.where(largest > size[2], largest, size[2])
-    least = wp.where(largest > _MIN_SIZE, largest, _MIN_SIZE) * NEGLIGIBLE
+    negligible = wp.where(largest > _MIN_SIZE, largest, _MIN_SIZE) * NEGLIGIBLE
     return wp.vec3(
-        wp.where(size[0] < least, 0.0, direction[0]),
-        wp.where(size[1] < least, 0.0, direction[1]),
-        wp.where(size[2] < least, 0.0, direction[2]),
+        wp.where(size[0] < negligible, 0.0, direction[0]),
+        wp.where(size[1] < negligible, 0.0, direction[1]),
+        wp.where(size[2] < negligible, 0.0, direction[2]),
     )
 
 

@@ -31,9 +31,9 @@ def triangle_cells(
     c = vertices[face[2]]
     number = int(0)
     for axis in range(3):
-        least = wp.min(a[axis], wp.min(b[axis], c[axis]))
-        greatest = wp.max(a[axis], wp.max(b[axis], c[axis]))
-        middle = wp.float64(0.5) * least + wp.float64(0.5) * greatest
+        lower = wp.min(a[axis], wp.min(b[axis], c[axis]))
+        upper = wp.max(a[axis], wp.max(b[axis], c[axis]))
+        middle = wp.float64(0.5) * lower + wp.float64(0.5) * upper
         place = wp.clamp(int((middle - low[axis]) * scale[axis]), 0, cells[axis] - 1)
         number = number * cells[axis] + place
     cell[i] = number

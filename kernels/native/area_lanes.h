@@ -15,7 +15,7 @@ template <int L> struct AreaLanes {
 /// area. The others are sums over all blocks: rays that leave their area, greatest area, `areas` less the least area, rays
 /// without an area.
 template <int L> struct AreaMarks {
-    int found[L], list[L], left[L], most[L], fewest[L], alone[L];
+    int found[L], list[L], left[L], max_area[L], max_below[L], alone[L];
 };
 
 /// Loads up to `count` rays from `first` on, with list 0, and bounds their origins; returns the number of rays.
@@ -71,10 +71,10 @@ template <class Region, class View> inline CUDA_CALLABLE AreaRegion region_of(co
 
 inline CUDA_CALLABLE float dot3(const float* a, float x, float y, float z) { return a[0] * x + a[1] * y + a[2] * z; }
 
-/// The earlier of two ends, the second of which is after `way` at `rate`.
-inline CUDA_CALLABLE float earlier(float until, float way, float rate)
+/// The earlier of two ends, the second of which is after `room` at `rate`.
+inline CUDA_CALLABLE float earlier(float until, float room, float rate)
 {
-    const float s = way / rate;
+    const float s = room / rate;
     return ((rate > 0.0f) & (s < until)) ? s : until;
 }
 
@@ -90,7 +90,7 @@ inline CUDA_CALLABLE bool agrees(
     return along | (r.radial & (start <= at_eye));
 }
 
-/// Assigns area `number` to the rays of list `which` that have no area yet and are affine to it.
+/// Assigns area `number` to the rays of list `which` that have no area yet and belong to it.
 template <int L, class Region, class View>
 inline CUDA_CALLABLE void try_area(int number, const Region& region, const View& view, float sine, float touch, int which,
     AreaLanes<L>& lanes, AreaMarks<L>& marks)
@@ -103,7 +103,7 @@ inline CUDA_CALLABLE void try_area(int number, const Region& region, const View&
         const float x = dot3(r.right, px, py, pz), y = dot3(r.up, px, py, pz), z = dot3(r.forward, px, py, pz);
         const float wide = r.width + z * r.widening, tall = r.height + z * r.heightening;
         const bool inside = (z >= r.near) & (z <= r.far) & (WRT_ABS(x) <= wide) & (WRT_ABS(y) <= tall);
-        const bool affine
+        const bool aligned
             = agrees(r, bound, at_eye, lanes.ox[k] - r.eye[0], lanes.oy[k] - r.eye[1], lanes.oz[k] - r.eye[2], vx, vy, vz);
         const float right = dot3(r.right, vx, vy, vz), up = dot3(r.up, vx, vy, vz), ahead = dot3(r.forward, vx, vy, vz);
         const float spread = ahead * r.widening, rise = ahead * r.heightening;
@@ -111,7 +111,7 @@ inline CUDA_CALLABLE void try_area(int number, const Region& region, const View&
         until = earlier(until, r.far - z, ahead), until = earlier(until, z - r.near, -ahead);
         until = earlier(until, wide - x, right - spread), until = earlier(until, wide + x, -right - spread);
         until = earlier(until, tall - y, up - rise), until = earlier(until, tall + y, -up - rise);
-        const bool belongs = inside & affine & (until > lanes.t_min[k]) & (marks.list[k] == which) & (marks.found[k] < 0);
+        const bool belongs = inside & aligned & (until > lanes.t_min[k]) & (marks.list[k] == which) & (marks.found[k] < 0);
         marks.found[k] = belongs ? number : marks.found[k];
         lanes.leave[k] = belongs ? until : lanes.leave[k];
     }
@@ -141,8 +141,8 @@ inline CUDA_CALLABLE void store_area_rays(int first, int count, int areas, const
         marks.found[k] = found;
         marks.alone[k] += ((found == areas) & (k < count)) ? 1 : 0;
         marks.left[k] += ((found < areas) & !done & (k < count)) ? 1 : 0;
-        marks.most[k] = found > marks.most[k] ? found : marks.most[k];
-        marks.fewest[k] = areas - found > marks.fewest[k] ? areas - found : marks.fewest[k];
+        marks.max_area[k] = found > marks.max_area[k] ? found : marks.max_area[k];
+        marks.max_below[k] = areas - found > marks.max_below[k] ? areas - found : marks.max_below[k];
     }
     if (count == L) {
         WRT_FOR (L, k) {
@@ -169,8 +169,8 @@ template <int L> inline CUDA_CALLABLE void sum_areas(const AreaMarks<L>& marks, 
 {
     for (int k = 0; k < L; ++k) {
         sums[0] += marks.left[k];
-        sums[1] = marks.most[k] > sums[1] ? marks.most[k] : sums[1];
-        sums[2] = marks.fewest[k] > sums[2] ? marks.fewest[k] : sums[2];
+        sums[1] = marks.max_area[k] > sums[1] ? marks.max_area[k] : sums[1];
+        sums[2] = marks.max_below[k] > sums[2] ? marks.max_below[k] : sums[2];
         sums[3] += marks.alone[k];
     }
 }

@@ -41,49 +41,49 @@ template <class Bounds> inline void set_items(Bounds& bounds, word items)
 
 // -- chains ---------------------------------------------------------------------------------------------------------------
 
-/// A way of a stage of `wrt.kernels.runtime.launch_chain`. end_at: where the end is in the arguments, or 0; spent: nanoseconds
-/// of all threads; items: of the tiles that have gone it; counts: the stage's own numbers of items, or 0.
-struct Way {
+/// A kernel that does a stage of `wrt.kernels.runtime.launch_chain`. end_at: where the end is in the arguments, or 0; spent:
+/// nanoseconds of all threads; items: of the tiles that it has done; counts: the stage's own numbers of items, or 0.
+struct Alternative {
     Entry entry;  // 0: there is none
     const void *bounds, *arguments;
     word argument_bytes, end_at, grain, spent, items;
     const int* counts;
 };
 
-/// Whether a tile goes the second of two ways: the one that has taken less time for an item, once both are tried.
-template <int TRIED_ITEMS, int TRIED_TILE> inline bool takes_other(const Way& way, const Way& other, int tile)
+/// Whether a tile takes the second of two alternatives: the one that has taken less time for an item, once both are tried.
+template <int TRIED_ITEMS, int TRIED_TILE> inline bool takes_other(const Alternative& one, const Alternative& other, int tile)
 {
-    const double items = (double)way.items, other_items = (double)other.items;
-    bool is_other = (double)other.spent * items < (double)way.spent * other_items;
+    const double items = (double)one.items, other_items = (double)other.items;
+    bool is_other = (double)other.spent * items < (double)one.spent * other_items;
     if (tile % TRIED_TILE == TRIED_TILE - 1) is_other = !is_other;
     if (other_items < TRIED_ITEMS) is_other = items >= other_items;
     else if (items < TRIED_ITEMS) is_other = false;
     return is_other;
 }
 
-/// Runs the stages begin .. end - 1 for a tile of `size` items, as long as items are left. stages: two ways each.
+/// Runs the stages begin .. end - 1 for a tile of `size` items, as long as items are left. stages: two alternatives each.
 template <class Bounds, int CLOCK, int TRIED_ITEMS, int TRIED_TILE>
-inline void run_stages(Way* stages, int begin, int end, const int* counts, int size, int tile)
+inline void run_stages(Alternative* stages, int begin, int end, const int* counts, int size, int tile)
 {
     word before = clock_ns(CLOCK);
     Arguments arguments;
     for (int s = begin; s < end; ++s) {
-        Way* way = stages + 2 * s;
-        const bool has_own = way->counts != nullptr;
-        const int left = ((const volatile int*)(has_own ? way->counts : counts))[tile];
+        Alternative* chosen = stages + 2 * s;
+        const bool has_own = chosen->counts != nullptr;
+        const int left = ((const volatile int*)(has_own ? chosen->counts : counts))[tile];
         if (left <= 0 && has_own) continue;
         if (left <= 0) break;
-        if (way[1].entry && takes_other<TRIED_ITEMS, TRIED_TILE>(way[0], way[1], tile)) ++way;
-        arguments.copy(way->arguments, way->argument_bytes);
-        const int grain = (int)way->grain;
+        if (chosen[1].entry && takes_other<TRIED_ITEMS, TRIED_TILE>(chosen[0], chosen[1], tile)) ++chosen;
+        arguments.copy(chosen->arguments, chosen->argument_bytes);
+        const int grain = (int)chosen->grain;
         arguments.number_at(0) = tile * (size / grain);
-        if (way->end_at > 0) arguments.number_at(way->end_at) = tile * size + left;
-        Bounds bounds = *(const Bounds*)way->bounds;
+        if (chosen->end_at > 0) arguments.number_at(chosen->end_at) = tile * size + left;
+        Bounds bounds = *(const Bounds*)chosen->bounds;
         set_items(bounds, (left + grain - 1) / grain);
-        way->entry(&bounds, arguments.bytes);
+        chosen->entry(&bounds, arguments.bytes);
         const word after = clock_ns(CLOCK);
-        __atomic_fetch_add(&way->spent, after - before, __ATOMIC_RELAXED);
-        __atomic_fetch_add(&way->items, (word)left, __ATOMIC_RELAXED);
+        __atomic_fetch_add(&chosen->spent, after - before, __ATOMIC_RELAXED);
+        __atomic_fetch_add(&chosen->items, (word)left, __ATOMIC_RELAXED);
         before = after;
     }
 }

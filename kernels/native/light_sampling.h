@@ -1,7 +1,7 @@
 // Lights for W rays at once: points on them, rays that cross them, and what arrives.
 //
 // The loop over lights is not in lanes: lights are few, and each is taken by the rays that chose it. The scalar functions are
-// wrt.kernels.shading.emitters.light_sampling, .environment, and .wavefront.path_step.lamp_light.
+// wrt.kernels.shading.emitters.light_sampling, .environment, and .wavefront.path_step.sampled_light.
 #pragma once
 #include "scattering.h"
 
@@ -43,16 +43,16 @@ template <int W> inline Floats<W> power_weight(Floats<W> own, Floats<W> other)
     return square / larger(square + other * other, all<W>(1e-30f));
 }
 
-/// Points on flat lights. lift: the distance from a light at which rays to it end.
+/// Points on flat lights. offset: the distance from a light at which rays to it end.
 template <int W>
 inline void find_on_flat(
-    const V3<W>& toward, const V3<W>& axis, Floats<W> area, Ints<W> two_sided, Floats<W> lift, Found<W>& found)
+    const V3<W>& toward, const V3<W>& axis, Floats<W> area, Ints<W> two_sided, Floats<W> offset, Found<W>& found)
 {
     using F = Floats<W>;
     const F distance = root(dot(toward, toward));
     found.direction = toward / distance;
     const F slope = dot(found.direction, axis), cosine = pick(two_sided, absolute(-slope), -slope);
-    found.segment = toward + axis * pick(slope < 0.0f, lift, -lift);
+    found.segment = toward + axis * pick(slope < 0.0f, offset, -offset);
     found.density = pick((distance > 0.0f) & (cosine > 1e-6f), distance * distance / (cosine * area), all<W>(0.0f));
 }
 
@@ -81,10 +81,10 @@ inline void sample_triangles(const Scene& scene, const V3<W>& lit_from, Floats<W
     const V3<W> target = light.corner + light.edge1 * (side * (1.0f - y)) + light.edge2 * (side * y);
     const V3<W> radiance = gather3<W>(materials.emission.data, numbers);
     const F bright = 0.2126f * radiance.x + 0.7152f * radiance.y + 0.0722f * radiance.z;
-    const F lift = OFFSET * reach<W>(scene, target);
+    const F offset = OFFSET * reach<W>(scene, target);
     const F area = lights.triangle_power / larger(bright, all<W>(1e-30f));
     found.radiance = radiance;
-    find_on_flat<W>(target - lit_from, light.normal, area, load<Ints<W>>(sided), lift, found);
+    find_on_flat<W>(target - lit_from, light.normal, area, load<Ints<W>>(sided), offset, found);
 }
 
 /// Points on the part of a sphere that is seen.
@@ -99,7 +99,7 @@ inline void sample_sphere(const Lights& lights, int entry, const V3<W>& lit_from
     const F across = root(larger(all<W>(0.0f), rest * (1.0f + height)));
     const V3<W> forward = axis / distance, tangent = tangent_of<W>(forward);
     F c, s;
-    turned<W>(y, c, s);
+    direction_of<W>(y, c, s);
     const V3<W> aimed = forward * height + (tangent * c + cross(forward, tangent) * s) * across;
     found.direction = aimed / root(dot(aimed, aimed));
     const F half = root(larger(all<W>(0.0f), radius * radius - distance * distance * across * across));
@@ -115,7 +115,7 @@ template <int W, class Lights> inline void sample_sky(const Lights& lights, Floa
     const float *rows = sky.row_sums.data, *cells = sky.cell_sums.data;
     const F height = 1.0f - 2.0f * within<W>(all<W>(rows[0]), all<W>(rows[1]), y);
     F c, s;
-    turned<W>(within<W>(all<W>(cells[0]), all<W>(cells[1]), x) - 0.5f, c, s);
+    direction_of<W>(within<W>(all<W>(cells[0]), all<W>(cells[1]), x) - 0.5f, c, s);
     const F radius = root(larger(all<W>(0.0f), 1.0f - height * height));
     found.direction = (all3<W>(sky.east) * c + all3<W>(sky.north) * s) * radius + all3<W>(sky.up) * height;
     found.segment = found.direction * lights.far;
@@ -124,12 +124,12 @@ template <int W, class Lights> inline void sample_sky(const Lights& lights, Floa
 }
 
 /// How light is found.
-enum class Way { SAMPLED, BOTH, SCALAR };
+enum class Sampling { SAMPLED, BOTH, SCALAR };
 
 /// `sample_light` from `lit_from`, for W places on one light. Whether light is found by sampling alone, by scattering too, or not
 /// in lanes.
 template <int W, class Scene>
-inline Way sample_light(const Scene& scene, int entry, const V3<W>& lit_from, Floats<W> x, Floats<W> y, Found<W>& found)
+inline Sampling sample_light(const Scene& scene, int entry, const V3<W>& lit_from, Floats<W> x, Floats<W> y, Found<W>& found)
 {
     using F = Floats<W>;
     const auto& lights = scene.lights;
@@ -143,12 +143,12 @@ inline Way sample_light(const Scene& scene, int entry, const V3<W>& lit_from, Fl
         found.direction = found.segment / distance;
         found.radiance = found.radiance / larger(square, all<W>(1e-30f));
         found.density = pick(distance > 0.0f, all<W>(1.0f), all<W>(0.0f));
-        return Way::SAMPLED;
+        return Sampling::SAMPLED;
     }
     if (kind == DIRECTIONAL) {
         found.direction = all3<W>(lights.axis.data[entry]) * -1.0f;
         found.segment = found.direction * lights.far;
-        return Way::SAMPLED;
+        return Sampling::SAMPLED;
     }
     if (kind == PARALLELOGRAM || kind == TRIANGLE) {
         const F side = root(x), s = kind == TRIANGLE ? side * (1.0f - y) : x, t = kind == TRIANGLE ? side * y : y;
@@ -157,20 +157,20 @@ inline Way sample_light(const Scene& scene, int entry, const V3<W>& lit_from, Fl
         const auto two_sided = (Ints<W>)(shape.c[3] != 0.0f ? -1 : 0);
         const V3<W> axis = all3<W>(lights.axis.data[entry]);
         find_on_flat<W>(target - lit_from, axis, all<W>(shape.c[2]), two_sided, all<W>(0.0f), found);
-        return Way::BOTH;
+        return Sampling::BOTH;
     }
     if (kind == SPHERE) {
         sample_sphere<W>(lights, entry, lit_from, x, y, found);
-        return Way::BOTH;
+        return Sampling::BOTH;
     }
     if (kind == TRIANGLES) {
         sample_triangles<W>(scene, lit_from, x, y, found);
-        return Way::BOTH;
+        return Sampling::BOTH;
     }
     const auto& sky = lights.sky;
-    if (kind != SKY || sky.width * sky.height != 1 || sky.rows * sky.columns != 1) return Way::SCALAR;
+    if (kind != SKY || sky.width * sky.height != 1 || sky.rows * sky.columns != 1) return Sampling::SCALAR;
     sample_sky<W>(lights, x, y, found);
-    return Way::BOTH;
+    return Sampling::BOTH;
 }
 
 /// Which rays cross flat or round light `e` before they end, and the density with which it would be sampled: `crossed_light`.

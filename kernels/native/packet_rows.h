@@ -155,7 +155,7 @@ inline CUDA_CALLABLE int join_packets(
         WRT_UNROLLED
         for (int r = 0; r < 3; r += 2) grow(found.low[r][a], from_zero), grow(found.high[r][a], from_zero);
     }
-    const float negligible = (size > LEAST_SIZE ? size : LEAST_SIZE) * NEGLIGIBLE, error = ENDS_ERROR * from_zero;
+    const float negligible = (size > MIN_SIZE ? size : MIN_SIZE) * NEGLIGIBLE, error = ENDS_ERROR * from_zero;
     const bool one_range = !rays.t_max_stride;  // what `last` is for
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {

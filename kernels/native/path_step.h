@@ -1,4 +1,4 @@
-// A step of path tracing for W plain rays at once: wrt.kernels.shading.wavefront.path_step, in lanes.
+// A step of path tracing for W simple rays at once: wrt.kernels.shading.wavefront.path_step, in lanes.
 #pragma once
 #include "light_sampling.h"
 
@@ -20,7 +20,7 @@ template <int W> struct Sent {
 
 /// Adds `crossed_lights` and `sky_light` to the samples of these rays.
 template <int W, class A>
-inline void collect(const A& a, bool samples_lights, const Surfaces<W>& s, const Rays<W>& ray, Ints<W> plain)
+inline void collect(const A& a, bool samples_lights, const Surfaces<W>& s, const Rays<W>& ray, Ints<W> simple)
 {
     using F = Floats<W>;
     const auto& lights = a.scene.lights;
@@ -33,7 +33,7 @@ inline void collect(const A& a, bool samples_lights, const Surfaces<W>& s, const
     V3<W> found = zero3<W>();
     for (int e = 0; e < lights.areas; ++e) {
         F density;
-        const Ints<W> crosses = crossed<W>(lights, e, start, ray.direction, end, density) & plain;
+        const Ints<W> crosses = crossed<W>(lights, e, start, ray.direction, end, density) & simple;
         if (!is_any(crosses)) continue;
         const F other = density * (lights.sums.data[e + 1] - lights.sums.data[e]);
         const F part = pick(own > 0.0f, power_weight<W>(own, other), all<W>(1.0f));
@@ -49,13 +49,13 @@ inline void collect(const A& a, bool samples_lights, const Surfaces<W>& s, const
     save(red, found.x), save(green, found.y), save(blue, found.z);
     WRT_SCALAR
     for (int i = 0; i < W; ++i) {
-        if (!plain[i] || red[i] + green[i] + blue[i] == 0.0f) continue;
+        if (!simple[i] || red[i] + green[i] + blue[i] == 0.0f) continue;
         auto& sum = a.rays.radiance.data[a.queue.slot.data[ray.first + i]];
         sum.c[0] += red[i], sum.c[1] += green[i], sum.c[2] += blue[i];
     }
 }
 
-/// `lamp_light` for matte points. Those whose light is not sampled in lanes are no longer plain.
+/// `sampled_light` for matte points. Those whose light is not sampled in lanes are no longer simple.
 template <int W, class A, class Step>
 inline Arrivals<W> gather(
     const A& a, const Step& step, const SampleKeys<W>& keys, const Points<W>& p, const Rays<W>& ray, Surfaces<W>& s)
@@ -76,8 +76,8 @@ inline Arrivals<W> gather(
         const I takes = s.matte & (entry == e);
         if (!is_any(takes)) continue;
         Found<W> light;
-        const Way way = sample_light<W>(a.scene, e, p.lit_from, x, y, light);
-        if (way == Way::SCALAR) {
+        const Sampling sampling = sample_light<W>(a.scene, e, p.lit_from, x, y, light);
+        if (sampling == Sampling::SCALAR) {
             s.matte = s.matte & (entry != e);
             continue;
         }
@@ -85,7 +85,7 @@ inline Arrivals<W> gather(
         const F cosine = dot(p.normal, light.direction), scatters = absolute(cosine) / PI;
         const F density = light.density * probability;
         F share = 1.0f / density;
-        if (way == Way::BOTH) share = share * power_weight<W>(density, scatters);
+        if (sampling == Sampling::BOTH) share = share * power_weight<W>(density, scatters);
         const I faces = (cosine > 0.0f) & (dot(light.direction, p.face_normal) > 0.0f);
         const I arrives = takes & (light.density > 0.0f) & faces & (scatters > 0.0f);
         const V3<W> value = s.color * scatters;
@@ -116,11 +116,11 @@ inline Sent<W> scatter(
         sent.toward = pick3<W>(s.single(), kept_above<W>(single, p.face_normal, sent.transmitted), sent.toward);
         sent.share = pick3<W>(sent.transmitted, ray.weight * (s.color * (b.ratio * b.ratio)), sent.share);
     }
-    const F most = largest<W>(sent.share);
+    const F max_share = largest<W>(sent.share);
     sent.alive = is_weight<W>(sent.share);
     sent.alive = sent.alive & ~((dot(sent.toward, p.face_normal) < 0.0f) ^ sent.transmitted) & s.going_on();
     if (step.generation >= step.roulette) {
-        const F survival = smaller(most, all<W>(0.95f));
+        const F survival = smaller(max_share, all<W>(0.95f));
         sent.alive = sent.alive & (keys.number(3 * step.generation + 2) < survival);
         sent.share = sent.share / survival;
     }
@@ -130,7 +130,7 @@ inline Sent<W> scatter(
     return sent;
 }
 
-/// The step of the plain ones among W rays from number `first` on, which all exist; one bit for each. Writer: what becomes of
+/// The step of the simple ones among W rays from number `first` on, which all exist; one bit for each. Writer: what becomes of
 /// paths that go on and of shadow rays.
 template <int W, class A, class Step, class Writer>
 inline unsigned shade_paths(const A& a, const Step& step, int first, Writer&& writer)
@@ -140,7 +140,7 @@ inline unsigned shade_paths(const A& a, const Step& step, int first, Writer&& wr
     if (a.source.sampler != SOBOL && a.source.sampler != RANDOM) return 0;
     Surfaces<W> s;
     read_surfaces<W>(a, first, s);
-    if (!find_plain<W>(scene, step.is_last, s)) return 0;
+    if (!find_simple<W>(scene, step.is_last, s)) return 0;
     const Rays<W> ray = read_rays<W>(a, first);
     if (!is_any(s.going_on())) {
         collect<W>(a, step.samples_lights, s, ray, s.ended);
@@ -152,24 +152,24 @@ inline unsigned shade_paths(const A& a, const Step& step, int first, Writer&& wr
     const SampleKeys<W> keys = sample_keys<W>(a.source, a.wave, ray.slot, pixel);
     const Arrivals<W> arrivals = gather<W>(a, step, keys, p, ray, s);
     const Sent<W> sent = scatter<W>(step, keys, p, s, ray);
-    const Ints<W> plain = s.going_on() | s.ended;
-    if (!is_any(plain)) return 0;
-    collect<W>(a, step.samples_lights, s, ray, plain);
-    writer.write(ray, sent, arrivals, plain);
-    return bits_of(plain);
+    const Ints<W> simple = s.going_on() | s.ended;
+    if (!is_any(simple)) return 0;
+    collect<W>(a, step.samples_lights, s, ray, simple);
+    writer.write(ray, sent, arrivals, simple);
+    return bits_of(simple);
 }
 
 /// Writes paths and shadow rays to the places of the rays that they follow.
 template <class Queue, class Flags, class Gathered> struct InPlace {
     const Queue& following;
-    const Flags& goes_on;
+    const Flags& is_alive;
     const Gathered& rays;
 
     /// No path goes on.
     template <int W> void end(const Rays<W>& ray)
     {
         save(following.slot.data + ray.first, ray.slot);
-        save(goes_on.data + ray.first, (Ints<W>)0);
+        save(is_alive.data + ray.first, (Ints<W>)0);
         save3<W>(rays.lit.data + ray.first, zero3<W>());
         save3<W>(rays.shadow_direction.data + ray.first, zero3<W>());
         save3<W>(rays.shadow_origin.data + ray.first, zero3<W>());
@@ -185,7 +185,7 @@ template <class Queue, class Flags, class Gathered> struct InPlace {
         save(following.density.data + first, sent.density);
         save(following.slot.data + first, ray.slot);
         save_media<W>(following.media.data + first, sent.media);
-        save(goes_on.data + first, -sent.alive);
+        save(is_alive.data + first, -sent.alive);
         save3<W>(rays.lit.data + first, found.lit);
         save3<W>(rays.shadow_direction.data + first, found.segment);
         save3<W>(rays.shadow_origin.data + first, pick3<W>(is_lit, found.origin, zero3<W>()));
@@ -203,7 +203,7 @@ template <class Queue, class Slots, class Gathered> struct Appended {
 
     template <int W> void end(const Rays<W>&) { }
 
-    template <int W> void write(const Rays<W>& ray, const Sent<W>& sent, const Arrivals<W>& found, Ints<W> plain)
+    template <int W> void write(const Rays<W>& ray, const Sent<W>& sent, const Arrivals<W>& found, Ints<W> simple)
     {
         const unsigned on = bits_of(sent.alive);
         if (on) {
@@ -216,7 +216,7 @@ template <class Queue, class Slots, class Gathered> struct Appended {
             save_media<W>(following.media.data + to, packed(sent.media, lanes));
             to += count_bits(on);
         }
-        const unsigned listed = bits_of(plain & ((found.lit.x != 0.0f) | (found.lit.y != 0.0f) | (found.lit.z != 0.0f)));
+        const unsigned listed = bits_of(simple & ((found.lit.x != 0.0f) | (found.lit.y != 0.0f) | (found.lit.z != 0.0f)));
         if (listed) {
             const Ints<W> lanes = lanes_of<W>(listed);
             save3<W>(rays.lit.data + entry, packed3<W>(found.lit, lanes));

@@ -1,16 +1,16 @@
-// The native half of the thread pool: `wrt.kernels.runtime.board` has the protocol. CPUs only.
+// The native half of the thread pool: `wrt.kernels.runtime.job_queue` has the protocol. CPUs only.
 #pragma once
-#include "own_core.h"
+#include "core_pinning.h"
 
 #if !defined(__CUDA_ARCH__)
 
 namespace wrt::pool {
 namespace {
 
-/// Nanoseconds after which a leader returns to Python, which then handles signals.
+/// Nanoseconds after which a caller returns to Python, which then handles signals.
 constexpr word TURN_NS = 20000000;
 
-/// Number of sleeping helpers that a leader wakes, and that each woken helper wakes.
+/// Number of sleeping helpers that a caller wakes, and that each woken helper wakes.
 constexpr word WAKE = 2;
 
 #if defined(__aarch64__)
@@ -23,21 +23,21 @@ enum { FUTEX_WAIT_PRIVATE = 128, FUTEX_WAKE_PRIVATE = 129, CLOCK_MONOTONIC = 1 }
 /// How the items of a job are divided among threads: `wrt.kernels.runtime.schedules`. The last two have queues.
 enum class Schedule : word { GUIDED, FIXED, LOCKED, ROUND_ROBIN, STEALING };
 
-/// What the leader of a slot does.
+/// What the caller of a slot does.
 enum class Phase : word { IDLE, RUNNING, ENDING, BETWEEN };
 
 /// Chunks of a thread, in two cache lines.
-struct Queue {
+struct ChunkQueue {
     word next, end, owner, apart[13];
 };
 
-/// A launch: `wrt.kernels.runtime.board.Job`.
+/// A launch: `wrt.kernels.runtime.job_queue.Job`.
 struct Job {
     Entry entry;
     const void *bounds, *arguments;
-    word argument_bytes, count, largest, smallest, divisor, helpers;
+    word argument_bytes, count, max_chunk, min_chunk, divisor, helpers;
     Schedule schedule;
-    Queue* queues;
+    ChunkQueue* queues;
     word queue_count;
     const int* count_at;
     const Job* following;
@@ -45,13 +45,13 @@ struct Job {
     word unused;
 };
 
-/// A job on the board. generation: odd while it accepts helpers, each change ends or begins a job; active: helpers that work on
+/// A job in the queue. generation: odd while it accepts helpers, each change ends or begins a job; active: helpers that work on
 /// it; next: first item that no thread has claimed. What other threads write is apart from what they read.
 struct JobSlot {
     word generation, apart_1[15];
     word active, apart_2[15];
     word next, lock, joined, apart_3[13];
-    word leader_queue;
+    word caller_queue;
     Phase phase;
     const Job* current;
     word stopped;
@@ -64,7 +64,7 @@ struct JobSlot {
 
 /// Memory that all threads of a pool share. mask: bit s is set while slot s has a job; epoch: the futex on which helpers sleep;
 /// sleeping, spinning: numbers of helpers; stays: whether a sleeping helper stays on its core.
-struct Board {
+struct JobQueue {
     static constexpr int SLOTS = 64;
 
     word mask, apart_1[15];
@@ -87,17 +87,17 @@ inline void relax()
 
 inline word now() { return clock_ns(CLOCK_MONOTONIC); }
 
-inline void futex(Board& board, int operation, long value)
+inline void futex(JobQueue& job_queue, int operation, long value)
 {
-    wrt_syscall(SYS_FUTEX, &board.epoch, operation, value, nullptr, nullptr, 0);
+    wrt_syscall(SYS_FUTEX, &job_queue.epoch, operation, value, nullptr, nullptr, 0);
 }
 
-inline void wake(Board& board, word most)
+inline void wake(JobQueue& job_queue, word max_woken)
 {
-    if (most <= 0 || get(board.sleeping) == 0) return;
-    if (get(board.stays)) make_way(board.sleepers);
-    __atomic_fetch_add((int*)&board.epoch, 1, __ATOMIC_SEQ_CST);
-    futex(board, FUTEX_WAKE_PRIVATE, most);
+    if (max_woken <= 0 || get(job_queue.sleeping) == 0) return;
+    if (get(job_queue.stays)) move_sleepers_away(job_queue.sleepers);
+    __atomic_fetch_add((int*)&job_queue.epoch, 1, __ATOMIC_SEQ_CST);
+    futex(job_queue, FUTEX_WAKE_PRIVATE, max_woken);
 }
 
 // -- chunks ---------------------------------------------------------------------------------------------------------------
@@ -106,20 +106,20 @@ inline void wake(Board& board, word most)
 inline word shrinking(const Job& job, word left)
 {
     word n = left / job.divisor;
-    n = n > job.largest ? job.largest : n;
-    n = n < job.smallest ? job.smallest : n;
+    n = n > job.max_chunk ? job.max_chunk : n;
+    n = n < job.min_chunk ? job.min_chunk : n;
     return n < left ? n : left;
 }
 
 /// Takes a chunk of a queue, whose items lie `step` apart; false if it is empty.
-inline bool take_from(const JobSlot& slot, Queue& queue, word& first, word& n)
+inline bool take_from(const JobSlot& slot, ChunkQueue& queue, word& first, word& n)
 {
-    const word largest = slot.job.largest, end = queue.end;
-    const word step = slot.is_strided() ? largest * slot.job.queue_count : largest;
+    const word max_chunk = slot.job.max_chunk, end = queue.end;
+    const word step = slot.is_strided() ? max_chunk * slot.job.queue_count : max_chunk;
     if (get(queue.next) >= end) return false;
     first = add(queue.next, step);
     if (first >= end) return false;
-    n = end - first < largest ? end - first : largest;
+    n = end - first < max_chunk ? end - first : max_chunk;
     return true;
 }
 
@@ -152,10 +152,10 @@ inline bool claim_guided(JobSlot& slot, word& first, word& n)
 
 inline bool claim_fixed(JobSlot& slot, word& first, word& n)
 {
-    const word count = slot.job.count, largest = slot.job.largest;
+    const word count = slot.job.count, max_chunk = slot.job.max_chunk;
     if (get(slot.next) >= count) return false;
-    first = add(slot.next, largest);
-    n = count - first < largest ? count - first : largest;
+    first = add(slot.next, max_chunk);
+    n = count - first < max_chunk ? count - first : max_chunk;
     return first < count;
 }
 
@@ -227,10 +227,10 @@ inline bool wants_help(const JobSlot& slot, word generation)
     return job.schedule >= Schedule::ROUND_ROBIN ? get(slot.joined) < job.helpers : get(slot.next) < job.count;
 }
 
-inline bool any_wants_help(const Board& board)
+inline bool any_wants_help(const JobQueue& job_queue)
 {
-    for (unsigned long long mask = get(board.mask); mask; mask &= mask - 1) {
-        const JobSlot& slot = board.slots[__builtin_ctzll(mask)];
+    for (unsigned long long mask = get(job_queue.mask); mask; mask &= mask - 1) {
+        const JobSlot& slot = job_queue.slots[__builtin_ctzll(mask)];
         if (wants_help(slot, get(slot.generation))) return true;
     }
     return false;
@@ -253,80 +253,80 @@ template <class Bounds> inline bool help(JobSlot& slot)
     return helped;
 }
 
-inline void sleep(Board& board, word helper)
+inline void sleep(JobQueue& job_queue, word helper)
 {
-    if (get(board.stays)) stay(board.sleepers, helper);
-    const int epoch = __atomic_load_n((int*)&board.epoch, __ATOMIC_SEQ_CST);
-    add(board.sleeping, 1);
-    if (get(board.closed) == 0 && !any_wants_help(board)) futex(board, FUTEX_WAIT_PRIVATE, epoch);
-    add(board.sleeping, -1);
-    stay_no_longer(board.sleepers, helper);
+    if (get(job_queue.stays)) pin(job_queue.sleepers, helper);
+    const int epoch = __atomic_load_n((int*)&job_queue.epoch, __ATOMIC_SEQ_CST);
+    add(job_queue.sleeping, 1);
+    if (get(job_queue.closed) == 0 && !any_wants_help(job_queue)) futex(job_queue, FUTEX_WAIT_PRIVATE, epoch);
+    add(job_queue.sleeping, -1);
+    unpin(job_queue.sleepers, helper);
 }
 
 /// Waits awake until there is work, for a while; false if it is time to sleep.
-inline bool spin(Board& board)
+inline bool spin(JobQueue& job_queue)
 {
-    if (add(board.spinning, 1) >= board.max_spinning) {
-        add(board.spinning, -1);
+    if (add(job_queue.spinning, 1) >= job_queue.max_spinning) {
+        add(job_queue.spinning, -1);
         return false;
     }
-    const word until = now() + board.spin_ns;
+    const word until = now() + job_queue.spin_ns;
     bool found = false;
     do {
         for (int i = 0; i < 64 && !found; ++i) {
             relax();
-            found = get(board.mask) != 0;
+            found = get(job_queue.mask) != 0;
         }
-        found = found && (any_wants_help(board) || get(board.closed) != 0);
-    } while (!found && get(board.closed) == 0 && now() < until);
-    add(board.spinning, -1);
+        found = found && (any_wants_help(job_queue) || get(job_queue.closed) != 0);
+    } while (!found && get(job_queue.closed) == 0 && now() < until);
+    add(job_queue.spinning, -1);
     return found;
 }
 
-/// The loop of a helper; returns when the board is closed.
-template <class Bounds> inline void serve(Board& board, word helper)
+/// The loop of a helper; returns when the job queue is closed.
+template <class Bounds> inline void run_as_helper(JobQueue& job_queue, word helper)
 {
-    while (get(board.closed) == 0) {
+    while (get(job_queue.closed) == 0) {
         bool helped = false;
-        for (unsigned long long mask = get(board.mask); mask; mask &= mask - 1)
-            helped |= help<Bounds>(board.slots[__builtin_ctzll(mask)]);
-        if (helped || spin(board)) continue;
-        sleep(board, helper);
-        if (any_wants_help(board)) wake(board, WAKE);
+        for (unsigned long long mask = get(job_queue.mask); mask; mask &= mask - 1)
+            helped |= help<Bounds>(job_queue.slots[__builtin_ctzll(mask)]);
+        if (helped || spin(job_queue)) continue;
+        sleep(job_queue, helper);
+        if (any_wants_help(job_queue)) wake(job_queue, WAKE);
     }
 }
 
-// -- leaders --------------------------------------------------------------------------------------------------------------
+// -- callers --------------------------------------------------------------------------------------------------------------
 
 inline void fill_queues(const JobSlot& slot)
 {
     const Job& job = slot.job;
     const word share = job.queue_count > 0 ? (job.count + job.queue_count - 1) / job.queue_count : 0;
     for (word q = 0; q < job.queue_count; ++q) {
-        Queue& queue = job.queues[q];
+        ChunkQueue& queue = job.queues[q];
         const word end = (q + 1) * share < job.count ? (q + 1) * share : job.count;
-        queue.next = slot.is_strided() ? q * job.largest : q * share;
+        queue.next = slot.is_strided() ? q * job.max_chunk : q * share;
         queue.end = slot.is_strided() ? job.count : end;
         queue.owner = 0;
     }
 }
 
 /// Begins the current job of a slot, and wakes helpers for it.
-inline void begin(Board& board, JobSlot& slot)
+inline void begin(JobQueue& job_queue, JobSlot& slot)
 {
     Job& job = slot.job;
     __builtin_memcpy(&job, slot.current, sizeof(Job));
     if (job.count_at) job.count = *job.count_at;
     slot.next = slot.lock = slot.joined = 0;
-    slot.leader_queue = -1;
+    slot.caller_queue = -1;
     fill_queues(slot);
     slot.phase = Phase::RUNNING;
     set(slot.generation, slot.generation + 1);
-    const word chunks = (job.count + job.smallest - 1) / job.smallest;
+    const word chunks = (job.count + job.min_chunk - 1) / job.min_chunk;
     if (job.helpers > 0 && chunks > 1) {
-        __atomic_fetch_or(&board.mask, 1ll << (&slot - board.slots), __ATOMIC_SEQ_CST);
-        const word wanted = (job.helpers < chunks - 1 ? job.helpers : chunks - 1) - get(board.spinning);
-        wake(board, wanted < WAKE ? wanted : WAKE);
+        __atomic_fetch_or(&job_queue.mask, 1ll << (&slot - job_queue.slots), __ATOMIC_SEQ_CST);
+        const word wanted = (job.helpers < chunks - 1 ? job.helpers : chunks - 1) - get(job_queue.spinning);
+        wake(job_queue, wanted < WAKE ? wanted : WAKE);
     }
 }
 
@@ -337,14 +337,14 @@ inline void end_generation(JobSlot& slot)
 }
 
 /// Works on the slot's job until all is claimed; false if the time is up.
-template <class Bounds> inline bool run_job(Board& board, JobSlot& slot, word until)
+template <class Bounds> inline bool run_job(JobQueue& job_queue, JobSlot& slot, word until)
 {
-    if ((slot.generation & 1) && !drain<Bounds>(slot, slot.generation, slot.leader_queue, until)) return false;
+    if ((slot.generation & 1) && !drain<Bounds>(slot, slot.generation, slot.caller_queue, until)) return false;
     while ((slot.generation & 1) && !all_empty(slot.job)) {
         wrt_yield();
         if (now() > until) return false;
     }
-    __atomic_fetch_and(&board.mask, ~(1ll << (&slot - board.slots)), __ATOMIC_SEQ_CST);
+    __atomic_fetch_and(&job_queue.mask, ~(1ll << (&slot - job_queue.slots)), __ATOMIC_SEQ_CST);
     end_generation(slot);
     slot.phase = Phase::ENDING;
     return true;
@@ -364,8 +364,8 @@ inline bool wait_for_helpers(const JobSlot& slot, word until)
     return true;
 }
 
-/// A turn of a leader: begins a job in a slot, or goes on with the current one and those that follow it.
-template <class Bounds> inline void lead(Board& board, JobSlot& slot, const Job* job)
+/// A turn of a caller: begins a job in a slot, or goes on with the current one and those that follow it.
+template <class Bounds> inline void run_as_caller(JobQueue& job_queue, JobSlot& slot, const Job* job)
 {
     const word until = now() + TURN_NS;
     if (slot.phase == Phase::IDLE) {
@@ -374,9 +374,9 @@ template <class Bounds> inline void lead(Board& board, JobSlot& slot, const Job*
         slot.phase = Phase::BETWEEN;
     }
     for (;;) {
-        if (slot.phase == Phase::BETWEEN && !slot.stopped) begin(board, slot);
+        if (slot.phase == Phase::BETWEEN && !slot.stopped) begin(job_queue, slot);
         else if (slot.phase == Phase::BETWEEN) break;
-        if (slot.phase == Phase::RUNNING && !run_job<Bounds>(board, slot, until)) return;
+        if (slot.phase == Phase::RUNNING && !run_job<Bounds>(job_queue, slot, until)) return;
         if (!wait_for_helpers(slot, until)) return;
         const bool ends = slot.stopped || (slot.job.while_at && *slot.job.while_at == 0);
         slot.current = ends ? nullptr : slot.job.following;
@@ -395,11 +395,11 @@ inline void stop(JobSlot& slot)
 }
 
 /// Makes all helpers return.
-inline void close(Board& board)
+inline void close(JobQueue& job_queue)
 {
-    set(board.closed, 1);
-    add(board.epoch, 1);
-    futex(board, FUTEX_WAKE_PRIVATE, 1 << 30);
+    set(job_queue.closed, 1);
+    add(job_queue.epoch, 1);
+    futex(job_queue, FUTEX_WAKE_PRIVATE, 1 << 30);
 }
 
 }  // namespace

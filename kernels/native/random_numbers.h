@@ -88,7 +88,7 @@ inline SampleKeys<W> sample_keys(const Source& source, const Wave& wave, Ints<W>
 }
 
 /// Cosine and sine of angles in turns.
-template <int W> inline void turned(Floats<W> u, Floats<W>& cosine, Floats<W>& sine)
+template <int W> inline void direction_of(Floats<W> u, Floats<W>& cosine, Floats<W>& sine)
 {
     using F = Floats<W>;
     using I = Ints<W>;
@@ -123,7 +123,7 @@ template <int W> inline V3<W> cosine_direction(const V3<W>& n, Floats<W> x, Floa
     const V3<W> bitangent = {b, sign + n.y * n.y * a, -n.y};
     const F radius = root(x), height = root(larger(1.0f - x, all<W>(0.0f)));
     F c, s;
-    turned<W>(y, c, s);
+    direction_of<W>(y, c, s);
     return tangent * (radius * c) + bitangent * (radius * s) + n * height;
 }
 

@@ -19,7 +19,7 @@ constexpr float FARTHEST = 3.4028234663852886e38f;
 constexpr float NEGLIGIBLE = 7.888609052210118e-31f;
 
 /// SHORTEST / NEGLIGIBLE.
-constexpr float LEAST_SIZE = 1.4901161193847656e-08f;
+constexpr float MIN_SIZE = 1.4901161193847656e-08f;
 
 inline CUDA_CALLABLE float largest_size(float x, float y, float z)
 {
@@ -31,10 +31,10 @@ inline CUDA_CALLABLE float largest_size(float x, float y, float z)
 /// Sets the negligible components of a direction to 0; NaN is kept (`usable_direction`).
 inline CUDA_CALLABLE void drop_negligible(float& x, float& y, float& z)
 {
-    const float size = largest_size(x, y, z), least = (size > LEAST_SIZE ? size : LEAST_SIZE) * NEGLIGIBLE;
-    x = WRT_ABS(x) < least ? 0.0f : x;
-    y = WRT_ABS(y) < least ? 0.0f : y;
-    z = WRT_ABS(z) < least ? 0.0f : z;
+    const float size = largest_size(x, y, z), negligible = (size > MIN_SIZE ? size : MIN_SIZE) * NEGLIGIBLE;
+    x = WRT_ABS(x) < negligible ? 0.0f : x;
+    y = WRT_ABS(y) < negligible ? 0.0f : y;
+    z = WRT_ABS(z) < negligible ? 0.0f : z;
 }
 
 /// Whether a ray is one (`checked_ray`), from its direction x, y, z, its origin and its range.

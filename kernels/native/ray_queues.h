@@ -52,10 +52,11 @@ inline CUDA_CALLABLE int part_rays(
 /// Copies those of the rays 2 begin .. 2 end - 1 that go on to the places from `to` on; returns the first one after them. Writes
 /// one place more.
 template <class Queue, class Flags>
-inline CUDA_CALLABLE int append_rays(int begin, int end, const Queue& scratch, const Flags& goes_on, const Queue& queue, int to)
+inline CUDA_CALLABLE int append_rays(
+    int begin, int end, const Queue& scratch, const Flags& is_alive, const Queue& queue, int to)
 {
     unsigned any = 0;
-    for (int k = 2 * begin; k < 2 * end; ++k) any |= (unsigned)goes_on.data[k];
+    for (int k = 2 * begin; k < 2 * end; ++k) any |= (unsigned)is_alive.data[k];
     if (!any) return to;
     for (int k = 2 * begin; k < 2 * end; ++k) {  // a branch would be taken at random: rays that end are overwritten
         queue.origin.data[to] = scratch.origin.data[k];
@@ -63,7 +64,7 @@ inline CUDA_CALLABLE int append_rays(int begin, int end, const Queue& scratch, c
         queue.weight.data[to] = scratch.weight.data[k];
         queue.slot.data[to] = scratch.slot.data[k];
         queue.media.data[to] = scratch.media.data[k];
-        to += goes_on.data[k];
+        to += is_alive.data[k];
     }
     return to;
 }
@@ -130,7 +131,7 @@ inline CUDA_CALLABLE void gather_trees(int begin, int stop, int shadows, int fir
                 for (int j = i, k = first_shadow; j < end; ++j) {
                     if (light == 0) add_light(sum, rays.emitted.data[j]);
                     for (; k < shadow && listed.ray.data[k] == j; ++k)
-                        if (listed.lamp.data[k] == first_light + light && !blocked.data[k]) add_light(sum, rays.lit.data[k]);
+                        if (listed.light.data[k] == first_light + light && !blocked.data[k]) add_light(sum, rays.lit.data[k]);
                 }
             }
         }
@@ -150,9 +151,9 @@ inline CUDA_CALLABLE void add_samples(const Vec* radiance, int samples, float li
     float r = total.c[0], g = total.c[1], b = total.c[2], square = squares;
     for (int sample = 0; sample < samples; ++sample, value += 3) {
         float x = value[0], y = value[1], z = value[2];
-        const float most = max_number(x, max_number(y, z));
-        if (most > limit) {
-            const float share = limit / most;
+        const float brightest = max_number(x, max_number(y, z));
+        if (brightest > limit) {
+            const float share = limit / brightest;
             x *= share, y *= share, z *= share;
         }
         r += x, g += y, b += z;

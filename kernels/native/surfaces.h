@@ -1,4 +1,4 @@
-// What W rays hit: materials, which rays are plain, and the points where they end.
+// What W rays hit: materials, which rays are simple, and the points where they end.
 //
 // The scalar functions are wrt.kernels.shading.bsdf.material_table, .shading_point and .wavefront.scene_light.
 #pragma once
@@ -10,9 +10,9 @@ namespace {
 
 constexpr float OFFSET = 3.814697265625e-06f, INSET = 7.0f;
 constexpr int DIFFUSE = 0, MIRROR = 1, DIELECTRIC = 2;
-constexpr float SMALLEST_ALPHA = 0.001f;
+constexpr float MIN_ALPHA = 0.001f;
 
-/// Scenes with more lights have no plain rays: each light costs all lanes.
+/// Scenes with more lights have no simple rays: each light costs all lanes.
 constexpr int MAX_LIGHTS = 8;
 
 template <int W> inline void save_media(void* to, Ints<W> media)
@@ -46,7 +46,7 @@ template <int W, class A> inline Rays<W> read_rays(const A& a, int first)
     return {first, direction, weight, load<Ints<W>>(a.queue.slot.data + first)};
 }
 
-/// The surfaces that W rays hit, and which rays are plain, by what happens to them. Paths end (`ended`) where nothing is hit, and
+/// The surfaces that W rays hit, and which rays are simple, by what happens to them. Paths end (`ended`) where nothing is hit, and
 /// in the last generation.
 template <int W> struct Surfaces {
     Ints<W> is_hit, media, in_air, is_clear;
@@ -97,8 +97,8 @@ template <int W, class A> inline void read_surfaces(const A& a, int first, Surfa
     });
 }
 
-/// Which rays are plain; false if none is.
-template <int W, class Scene> inline bool find_plain(const Scene& scene, bool is_last, Surfaces<W>& s)
+/// Which rays are simple; false if none is.
+template <int W, class Scene> inline bool find_simple(const Scene& scene, bool is_last, Surfaces<W>& s)
 {
     using I = Ints<W>;
     const auto& lights = scene.lights;
@@ -107,7 +107,7 @@ template <int W, class Scene> inline bool find_plain(const Scene& scene, bool is
     const I goes = is_last ? (I)0 : s.is_hit & s.is_dark & ~s.has_image & s.is_clear;
     s.matte = goes & s.in_air & (s.kind == DIFFUSE) & (s.through == 0.0f), s.mirror = goes & (s.kind == MIRROR);
     s.glass = goes & (s.kind == DIELECTRIC) & (s.in_air | (s.media == s.number + 1));
-    s.glass = s.glass & (s.rough * s.rough < SMALLEST_ALPHA);
+    s.glass = s.glass & (s.rough * s.rough < MIN_ALPHA);
     if (scene.schlick) s.glass = (I)0;
     const I emits = lights.triangle_entry < 0 ? (I)0 : ~s.is_dark;
     const I escapes = lights.sky_entry < 0 || is_even ? ~s.is_hit : (I)0;
@@ -159,7 +159,7 @@ template <int W> inline void keep_from_edges(const Faces<W>& face, Ints<W> lanes
     const V3<W> across = cross(face.edge1, face.edge2);
     const F area = root(dot(across, across));
     const I moves = is_near & (area > 0.0f);
-    const auto part = [&](F least, F share, F over) { return larger(all<W>(0.0f), least - share) / over / (over * area); };
+    const auto part = [&](F lower, F share, F over) { return larger(all<W>(0.0f), lower - share) / over / (over * area); };
     for (int pass = 0; pass < 2; ++pass) {
         const V3<W> step = edge0 * part(least0, p.w0, inverse.x) + edge1 * part(least1, p.w1, inverse.y)
             + edge2 * part(least2, p.w2, inverse.z);
@@ -179,18 +179,18 @@ inline void smooth(const Scene& scene, const int* face_of, const Faces<W>& face,
         for (int i = 0; i < W; ++i) numbers[i] = 3 * face_of[i] + corner;
         return gather3<W>(scene.shaded.corner_normals.data, numbers) * p.side;
     };
-    const auto lift
+    const auto raised
         = [&](const V3<W>& corner, const V3<W>& n) { return n * -smaller(all<W>(0.0f), dot(p.position - corner, n)); };
     const V3<W> na = corner_normals(0), nb = corner_normals(1), nc = corner_normals(2);
     const V3<W> blend = na * p.w0 + nb * p.w1 + nc * p.w2;
     const Ints<W> is_round = (face.curved != 0.0f) & (dot(blend, p.face_normal) > 0.0f) & (dot(blend, direction) < 0.0f);
-    const V3<W> rise
-        = lift(face.corner, na) * p.w0 + lift(face.corner + face.edge1, nb) * p.w1 + lift(face.corner + face.edge2, nc) * p.w2;
+    const V3<W> rise = raised(face.corner, na) * p.w0 + raised(face.corner + face.edge1, nb) * p.w1
+        + raised(face.corner + face.edge2, nc) * p.w2;
     p.normal = pick3<W>(is_round, blend / root(dot(blend, blend)), p.face_normal);
     p.lit_from = pick3<W>(is_round, p.position + rise, p.position);
 }
 
-/// The points where rays end. Rays that hit a triangle without an area are no longer plain.
+/// The points where rays end. Rays that hit a triangle without an area are no longer simple.
 template <int W, class A> inline Points<W> find_points(const A& a, const Rays<W>& ray, Surfaces<W>& s)
 {
     using F = Floats<W>;

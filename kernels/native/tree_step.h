@@ -1,4 +1,4 @@
-// A step of trees of rays for W plain rays at once: wrt.kernels.shading.wavefront.tree_step, in lanes.
+// A step of trees of rays for W simple rays at once: wrt.kernels.shading.wavefront.tree_step, in lanes.
 #pragma once
 #include "scattering.h"
 
@@ -55,25 +55,25 @@ template <int W> struct Sender {
     Ints<W> send(const Step& step, Ints<W> sends, const V3<W>& toward, const V3<W>& part, bool is_transmitted, V3<W>& share)
     {
         share = ray.weight * part;
-        const Floats<W> most = largest<W>(share);
+        const Floats<W> max_share = largest<W>(share);
         Ints<W> alive = sends & is_weight<W>(share);
         alive = alive & (dot(toward, toward) > 0.5f);
-        const Ints<W> dim = alive & (most < step.threshold);
+        const Ints<W> dim = alive & (max_share < step.threshold);
         if (!is_any(dim)) return alive;
         if (!step.roulette) return alive & ~dim;
         if (!knows_branch) branch = branches_of<W>(slots, begin, ray.first);
         knows_branch = true;
         const SampleKeys<W> own = {false, keys.pixel + (Words<W>)branch * MIX_1, keys.sample};
         const Floats<W> chance = own.number(3 * step.generation + (is_transmitted ? 1 : 0));
-        share = pick3<W>(dim, share * (step.threshold / most), share);
-        return alive & ~(dim & ~(chance * step.threshold < most));
+        share = pick3<W>(dim, share * (step.threshold / max_share), share);
+        return alive & ~(dim & ~(chance * step.threshold < max_share));
     }
 };
 
 /// `send_children`: the reflected and the refracted rays, side by side, to the places from `at` on.
 template <int W, class Step, class Scratch, class Flags>
 inline void send_children(const Step& step, const Surfaces<W>& s, const Points<W>& p, Sender<W>& sender, int at,
-    const Scratch& scratch, const Flags& goes_on)
+    const Scratch& scratch, const Flags& is_alive)
 {
     using I = Ints<W>;
     const Boundaries<W> b = meet_boundaries<W>(sender.ray.direction, p.normal, p.is_front, s.index);
@@ -84,7 +84,7 @@ inline void send_children(const Step& step, const Surfaces<W>& s, const Points<W
     const I passes = sender.send(step, s.glass, b.bent, part_on, true, share_on);
     const V3<W> shift = p.face_normal * p.offset;
     const I slot = sender.ray.slot, beyond = p.is_front & (s.number + 1);
-    save_pairs<W>(goes_on.data + at, -reflects, -passes);
+    save_pairs<W>(is_alive.data + at, -reflects, -passes);
     save_pairs<W>(scratch.slot.data + at, slot, slot);
     save_pairs3<W>(scratch.origin.data + at, p.position + shift, p.position - shift);
     save_pairs3<W>(
@@ -94,36 +94,36 @@ inline void send_children(const Step& step, const Surfaces<W>& s, const Points<W
     save_media<W>(scratch.media.data + at + W, interleaved<W, W / 2>(s.media, beyond, Lanes<W>()));
 }
 
-/// The step of the plain ones among W rays from number `first` on of a queue that begins at `begin`; one bit for each. The rays
+/// The step of the simple ones among W rays from number `first` on of a queue that begins at `begin`; one bit for each. The rays
 /// that follow go to the places from 2 `child` on.
 template <int W, class A, class Step, class Scratch, class Flags>
 inline unsigned shade_trees(
-    const A& a, const Step& step, int first, int begin, int child, const Scratch& scratch, const Flags& goes_on)
+    const A& a, const Step& step, int first, int begin, int child, const Scratch& scratch, const Flags& is_alive)
 {
     using I = Ints<W>;
     const auto& scene = a.scene;
     if (scene.shaded.records.shape[0] == 0 || scene.materials.has_color || scene.lights.areas > 0) return 0;
     Surfaces<W> s;
     read_surfaces<W>(a, first, s);
-    if (!find_plain<W>(scene, step.is_last, s)) return 0;
+    if (!find_simple<W>(scene, step.is_last, s)) return 0;
     const I closed = s.ended & (~s.is_hit | (s.is_dark & ((s.kind == MIRROR) | (s.kind == DIELECTRIC))));
-    if (!step.is_last) __builtin_memset(goes_on.data + 2 * child, 0, 8 * W);
+    if (!step.is_last) __builtin_memset(is_alive.data + 2 * child, 0, 8 * W);
     if (!is_any(s.single() | closed)) return 0;
     const Rays<W> ray = read_rays<W>(a, first);
-    I plain = closed;
+    I simple = closed;
     if (is_any(s.single())) {
         const Points<W> p = find_points<W>(a, ray, s);
         I pixel;
         const SampleKeys<W> keys = sample_keys<W>(a.source, a.wave, ray.slot, pixel);
         Sender<W> sender = {a.queue.slot.data, begin, keys, ray, (I)0, false};
-        send_children<W>(step, s, p, sender, 2 * child, scratch, goes_on);
-        plain = closed | s.single();
+        send_children<W>(step, s, p, sender, 2 * child, scratch, is_alive);
+        simple = closed | s.single();
     }
     V3<W> found = zero3<W>();  // the light of rays that end
     if (scene.lights.sky_entry >= 0 && is_any(closed & ~s.is_hit))
         found = pick3<W>(~s.is_hit, ray.weight * all3<W>(scene.lights.sky.texels.data[0]), found);
     save3<W>(a.rays.emitted.data + first, found);
-    return bits_of(plain);
+    return bits_of(simple);
 }
 
 }  // namespace

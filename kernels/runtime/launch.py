@@ -48,7 +48,7 @@ CHUNKS_PER_THREAD = 8
 MAX_CHUNK = 1 << 16
 """Greatest number of items in a chunk of rays or triangles: about 10 ms of work."""
 
-SMALLEST_SHARE = 16
+MIN_CHUNK_SHARE = 16
 """The last chunks are this many times smaller than the first ones."""
 
 MAX_THREADS = 1024
@@ -169,7 +169,7 @@ class Chunks:
         chunks = min(self.chunks_per_thread * threads, -(-count // self.chunk))
         largest = min(-(-count // max(1, chunks)), self.longest)
         falls = self.chunks_per_thread >= CHUNKS_PER_THREAD
-        return largest, min(largest, max(self.chunk, -(-largest // SMALLEST_SHARE))) if falls else largest
+        return largest, min(largest, max(self.chunk, -(-largest // MIN_CHUNK_SHARE))) if falls else largest
 
 
 class PreparedLaunch:
@@ -229,7 +229,7 @@ class PreparedLaunch:
                 self._packed.call_own_range(first, min(largest, count - first))
         elif native.is_available():
             job, memory = native.new_job(
-                self._packed, count, largest=largest, smallest=smallest, threads=threads, schedule=SCHEDULES[schedule]
+                self._packed, count, max_chunk=largest, min_chunk=smallest, threads=threads, schedule=SCHEDULES[schedule]
             )
             self._last = None if SCHEDULES[schedule].queues else (key, job)  # queues are used up
             native.the_pool().run(job, (memory, used))

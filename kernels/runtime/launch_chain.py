@@ -10,9 +10,9 @@ that carries it out has a tile as its item: `launch` divides tiles among threads
 **Numbers of items.** A tile's items may become fewer. The number that are left is in memory, and a kernel of the chain may
 lower it. A stage learns it from one of its arguments, an int that holds the end of the tile's items (`Stage.end`).
 
-**Ways.** Two kernels may give the same answers, and which is faster may depend on the items: on how many are left, and on what
-they are. A stage may have both. The first tiles are shared among them; then a tile goes the way that has taken less time for an
-item so far, and now and then the other one, since items change from tile to tile.
+**Alternatives.** Two kernels may give the same answers, and which is faster may depend on the items: on how many are left, and
+on what they are. A stage may have both. The first tiles are shared among them; then a tile takes the alternative that has
+needed less time for an item so far, and now and then the other one, since items change from tile to tile.
 
 CPU only, on systems with native helpers (`wrt.kernels.runtime.pool.is_available`).
 """
@@ -28,34 +28,34 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.argument_packing import PackedKernel
-from wrt.kernels.runtime.board import BOUNDS, MAX_ARGUMENT_BYTES, on_cpu
+from wrt.kernels.runtime.job_queue import BOUNDS, MAX_ARGUMENT_BYTES, on_cpu
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, load
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-WAY_WORDS = 9
-"""Words of 64 bits of a way: entry point (0: there is none), launch bounds, arguments, their bytes, where the end is in them,
-grain, the nanoseconds that all threads together have spent on it, the items of the tiles that have gone it, and the address of
-the stage's own numbers of items, or 0."""
+ALTERNATIVE_NUMBERS = 9
+"""Numbers of 64 bits of an alternative: entry point (0: there is none), launch bounds, arguments, their bytes, where the end is
+in them, grain, the nanoseconds that all threads together have spent on it, the items of the tiles that it has done, and the
+address of the stage's own numbers of items, or 0."""
 
-WAYS = 2
-"""Most ways of a stage; native code has room for two."""
+MAX_ALTERNATIVES = 2
+"""Alternatives of a stage; native code has room for two."""
 
 MAX_STAGES = 64
-"""Stages for whose words there is room at first."""
+"""Stages for whose numbers there is room at first."""
 
 TRIED_ITEMS, TRIED_TILE = 8192, 32
-"""Items that have to go each way before one is preferred; and of so many tiles, one goes the other way later on."""
+"""Items that each alternative has to do before one is preferred; and later on, of this many tiles one takes the other one."""
 
 CLOCK = getattr(time, "CLOCK_THREAD_CPUTIME_ID", 3)
 """The clock that times stages: a thread's own, which stands still while other programs have the CPU."""
 
-LONGEST = 8
-"""Most tiles of a chunk: some hundredths of a second, after which a Ctrl-C takes effect."""
+MAX_TILES = 8
+"""Greatest number of tiles of a chunk: some hundredths of a second, after which a Ctrl-C takes effect."""
 
 SPENT, ITEMS = 6, 7
-"""Which words count nanoseconds and items."""
+"""Which numbers count nanoseconds and items."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,10 @@ class Stage:
 
 
 LAYOUT = f"""
-    static_assert(sizeof(wrt::Way) == 8 * {WAY_WORDS} && wrt::MAX_ARGUMENT_BYTES == {MAX_ARGUMENT_BYTES});
-    static_assert(__builtin_offsetof(wrt::Way, spent) == 8 * {SPENT} && __builtin_offsetof(wrt::Way, items) == 8 * {ITEMS});
+    static_assert(sizeof(wrt::Alternative) == 8 * {ALTERNATIVE_NUMBERS});
+    static_assert(wrt::MAX_ARGUMENT_BYTES == {MAX_ARGUMENT_BYTES});
+    static_assert(__builtin_offsetof(wrt::Alternative, spent) == 8 * {SPENT});
+    static_assert(__builtin_offsetof(wrt::Alternative, items) == 8 * {ITEMS});
 """
 
 TEMPLATE = f"{BOUNDS}, {CLOCK}, {TRIED_ITEMS}, {TRIED_TILE}"
@@ -89,7 +91,7 @@ TEMPLATE = f"{BOUNDS}, {CLOCK}, {TRIED_ITEMS}, {TRIED_TILE}"
 
 @native.func_native(
     "calls.h",
-    on_cpu(f"{LAYOUT}wrt::run_stages<{TEMPLATE}>((wrt::Way*)stages.data, begin, end, counts.data, size, tile);"),
+    on_cpu(f"{LAYOUT}wrt::run_stages<{TEMPLATE}>((wrt::Alternative*)stages.data, begin, end, counts.data, size, tile);"),
 )
 def run_stages(
     stages: wp.array(dtype=wp.int64), begin: int, end: int, counts: wp.array(dtype=int), size: int, tile: int
@@ -119,34 +121,34 @@ class LaunchChain:
         self.size, self.counts, self.device = size, counts, device
         self._packed: list[list[PackedKernel]] = []
         self._launch: PreparedLaunch | None = None
-        self._stages = wp.zeros(MAX_STAGES * WAYS * WAY_WORDS, dtype=wp.int64, device=device)
+        self._stages = wp.zeros(MAX_STAGES * MAX_ALTERNATIVES * ALTERNATIVE_NUMBERS, dtype=wp.int64, device=device)
 
     def __len__(self) -> int:
         return len(self._packed)
 
-    def add(self, *ways: Stage) -> list[PackedKernel]:
-        """Adds a stage to the end; the arguments of the results, one for each way, may be changed between two runs.
+    def add(self, *alternatives: Stage) -> list[PackedKernel]:
+        """Adds a stage to the end; the arguments of the results, one for each alternative, may be changed between two runs.
 
         Args:
-            ways: one stage, or two that give the same answers, the likely faster one first.
+            alternatives: one stage, or two that give the same answers, the likely faster one first.
 
         Raises:
             ValueError: a grain does not divide the tile, or the arguments are too large.
         """
-        if not 0 < len(ways) <= WAYS:
-            raise ValueError(f"a stage has 1 to {WAYS} ways, not {len(ways)}")
-        packed, rows = zip(*map(self._pack, ways), strict=True)
-        number, words = len(self), self._words
-        if number == len(words):
-            more = np.concatenate([words, np.zeros_like(words)])
+        if not 0 < len(alternatives) <= MAX_ALTERNATIVES:
+            raise ValueError(f"a stage has 1 to {MAX_ALTERNATIVES} alternatives, not {len(alternatives)}")
+        packed, rows = zip(*map(self._pack, alternatives), strict=True)
+        number, numbers = len(self), self._numbers
+        if number == len(numbers):
+            more = np.concatenate([numbers, np.zeros_like(numbers)])
             self._stages = wp.array(more.ravel(), dtype=wp.int64, device=self.device)
-            words = self._words
-        words[number, : len(rows)] = rows
+            numbers = self._numbers
+        numbers[number, : len(rows)] = rows
         self._packed.append([*packed])
         return [*packed]
 
     def _pack(self, stage: Stage) -> tuple[PackedKernel, tuple[int, ...]]:
-        """A way, ready to be run, and its words."""
+        """An alternative, ready to be run, and its numbers."""
         if self.size % stage.grain:
             raise ValueError(f"a grain of {stage.grain} items does not divide tiles of {self.size}")
         load([stage.kernel], self.device)
@@ -163,9 +165,9 @@ class LaunchChain:
         return packed, (packed.entry, bounds, arguments, bytes_of, at, stage.grain, 0, 0, own)
 
     @property
-    def _words(self) -> np.ndarray:
-        """(stages for which there is room, ways, words of a way) int64."""
-        return self._stages.numpy().reshape(-1, WAYS, WAY_WORDS)
+    def _numbers(self) -> np.ndarray:
+        """(stages for which there is room, alternatives, numbers of each) int64."""
+        return self._stages.numpy().reshape(-1, MAX_ALTERNATIVES, ALTERNATIVE_NUMBERS)
 
     @property
     def stages(self) -> wp.array:
@@ -175,12 +177,12 @@ class LaunchChain:
     @property
     def seconds(self) -> np.ndarray:
         """(stages,) float64, seconds of CPU time that all threads together have spent in each stage."""
-        return self._words[: len(self), :, SPENT].sum(axis=1) * 1e-9
+        return self._numbers[: len(self), :, SPENT].sum(axis=1) * 1e-9
 
     @property
     def items(self) -> np.ndarray:
-        """(stages, ways) int64, the items of the tiles that have gone each way of each stage."""
-        return self._words[: len(self), :, ITEMS].copy()
+        """(stages, alternatives) int64, the items of the tiles that each alternative of each stage has done."""
+        return self._numbers[: len(self), :, ITEMS].copy()
 
     def run(self, start: int, stop: int, begin: int = 0) -> None:
         """Runs the stages from number `begin` on for the tiles start .. stop - 1."""
@@ -188,4 +190,4 @@ class LaunchChain:
         if self._launch is None:
             self._launch = PreparedLaunch(run_chain, inputs, self.device)
         self._launch.update(inputs)
-        self._launch.run(stop - start, Chunks(chunk=1, longest=LONGEST), self)
+        self._launch.run(stop - start, Chunks(chunk=1, longest=MAX_TILES), self)

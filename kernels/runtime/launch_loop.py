@@ -1,7 +1,7 @@
 """Loops of kernel launches that depend on numbers in memory, such as the levels of a tree; on the CPU they run without Python.
 
-On the CPU the launches are chained jobs of the thread pool (`wrt.kernels.runtime.board`, programs). The number of items of a
-job, and whether the loop continues, are read from memory when the previous job has ended. A step therefore costs a few
+On the CPU the launches are chained jobs of the thread pool (`wrt.kernels.runtime.job_queue`, programs). The number of items of
+a job, and whether the loop continues, are read from memory when the previous job has ended. A step therefore costs a few
 microseconds besides its work (notebooks/records/2026-11-22-launches.md). On CUDA, and with one thread, Python runs the loop.
 """
 
@@ -50,7 +50,9 @@ class LaunchLoop:
         for steps in turns:
             for step in steps:
                 packed = PackedKernel(step.kernel, [0, *step.inputs], device)
-                job, used = native.new_job(packed, step.count or 0, largest=1, smallest=1, threads=threads, schedule=schedule)
+                job, used = native.new_job(
+                    packed, step.count or 0, max_chunk=1, min_chunk=1, threads=threads, schedule=schedule
+                )
                 if step.count is None:
                     job.count_at = numbers.ptr + 4 * step.number
                 self._packed.append(packed)

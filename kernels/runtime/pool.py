@@ -1,11 +1,11 @@
 """The Python half of the thread pool: helper threads, slots of callers, interrupts, fork and exit.
 
-A launch on the CPU is a job of the pool (`wrt.kernels.runtime.board` defines the protocol). Helpers are started when a job
+A launch on the CPU is a job of the pool (`wrt.kernels.runtime.job_queue` defines the protocol). Helpers are started when a job
 first needs them; each makes one call into compiled code and stays there, so Python does not hand out chunks. Every calling
-Python thread has its own slot on the board, so jobs of several callers run concurrently. A caller whose slot is in use (a
+Python thread has its own slot in the job queue, so jobs of several callers run concurrently. A caller whose slot is in use (a
 signal handler that starts a query while its thread runs one) works without helpers.
 
-**Interrupts.** A leader returns to Python every `TURN_NS`. An exception there (KeyboardInterrupt) stops the job: no thread
+**Interrupts.** A caller returns to Python every `TURN_NS`. An exception there (KeyboardInterrupt) stops the job: no thread
 takes another chunk, and the caller waits for the running ones. If the caller is interrupted again while it waits, the job's
 memory is kept in `_interrupted` until the last helper has left.
 
@@ -32,10 +32,10 @@ import warp as wp
 from wrt.kernels.compilation.cores import available_cores
 from wrt.kernels.compilation.module_compiler import load_modules
 from wrt.kernels.compilation.target import cpu_features
-from wrt.kernels.runtime import board as layout
+from wrt.kernels.runtime import job_queue as layout
 from wrt.kernels.runtime.argument_packing import PackedKernel
-from wrt.kernels.runtime.board import Job
-from wrt.kernels.runtime.own_core import MOST_CORES
+from wrt.kernels.runtime.core_pinning import MAX_CORES
+from wrt.kernels.runtime.job_queue import Job
 from wrt.kernels.runtime.schedules import Schedule
 
 SPIN_SECONDS = 0.001
@@ -47,22 +47,22 @@ EXIT_SECONDS = 1.0
 
 
 class Slot:
-    """A slot of a board, for the jobs of one thread.
+    """A slot of a job queue, for the jobs of one thread.
 
     Args:
-        board: the board.
+        job_queue: `wrt.kernels.runtime.job_queue`.
         index: number of the slot.
         free: receives the index when the slot is no longer referenced.
     """
 
-    def __init__(self, board: wp.array, index: int, free: deque[int] | None = None) -> None:
+    def __init__(self, job_queue: wp.array, index: int, free: deque[int] | None = None) -> None:
         self._index, self._free = index, free
         first = layout.FIRST_SLOT + index * layout.SLOT_WORDS
-        self._words = (ctypes.c_int64 * layout.SLOT_WORDS).from_address(board.ptr + 8 * first)
-        self._board = board
-        self._lead = PackedKernel(layout.lead, [board, index, 0], board.device)
-        self._stop = PackedKernel(layout.stop, [board, index], board.device)
-        self._lead_now = self._lead.prepared_call()
+        self._words = (ctypes.c_int64 * layout.SLOT_WORDS).from_address(job_queue.ptr + 8 * first)
+        self._job_queue = job_queue
+        self._run = PackedKernel(layout.run_as_caller, [job_queue, index, 0], job_queue.device)
+        self._stop = PackedKernel(layout.stop, [job_queue, index], job_queue.device)
+        self._run_now = self._run.prepared_call()
         self.is_busy = False
         self.owner_waits = False  # whether the interrupted owner finishes the job itself; only one thread may lead it
 
@@ -73,11 +73,11 @@ class Slot:
 
     def begin(self, job: Job) -> None:
         """Sets the job that the next turn begins."""
-        self._lead.arguments.p2 = ctypes.addressof(job)
+        self._run.arguments.p2 = ctypes.addressof(job)
 
     def turn(self) -> None:
         """Works on the job for at most `TURN_NS`, or until the current chunk is done."""
-        self._lead_now()
+        self._run_now()
 
     def stop(self) -> None:
         """Stops the job: no thread takes another chunk."""
@@ -94,14 +94,14 @@ class Slot:
 
 
 class Pool:
-    """Helper threads and the board on which they find jobs; thread-safe."""
+    """Helper threads and the job queue in which they find jobs; thread-safe."""
 
     def __init__(self) -> None:
-        self._board = wp.zeros(layout.BOARD_WORDS, dtype=wp.int64, device="cpu")
-        words = self._board.numpy()
+        self._job_queue = wp.zeros(layout.JOB_QUEUE_WORDS, dtype=wp.int64, device="cpu")
+        words = self._job_queue.numpy()
         words[layout.MAX_SPINNING] = available_cores() - 1
         words[layout.SPIN_NS] = int(SPIN_SECONDS * 1e9)
-        words[layout.STAYS] = "hypervisor" in cpu_features() and available_cores() <= MOST_CORES
+        words[layout.STAYS] = "hypervisor" in cpu_features() and available_cores() <= MAX_CORES
         self._words = words
         self._lock = threading.Lock()
         self._threads: list[threading.Thread] = []
@@ -146,11 +146,11 @@ class Pool:
             raise
 
     def close(self) -> None:
-        """Makes helpers return, and waits for them and for leaders, at most `EXIT_SECONDS`."""
+        """Makes helpers return, and waits for them and for callers, at most `EXIT_SECONDS`."""
         if self.closed:  # or the parent's pool in a forked child
             return
         self.closed = True
-        PackedKernel(layout.close, [self._board], self._board.device).call()
+        PackedKernel(layout.close, [self._job_queue], self._job_queue.device).call()
         until = time.monotonic() + EXIT_SECONDS
         for thread in self._threads:
             thread.join(max(0.0, until - time.monotonic()))
@@ -166,9 +166,9 @@ class Pool:
         return _private_slot() if slot.is_busy else slot
 
     def _new_slot(self) -> Slot:
-        """A free slot of the board; if all are taken, a slot of a private board, whose jobs get no helpers."""
+        """A free slot of the job queue; if all are taken, a slot of a private job queue, whose jobs get no helpers."""
         try:
-            return Slot(self._board, self._free.popleft(), self._free)
+            return Slot(self._job_queue, self._free.popleft(), self._free)
         except IndexError:
             return _private_slot()
 
@@ -200,8 +200,8 @@ class Pool:
         """Starts helpers up to the given number; fewer if the system provides no more threads."""
         with self._lock:
             while len(self._threads) < helpers and not self.closed:
-                serve = PackedKernel(layout.serve, [self._board, len(self._threads)], self._board.device)
-                thread = threading.Thread(target=serve.call, name=f"wrt-{len(self._threads)}", daemon=True)
+                helper = PackedKernel(layout.run_as_helper, [self._job_queue, len(self._threads)], self._job_queue.device)
+                thread = threading.Thread(target=helper.call, name=f"wrt-{len(self._threads)}", daemon=True)
                 try:
                     thread.start()
                 except RuntimeError:  # no more threads, or the interpreter is exiting
@@ -210,7 +210,7 @@ class Pool:
 
 
 def _private_slot() -> Slot:
-    return Slot(wp.zeros(layout.BOARD_WORDS, dtype=wp.int64, device="cpu"), 0)
+    return Slot(wp.zeros(layout.JOB_QUEUE_WORDS, dtype=wp.int64, device="cpu"), 0)
 
 
 def is_available() -> bool:
@@ -219,14 +219,14 @@ def is_available() -> bool:
 
 
 def new_job(
-    packed: PackedKernel, count: int, *, largest: int, smallest: int, threads: int, schedule: Schedule
+    packed: PackedKernel, count: int, *, max_chunk: int, min_chunk: int, threads: int, schedule: Schedule
 ) -> tuple[Job, Any]:
     """A job, and the owners of the memory that it refers to.
 
     Args:
         packed: the kernel; its first parameter is the number of the first item.
         count: number of items.
-        largest, smallest: limits on the items per chunk.
+        max_chunk, min_chunk: limits on the items per chunk.
         threads: number of threads that work on it, including the caller's.
         schedule: how they share the items.
 
@@ -236,15 +236,15 @@ def new_job(
     size = ctypes.sizeof(packed.arguments)
     if size > layout.MAX_ARGUMENT_BYTES:
         raise ValueError(f"the kernel's arguments take {size} bytes; the pool copies at most {layout.MAX_ARGUMENT_BYTES}")
-    queues = np.zeros(threads * layout.QUEUE_WORDS, dtype=np.int64) if schedule.queues else None
+    queues = np.zeros(threads * layout.CHUNK_QUEUE_WORDS, dtype=np.int64) if schedule.queues else None
     job = Job(
         entry=packed.entry,
         bounds=ctypes.addressof(packed.bounds),
         arguments=ctypes.addressof(packed.arguments),
         argument_bytes=size,
         count=count,
-        largest=largest,
-        smallest=smallest,
+        max_chunk=max_chunk,
+        min_chunk=min_chunk,
         divisor=2 * threads,
         helpers=threads - 1,
         schedule=schedule.code,
@@ -264,7 +264,7 @@ def the_pool() -> Pool:
     if _pool is None:
         with _pool_lock:
             if _pool is None:
-                load_modules([layout.serve.module], wp.get_device("cpu"), 1)
+                load_modules([layout.run_as_helper.module], wp.get_device("cpu"), 1)
                 pool = Pool()
                 atexit.register(pool.close)  # registered after Warp's handler, so called before it
                 _pool = pool

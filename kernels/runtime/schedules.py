@@ -24,7 +24,7 @@ class Schedule:
 
     Attributes:
         name: its key.
-        code: its number in native code (`wrt.kernels.runtime.board`).
+        code: its number in native code (`wrt.kernels.runtime.job_queue`).
         queues: whether each thread has its own queue.
         summary: one sentence.
         source: authors and year.

@@ -12,7 +12,7 @@ from wrt.kernels.shading.shading_point import shading_point
 from wrt.kernels.shading.wavefront.camera_rays import CameraModel, filter_offset
 from wrt.kernels.shading.wavefront.pixel_samples import FILTER, PixelSamples, pixel_hash, pixel_point
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
-from wrt.kernels.shading.wavefront.scene_light import LitScene, point_look
+from wrt.kernels.shading.wavefront.scene_light import LitScene, material_at_point
 
 exact_module(__name__)
 
@@ -31,8 +31,8 @@ def fill_albedo(
     color = wp.vec3()
     if traced.primitive[i] >= 0:
         point = shading_point(scene.shaded, traced.primitive[i], uv[i], traced.directions[i])
-        look = point_look(scene, point)
-        color = look.color
+        material = material_at_point(scene, point)
+        color = material.color
     albedo[beam_at(beams, traced.place + i)] = color
 
 

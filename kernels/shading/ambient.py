@@ -64,11 +64,11 @@ def count_open(
 SHARES = wp.constant(256)
 """Parts of an ambient ray that `share_open` counts in."""
 
-LEAST_COSINE, MOST_SLOPE = wp.constant(0.9), wp.constant(0.2)
+MIN_COSINE, MAX_SLOPE = wp.constant(0.9), wp.constant(0.2)
 """Of the normals of two points that see the sky alike, and of the line between them above the plane of one of them."""
 
 
-FEWEST_ALIKE = wp.constant(8)
+MIN_ALIKE = wp.constant(8)
 """Points that are alike; where there are fewer, all in the window are asked."""
 
 
@@ -109,11 +109,11 @@ def share_open(
                         found += open_rays[other]
                         count += 1
                         between = wp.vec3(surface.origin[other] - origin)
-                        slope = wp.abs(wp.dot(normal, between)) - MOST_SLOPE * wp.length(between)
-                        if wp.dot(normal, surface.normal[other]) >= LEAST_COSINE and slope <= 0.0:
+                        slope = wp.abs(wp.dot(normal, between)) - MAX_SLOPE * wp.length(between)
+                        if wp.dot(normal, surface.normal[other]) >= MIN_COSINE and slope <= 0.0:
                             found_alike += open_rays[other]
                             alike += 1
-    if alike >= FEWEST_ALIKE:
+    if alike >= MIN_ALIKE:
         found = found_alike
         count = alike
     if count > 0:

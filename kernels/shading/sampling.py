@@ -100,7 +100,7 @@ def spread_point(index: int, seed: wp.uint32):
 
 
 @wp.func
-def turned(turns: float):
+def direction_of(turns: float):
     """Cosine and sine of an angle in turns, to 1e-7: polynomials within an eighth of a turn (Moshier's, of the library Cephes).
     Without a call, and with the same bits on all devices and in lanes."""
     quarters = wp.floor(4.0 * turns + 0.5)
@@ -125,6 +125,6 @@ def cosine_direction(normal: wp.vec3, point: wp.vec2):
     tangent = wp.vec3(1.0 + sign * normal[0] * normal[0] * a, sign * b, -sign * normal[0])
     bitangent = wp.vec3(b, sign + normal[1] * normal[1] * a, -normal[1])
     radius = wp.sqrt(point[0])
-    turn = turned(point[1])
+    turn = direction_of(point[1])
     height = wp.sqrt(wp.max(1.0 - point[0], 0.0))
     return radius * turn[0] * tangent + radius * turn[1] * bitangent + height * normal

@@ -102,8 +102,8 @@ def make_face_records(
     record = record_of(mesh, triangle_of(mesh, i))
     is_flat = not is_smooth
     if is_smooth:
-        least = wp.min(wp.dot(corner_normals[3 * i], record.normal), wp.dot(corner_normals[3 * i + 1], record.normal))
-        is_flat = wp.min(least, wp.dot(corner_normals[3 * i + 2], record.normal)) > 0.999999
+        lower = wp.min(wp.dot(corner_normals[3 * i], record.normal), wp.dot(corner_normals[3 * i + 1], record.normal))
+        is_flat = wp.min(lower, wp.dot(corner_normals[3 * i + 2], record.normal)) > 0.999999
     if is_flat:
         record.curved = 0.0
     records[i] = record
@@ -119,7 +119,7 @@ def corner_normal_at(shaded: ShadedMesh, face: int, instance: int, corner: int):
 
 
 @wp.func
-def lift(point: wp.vec3, corner: wp.vec3, normal: wp.vec3):
+def raised(point: wp.vec3, corner: wp.vec3, normal: wp.vec3):
     """Vector from the point up to the plane through a corner and perpendicular to its normal; 0 if the point is above it."""
     return -wp.min(0.0, wp.dot(point - corner, normal)) * normal
 
@@ -129,9 +129,9 @@ def inset_weights(weights: wp.vec3, record: FaceRecord, offset: float):
     """Weights of the point, moved away from the edges: `wrt.kernels.query.spawn.keep_from_edges` in float32."""
     inverse = record.inverse_heights
     room = wp.min(INSET * offset, 0.5 / (inverse[0] + inverse[1] + inverse[2]))
-    least = room * inverse
+    lower = room * inverse
     area = float(0.0)
-    if weights[0] < least[0] or weights[1] < least[1] or weights[2] < least[2]:
+    if weights[0] < lower[0] or weights[1] < lower[1] or weights[2] < lower[2]:
         area = wp.length(wp.cross(record.edge1, record.edge2))
     result = weights / (weights[0] + weights[1] + weights[2])
     if area > 0.0:
@@ -139,9 +139,9 @@ def inset_weights(weights: wp.vec3, record: FaceRecord, offset: float):
         edge1 = -record.edge2
         edge2 = record.edge1
         for _ in range(2):
-            step0 = wp.max(0.0, least[0] - result[0]) / inverse[0] / (inverse[0] * area)
-            step1 = wp.max(0.0, least[1] - result[1]) / inverse[1] / (inverse[1] * area)
-            step2 = wp.max(0.0, least[2] - result[2]) / inverse[2] / (inverse[2] * area)
+            step0 = wp.max(0.0, lower[0] - result[0]) / inverse[0] / (inverse[0] * area)
+            step1 = wp.max(0.0, lower[1] - result[1]) / inverse[1] / (inverse[1] * area)
+            step2 = wp.max(0.0, lower[2] - result[2]) / inverse[2] / (inverse[2] * area)
             step = step0 * edge0 + step1 * edge1 + step2 * edge2
             result += wp.vec3(wp.dot(edge0, step), wp.dot(edge1, step), wp.dot(edge2, step)) / area
     return result
@@ -187,9 +187,9 @@ def shading_point(shaded: ShadedMesh, primitive: int, uv: wp.vec2, direction: wp
         if wp.dot(blend, point.face_normal) > 0.0 and wp.dot(blend, direction) < 0.0:
             point.normal = wp.normalize(blend)
             point.rise = (
-                at[0] * lift(point.position, record.corner, na)
-                + at[1] * lift(point.position, record.corner + record.edge1, nb)
-                + at[2] * lift(point.position, record.corner + record.edge2, nc)
+                at[0] * raised(point.position, record.corner, na)
+                + at[1] * raised(point.position, record.corner + record.edge1, nb)
+                + at[2] * raised(point.position, record.corner + record.edge2, nc)
             )
     return point
 

@@ -69,7 +69,7 @@ def corner_normal(scene: Appearance, triangle: Triangle, corner: int):
 
 
 @wp.func
-def lifted(point: wp.vec3d, corner: wp.vec3d, normal: wp.vec3d):
+def raised_exact(point: wp.vec3d, corner: wp.vec3d, normal: wp.vec3d):
     """Vector from the point up to the plane through a corner and perpendicular to its normal; 0 if the point is above it."""
     return -wp.min(wp.float64(0.0), wp.dot(point - corner, normal)) * normal
 
@@ -120,7 +120,9 @@ def find_surface(
             blend = at[0] * na + at[1] * nb + at[2] * nc
             if wp.dot(blend, side_normal) > wp.float64(0.0):
                 normal = wp.normalize(blend)
-                rise = at[0] * lifted(point, a, na) + at[1] * lifted(point, b, nb) + at[2] * lifted(point, c, nc)
+                rise = (
+                    at[0] * raised_exact(point, a, na) + at[1] * raised_exact(point, b, nb) + at[2] * raised_exact(point, c, nc)
+                )
                 shadow_origin = origin + rise
         to_light = light - shadow_origin
         cosine = wp.max(0.0, float(wp.dot(normal, wp.normalize(to_light))))

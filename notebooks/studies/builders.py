@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from studies.build_comparison import kdtree_descriptions
 from studies.kdtrees import layout_comparison
 from studies.kdtrees.kdtree_comparison import RAYS, REFERENCE, BuilderFigures, compare_builders
 from studies.kdtrees.kdtree_growth import Growth, growth_sizes, growth_turns, measure_growth
@@ -29,6 +28,7 @@ from wrt.bench.commands.command_options import (
     usage_errors,
     write_json,
 )
+from wrt.bench.comparisons.build_comparison import kdtree_descriptions
 from wrt.builders.classics.kdtree.streaming import EXACT
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.cli.arguments import target_options

@@ -85,16 +85,16 @@ def test_stages_see_what_is_left_of_their_tile(threads, by_stages):
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("slow", [0, 1])
 def test_tiles_go_the_faster_of_two_ways(threads, slow):
-    """Both ways are tried, the faster one is taken for most tiles, and the answer is that of either."""
+    """Both alternatives are tried, the faster one is taken for most tiles, and the answer is that of either."""
     size, tiles = 64, 1024
     numbers = Numbers()
     values = np.random.default_rng(1).integers(0, 1000, tiles * size)
     numbers.values = wp.array(values, dtype=int, device="cpu")
     left = wp.full(tiles, size, dtype=int, device="cpu")
     chain = LaunchChain(size, left, wp.get_device("cpu"))
-    ways = [Stage(kernel, [numbers, size], size, (1, "stop")) for kernel in (add_one, add_one_slowly)]
+    alternatives = [Stage(kernel, [numbers, size], size, (1, "stop")) for kernel in (add_one, add_one_slowly)]
     with use_threads(threads):
-        assert len(chain.add(*(ways[::-1] if slow == 0 else ways))) == 2
+        assert len(chain.add(*(alternatives[::-1] if slow == 0 else alternatives))) == 2
         chain.run(0, tiles)
     np.testing.assert_array_equal(numbers.values.numpy(), values + 1)
     items = chain.items[0]
@@ -108,5 +108,5 @@ def test_bad_stages():
     chain = LaunchChain(8, wp.zeros(1, dtype=int, device="cpu"), wp.get_device("cpu"))
     with pytest.raises(ValueError, match="grain of 3 items does not divide tiles of 8"):
         chain.add(Stage(add_one, [numbers, 3], 3, (1, "stop")))
-    with pytest.raises(ValueError, match="1 to 2 ways, not 0"):
+    with pytest.raises(ValueError, match="1 to 2 alternatives, not 0"):
         chain.add()

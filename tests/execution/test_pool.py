@@ -128,7 +128,7 @@ def test_sixteen_callers_of_all_queries():
 
 
 def test_more_callers_than_slots():
-    """The board has 64 slots; the callers that find none work alone."""
+    """The job queue has 64 slots; the callers that find none work alone."""
     values = [wp.zeros(20_000, dtype=int, device="cpu") for _ in range(100)]
     launches = [PreparedLaunch(add_one, [v], v.device) for v in values]
 

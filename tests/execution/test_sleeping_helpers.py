@@ -10,7 +10,7 @@ from wrt.kernels.compilation.cores import available_cores
 pytestmark = pytest.mark.skipif(available_cores() < 2, reason="one core")
 
 HEAD = """
-from wrt.kernels.runtime import board
+from wrt.kernels.runtime import job_queue
 everywhere = os.sched_getaffinity(0)
 helpers = [thread.native_id for thread in pools.the_pool()._threads]
 def cores_of_helpers(asking, seconds=0.5):
@@ -28,7 +28,7 @@ def cores_of_helpers(asking, seconds=0.5):
 def test_a_sleeping_helper_stays_on_its_core(stays):
     """Only while it sleeps, only if it is to, and no two on one core; what others have done to its cores meanwhile remains."""
     run_process(f"""{HEAD}
-pools.the_pool()._words[board.STAYS] = {stays}
+pools.the_pool()._words[job_queue.STAYS] = {stays}
 assert helpers
 assert any(everywhere in cores for cores in cores_of_helpers(True)), "all stay while they work"
 asleep = cores_of_helpers(False)[-1]
@@ -48,7 +48,7 @@ assert any(everywhere in cores[1:] for cores in cores_of_helpers(True)), "the ot
 def test_who_wakes_a_helper_makes_way_for_it():
     """The caller comes to the core of a sleeper and asks: the sleeper works elsewhere, and has all its cores afterwards."""
     run_process(f"""{HEAD}
-pools.the_pool()._words[board.STAYS] = 1
+pools.the_pool()._words[job_queue.STAYS] = 1
 def core_of(thread):
     return int(open(f"/proc/self/task/{{thread}}/stat").read().rsplit(")", 1)[1].split()[36])
 elsewhere = 0

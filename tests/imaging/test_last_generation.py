@@ -18,7 +18,7 @@ SKIES = {
     "gradient": [wrt.Sky.gradient(0.8, (0.2, 0.4, 0.9), 0.2)],
 }
 
-LAMPS = {
+LIGHTS = {
     "none": [],
     "point": [wrt.PointLight((0.5, -1.0, 2.0), 4.0)],
     "sphere": [wrt.AreaLight.sphere((0.2, 0.0, 1.5), 0.4, 8.0)],
@@ -29,7 +29,7 @@ LAMPS = {
 
 
 def bodies(emits: bool, level: int) -> wrt.Scene:
-    """Matte ground, absorbing glass with a hollow place for a lamp, a mirror, and a small emissive tile in the air."""
+    """Matte ground, absorbing glass with a hollow place for a light, a mirror, and a small emissive tile in the air."""
     ball = trimesh.creation.icosphere(subdivisions=level, radius=0.5)
     corners = np.asarray(ball.vertices)
     glass = wrt.Material("dielectric", index=1.4, absorption=(0.3, 1.0, 2.0))
@@ -48,10 +48,10 @@ def scene(request):
 
 
 @pytest.mark.parametrize("depth", [2, 4])
-@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize("light", LIGHTS)
 @pytest.mark.parametrize("sky", SKIES)
-def test_closest_hits_and_any_hit_make_the_same_picture(scene, sky, lamp, depth, monkeypatch):
-    options = {"lights": SKIES[sky] + LAMPS[lamp], "integrator": "path", "samples": 4, "depth": depth}
+def test_closest_hits_and_any_hit_make_the_same_picture(scene, sky, light, depth, monkeypatch):
+    options = {"lights": SKIES[sky] + LIGHTS[light], "integrator": "path", "samples": 4, "depth": depth}
     in_tiles = wrt.Rendering(scene, CAMERA, **options).advance()
     assert in_tiles._wave.develops_in_tiles(4)
     monkeypatch.setattr(Wave, "follow_in_tiles", lambda *_: False)
@@ -62,11 +62,11 @@ def test_closest_hits_and_any_hit_make_the_same_picture(scene, sky, lamp, depth,
 
 
 @pytest.mark.parametrize(
-    ("emits", "sky", "lamp", "most"), [(True, "dark", "none", 0.2), (False, "even", "sphere", 0.4), (False, "even", "none", 0)]
+    ("emits", "sky", "light", "most"), [(True, "dark", "none", 0.2), (False, "even", "sphere", 0.4), (False, "even", "none", 0)]
 )
-def test_few_rays_of_the_last_generation_need_closest_hits(emits, sky, lamp, most):
-    """Those that may meet a lamp or an emissive triangle."""
-    options = {"lights": SKIES[sky] + LAMPS[lamp], "integrator": "path", "samples": 16, "depth": 3, "roulette": False}
+def test_few_rays_of_the_last_generation_need_closest_hits(emits, sky, light, most):
+    """Those that may meet a light or an emissive triangle."""
+    options = {"lights": SKIES[sky] + LIGHTS[light], "integrator": "path", "samples": 16, "depth": 3, "roulette": False}
     rendering = wrt.Rendering(bodies(emits, 1), CAMERA, **options).advance()
     chain = rendering._wave._chain._chain
     last = chain.items.sum(axis=1)[-3:]  # closest hits, their step, development
@@ -80,7 +80,7 @@ def test_few_rays_of_the_last_generation_need_closest_hits(emits, sky, lamp, mos
 @pytest.mark.parametrize("samples", [(4, 4), (1, 2, 5), (3, 5), (8,)])
 def test_samples_are_developed_once(samples, monkeypatch):
     """Tiles develop waves whose number of samples divides them, also after a wave of another number."""
-    options = {"lights": SKIES["even"] + LAMPS["sphere"], "integrator": "path", "samples": 8, "depth": 3, "max_radiance": 2.0}
+    options = {"lights": SKIES["even"] + LIGHTS["sphere"], "integrator": "path", "samples": 8, "depth": 3, "max_radiance": 2.0}
     scene = bodies(True, 1)
     in_steps = wrt.Rendering(scene, CAMERA, **options)
     for count in samples:

@@ -9,7 +9,7 @@ import warp as wp
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.bsdf.fresnel import fresnel_exact, fresnel_schlick, refracted
 from wrt.kernels.shading.bsdf.interior import leading_medium, with_medium, without_medium
-from wrt.kernels.shading.bsdf.material_table import Look
+from wrt.kernels.shading.bsdf.material_table import MaterialAtHit
 from wrt.kernels.shading.bsdf.scattering import sample_scattering, scattering_value
 
 DIFFUSE, MIRROR, DIELECTRIC, GLOSSY = range(4)
@@ -29,7 +29,12 @@ def boundary(first: int, cosines: wp.array(dtype=float), ratio: float, out: wp.a
 
 @wp.kernel(enable_backward=False)
 def values(
-    first: int, look: Look, normal: wp.vec3, out: wp.vec3, toward: wp.array(dtype=wp.vec3), found: wp.array(dtype=wp.vec4)
+    first: int,
+    look: MaterialAtHit,
+    normal: wp.vec3,
+    out: wp.vec3,
+    toward: wp.array(dtype=wp.vec3),
+    found: wp.array(dtype=wp.vec4),
 ):
     i = first + wp.tid()
     found[i] = scattering_value(look, normal, out, toward[i])
@@ -38,7 +43,7 @@ def values(
 @wp.kernel(enable_backward=False)
 def samples(
     first: int,
-    look: Look,
+    look: MaterialAtHit,
     normal: wp.vec3,
     out: wp.vec3,
     points: wp.array(dtype=wp.vec3),
@@ -53,7 +58,7 @@ def samples(
 
 
 def make_look(kind, alpha=0.0, metallic=0.0, ratio=1.0, translucency=0.0, color=(1.0, 1.0, 1.0)):
-    look = Look()
+    look = MaterialAtHit()
     look.kind, look.alpha, look.metallic, look.index = kind, alpha, metallic, 1.5
     look.ratio, look.translucency, look.color = ratio, translucency, wp.vec3(*color)
     return look

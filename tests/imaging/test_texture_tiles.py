@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import wrt
-from wrt.imaging.integrators.texture_tiles import SMALLEST_BUDGET
+from wrt.imaging.integrators.texture_tiles import MIN_BUDGET
 from wrt.scenes.shapes import plane
 
 CORNERS = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
@@ -45,9 +45,9 @@ def test_pictures_have_the_bits_of_whole_images(scene, integrator):
     """The smallest budget holds 8 of the 62 tiles: generations are cut into many parts."""
     whole = rendering(scene, integrator=integrator).advance()
     assert whole.tile_loads == 0
-    for budget in (SMALLEST_BUDGET, 5 * SMALLEST_BUDGET):
+    for budget in (MIN_BUDGET, 5 * MIN_BUDGET):
         tiled = rendering(scene, integrator=integrator, texture_memory=budget).advance()
-        assert tiled.tile_loads > budget // SMALLEST_BUDGET * 8
+        assert tiled.tile_loads > budget // MIN_BUDGET * 8
         np.testing.assert_array_equal(tiled.linear, whole.linear)
         np.testing.assert_array_equal(tiled.layers["albedo"], whole.layers["albedo"])
         assert tiled.key == whole.key
@@ -58,7 +58,7 @@ def test_tiles_of_instances(scene):
     """Triangles of instances are numbered by their mesh."""
     placed = wrt.Scene([wrt.Instance(mesh, np.eye(4)) for mesh in scene.meshes])
     whole = rendering(placed, integrator="path").advance()
-    tiled = rendering(placed, integrator="path", texture_memory=2 * SMALLEST_BUDGET).advance()
+    tiled = rendering(placed, integrator="path", texture_memory=2 * MIN_BUDGET).advance()
     assert tiled.tile_loads > 16
     np.testing.assert_array_equal(tiled.linear, whole.linear)
 
@@ -85,7 +85,7 @@ def test_images_in_mapped_files(tmp_path):
     assert np.shares_memory(texture.pixels, mapped)
     mesh = textured(plane((-2, -2), (2, 2)), texture)
     whole = rendering(wrt.Scene(mesh), integrator="path").advance()
-    tiled = rendering(wrt.Scene(mesh), integrator="path", texture_memory=SMALLEST_BUDGET).advance()
+    tiled = rendering(wrt.Scene(mesh), integrator="path", texture_memory=MIN_BUDGET).advance()
     np.testing.assert_array_equal(tiled.linear, whole.linear)
 
 

@@ -87,8 +87,8 @@ def test_a_scene_and_a_picture_expect_just_the_kernels_that_they_need(monkeypatc
     scene = wrt.Scene(wrt.scenes.build("teapot"), device="cpu")
     wrt.render(scene, wrt.PinholeCamera.framing(scene, 640, 480), ambient_samples=2)
     ahead_of_need = set().union(*expected)
-    assert {module.name for module in needed - ahead_of_need} <= {"wrt.kernels.runtime.board"}
-    assert {module.name for module in ahead_of_need - needed} <= {"wrt.kernels.runtime.board"}
+    assert {module.name for module in needed - ahead_of_need} <= {"wrt.kernels.runtime.job_queue"}
+    assert {module.name for module in ahead_of_need - needed} <= {"wrt.kernels.runtime.job_queue"}
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ MUTATIONS = [
         path="kernels/shading/shading_point.py",
         old="room = wp.min(INSET * offset, 0.5 / (inverse[0] + inverse[1] + inverse[2]))",
         new="room = 0.25 * INSET * offset",
-        tests="tests/imaging/test_plain_step.py::test_lanes_near_edges",
+        tests="tests/imaging/test_path_step_simd.py::test_lanes_near_edges",
         promise="Plain rays are shaded in lanes, with the bits of the scalar step",
     ),
 ]

@@ -101,7 +101,7 @@ unsigned boxes(const Tree& tree, const Ray& ray, int* keys, float* entry)
 {
     return (unsigned)ray_keys<WIDTH>(tree.bounds.data, 1, ray.slabs, 0.0f, 1.0f, keys)
         + ray_mask<WIDTH>(tree.bounds.data, 1, ray.slabs, 0.0f, 1.0f, entry) + (unsigned)next_key<WIDTH>(keys, 3)
-        + (unsigned)least_key<WIDTH>(keys);
+        + (unsigned)min_key<WIDTH>(keys);
 }
 
 void records(const float* const* from, float* columns, float* to)

@@ -41,15 +41,15 @@ struct Mesh {
 
 using namespace wrt;
 
-void pools(pool::Board& board, const pool::Job* job)
+void pools(pool::JobQueue& job_queue, const pool::Job* job)
 {
-    pool::serve<Bounds>(board, 3);
-    pool::lead<Bounds>(board, board.slots[2], job);
-    pool::stop(board.slots[2]);
-    pool::close(board);
+    pool::run_as_helper<Bounds>(job_queue, 3);
+    pool::run_as_caller<Bounds>(job_queue, job_queue.slots[2], job);
+    pool::stop(job_queue.slots[2]);
+    pool::close(job_queue);
 }
 
-int calls(Way* stages, const Call* steps, const int* counts, int* totals)
+int calls(Alternative* stages, const Call* steps, const int* counts, int* totals)
 {
     run_stages<Bounds, 3, 8192, 32>(stages, 0, 2, counts, 4096, 5);
     return collapse_steps<Bounds>(steps, totals, totals + 2);

@@ -106,7 +106,7 @@ struct Camera {
     int filter;
 };
 struct Listed {
-    Array<int> ray, lamp;
+    Array<int> ray, light;
 };
 
 unsigned shading(const Scene& scene, const Source& source, const Wave& wave, const Queue& queue, const Hits& hits,

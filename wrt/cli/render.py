@@ -194,7 +194,7 @@ def _lights(scene: Scene, camera: PinholeCamera, light: Any, sky: float | None) 
     """Lights by the options; None for those of `wrt.Rendering`."""
     import numpy as np
 
-    from wrt.imaging.lights.lamps import PointLight
+    from wrt.imaging.lights.light_sources import PointLight
     from wrt.imaging.lights.sky_image import Sky
 
     emits = any(mesh.materials and any(one.emits for one in mesh.materials.materials) for mesh in scene.meshes)

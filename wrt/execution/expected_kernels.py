@@ -17,7 +17,7 @@ from wrt.execution.triangle_records import record_kernel
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.layout.ray_batch import center_float64_points
 from wrt.kernels.query.ordering.coherence_detection import measure_coherence
-from wrt.kernels.runtime import board
+from wrt.kernels.runtime import job_queue
 from wrt.kernels.runtime.launch import expect, get_num_threads, specialise
 from wrt.kernels.simd.lanes import native_width
 from wrt.planning.packet_sample import sample_kernel
@@ -91,7 +91,7 @@ def build_kernels(accelerator: Accelerator, device: wp.Device, dtype: type, tria
     if not isinstance(accelerator, Bvh):
         return []
     shift = specialise(make_shift, wp.vec3 if dtype == np.float32 else wp.vec3d)
-    helpers = [board.serve] if triangles >= MANY_TRIANGLES and get_num_threads() > 1 else []
+    helpers = [job_queue.run_as_helper] if triangles >= MANY_TRIANGLES and get_num_threads() > 1 else []
     return [shift, compute_boxes, *helpers, *accelerator.kernels(triangles, native_width(device))]
 
 

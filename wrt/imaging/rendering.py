@@ -37,7 +37,7 @@ Camera = PinholeCamera | OrthographicCamera
 TILE_PIXELS = 1 << 16
 """Camera rays traced at once; bounds the memory, and the time between two calls of `progress`."""
 
-MOST_RADIUS = 8
+MAX_RADIUS = 8
 BACKGROUND = ((0.90, 0.91, 0.92), (0.72, 0.79, 0.87))
 LIGHT_COLOR = (0.80, 0.77, 0.71)
 AMBIENT_COLOR = (0.36, 0.39, 0.43)
@@ -123,8 +123,8 @@ class AmbientRendering:
             seed=(self._seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
             query={"traversal": traversal, "triangle_test": triangle_test},
         )
-        if self._settings.ambient_radius > MOST_RADIUS:
-            raise ValueError(f"ambient_radius is {ambient_radius}; it must be at most {MOST_RADIUS}")
+        if self._settings.ambient_radius > MAX_RADIUS:
+            raise ValueError(f"ambient_radius is {ambient_radius}; it must be at most {MAX_RADIUS}")
         self.pixels = camera.width * camera.height
         tiles = -(-self.pixels // check_whole("tile_pixels", TILE_PIXELS if tile_pixels is None else tile_pixels, 1))
         self._tile = -(-self.pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each

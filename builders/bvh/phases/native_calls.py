@@ -14,7 +14,7 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.argument_packing import PackedKernel
-from wrt.kernels.runtime.board import BOUNDS, on_cpu
+from wrt.kernels.runtime.job_queue import BOUNDS, on_cpu
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)

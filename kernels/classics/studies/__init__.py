@@ -1,1 +1,1 @@
-"""Studies: triangle tests without a tree, and counts of their exits and comparisons."""
+"""Studies that only measure: triangle tests without a tree, their exits and comparisons, walks, and a model of caches."""

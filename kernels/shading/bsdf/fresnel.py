@@ -71,9 +71,9 @@ def fresnel_schlick(cosine: float, ratio: float):
     beyond = 1.0 - ratio * ratio * (1.0 - cosine * cosine)
     share = float(1.0)
     if beyond > 0.0:
-        least = (ratio - 1.0) / (ratio + 1.0)
-        least = least * least
-        share = least + (1.0 - least) * fifth_power(wp.where(ratio > 1.0, wp.sqrt(beyond), cosine))
+        at_normal = (ratio - 1.0) / (ratio + 1.0)
+        at_normal = at_normal * at_normal
+        share = at_normal + (1.0 - at_normal) * fifth_power(wp.where(ratio > 1.0, wp.sqrt(beyond), cosine))
     return share
 
 

@@ -16,13 +16,13 @@ References:
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.shading.sampling import turned
+from wrt.kernels.shading.sampling import direction_of
 
 exact_module(__name__)
 
 PI = wp.constant(3.141592653589793)
 
-SMALLEST_ALPHA = wp.constant(1e-3)
+MIN_ALPHA = wp.constant(1e-3)
 """Smoother surfaces count as mirrors and smooth boundaries: float32 does not resolve their highlights."""
 
 
@@ -72,7 +72,7 @@ def visible_facet(out: wp.vec3, normal: wp.vec3, alpha: float, point: wp.vec2):
     x = alpha * wp.dot(out, tangent)
     y = alpha * wp.dot(out, bitangent)
     stretched = wp.normalize(wp.vec3(x, y, wp.dot(out, normal)))
-    turn = turned(point[0])
+    turn = direction_of(point[0])
     z = (1.0 - point[1]) * (1.0 + stretched[2]) - stretched[2]
     radius = wp.sqrt(wp.clamp(1.0 - z * z, 0.0, 1.0))
     cap = wp.vec3(radius * turn[0], radius * turn[1], z) + stretched

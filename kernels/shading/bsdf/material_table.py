@@ -3,7 +3,7 @@
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.shading.bsdf.ggx import SMALLEST_ALPHA
+from wrt.kernels.shading.bsdf.ggx import MIN_ALPHA
 
 exact_module(__name__)
 
@@ -68,7 +68,7 @@ class Materials:
 
 
 @wp.struct
-class Look:
+class MaterialAtHit:
     """A material at a point."""
 
     number: int
@@ -87,11 +87,11 @@ class Look:
 @wp.func
 def texel(materials: Materials, place: int, decode: int):
     """A texel, linear."""
-    word = materials.texels[place]
+    packed = materials.texels[place]
     return wp.vec3(
-        materials.linear[decode + int(word & wp.uint32(255))],
-        materials.linear[decode + int((word >> wp.uint32(8)) & wp.uint32(255))],
-        materials.linear[decode + int((word >> wp.uint32(16)) & wp.uint32(255))],
+        materials.linear[decode + int(packed & wp.uint32(255))],
+        materials.linear[decode + int((packed >> wp.uint32(8)) & wp.uint32(255))],
+        materials.linear[decode + int((packed >> wp.uint32(16)) & wp.uint32(255))],
     )
 
 
@@ -193,21 +193,21 @@ def corner_uv_at(materials: Materials, face: int, weights: wp.vec3):
 
 
 @wp.func
-def look_at(materials: Materials, face: int, weights: wp.vec3):
+def material_at(materials: Materials, face: int, weights: wp.vec3):
     """The material at a point of a triangle."""
     number = materials.of_face[face * materials.of_face_stride]
     shape = materials.shape[number]
-    look = Look()
-    look.number = number
-    look.kind = materials.kind[number]
-    look.color = materials.color[number]
+    material = MaterialAtHit()
+    material.number = number
+    material.kind = materials.kind[number]
+    material.color = materials.color[number]
     roughness = shape[0]
-    look.metallic = shape[1]
-    look.index = shape[2]
-    look.translucency = shape[3]
+    material.metallic = shape[1]
+    material.index = shape[2]
+    material.translucency = shape[3]
     if materials.has_color:
-        look.color = wp.cw_mul(
-            look.color,
+        material.color = wp.cw_mul(
+            material.color,
             weights[0] * materials.corner_color[3 * face]
             + weights[1] * materials.corner_color[3 * face + 1]
             + weights[2] * materials.corner_color[3 * face + 2],
@@ -218,14 +218,14 @@ def look_at(materials: Materials, face: int, weights: wp.vec3):
         if texture >= 0 or surface >= 0:
             uv = corner_uv_at(materials, face, weights)
             if texture >= 0:
-                look.color = wp.cw_mul(look.color, texture_at(materials, texture, uv, 256))
+                material.color = wp.cw_mul(material.color, texture_at(materials, texture, uv, 256))
             if surface >= 0:
                 found = texture_at(materials, surface, uv, 0)
                 roughness = roughness * found[1]
-                look.metallic = look.metallic * found[2]
-    look.alpha = roughness * roughness
-    if look.alpha < SMALLEST_ALPHA:
-        look.alpha = 0.0
-    if look.kind == GLOSSY:
-        look.alpha = wp.max(look.alpha, SMALLEST_ALPHA)
-    return look
+                material.metallic = material.metallic * found[2]
+    material.alpha = roughness * roughness
+    if material.alpha < MIN_ALPHA:
+        material.alpha = 0.0
+    if material.kind == GLOSSY:
+        material.alpha = wp.max(material.alpha, MIN_ALPHA)
+    return material

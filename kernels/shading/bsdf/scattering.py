@@ -23,7 +23,7 @@ import warp as wp
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.fresnel import dielectric_share, mirrored, refracted, schlick_color
 from wrt.kernels.shading.bsdf.ggx import PI, facet_density, masking, masking_and_shadowing, visible_facet
-from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, DIFFUSE, GLOSSY, MIRROR, Look
+from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, DIFFUSE, GLOSSY, MIRROR, MaterialAtHit
 from wrt.kernels.shading.sampling import cosine_direction
 
 exact_module(__name__)
@@ -54,139 +54,139 @@ def luminance(color: wp.vec3):
 
 
 @wp.func
-def facet_color(look: Look):
+def facet_color(material: MaterialAtHit):
     """What the facets of a glossy surface reflect at normal incidence."""
-    least = (look.index - 1.0) / (look.index + 1.0)
-    return (1.0 - look.metallic) * least * least * wp.vec3(1.0, 1.0, 1.0) + look.metallic * look.color
+    at_normal = (material.index - 1.0) / (material.index + 1.0)
+    return (1.0 - material.metallic) * at_normal * at_normal * wp.vec3(1.0, 1.0, 1.0) + material.metallic * material.color
 
 
 @wp.func
-def facet_probability(look: Look, cosine: float):
+def facet_probability(material: MaterialAtHit, cosine: float):
     """Share of the samples of a glossy surface that are reflected by facets."""
-    base = (1.0 - look.metallic) * luminance(look.color)
-    facets = luminance(schlick_color(facet_color(look), cosine))
+    base = (1.0 - material.metallic) * luminance(material.color)
+    facets = luminance(schlick_color(facet_color(material), cosine))
     share = wp.clamp(facets / wp.max(facets + base * (1.0 - facets), 1e-6), 0.1, 0.9)
     return wp.where(base > 0.0, share, 1.0)
 
 
 @wp.func
-def is_single(look: Look):
+def is_single(material: MaterialAtHit):
     """Whether light is scattered to single directions only."""
-    return look.kind == MIRROR or (look.kind == DIELECTRIC and look.alpha == 0.0)
+    return material.kind == MIRROR or (material.kind == DIELECTRIC and material.alpha == 0.0)
 
 
 @wp.func
-def diffuse_value(look: Look, cosine: float):
+def diffuse_value(material: MaterialAtHit, cosine: float):
     """Value and density (in the last component) of a diffuse surface; a negative cosine is on the other side."""
-    share = wp.where(cosine > 0.0, 1.0 - look.translucency, look.translucency)
+    share = wp.where(cosine > 0.0, 1.0 - material.translucency, material.translucency)
     density = share * wp.abs(cosine) / PI
-    return wp.vec4(look.color[0] * density, look.color[1] * density, look.color[2] * density, density)
+    return wp.vec4(material.color[0] * density, material.color[1] * density, material.color[2] * density, density)
 
 
 @wp.func
-def glossy_base(look: Look, cosine: float, cosine_out: float):
+def glossy_base(material: MaterialAtHit, cosine: float, cosine_out: float):
     """Value of the diffuse base of a glossy surface, for the cosines to its normal."""
     white = wp.vec3(1.0, 1.0, 1.0)
-    color = facet_color(look)
+    color = facet_color(material)
     enters = wp.cw_mul(white - schlick_color(color, cosine), white - schlick_color(color, cosine_out))
-    return (1.0 - look.metallic) * cosine / PI * wp.cw_mul(enters, look.color)
+    return (1.0 - material.metallic) * cosine / PI * wp.cw_mul(enters, material.color)
 
 
 @wp.func
-def glossy_value(look: Look, normal: wp.vec3, out: wp.vec3, toward: wp.vec3):
+def glossy_value(material: MaterialAtHit, normal: wp.vec3, out: wp.vec3, toward: wp.vec3):
     """Value and density of a glossy surface."""
     result = wp.vec4()
     cosine = wp.dot(normal, toward)
     cosine_out = wp.dot(normal, out)
     if cosine > 0.0 and cosine_out > 0.0:
         facet = wp.normalize(out + toward)
-        fresnel = schlick_color(facet_color(look), wp.dot(out, facet))
-        facets = facet_density(wp.dot(normal, facet), look.alpha) / (4.0 * cosine_out)
-        value = facets * masking_and_shadowing(cosine, cosine_out, look.alpha) * fresnel
-        value += glossy_base(look, cosine, cosine_out)
-        share = facet_probability(look, cosine_out)
-        density = share * facets * masking(cosine_out, look.alpha) + (1.0 - share) * cosine / PI
+        fresnel = schlick_color(facet_color(material), wp.dot(out, facet))
+        facets = facet_density(wp.dot(normal, facet), material.alpha) / (4.0 * cosine_out)
+        value = facets * masking_and_shadowing(cosine, cosine_out, material.alpha) * fresnel
+        value += glossy_base(material, cosine, cosine_out)
+        share = facet_probability(material, cosine_out)
+        density = share * facets * masking(cosine_out, material.alpha) + (1.0 - share) * cosine / PI
         result = wp.vec4(value[0], value[1], value[2], density)
     return result
 
 
 @wp.func
-def base_value(look: Look, normal: wp.vec3, out: wp.vec3, toward: wp.vec3):
+def base_value(material: MaterialAtHit, normal: wp.vec3, out: wp.vec3, toward: wp.vec3):
     """Value of the diffuse part of a surface alone, with a density above 0 if there is one."""
     result = wp.vec4()
     cosine = wp.dot(normal, toward)
-    if look.kind == DIFFUSE:
-        result = diffuse_value(look, cosine)
-    if look.kind == GLOSSY and cosine > 0.0 and look.metallic < 1.0:
-        value = glossy_base(look, cosine, wp.max(0.0, wp.dot(normal, out)))
+    if material.kind == DIFFUSE:
+        result = diffuse_value(material, cosine)
+    if material.kind == GLOSSY and cosine > 0.0 and material.metallic < 1.0:
+        value = glossy_base(material, cosine, wp.max(0.0, wp.dot(normal, out)))
         result = wp.vec4(value[0], value[1], value[2], cosine / PI)
     return result
 
 
 @wp.func
-def rough_dielectric_value(look: Look, normal: wp.vec3, out: wp.vec3, toward: wp.vec3):
+def rough_dielectric_value(material: MaterialAtHit, normal: wp.vec3, out: wp.vec3, toward: wp.vec3):
     """Value and density of a rough boundary, for directions on either side."""
     result = wp.vec4()
     cosine = wp.dot(normal, toward)
     cosine_out = wp.dot(normal, out)
     if cosine_out > 0.0 and cosine != 0.0:
         reflects = cosine > 0.0
-        facet = wp.normalize(wp.where(reflects, out + toward, look.ratio * out + toward))
+        facet = wp.normalize(wp.where(reflects, out + toward, material.ratio * out + toward))
         if wp.dot(facet, normal) < 0.0:
             facet = -facet
         to_out = wp.dot(out, facet)
         beyond = wp.dot(toward, facet)
         if to_out > 0.0 and ((beyond > 0.0) == reflects):
-            share = dielectric_share(to_out, look.ratio, look.schlick)
+            share = dielectric_share(to_out, material.ratio, material.schlick)
             jacobian = 0.25 / cosine_out
             compression = float(1.0)
             if not reflects:
                 share = 1.0 - share
-                path = look.ratio * to_out + beyond
+                path = material.ratio * to_out + beyond
                 jacobian = to_out * wp.abs(beyond) / (wp.max(path * path, 1e-12) * cosine_out)
-                compression = look.ratio * look.ratio
-            facets = share * facet_density(wp.dot(normal, facet), look.alpha) * jacobian
-            value = facets * compression * masking_and_shadowing(cosine, cosine_out, look.alpha)
-            density = facets * masking(cosine_out, look.alpha)
-            result = wp.vec4(look.color[0] * value, look.color[1] * value, look.color[2] * value, density)
+                compression = material.ratio * material.ratio
+            facets = share * facet_density(wp.dot(normal, facet), material.alpha) * jacobian
+            value = facets * compression * masking_and_shadowing(cosine, cosine_out, material.alpha)
+            density = facets * masking(cosine_out, material.alpha)
+            result = wp.vec4(material.color[0] * value, material.color[1] * value, material.color[2] * value, density)
     return result
 
 
 @wp.func
-def scattering_value(look: Look, normal: wp.vec3, out: wp.vec3, toward: wp.vec3):
+def scattering_value(material: MaterialAtHit, normal: wp.vec3, out: wp.vec3, toward: wp.vec3):
     """Value (three components) and density (the fourth) for two directions; 0 for what scatters to single directions."""
     result = wp.vec4()
-    if look.kind == DIFFUSE:
-        result = diffuse_value(look, wp.dot(normal, toward))
-    if look.kind == GLOSSY:
-        result = glossy_value(look, normal, out, toward)
-    if look.kind == DIELECTRIC and look.alpha > 0.0:
-        result = rough_dielectric_value(look, normal, out, toward)
+    if material.kind == DIFFUSE:
+        result = diffuse_value(material, wp.dot(normal, toward))
+    if material.kind == GLOSSY:
+        result = glossy_value(material, normal, out, toward)
+    if material.kind == DIELECTRIC and material.alpha > 0.0:
+        result = rough_dielectric_value(material, normal, out, toward)
     return result
 
 
 @wp.func
-def sample_boundary(look: Look, facet: wp.vec3, out: wp.vec3, choice: float):
+def sample_boundary(material: MaterialAtHit, facet: wp.vec3, out: wp.vec3, choice: float):
     """Reflection or refraction at a smooth boundary, or at one facet of a rough one, chosen by its share."""
     result = Scattering()
-    share = dielectric_share(wp.abs(wp.dot(out, facet)), look.ratio, look.schlick)
+    share = dielectric_share(wp.abs(wp.dot(out, facet)), material.ratio, material.schlick)
     if choice < share:
         result.direction = mirrored(out, facet)
-        result.weight = look.color
+        result.weight = material.color
     else:
-        result.direction = refracted(out, facet, look.ratio)
-        result.weight = look.ratio * look.ratio * look.color
+        result.direction = refracted(out, facet, material.ratio)
+        result.weight = material.ratio * material.ratio * material.color
         result.is_transmitted = True
     return result
 
 
 @wp.func
-def sample_rough(look: Look, normal: wp.vec3, out: wp.vec3, point: wp.vec2, choice: float):
+def sample_rough(material: MaterialAtHit, normal: wp.vec3, out: wp.vec3, point: wp.vec2, choice: float):
     """A sample of a rough dielectric."""
-    facet = visible_facet(out, normal, look.alpha, point)
-    result = sample_boundary(look, facet, out, choice)
+    facet = visible_facet(out, normal, material.alpha, point)
+    result = sample_boundary(material, facet, out, choice)
     cosine = wp.dot(result.direction, normal)
-    found = rough_dielectric_value(look, normal, out, result.direction)
+    found = rough_dielectric_value(material, normal, out, result.direction)
     if (cosine < 0.0) == result.is_transmitted and found[3] > 0.0:
         result.weight = wp.vec3(found[0], found[1], found[2]) / found[3]
         result.density = found[3]
@@ -196,15 +196,15 @@ def sample_rough(look: Look, normal: wp.vec3, out: wp.vec3, point: wp.vec2, choi
 
 
 @wp.func
-def sample_glossy(look: Look, normal: wp.vec3, out: wp.vec3, point: wp.vec2, choice: float):
+def sample_glossy(material: MaterialAtHit, normal: wp.vec3, out: wp.vec3, point: wp.vec2, choice: float):
     """A sample of a glossy surface: of its facets or of its diffuse base."""
     result = Scattering()
     direction = wp.vec3()
-    if choice < facet_probability(look, wp.dot(out, normal)):
-        direction = mirrored(out, visible_facet(out, normal, look.alpha, point))
+    if choice < facet_probability(material, wp.dot(out, normal)):
+        direction = mirrored(out, visible_facet(out, normal, material.alpha, point))
     else:
         direction = cosine_direction(normal, point)
-    found = glossy_value(look, normal, out, direction)
+    found = glossy_value(material, normal, out, direction)
     result.direction = direction
     if found[3] > 0.0:
         result.weight = wp.vec3(found[0], found[1], found[2]) / found[3]
@@ -213,31 +213,31 @@ def sample_glossy(look: Look, normal: wp.vec3, out: wp.vec3, point: wp.vec2, cho
 
 
 @wp.func
-def sample_scattering(look: Look, normal: wp.vec3, out: wp.vec3, point: wp.vec2, choice: float):
+def sample_scattering(material: MaterialAtHit, normal: wp.vec3, out: wp.vec3, point: wp.vec2, choice: float):
     """A direction with a density that follows the value.
 
     Args:
-        look: of the point.
+        material: of the point.
         normal: unit vector on the side of `out`.
         out: unit vector towards where the light is gathered.
         point: in [0, 1)^2, the direction within a lobe.
         choice: in [0, 1), the lobe.
     """
     result = Scattering()
-    if look.kind == DIFFUSE:
-        result.is_transmitted = choice < look.translucency
+    if material.kind == DIFFUSE:
+        result.is_transmitted = choice < material.translucency
         result.direction = cosine_direction(wp.where(result.is_transmitted, -normal, normal), point)
-        result.weight = look.color
-        share = wp.where(result.is_transmitted, look.translucency, 1.0 - look.translucency)
+        result.weight = material.color
+        share = wp.where(result.is_transmitted, material.translucency, 1.0 - material.translucency)
         result.density = share * wp.abs(wp.dot(result.direction, normal)) / PI
-    if look.kind == MIRROR:
+    if material.kind == MIRROR:
         result.direction = mirrored(out, normal)
-        result.weight = look.color
-    if look.kind == GLOSSY:
-        result = sample_glossy(look, normal, out, point, choice)
-    if look.kind == DIELECTRIC:
-        if look.alpha > 0.0:
-            result = sample_rough(look, normal, out, point, choice)
+        result.weight = material.color
+    if material.kind == GLOSSY:
+        result = sample_glossy(material, normal, out, point, choice)
+    if material.kind == DIELECTRIC:
+        if material.alpha > 0.0:
+            result = sample_rough(material, normal, out, point, choice)
         else:
-            result = sample_boundary(look, normal, out, choice)
+            result = sample_boundary(material, normal, out, choice)
     return result

@@ -14,7 +14,7 @@ import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.ggx import PI
-from wrt.kernels.shading.sampling import TWO_PI, turned
+from wrt.kernels.shading.sampling import TWO_PI, direction_of
 
 exact_module(__name__)
 
@@ -116,6 +116,6 @@ def sample_sky(sky: Environment, point: wp.vec2):
     column = find_interval(sky.cell_sums, begin, sky.columns, point[0])
     across = (float(column) + within(sky.cell_sums, begin + column, point[0])) / float(sky.columns)
     height = 1.0 - 2.0 * down
-    turn = turned(across - 0.5)
+    turn = direction_of(across - 0.5)
     radius = wp.sqrt(wp.max(0.0, 1.0 - height * height))
     return radius * (turn[0] * sky.east + turn[1] * sky.north) + height * sky.up

@@ -28,7 +28,7 @@ from wrt.kernels.shading.emitters.light_table import (
     TRIANGLES,
     Lights,
 )
-from wrt.kernels.shading.sampling import TWO_PI, turned
+from wrt.kernels.shading.sampling import TWO_PI, direction_of
 from wrt.kernels.shading.shading_point import FaceRecord, ShadedMesh, record_of
 from wrt.kernels.shading.surface import OFFSET
 from wrt.kernels.simd.boxes import reach
@@ -60,8 +60,10 @@ def power_weight(own: float, other: float):
 
 
 @wp.func
-def on_flat(target: wp.vec3, position: wp.vec3, normal: wp.vec3, area: float, radiance: wp.vec3, two_sided: bool, lift: float):
-    """A sample at a point of a flat light of this area; `lift` moves the end of the ray off it."""
+def on_flat(
+    target: wp.vec3, position: wp.vec3, normal: wp.vec3, area: float, radiance: wp.vec3, two_sided: bool, offset: float
+):
+    """A sample at a point of a flat light of this area; `offset` moves the end of the ray off it."""
     found = LightSample()
     toward = target - position
     distance = wp.length(toward)
@@ -71,7 +73,7 @@ def on_flat(target: wp.vec3, position: wp.vec3, normal: wp.vec3, area: float, ra
         if two_sided:
             cosine = wp.abs(cosine)
         if cosine > 1e-6:
-            side = wp.where(wp.dot(found.direction, normal) < 0.0, lift, -lift)
+            side = wp.where(wp.dot(found.direction, normal) < 0.0, offset, -offset)
             found.segment = toward + side * normal
             found.radiance = radiance
             found.density = distance * distance / (cosine * area)
@@ -101,7 +103,7 @@ def sample_sphere(lights: Lights, entry: int, position: wp.vec3, point: wp.vec2)
         across = wp.sqrt(wp.max(0.0, rest * (1.0 + height)))
         forward = axis / distance
         tangent = tangent_of(forward)
-        turn = turned(point[1])
+        turn = direction_of(point[1])
         found.direction = wp.normalize(height * forward + across * (turn[0] * tangent + turn[1] * wp.cross(forward, tangent)))
         to_middle = height * distance
         found.segment = (to_middle - wp.sqrt(wp.max(0.0, radius * radius - distance * distance * across * across))) * (
@@ -131,9 +133,9 @@ def sample_triangles(lights: Lights, shaded: ShadedMesh, materials: Materials, p
     target = record.corner + weights[0] * record.edge1 + weights[1] * record.edge2
     material = materials.of_face[face * materials.of_face_stride]
     radiance = materials.emission[material]
-    lift = OFFSET * reach(target, shaded.mesh.low, shaded.mesh.high)
+    offset = OFFSET * reach(target, shaded.mesh.low, shaded.mesh.high)
     area = lights.triangle_power / wp.max(luminance(radiance), 1e-30)  # 1 / probability per area
-    return on_flat(target, position, record.normal, area, radiance, materials.two_sided[material] != 0, lift)
+    return on_flat(target, position, record.normal, area, radiance, materials.two_sided[material] != 0, offset)
 
 
 @wp.func

@@ -1,8 +1,8 @@
 """The last generation of paths in tiles: which of its rays need the closest hit.
 
-A ray of the last generation sends nothing on. It brings the light of the lamps that it crosses, of the surface that it hits,
-and of the sky if it hits nothing. A ray that crosses no lamp and passes all emissive triangles can bring that of the sky only:
-then it is enough to know whether it hits anything, and without a sky it need not be traced.
+A ray of the last generation sends nothing on. It brings the radiance of the lights that it crosses, of the surface that it
+hits, and of the sky if it hits nothing. A ray that crosses no light and passes all emissive triangles can bring that of the sky
+only: then it is enough to know whether it hits anything, and without a sky it need not be traced.
 """
 
 from functools import cache
@@ -16,7 +16,7 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.emitters.light_table import Lights
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
 from wrt.kernels.shading.wavefront.lane_code import in_lanes
-from wrt.kernels.shading.wavefront.plain_step import LIGHTS
+from wrt.kernels.shading.wavefront.path_step_simd import LIGHTS
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue
 from wrt.kernels.shading.wavefront.scene_light import LitScene, sky_light
 
@@ -25,7 +25,7 @@ exact_module(__name__)
 
 @cache
 def make_part_range(width: int) -> Any:
-    """`part_range` for so many lanes."""
+    """`part_range` for the given number of lanes."""
     call = f"wrt::part_last_rays<{width}>(begin, stop, has_sky, lights, source, is_met.data, target)"
 
     @native.func_native("last_rays.h", in_lanes(call, LIGHTS))

@@ -12,12 +12,12 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.shading.paths.plain_paths import WIDTH, shade_plain_paths
+from wrt.kernels.shading.paths.path_tiles_simd import WIDTH, path_tile_step_simd
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
 from wrt.kernels.shading.wavefront.path_step import UNKNOWN, follow_path
+from wrt.kernels.shading.wavefront.path_step_simd import PathStep
 from wrt.kernels.shading.wavefront.picture import Film, develop_pixel
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
-from wrt.kernels.shading.wavefront.plain_step import PathStep
 from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, fetch_hits
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
@@ -63,7 +63,7 @@ def make_step_tile() -> wp.Kernel:
             fetch_hits(scene, hits, here + AHEAD, wp.min(last + AHEAD, stop))
             done = wp.uint32(0)
             if lanes > 1 and here + WIDTH <= stop:
-                done = shade_plain_paths(here, step, scene, source, wave, queue, hits, rays, lit_slot, following, to, entry)
+                done = path_tile_step_simd(here, step, scene, source, wave, queue, hits, rays, lit_slot, following, to, entry)
             for i in range(here, last):
                 if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
                     found = follow_path(i, UNKNOWN, to, entry, step, scene, source, wave, queue, hits, rays, following)
@@ -75,7 +75,7 @@ def make_step_tile() -> wp.Kernel:
         memories.left[memory] = to - begin
         memories.shadows[memory] = entry - begin
         memories.traced[memory] += stop - begin
-        if has_shadows:  # a hit that lamps may light counts, whether its shadow ray is listed or not
+        if has_shadows:  # a hit that lights may light counts, whether its shadow ray is listed or not
             memories.traced[memory] += stop - begin
 
     return step_tile

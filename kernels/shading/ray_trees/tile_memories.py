@@ -6,7 +6,7 @@ tile through all stages of a chain (`wrt.kernels.runtime.launch_chain`), as many
 
 import warp as wp
 
-from wrt.kernels.runtime.board import on_cpu
+from wrt.kernels.runtime.job_queue import on_cpu
 from wrt.kernels.runtime.launch_chain import run_stages
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.wavefront.camera_rays import WIDTH, CameraModel, start_lanes, start_ray
@@ -26,15 +26,15 @@ class TileMemories:
     """Number of the first sample in the wave."""
     fitting: wp.array(dtype=int)
     """Samples that are tried together."""
-    fewest: wp.array(dtype=int)
-    """The fewest that were, in the wave."""
+    min_fitting: wp.array(dtype=int)
+    """The least number that was, in the wave."""
     left: wp.array(dtype=int)
     """Rays of the generation to be traced."""
     shaded: wp.array(dtype=int)
     """Rays of the generation whose light is to be summed."""
     shadows: wp.array(dtype=int)
     """Shadow rays to be traced."""
-    most: wp.array(dtype=int)
+    needed: wp.array(dtype=int)
     """The largest generation so far; above `room` if rays found no place."""
     traced: wp.array(dtype=int)
     """Rays so far of the samples that are tried."""
@@ -129,21 +129,21 @@ def follow_tiles(
         samples = wp.min(fitting, end - here)
         memories.first_sample[memory] = here
         memories.left[memory] = samples
-        memories.most[memory] = samples
+        memories.needed[memory] = samples
         memories.traced[memory] = 0
         run_stages(stages, 0, stage_count - last_count, memories.left, room, memory)
-        most = memories.most[memory]
-        if most <= room or samples == 1:
+        needed = memories.needed[memory]
+        if needed <= room or samples == 1:
             memories.left[memory] = samples
             run_stages(stages, stage_count - last_count, stage_count, memories.left, room, memory)
             memories.total[memory] += memories.traced[memory]
             here += samples
-            if 4 * most <= room and samples == fitting:
+            if 4 * needed <= room and samples == fitting:
                 fitting = wp.min(2 * fitting, size)
-            if most > room:
+            if needed > room:
                 memories.failed[memory] = 1
         else:
             fitting = samples / 2
-            memories.fewest[memory] = wp.min(memories.fewest[memory], fitting)
+            memories.min_fitting[memory] = wp.min(memories.min_fitting[memory], fitting)
     memories.fitting[memory] = fitting
     leave_memory(memories.taken, memory)

@@ -11,8 +11,8 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.shading.ray_trees.plain_trees import WIDTH, shade_plain_trees
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
+from wrt.kernels.shading.ray_trees.tree_tiles_simd import WIDTH, tree_step_simd
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, fetch_hits
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
@@ -22,8 +22,8 @@ from wrt.kernels.shading.wavefront.tree_step import ShadowList, TreeStep, shade_
 exact_module(__name__)
 
 
-@native.func_native("ray_queues.h", "return wrt::append_rays(begin, end, scratch, goes_on, queue, place);")
-def append_rays(begin: int, end: int, scratch: RayQueue, goes_on: wp.array(dtype=int), queue: RayQueue, place: int) -> int:
+@native.func_native("ray_queues.h", "return wrt::append_rays(begin, end, scratch, is_alive, queue, place);")
+def append_rays(begin: int, end: int, scratch: RayQueue, is_alive: wp.array(dtype=int), queue: RayQueue, place: int) -> int:
     """Copies those of the rays 2 begin .. 2 end - 1 that go on to the places from `place` on; returns the first one after them.
     It may write to the place after those of the rays."""
     ...
@@ -35,7 +35,7 @@ def shade_tile(
     room: int,
     stop: int,
     step: TreeStep,
-    lamps: int,
+    light_count: int,
     scene: LitScene,
     source: PixelSamples,
     wave: Wave,
@@ -43,13 +43,13 @@ def shade_tile(
     hits: HitBatch,
     rays: Gathered,
     scratch: RayQueue,
-    goes_on: wp.array(dtype=int),
+    is_alive: wp.array(dtype=int),
     following: RayQueue,
     listed: ShadowList,
     memories: TileMemories,
 ):
     """Writes light, shadow rays and the next generation of a tile, whose rays end at the place `stop`. Item: a tile
-    memory. `lamps` is the number of lamps that are sampled at a hit."""
+    memory. `light_count` is the number of lights that are sampled at a hit."""
     memory = first + wp.tid()
     begin = memory * room
     end = begin + room
@@ -58,28 +58,28 @@ def shade_tile(
     entry = int(begin)
     here = int(begin)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, stop))
-    while here < stop and to + 2 * WIDTH <= end and entry + lamps * WIDTH <= end:
+    while here < stop and to + 2 * WIDTH <= end and entry + light_count * WIDTH <= end:
         fetch_hits(scene, hits, here + AHEAD, wp.min(here + AHEAD + WIDTH, stop))
         last = wp.min(here + WIDTH, stop)
         done = wp.uint32(0)
         if here + WIDTH <= stop:
-            done = shade_plain_trees(here, begin, child, step, scene, source, wave, queue, hits, rays, scratch, goes_on)
+            done = tree_step_simd(here, begin, child, step, scene, source, wave, queue, hits, rays, scratch, is_alive)
         for i in range(here, last):
             if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
                 at = child + i - here
-                entry = shade_ray(i, begin, at, entry, step, scene, source, wave, queue, hits, rays, scratch, goes_on, listed)
+                entry = shade_ray(i, begin, at, entry, step, scene, source, wave, queue, hits, rays, scratch, is_alive, listed)
         if not step.is_last:
-            to = append_rays(child, child + last - here, scratch, goes_on, following, to)
+            to = append_rays(child, child + last - here, scratch, is_alive, following, to)
         here = last
     memories.shaded[memory] = stop - begin
     memories.left[memory] = to - begin
     memories.shadows[memory] = entry - begin
-    memories.most[memory] = wp.max(memories.most[memory], wp.max(to, entry) - begin)
+    memories.needed[memory] = wp.max(memories.needed[memory], wp.max(to, entry) - begin)
     memories.traced[memory] += stop - begin
     if not step.is_last:
-        memories.traced[memory] += lamps * (stop - begin)
+        memories.traced[memory] += light_count * (stop - begin)
     if here < stop:
-        memories.most[memory] = room + 1
+        memories.needed[memory] = room + 1
         memories.shaded[memory] = 0
         memories.left[memory] = 0
         memories.shadows[memory] = 0
@@ -111,19 +111,21 @@ def end_tile(
     memories.traced[memory] += stop - begin
 
 
-@native.func_native("ray_queues.h", "wrt::gather_trees(begin, stop, shadows, first_lamp, lamps, slot, blocked, rays, listed);")
+@native.func_native(
+    "ray_queues.h", "wrt::gather_trees(begin, stop, shadows, first_light, light_count, slot, blocked, rays, listed);"
+)
 def gather_range(
     begin: int,
     stop: int,
     shadows: int,
-    first_lamp: int,
-    lamps: int,
+    first_light: int,
+    light_count: int,
     slot: wp.array(dtype=int),
     blocked: wp.array(dtype=wp.bool),
     rays: Gathered,
     listed: ShadowList,
 ):
-    """Adds the light of the rays begin .. stop - 1 to their samples, in the order of `ray_queue.gather`: lamp by lamp."""
+    """Adds the light of the rays begin .. stop - 1 to their samples, in the order of `ray_queue.gather`: light by light."""
     ...
 
 
@@ -132,14 +134,15 @@ def gather_tile(
     first: int,
     room: int,
     stop: int,
-    first_lamp: int,
-    lamps: int,
+    first_light: int,
+    light_count: int,
     slot: wp.array(dtype=int),
     blocked: wp.array(dtype=wp.bool),
     rays: Gathered,
     listed: ShadowList,
     memories: TileMemories,
 ):
-    """Adds the light of a generation of a tile to its samples; `lamps` lamps from `first_lamp` on. Item: a tile memory."""
+    """Adds the light of a generation of a tile to its samples; `light_count` lights from `first_light` on. Item: a tile
+    memory."""
     memory = first + wp.tid()
-    gather_range(memory * room, stop, memories.shadows[memory], first_lamp, lamps, slot, blocked, rays, listed)
+    gather_range(memory * room, stop, memories.shadows[memory], first_light, light_count, slot, blocked, rays, listed)

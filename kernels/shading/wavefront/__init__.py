@@ -4,7 +4,7 @@
     camera_rays.py    pixels -> rays, through a filter and a lens
     ray_at_hit.py     a ray with what it hit, and the key of its random numbers
     path_step.py      one step of path tracing (in tiles: `wrt.kernels.shading.paths`)
-    plain_step.py     the same for W rays in lanes, on matte surfaces, mirrors and smooth glass
+    path_step_simd.py     the same for W rays in lanes, on matte surfaces, mirrors and smooth glass
     lane_code.py      C++ around calls of what is in lanes
     shading_streams.py  rays filtered by what they hit, and one code for each stream
     texture_demand.py the tiles of images that rays need

@@ -139,7 +139,7 @@ def start_ray(
 
 @cache
 def make_start_lanes(width: int) -> Any:
-    """`start_lanes` for so many lanes."""
+    """`start_lanes` for the given number of lanes."""
     call = f"wrt::start_rays<{width}>(first, camera, source, wave, queue, radiance)"
 
     @native.func_native("camera_rays.h", in_lanes(call, same(BOX=BOX, FILTER=FILTER, SOBOL=SOBOL, RANDOM=RANDOM)))

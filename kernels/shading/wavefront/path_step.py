@@ -1,6 +1,6 @@
 """One step of path tracing: from the hits of a generation to the light that they give and the rays that follow.
 
-Kajiya's path tracing. At each point a lamp is chosen by power and sampled (next-event estimation), and one direction is
+Kajiya's path tracing. At each point a light is chosen by power and sampled (next-event estimation), and one direction is
 followed. Light that both ways can find is weighted by the power heuristic (Veach and Guibas 1995). From generation `roulette`
 on, a path goes on with the probability of its weight, at most 0.95, and is weighted up by its inverse (Arvo and Kirk 1990).
 
@@ -14,13 +14,13 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, is_finite
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.shading.bsdf.material_table import Look
+from wrt.kernels.shading.bsdf.material_table import MaterialAtHit
 from wrt.kernels.shading.bsdf.scattering import is_single, largest, sample_scattering
 from wrt.kernels.shading.emitters.environment import find_interval
 from wrt.kernels.shading.emitters.light_table import entry_probability
 from wrt.kernels.shading.shading_point import ShadingPoint, leaving_origin, shading_point
+from wrt.kernels.shading.wavefront.path_step_simd import WIDTH, PathStep, path_step_simd
 from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, PixelSamples, pixel_point, single_number
-from wrt.kernels.shading.wavefront.plain_step import WIDTH, PathStep, shade_plain
 from wrt.kernels.shading.wavefront.ray_at_hit import (
     AHEAD,
     RayAtHit,
@@ -37,8 +37,8 @@ from wrt.kernels.shading.wavefront.scene_light import (
     arriving_light,
     boundary_of,
     crossed_lights,
+    material_at_point,
     may_emit,
-    point_look,
     sky_light,
     surface_light,
 )
@@ -61,10 +61,16 @@ def kept_above(direction: wp.vec3, face_normal: wp.vec3, is_transmitted: bool):
 
 
 @wp.func(inline=True)
-def lamp_light(
-    step: PathStep, scene: LitScene, source: PixelSamples, key: SampleKey, ray: RayAtHit, point: ShadingPoint, look: Look
+def sampled_light(
+    step: PathStep,
+    scene: LitScene,
+    source: PixelSamples,
+    key: SampleKey,
+    ray: RayAtHit,
+    point: ShadingPoint,
+    material: MaterialAtHit,
 ):
-    """Light of one lamp, chosen by power, that may be scattered along a ray."""
+    """Radiance of one light, chosen by power, that may be scattered along a ray."""
     entry = int(0)
     probability = float(1.0)
     if scene.lights.count > 1:
@@ -73,7 +79,7 @@ def lamp_light(
         )
         probability = entry_probability(scene.lights, entry)
     place = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation)
-    return arriving_light(scene, point, look, -ray.direction, entry, place, probability, True)
+    return arriving_light(scene, point, material, -ray.direction, entry, place, probability, True)
 
 
 @wp.func(inline=True)
@@ -94,7 +100,7 @@ def scatter(
     key: SampleKey,
     ray: RayAtHit,
     point: ShadingPoint,
-    look: Look,
+    material: MaterialAtHit,
     boundary: Boundary,
     to: int,
     following: RayQueue,
@@ -102,18 +108,18 @@ def scatter(
     """Sends a path on in a sampled direction; 1 unless it ends here."""
     lobe = single_number(key.pixel, key.sample, 3 * step.generation + 1)
     spot = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation + 1)
-    scattered = sample_scattering(look, point.normal, -ray.direction, spot, lobe)
+    scattered = sample_scattering(material, point.normal, -ray.direction, spot, lobe)
     toward = scattered.direction
     if scattered.density == 0.0:
         toward = kept_above(toward, point.face_normal, scattered.is_transmitted)
     share = wp.cw_mul(ray.weight, scattered.weight)
-    most = largest(share)
+    max_share = largest(share)
     is_right = (wp.dot(toward, point.face_normal) < 0.0) == scattered.is_transmitted
     alive = int(0)
-    if most > 0.0 and is_right and is_finite(share):
+    if max_share > 0.0 and is_right and is_finite(share):
         alive = 1
         if step.generation >= step.roulette:
-            survival = wp.min(most, 0.95)
+            survival = wp.min(max_share, 0.95)
             if single_number(key.pixel, key.sample, 3 * step.generation + 2) < survival:
                 share = share / survival
             else:
@@ -160,21 +166,21 @@ def follow_path(
         found += sky_light(scene, ray.weight, density, ray.direction)
     elif not step.is_last or may_emit(scene, ray.primitive):
         point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
-        look = point_look(scene, point)
+        material = material_at_point(scene, point)
         if known >= 0:
-            look.kind = known
+            material.kind = known
         cosine = wp.abs(wp.dot(point.face_normal, ray.direction))
-        found += surface_light(scene, look.number, ray.weight, density, point, cosine, ray.t)
+        found += surface_light(scene, material.number, ray.weight, density, point, cosine, ray.t)
         if not step.is_last:
-            boundary = boundary_of(scene, look, ray.media, point.is_front)
-            look.ratio = boundary.ratio
+            boundary = boundary_of(scene, material, ray.media, point.is_front)
+            material.ratio = boundary.ratio
             if not boundary.is_real:
                 alive = pass_through(ray, point, boundary, to, following)
             else:
                 key = sample_key(source, wave, ray.slot)
-                if step.samples_lights and scene.lights.count > 0 and not is_single(look):
-                    arrival = lamp_light(step, scene, source, key, ray, point, look)
-                alive = scatter(step, source, key, ray, point, look, boundary, to, following)
+                if step.samples_lights and scene.lights.count > 0 and not is_single(material):
+                    arrival = sampled_light(step, scene, source, key, ray, point, material)
+                alive = scatter(step, source, key, ray, point, material, boundary, to, following)
     rays.radiance[ray.slot] = rays.radiance[ray.slot] + found
     if not step.is_last:
         following.slot[to] = ray.slot
@@ -201,11 +207,11 @@ def path_step(
     hits: HitBatch,
     rays: Gathered,
     following: RayQueue,
-    goes_on: wp.array(dtype=int),
+    is_alive: wp.array(dtype=int),
 ):
     """Adds the light of rays to their samples, and writes shadow rays and the rays that follow.
 
-    Item: a group of the rays start .. stop - 1. A sample has one ray in a generation. Groups of one ray have no plain rays.
+    Item: a group of the rays start .. stop - 1. A sample has one ray in a generation. Groups of one ray have no simple rays.
     """
     begin = start + (first + wp.tid()) * group
     end = wp.min(begin + group, stop)
@@ -216,10 +222,10 @@ def path_step(
         fetch_hits(scene, hits, here + AHEAD, wp.min(here + AHEAD + size, end))
         done = wp.uint32(0)
         if size > 1 and here + size <= end:
-            done = shade_plain(here, step, scene, source, wave, queue, hits, rays, following, goes_on)
+            done = path_step_simd(here, step, scene, source, wave, queue, hits, rays, following, is_alive)
         for i in range(here, wp.min(here + size, end)):
             if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
                 found = follow_path(i, UNKNOWN, i, i, step, scene, source, wave, queue, hits, rays, following)
                 if not step.is_last:
-                    goes_on[i] = found & 1
+                    is_alive[i] = found & 1
         here += size

@@ -18,7 +18,7 @@ from wrt.kernels.shading.bsdf.scattering import luminance
 from wrt.kernels.shading.film import display
 from wrt.kernels.shading.shading_point import shading_point
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
-from wrt.kernels.shading.wavefront.scene_light import LitScene, point_look
+from wrt.kernels.shading.wavefront.scene_light import LitScene, material_at_point
 
 exact_module(__name__)
 
@@ -35,7 +35,7 @@ def add_samples(
     total: wp.ref[wp.vec3],
     squares: wp.ref[float],
 ):
-    """Adds so many samples from number `first` on to a sum, and the squares of their luminance to another."""
+    """Adds samples from number `first` on to a sum, and the squares of their luminance to another."""
     ...
 
 
@@ -149,21 +149,21 @@ def write_layers(first: int, start: int, scene: LitScene, wave: Wave, queue: Ray
     instance = int(-1)
     geometry = int(-1)
     local = int(-1)
-    material = int(-1)
+    number = int(-1)
     if primitive >= 0:
         point = shading_point(scene.shaded, primitive, hits.uv[i], queue.direction[i])
-        look = point_look(scene, point)
+        material = material_at_point(scene, point)
         normal = point.normal
-        albedo = look.color
+        albedo = material.color
         mesh = scene.shaded.mesh
         instance = geometry_of(mesh, primitive)
         geometry = geometry_in(mesh, instance)
         local = primitive - mesh.geometry_first[instance]
-        material = look.number
+        number = material.number
     layers.depth[pixel] = hits.t[i]
     layers.normal[pixel] = normal
     layers.albedo[pixel] = albedo
     layers.primitive_id[pixel] = local
     layers.geometry_id[pixel] = geometry
     layers.instance_id[pixel] = instance
-    layers.material_id[pixel] = material
+    layers.material_id[pixel] = number

@@ -57,7 +57,7 @@ class PixelSamples:
     samples: int
     """Samples of a pixel."""
     columns: int
-    """Columns of a grid of so many cells."""
+    """Columns of a grid of a number of cells."""
     seed: wp.uint32
     primes: wp.array(dtype=int)
 

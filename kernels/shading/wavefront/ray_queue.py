@@ -77,10 +77,10 @@ def move_ray(source: RayQueue, i: int, target: RayQueue, to: int):
 
 
 @wp.kernel
-def fill(first: int, scratch: RayQueue, goes_on: wp.array(dtype=int), places: wp.array(dtype=int), queue: RayQueue):
+def fill(first: int, scratch: RayQueue, is_alive: wp.array(dtype=int), places: wp.array(dtype=int), queue: RayQueue):
     """Moves a ray that goes on to its place. Item: a place of the scratch queue; `places` are inclusive sums."""
     i = first + wp.tid()
-    if goes_on[i] != 0:
+    if is_alive[i] != 0:
         move_ray(scratch, i, queue, places[i] - 1)
 
 
@@ -90,7 +90,7 @@ def settle_paths(
     blocked: wp.array(dtype=wp.bool),
     rays: Gathered,
     scratch: RayQueue,
-    goes_on: wp.array(dtype=int),
+    is_alive: wp.array(dtype=int),
     places: wp.array(dtype=int),
     queue: RayQueue,
 ):
@@ -101,7 +101,7 @@ def settle_paths(
         if not blocked[i]:
             slot = scratch.slot[i]
             rays.radiance[slot] = rays.radiance[slot] + rays.lit[i]
-    if goes_on[i] != 0:
+    if is_alive[i] != 0:
         move_ray(scratch, i, queue, places[i] - 1)
 
 
@@ -118,15 +118,15 @@ def gather(
     if is_first:
         total = rays.radiance[own]
         j = int(i)
-        goes_on = bool(True)
-        while goes_on:
+        is_more = bool(True)
+        while is_more:
             if with_emitted:
                 total += rays.emitted[j]
             if blocked.shape[0] > 0:  # noqa: SIM102 - in a kernel, `and` evaluates both sides
                 if not blocked[j]:
                     total += rays.lit[j]
             j += 1
-            goes_on = False
+            is_more = False
             if j < count:
-                goes_on = slot[j] == own
+                is_more = slot[j] == own
         rays.radiance[own] = total

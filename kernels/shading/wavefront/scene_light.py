@@ -1,11 +1,11 @@
 """What a step of path tracing and one of Whitted's ray tracing have in common: the scene, what a ray collects on its way, light
-that may arrive from a lamp, and the passage through a boundary."""
+that may arrive from a light, and the passage through a boundary."""
 
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.interior import leading_medium, with_medium, without_medium
-from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, Look, Materials, look_at
+from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, MaterialAtHit, Materials, material_at
 from wrt.kernels.shading.bsdf.scattering import base_value, is_single, scattering_value
 from wrt.kernels.shading.emitters.environment import sky_density, sky_radiance
 from wrt.kernels.shading.emitters.light_sampling import (
@@ -58,7 +58,7 @@ def absorbed(scene: LitScene, weight: wp.vec3, media: wp.uint64, distance: float
 
 @wp.func
 def crossed_lights(scene: LitScene, weight: wp.vec3, density: float, origin: wp.vec3, direction: wp.vec3, t: float):
-    """Light of the lamps that a ray crosses before it ends at t."""
+    """Radiance of the lights that a ray crosses before it ends at t."""
     total = wp.vec3()
     for entry in range(scene.lights.areas):
         found = crossed_light(scene.lights, entry, origin, direction, t)
@@ -112,36 +112,36 @@ def may_emit(scene: LitScene, primitive: int):
 
 
 @wp.func
-def boundary_of(scene: LitScene, look: Look, media: wp.uint64, is_front: bool):
+def boundary_of(scene: LitScene, material: MaterialAtHit, media: wp.uint64, is_front: bool):
     """What a dielectric surface is to a ray that meets its front from outside, or its back from inside."""
     result = Boundary()
     result.is_real = True
     result.ratio = 1.0
     result.media_beyond = media
-    if look.kind == DIELECTRIC:
+    if material.kind == DIELECTRIC:
         priority = scene.materials.priority
         # what else is there: of two bodies of one material that overlap, the other one
         others = wp.uint64(media)
         if is_front:
-            result.media_beyond = with_medium(media, look.number)
+            result.media_beyond = with_medium(media, material.number)
         else:
-            others = without_medium(media, look.number)
+            others = without_medium(media, material.number)
             result.media_beyond = others
         other = leading_medium(others, priority)
         index = float(AIR_INDEX)
         if other >= 0:
             index = scene.materials.shape[other][2]
-            result.is_real = priority[look.number] >= priority[other]
-        result.ratio = wp.where(is_front, index / look.index, look.index / index)
+            result.is_real = priority[material.number] >= priority[other]
+        result.ratio = wp.where(is_front, index / material.index, material.index / index)
     return result
 
 
 @wp.func
-def point_look(scene: LitScene, point: ShadingPoint):
+def material_at_point(scene: LitScene, point: ShadingPoint):
     """The material at a point."""
-    look = look_at(scene.materials, point.face, point.weights)
-    look.schlick = scene.schlick
-    return look
+    material = material_at(scene.materials, point.face, point.weights)
+    material.schlick = scene.schlick
+    return material
 
 
 @wp.struct
@@ -159,32 +159,32 @@ class Arrival:
 def arriving_light(
     scene: LitScene,
     point: ShadingPoint,
-    look: Look,
+    material: MaterialAtHit,
     out: wp.vec3,
     entry: int,
     place: wp.vec2,
     probability: float,
     is_combined: bool,
 ):
-    """Light of a lamp that is scattered towards `out`.
+    """Radiance of a light that is scattered towards `out`.
 
     Args:
-        entry: the lamp, and `place` the point on it, in [0, 1)^2.
-        probability: with which this lamp was chosen.
-        is_combined: whether rays find lamps by scattering, too, so that both share the light by weights. If not, reflected and
-            refracted rays alone find the lamps that they can find, and the diffuse part of the surface is lit for here.
+        entry: the light, and `place` the point on it, in [0, 1)^2.
+        probability: with which this light was chosen.
+        is_combined: whether rays find lights by scattering, too, so that both share the light by weights. If not, reflected and
+            refracted rays alone find the lights that they can find, and the diffuse part of the surface is lit for here.
     """
     result = Arrival()
-    if not is_single(look):
+    if not is_single(material):
         origin = point.position + point.rise
         light = sample_light(scene.lights, scene.shaded, scene.materials, entry, origin, place)
         cosine_face = wp.dot(light.direction, point.face_normal)
         if light.density > 0.0 and (cosine_face > 0.0) == (wp.dot(light.direction, point.normal) > 0.0):
             found = wp.vec4()
             if is_combined or light.is_single:
-                found = scattering_value(look, point.normal, out, light.direction)
+                found = scattering_value(material, point.normal, out, light.direction)
             else:
-                found = base_value(look, point.normal, out, light.direction)
+                found = base_value(material, point.normal, out, light.direction)
             if found[3] > 0.0:
                 side = wp.where(cosine_face > 0.0, point.offset, -point.offset)
                 if cosine_face < 0.0:

@@ -117,7 +117,7 @@ def make_stream_step(known: int) -> wp.Kernel:
         hits: HitBatch,
         rays: Gathered,
         following: RayQueue,
-        goes_on: wp.array(dtype=int),
+        is_alive: wp.array(dtype=int),
     ):
         """Does the step of path tracing for list `number` of a stream. Item: a stream."""
         item = first + wp.tid()
@@ -125,7 +125,7 @@ def make_stream_step(known: int) -> wp.Kernel:
             i = streams.order[place]
             found = follow_path(i, wp.static(known), i, i, step, scene, source, wave, queue, hits, rays, following)
             if not step.is_last:
-                goes_on[i] = found & 1
+                is_alive[i] = found & 1
 
     return stream_step
 

@@ -1,11 +1,11 @@
-"""One step of Whitted's ray tracing, and of distribution ray tracing: each hit is lit by all lamps, and sends out a reflected
+"""One step of Whitted's ray tracing, and of distribution ray tracing: each hit is lit by all lights, and sends out a reflected
 and a refracted ray.
 
 **Whitted (1980).** Mirrors and boundaries of dielectrics send rays on, weighted by Fresnel's equations; all other surfaces are
-lit by the lamps and by a constant ambient light. Lamps with an area are sampled at their middle, so shadows are hard. Glossy
+lit by the lights and by a constant ambient light. Lights with an area are sampled at their middle, so shadows are hard. Glossy
 surfaces reflect to the mirror direction.
 
-**Distribution (Cook, Porter and Carpenter 1984).** The same tree, but each sample of a pixel has its own place on each lamp
+**Distribution (Cook, Porter and Carpenter 1984).** The same tree, but each sample of a pixel has its own place on each light
 (penumbrae) and its own direction in the lobe of a glossy or rough surface (gloss, translucency), as it has its own place in
 the pixel, on the lens and in time. Light that is scattered diffusely twice is not followed, which path tracing does.
 
@@ -24,7 +24,7 @@ from wrt.kernels.layout.ray_batch import HitBatch, is_finite
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.fresnel import dielectric_share, mirrored, refracted, schlick_color
 from wrt.kernels.shading.bsdf.ggx import masking, masking_and_shadowing, visible_facet
-from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, GLOSSY, MIRROR, Look
+from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, GLOSSY, MIRROR, MaterialAtHit
 from wrt.kernels.shading.bsdf.scattering import facet_color, is_single, largest
 from wrt.kernels.shading.emitters.light_table import TRIANGLES
 from wrt.kernels.shading.sampling import MIX_1
@@ -46,15 +46,15 @@ from wrt.kernels.shading.wavefront.scene_light import (
     arriving_light,
     boundary_of,
     crossed_lights,
-    point_look,
+    material_at_point,
     sky_light,
     surface_light,
 )
 
 exact_module(__name__)
 
-LAMP_DIMENSIONS = wp.constant(0x4000)
-"""First dimension of the places on the second and further lamps."""
+LIGHT_DIMENSIONS = wp.constant(0x4000)
+"""First dimension of the places on the second and further lights."""
 
 
 @wp.struct
@@ -66,18 +66,18 @@ class TreeStep:
     is_last: bool
     """Whether no further rays are sent."""
     distributed: bool
-    """Whether samples have their own places on lamps and directions in lobes."""
+    """Whether samples have their own places on lights and directions in lobes."""
     threshold: float
     """Weight below which rays end."""
     roulette: bool
     ambient: wp.vec3
     """Radiance of the constant ambient light."""
-    lamp: int
-    """The first lamp that this step samples."""
-    lamp_end: int
-    """The first one after them: `lamp` for none. `shade_by_lamp` samples the others."""
+    first_light: int
+    """The first light that this step samples."""
+    light_end: int
+    """The first one after them: `first_light` for none. `shade_by_light` samples the others."""
     unlit: int
-    """A lamp that is not sampled; -1 for none."""
+    """A light that is not sampled; -1 for none."""
 
 
 @wp.struct
@@ -95,8 +95,8 @@ class ShadowList:
 
     ray: wp.array(dtype=int)
     """(S,) the place of the lit ray in its queue."""
-    lamp: wp.array(dtype=int)
-    """(S,) the lamp."""
+    light: wp.array(dtype=int)
+    """(S,) the light."""
 
 
 @wp.func
@@ -115,58 +115,58 @@ def queue_branch(slot: wp.array(dtype=int), begin: int, i: int):
 
 
 @wp.func(inline=True)
-def lamp_place(step: TreeStep, scene: LitScene, source: PixelSamples, key: SampleKey, branch: int, entry: int):
-    """The point in [0, 1)^2 at which a lamp is sampled: its middle, if samples do not have their own."""
+def light_place(step: TreeStep, scene: LitScene, source: PixelSamples, key: SampleKey, branch: int, entry: int):
+    """The point in [0, 1)^2 at which a light is sampled: its middle, if samples do not have their own."""
     place = wp.vec2(0.5, 0.5)
     if step.distributed or scene.lights.kind[entry] >= TRIANGLES:
         dimension = FIRST_BOUNCE + PER_BOUNCE * step.generation
         if entry > 0:
-            dimension = LAMP_DIMENSIONS + 64 * step.generation + entry
+            dimension = LIGHT_DIMENSIONS + 64 * step.generation + entry
         own = key.pixel + wp.uint32(branch) * MIX_1  # rays of one sample and generation differ
         place = pixel_point(source, own, key.sample, dimension)
     return place
 
 
 @wp.func(inline=True)
-def reflected_child(step: TreeStep, look: Look, point: ShadingPoint, out: wp.vec3, place: wp.vec2):
+def reflected_child(step: TreeStep, material: MaterialAtHit, point: ShadingPoint, out: wp.vec3, place: wp.vec2):
     """The reflected ray of a mirror, a boundary or a glossy surface; its weight is 0 for others."""
     child = Child()
     facet = point.normal
-    is_rough = step.distributed and look.alpha > 0.0 and look.kind != MIRROR
+    is_rough = step.distributed and material.alpha > 0.0 and material.kind != MIRROR
     if is_rough:
-        facet = visible_facet(out, point.normal, look.alpha, place)
+        facet = visible_facet(out, point.normal, material.alpha, place)
     cosine = wp.abs(wp.dot(out, facet))
     child.direction = mirrored(out, facet)
-    if look.kind == MIRROR:
-        child.weight = look.color
-    if look.kind == DIELECTRIC:
-        child.weight = dielectric_share(cosine, look.ratio, look.schlick) * look.color
-    if look.kind == GLOSSY:
-        child.weight = schlick_color(facet_color(look), cosine)
+    if material.kind == MIRROR:
+        child.weight = material.color
+    if material.kind == DIELECTRIC:
+        child.weight = dielectric_share(cosine, material.ratio, material.schlick) * material.color
+    if material.kind == GLOSSY:
+        child.weight = schlick_color(facet_color(material), cosine)
     if is_rough:
         rise = wp.dot(child.direction, point.normal)
-        shadowed = masking_and_shadowing(rise, wp.dot(out, point.normal), look.alpha)
-        share = shadowed / masking(wp.dot(out, point.normal), look.alpha)
+        shadowed = masking_and_shadowing(rise, wp.dot(out, point.normal), material.alpha)
+        share = shadowed / masking(wp.dot(out, point.normal), material.alpha)
         child.weight = wp.where(rise > 0.0, share, 0.0) * child.weight
     return child
 
 
 @wp.func(inline=True)
-def refracted_child(step: TreeStep, look: Look, point: ShadingPoint, out: wp.vec3, place: wp.vec2):
+def refracted_child(step: TreeStep, material: MaterialAtHit, point: ShadingPoint, out: wp.vec3, place: wp.vec2):
     """The refracted ray of a dielectric."""
     child = Child()
     child.is_transmitted = True
     facet = point.normal
-    is_rough = step.distributed and look.alpha > 0.0
+    is_rough = step.distributed and material.alpha > 0.0
     if is_rough:
-        facet = visible_facet(out, point.normal, look.alpha, place)
-    share = 1.0 - dielectric_share(wp.abs(wp.dot(out, facet)), look.ratio, look.schlick)
-    child.direction = refracted(out, facet, look.ratio)
-    child.weight = share * look.ratio * look.ratio * look.color
+        facet = visible_facet(out, point.normal, material.alpha, place)
+    share = 1.0 - dielectric_share(wp.abs(wp.dot(out, facet)), material.ratio, material.schlick)
+    child.direction = refracted(out, facet, material.ratio)
+    child.weight = share * material.ratio * material.ratio * material.color
     if is_rough:
         rise = wp.dot(child.direction, point.normal)
-        shadowed = masking_and_shadowing(rise, wp.dot(out, point.normal), look.alpha)
-        facing = shadowed / masking(wp.dot(out, point.normal), look.alpha)
+        shadowed = masking_and_shadowing(rise, wp.dot(out, point.normal), material.alpha)
+        facing = shadowed / masking(wp.dot(out, point.normal), material.alpha)
         child.weight = wp.where(rise < 0.0, facing, 0.0) * child.weight
     return child
 
@@ -184,17 +184,17 @@ def send(
 ):
     """Writes a ray to its place; 1 if it goes on. Roulette takes a random number of the place's own."""
     share = wp.cw_mul(ray.weight, child.weight)
-    most = largest(share)
+    max_share = largest(share)
     alive = int(0)
-    if most > 0.0 and is_finite(share) and wp.length_sq(child.direction) > 0.5:
+    if max_share > 0.0 and is_finite(share) and wp.length_sq(child.direction) > 0.5:
         alive = 1
-        if most < step.threshold:
+        if max_share < step.threshold:
             alive = 0
             if step.roulette:
                 chance = single_number(key.pixel, key.sample, 3 * step.generation + at % 2)
-                if chance * step.threshold < most:
+                if chance * step.threshold < max_share:
                     alive = 1
-                    share = share * (step.threshold / most)
+                    share = share * (step.threshold / max_share)
         following.direction[at] = kept_above(child.direction, point.face_normal, child.is_transmitted)
         following.weight[at] = share
         following.density[at] = 0.0
@@ -211,33 +211,33 @@ def send_children(
     key: SampleKey,
     ray: RayAtHit,
     point: ShadingPoint,
-    look: Look,
+    material: MaterialAtHit,
     boundary: Boundary,
     i: int,
     following: RayQueue,
-    goes_on: wp.array(dtype=int),
+    is_alive: wp.array(dtype=int),
 ):
     """Writes the reflected and the refracted ray of hit i, and whether they go on."""
     place = wp.vec2()
-    if step.distributed and look.alpha > 0.0:
+    if step.distributed and material.alpha > 0.0:
         place = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation + 1)
     if not boundary.is_real:
         passing = Child()
         passing.direction = ray.direction
         passing.weight = wp.vec3(1.0, 1.0, 1.0)
         passing.is_transmitted = True
-        goes_on[2 * i + 1] = send(step, key, passing, ray, point, boundary, 2 * i + 1, following)
+        is_alive[2 * i + 1] = send(step, key, passing, ray, point, boundary, 2 * i + 1, following)
     else:
-        if look.kind == MIRROR or look.kind == GLOSSY or look.kind == DIELECTRIC:
-            child = reflected_child(step, look, point, -ray.direction, place)
-            goes_on[2 * i] = send(step, key, child, ray, point, boundary, 2 * i, following)
-        if look.kind == DIELECTRIC:
-            child = refracted_child(step, look, point, -ray.direction, place)
-            goes_on[2 * i + 1] = send(step, key, child, ray, point, boundary, 2 * i + 1, following)
+        if material.kind == MIRROR or material.kind == GLOSSY or material.kind == DIELECTRIC:
+            child = reflected_child(step, material, point, -ray.direction, place)
+            is_alive[2 * i] = send(step, key, child, ray, point, boundary, 2 * i, following)
+        if material.kind == DIELECTRIC:
+            child = refracted_child(step, material, point, -ray.direction, place)
+            is_alive[2 * i + 1] = send(step, key, child, ray, point, boundary, 2 * i + 1, following)
 
 
 @wp.func(inline=True)
-def write_lamp_light(
+def write_light(
     step: TreeStep,
     entry: int,
     scene: LitScene,
@@ -246,13 +246,13 @@ def write_lamp_light(
     branch: int,
     ray: RayAtHit,
     point: ShadingPoint,
-    look: Look,
+    material: MaterialAtHit,
     i: int,
     rays: Gathered,
 ):
-    """Writes the light that a lamp may give at hit i, and its shadow ray."""
-    place = lamp_place(step, scene, source, key, branch, entry)
-    found = arriving_light(scene, point, look, -ray.direction, entry, place, 1.0, False)
+    """Writes the radiance that a light may give at hit i, and its shadow ray."""
+    place = light_place(step, scene, source, key, branch, entry)
+    found = arriving_light(scene, point, material, -ray.direction, entry, place, 1.0, False)
     rays.lit[i] = wp.cw_mul(ray.weight, found.radiance)
     rays.shadow_origin[i] = found.origin
     rays.shadow_direction[i] = found.segment
@@ -272,46 +272,46 @@ def shade_ray(
     hits: HitBatch,
     rays: Gathered,
     following: RayQueue,
-    goes_on: wp.array(dtype=int),
+    is_alive: wp.array(dtype=int),
     listed: ShadowList,
 ):
     """Does the step of ray i of a queue that begins at `begin`.
 
     Writes the light that needs no shadow ray to place i, and the rays that follow to the places 2 `child` and 2 `child` + 1.
-    Light and shadow rays of lamps go to place `entry`; or, if the list has room, those that may bring light to the places
+    Light and shadow rays of lights go to place `entry`; or, if the list has room, those that may bring light to the places
     from `entry` on. Returns the place after them.
     """
     ray = ray_at_hit(scene, queue, hits, i)
     emitted = crossed_lights(scene, ray.weight, 0.0, ray.origin, ray.direction, ray.t)
     place = int(entry)
     if not step.is_last:
-        goes_on[2 * child] = 0
-        goes_on[2 * child + 1] = 0
+        is_alive[2 * child] = 0
+        is_alive[2 * child + 1] = 0
     if ray.primitive < 0:
         emitted += sky_light(scene, ray.weight, 0.0, ray.direction)
     else:
         point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
-        look = point_look(scene, point)
+        material = material_at_point(scene, point)
         cosine = wp.abs(wp.dot(point.face_normal, ray.direction))
-        emitted += surface_light(scene, look.number, ray.weight, 0.0, point, cosine, ray.t)
-        boundary = boundary_of(scene, look, ray.media, point.is_front)
-        look.ratio = boundary.ratio
-        if not is_single(look) and look.kind != DIELECTRIC:
-            emitted += wp.cw_mul(wp.cw_mul(ray.weight, (1.0 - look.metallic) * look.color), step.ambient)
+        emitted += surface_light(scene, material.number, ray.weight, 0.0, point, cosine, ray.t)
+        boundary = boundary_of(scene, material, ray.media, point.is_front)
+        material.ratio = boundary.ratio
+        if not is_single(material) and material.kind != DIELECTRIC:
+            emitted += wp.cw_mul(wp.cw_mul(ray.weight, (1.0 - material.metallic) * material.color), step.ambient)
         if not step.is_last:
             branch = queue_branch(queue.slot, begin, i)
             key = sample_key(source, wave, ray.slot)
-            if boundary.is_real and not is_single(look):
-                for lamp in range(step.lamp, step.lamp_end):
-                    if lamp != step.unlit:
-                        write_lamp_light(step, lamp, scene, source, key, branch, ray, point, look, place, rays)
+            if boundary.is_real and not is_single(material):
+                for light in range(step.first_light, step.light_end):
+                    if light != step.unlit:
+                        write_light(step, light, scene, source, key, branch, ray, point, material, place, rays)
                         lit = rays.lit[place]
                         if listed.ray.shape[0] > 0 and (lit[0] != 0.0 or lit[1] != 0.0 or lit[2] != 0.0):
                             listed.ray[place] = i
-                            listed.lamp[place] = lamp
+                            listed.light[place] = light
                             place += 1
             key.pixel += wp.uint32(branch) * MIX_1  # rays of one sample and generation differ
-            send_children(step, source, key, ray, point, look, boundary, child, following, goes_on)
+            send_children(step, source, key, ray, point, material, boundary, child, following, is_alive)
     rays.emitted[i] = emitted
     return place
 
@@ -330,11 +330,11 @@ def tree_step(
     hits: HitBatch,
     rays: Gathered,
     following: RayQueue,
-    goes_on: wp.array(dtype=int),
+    is_alive: wp.array(dtype=int),
     listed: ShadowList,
 ):
-    """Writes the light of rays that needs no shadow ray, that of the lamp `step.lamp`, and the rays that follow. Item: a group
-    of the rays start .. stop - 1. `listed` is empty."""
+    """Writes the light of rays that needs no shadow ray, that of the light `step.first_light`, and the rays that follow. Item:
+    a group of the rays start .. stop - 1. `listed` is empty."""
     begin = start + (first + wp.tid()) * group
     end = wp.min(begin + group, stop)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
@@ -343,11 +343,11 @@ def tree_step(
         if not step.is_last:
             rays.lit[i] = wp.vec3()
             rays.shadow_direction[i] = wp.vec3()
-        shade_ray(i, 0, i, i, step, scene, source, wave, queue, hits, rays, following, goes_on, listed)
+        shade_ray(i, 0, i, i, step, scene, source, wave, queue, hits, rays, following, is_alive, listed)
 
 
 @wp.kernel
-def shade_by_lamp(
+def shade_by_light(
     first: int,
     start: int,
     stop: int,
@@ -361,7 +361,8 @@ def shade_by_lamp(
     hits: HitBatch,
     rays: Gathered,
 ):
-    """Writes the light that a further lamp gives at hits, and the shadow rays. Item: a group of the rays start .. stop - 1."""
+    """Writes the radiance that a further light gives at hits, and the shadow rays. Item: a group of the rays start .. stop -
+    1."""
     begin = start + (first + wp.tid()) * group
     end = wp.min(begin + group, stop)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
@@ -372,11 +373,11 @@ def shade_by_lamp(
         rays.shadow_direction[i] = wp.vec3()
         if ray.primitive >= 0:
             point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
-            look = point_look(scene, point)
-            if not is_single(look):
-                boundary = boundary_of(scene, look, ray.media, point.is_front)
-                look.ratio = boundary.ratio
+            material = material_at_point(scene, point)
+            if not is_single(material):
+                boundary = boundary_of(scene, material, ray.media, point.is_front)
+                material.ratio = boundary.ratio
                 if boundary.is_real:
                     key = sample_key(source, wave, ray.slot)
                     branch = queue_branch(queue.slot, 0, i)
-                    write_lamp_light(step, entry, scene, source, key, branch, ray, point, look, i, rays)
+                    write_light(step, entry, scene, source, key, branch, ray, point, material, i, rays)

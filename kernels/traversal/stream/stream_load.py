@@ -31,7 +31,7 @@ component."""
 
 GUARDS = f"""
     static_assert(wrt::SLACK == {SLACK!r}f && wrt::SHORTEST == {SHORTEST!r}f && wrt::FARTHEST == {FARTHEST!r}f);
-    static_assert(wrt::NEGLIGIBLE == {NEGLIGIBLE!r}f && wrt::LEAST_SIZE == {SHORTEST / NEGLIGIBLE!r}f);
+    static_assert(wrt::NEGLIGIBLE == {NEGLIGIBLE!r}f && wrt::MIN_SIZE == {SHORTEST / NEGLIGIBLE!r}f);
 """
 """C++: constants that kernels/native has too."""
 

@@ -18,7 +18,7 @@ from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.rendering_job import Rendering
 from wrt.imaging.integrators.wavefront import GROUP, Wave
-from wrt.imaging.lights.lamps import PointLight
+from wrt.imaging.lights.light_sources import PointLight
 from wrt.imaging.lights.sky_image import Sky
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.ordering.ray_order import sort_buckets
@@ -205,7 +205,7 @@ class Generation:
         wave, queue, hits = self.wave, self.wave.queue, self.hits
         if way.endswith("lanes") and streams is not None:
             queue, hits = self._moved, self._moved_hits
-        inputs = (wave._step, wave.scene, wave.samples, wave._wave, queue, hits, wave.gathered, wave.scratch, wave.goes_on)
+        inputs = (wave._step, wave.scene, wave.samples, wave._wave, queue, hits, wave.gathered, wave.scratch, wave.is_alive)
         if way.endswith("lanes"):
             wave.run_groups(self.kernel, hits, *inputs)
             return
@@ -223,7 +223,7 @@ class Generation:
         found = {"radiance": wave.radiance.numpy().copy()}
         if self.is_last:
             return found
-        slots, alive = (array.numpy()[: self.count] for array in (wave.scratch.slot, wave.goes_on))
+        slots, alive = (array.numpy()[: self.count] for array in (wave.scratch.slot, wave.is_alive))
         by_slot = {name: getattr(wave.gathered, name) for name in ANSWERS}
         by_slot |= {f"following {name}": getattr(wave.scratch, name) for name in FOLLOWING}
         for name, array in by_slot.items():

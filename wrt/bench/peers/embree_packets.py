@@ -8,7 +8,7 @@ forms: arrays of 32-bit words, one for each field, one element a ray. `trace_pac
 
 import warp as wp
 
-from wrt.kernels.runtime.board import on_cpu
+from wrt.kernels.runtime.job_queue import on_cpu
 
 wp.set_module_options({"enable_backward": False})
 

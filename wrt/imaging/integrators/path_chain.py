@@ -39,11 +39,11 @@ from wrt.state.query_kinds import ANY, CLOSEST
 if TYPE_CHECKING:
     from wrt.imaging.integrators.ray_tracer import RayTracer
 
-TILE, LEAST_TILE = 8192, 512
+TILE, MIN_TILE = 8192, 512
 """Most and least paths of a tile. What is known of 8192 of them takes 1.5 MB."""
 
 TILES_PER_THREAD = 8
-"""Tiles of a wave that a thread has at least, if they need not be smaller than `LEAST_TILE`."""
+"""Tiles of a wave that a thread has at least, if they need not be smaller than `MIN_TILE`."""
 
 SORTED_TRIANGLES = 1024
 """Triangles of a scene from which the paths of a tile are sorted by the octants of their directions."""
@@ -58,7 +58,7 @@ FILM_OF_LAST = 5
 def tile_size(slots: int) -> int:
     """Paths of a tile of a wave of so many samples: a power of two."""
     size, share = TILE, slots // (TILES_PER_THREAD * get_num_threads())
-    while size > max(share, LEAST_TILE):
+    while size > max(share, MIN_TILE):
         size //= 2
     return size
 
@@ -177,7 +177,7 @@ class PathChain:
             stage = Stage(path_tiles.make_step_tile(), [*inputs, memories], size, (STOP, ""))
             self._of_wave.append((chain.add(stage)[0], WAVE_OF_STEP))
             if casts:
-                similar = is_first and not samples_sky(scene.lights)  # to a lamp, those of camera rays' hits are
+                similar = is_first and not samples_sky(scene.lights)  # to a light, those of camera rays' hits are
                 shadows = rays.shadow_origin, rays.shadow_direction, known, size, blocked, similar, True
                 chain.add(*tracer.stages(ANY, *shadows, counts=memories.shadows))
                 inputs = [size, 0, self._blocked.occluded, rays, self._lit_slot]

@@ -38,7 +38,7 @@ TOGETHER = "packet"
 """The traversal of similar rays. Whether they are similar enough depends on the scene; no sample of them is needed if the other
 way is tried, too."""
 
-LEAST_TRIANGLES = 1024
+MIN_TRIANGLES = 1024
 """Triangles of a scene from which either may be the faster one. With fewer, streams are if the plan says so; if it does not,
 they may be (notebooks/records/2026-11-23-last-generation.md)."""
 
@@ -169,7 +169,7 @@ class RayTracer:
         if by_speed and similar:
             if can_answer(TRAVERSALS[TOGETHER], state, kind, False):
                 plans.insert(0, find_plan(state, rays, query._replace(traversal=TOGETHER)).carried_out)
-        elif by_speed and plan.traversal in INCOHERENT[state.triangle_count < LEAST_TRIANGLES :]:  # all, or all but streams
+        elif by_speed and plan.traversal in INCOHERENT[state.triangle_count < MIN_TRIANGLES :]:  # all, or all but streams
             plans += [replace(plan, traversal=name) for name in INCOHERENT if name != plan.traversal]
         made = []
         for plan in plans:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from wrt.imaging.integrators import INTEGRATORS
-from wrt.imaging.integrators.texture_tiles import SMALLEST_BUDGET
+from wrt.imaging.integrators.texture_tiles import MIN_BUDGET
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS
 from wrt.kernels.shading.wavefront.picture import TONE_MAPPINGS
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
@@ -42,7 +42,7 @@ class RenderSettings:
         fresnel: "exact", or "schlick" for Schlick's approximation.
         threshold: weight below which rays of "whitted" and "distribution" end; 0: they reach `depth`.
         roulette: whether rays that would end may go on, weighted up. Of "path": whether paths may end after four rays.
-        sample_lights: of "path": whether lamps are sampled at each point; without, light is only found by scattering.
+        sample_lights: of "path": whether lights are sampled at each point; without, light is only found by scattering.
         ambient: of "whitted" and "distribution": radiance of a constant ambient light, a number or (3,); None: the mean of the
             sky for "whitted", none for "distribution".
         max_radiance: largest component of a sample, which bounds rare bright pixels and makes the picture a little darker.
@@ -83,7 +83,7 @@ class RenderSettings:
 
     def __post_init__(self) -> None:
         convert_fields(self)
-        for name, minimum in (("samples", 1), ("depth", 1), ("seed", 0), ("wave", 1), ("texture_memory", SMALLEST_BUDGET)):
+        for name, minimum in (("samples", 1), ("depth", 1), ("seed", 0), ("wave", 1), ("texture_memory", MIN_BUDGET)):
             if getattr(self, name) is not None:
                 as_int(name, getattr(self, name), minimum)
         choices = {"sampler": SAMPLERS, "pixel_filter": FILTERS, "fresnel": FRESNEL, "tone_mapping": TONE_MAPPINGS}

@@ -54,7 +54,7 @@ class Rendering:
         scene: the scene. Later updates of it do not show.
         camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
         integrator: "whitted", "distribution" or "path".
-        lights: lamps and sky: `wrt.PointLight`, `wrt.SpotLight`, `wrt.DirectionalLight`, `wrt.AreaLight`, `wrt.Sky`; None: a
+        lights: lights and sky: `wrt.PointLight`, `wrt.SpotLight`, `wrt.DirectionalLight`, `wrt.AreaLight`, `wrt.Sky`; None: a
             sky, and a point light above and to the left of the camera, unless a material emits.
         materials: a `wrt.Material` for all triangles or one for each mesh; None: those of the meshes.
         motion: what moves while the shutter is open, a `wrt.Motion`.
@@ -385,7 +385,7 @@ def camera_model(camera: Camera, settings: RenderSettings, scene: Scene, samples
 
 def _default_lights(camera: Camera, scene: Scene) -> tuple[Any, ...]:
     """A sky, and a point light above and to the left of the camera."""
-    from wrt.imaging.lights.lamps import PointLight
+    from wrt.imaging.lights.light_sources import PointLight
     from wrt.meshes.up_axis import default_up
 
     position = default_light(camera)

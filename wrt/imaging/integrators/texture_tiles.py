@@ -19,15 +19,15 @@ from wrt.kernels.shading.wavefront.scene_light import LitScene
 from wrt.kernels.shading.wavefront.texture_demand import mark_tiles
 from wrt.materials.material import Texture
 
-__all__ = ["SMALLEST_BUDGET", "TextureTiles", "packed_texels"]
+__all__ = ["MIN_BUDGET", "TextureTiles", "packed_texels"]
 
 TEXELS = TILE * TILE
 """Texels of a tile."""
 
-SMALLEST_BUDGET = 8 * 4 * TEXELS
+MIN_BUDGET = 8 * 4 * TEXELS
 """Bytes of the most tiles that one hit can need: four of each of two images."""
 
-MOST_PLACES = (1 << 31) // TEXELS - 1
+MAX_PLACES = (1 << 31) // TEXELS - 1
 """Texels are numbered by 32 bits."""
 
 
@@ -43,7 +43,7 @@ class TextureTiles:
     Args:
         table: gets the arrays of tiles; its `texture_size` is set.
         textures: the images, in the order of their numbers.
-        budget: bytes for texels, at least `SMALLEST_BUDGET`.
+        budget: bytes for texels, at least `MIN_BUDGET`.
         device: of the table.
 
     Attributes:
@@ -56,7 +56,7 @@ class TextureTiles:
         down = np.array([-(-one.pixels.shape[0] // TILE) for one in textures])
         self._begins = np.cumsum([0, *(self._across * down)])
         count = int(self._begins[-1])
-        places = min(budget // (4 * TEXELS), count, MOST_PLACES)
+        places = min(budget // (4 * TEXELS), count, MAX_PLACES)
         self._place, self._used = np.full(count, -1, dtype=np.int32), np.zeros(count, dtype=np.int64)
         self._free, self._clock = list(range(places)), 0
         self._places = places

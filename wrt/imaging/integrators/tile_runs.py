@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
-from wrt.kernels.runtime.launch_chain import LONGEST, LaunchChain
+from wrt.kernels.runtime.launch_chain import MAX_TILES, LaunchChain
 from wrt.kernels.shading.ray_trees import tile_memories
 
 FIRST_SAMPLES = 1 << 17
@@ -44,9 +44,9 @@ class TileRuns:
         return self.room * len(self)
 
     @property
-    def fewest_samples(self) -> int:
+    def min_samples_together(self) -> int:
         """The fewest samples of the last wave that were tried together, because more found no place."""
-        return int(self.memories.fewest.numpy().min())
+        return int(self.memories.min_fitting.numpy().min())
 
     def run(self, chain: LaunchChain, count: int, last: int = 0) -> int:
         """Follows so many samples through the stages, and returns the number of rays; -1 if those of a single sample find no
@@ -59,12 +59,12 @@ class TileRuns:
         """
         memories = self.memories
         memories.fitting.fill_(self.size)
-        memories.fewest.fill_(self.size)
+        memories.min_fitting.fill_(self.size)
         memories.total.zero_()
         memories.failed.zero_()
         inputs = [chain.stages, len(chain), last, self.room, self.size, count, memories]
         if self._launch is None:
             self._launch = PreparedLaunch(tile_memories.follow_tiles, inputs, chain.device)
         self._launch.update(inputs)
-        self._launch.run(-(-count // self.size), Chunks(chunk=1, longest=LONGEST), self)
+        self._launch.run(-(-count // self.size), Chunks(chunk=1, longest=MAX_TILES), self)
         return -1 if memories.failed.numpy().any() else int(memories.total.numpy().sum())

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 SIZE, ROOM = 4096, 16384
 """Samples of a tile at most, and its places for rays of a generation."""
 
-MOST_LAMPS = 16
-"""Lamps up to which shadow rays find place: each lamp may take a place for each ray."""
+MAX_TREE_LIGHTS = 16
+"""Lights up to which shadow rays find place: each light may take a place for each ray."""
 
 
 @dataclass
@@ -50,7 +50,7 @@ class Trees:
         step: of any generation.
         depth: generations at most.
         radiance: (slots,) sums of the samples of a wave.
-        lamps: entries of the lamps that are sampled at each hit, in ascending order.
+        lights: entries of the lights that are sampled at each hit, in ascending order.
     """
 
     scene: LitScene
@@ -58,12 +58,12 @@ class Trees:
     step: TreeStep
     depth: int
     radiance: wp.array
-    lamps: list[int]
+    lights: list[int]
 
     @property
     def surfaces_end_dark(self) -> bool:
-        """Whether the surfaces and lamps that rays of the last generation may meet give no light: mirrors and glass do not. Any
-        hit then tells as much as the closest."""
+        """Whether the surfaces and lights that rays of the last generation may meet give no light: mirrors and glass do not.
+        Any hit then tells as much as the closest."""
         materials, lights = self.scene.materials, self.scene.lights
         send_on = np.isin(materials.kind.numpy(), (int(MIRROR), int(DIELECTRIC))).all()
         return bool(send_on and lights.areas == 0 and not materials.emission.numpy().any())
@@ -74,11 +74,11 @@ class Trees:
         for name in ("distributed", "threshold", "roulette", "ambient"):
             setattr(step, name, getattr(self.step, name))
         step.generation, step.is_last = generation, generation + 1 >= self.depth
-        step.lamp = step.lamp_end = 0
+        step.first_light = step.light_end = 0
         step.unlit = -1
-        if self.lamps and not step.is_last:
-            step.lamp, step.lamp_end = self.lamps[0], self.lamps[-1] + 1
-            left_out = set(range(step.lamp, step.lamp_end)) - set(self.lamps)  # the sky at most
+        if self.lights and not step.is_last:
+            step.first_light, step.light_end = self.lights[0], self.lights[-1] + 1
+            left_out = set(range(step.first_light, step.light_end)) - set(self.lights)  # the sky at most
             step.unlit = left_out.pop() if left_out else -1
         return step
 
@@ -105,9 +105,9 @@ class TreeChain:
         self._of_wave: list[tuple[PackedKernel, int]] = []
 
     @property
-    def fewest_samples(self) -> int:
+    def min_samples_together(self) -> int:
         """The fewest samples of the last wave that were tried together, because more found no place."""
-        return self._runs.fewest_samples
+        return self._runs.min_samples_together
 
     def run(self, camera: CameraModel, samples: ray_queue.Wave, count: int, sample: tuple[wp.array, wp.array] | None) -> int:
         """Follows so many samples, and returns the number of rays; -1 if those of a single sample find no place.
@@ -133,16 +133,16 @@ class TreeChain:
         scene, places = trees.scene, self._runs.places
         queues = [new_queue(places, device) for _ in range(2)]
         scratch = new_queue(2 * tree_tiles.WIDTH * len(memories.left), device)
-        goes_on = empty(len(scratch.slot), wp.int32, device)
+        is_alive = empty(len(scratch.slot), wp.int32, device)
         rays, listed = ray_queue.Gathered(), ShadowList()
         rays.radiance = trees.radiance
         for name in ("emitted", "lit", "shadow_origin", "shadow_direction"):
             setattr(rays, name, empty(places, wp.vec3, device))
-        listed.ray, listed.lamp = (empty(places, wp.int32, device) for _ in range(2))
+        listed.ray, listed.light = (empty(places, wp.int32, device) for _ in range(2))
         found, blocked = DeviceHits.new(CLOSEST, places, device), DeviceHits.new(ANY, places, device)
         hits = found.struct()
         chain = LaunchChain(ROOM, memories.left, device)
-        chain.keep = (queues, scratch, goes_on, rays, listed, found, blocked)
+        chain.keep = (queues, scratch, is_alive, rays, listed, found, blocked)
         self._of_wave.clear()
         inputs: list[Any] = [ROOM, 0, camera, trees.samples, samples, queues[0], trees.radiance, memories, tile_memories.WIDTH]
         self._of_wave.append((chain.add(Stage(tile_memories.start_tile, inputs, ROOM, (STOP, "")))[0], 5))
@@ -161,14 +161,24 @@ class TreeChain:
             seen = (eye if self._one_point else sample[0], sample[1]) if is_first else None
             chain.add(*tracer.stages(CLOSEST, origins, queue.direction, count, ROOM, hits, is_first, False, sample=seen))
             step = trees.step_of(generation)
-            lamps = 0 if step.is_last else len(trees.lamps)
-            inputs = [ROOM, 0, step, lamps, scene, trees.samples, samples, queue, hits, rays]
-            inputs += [scratch, goes_on, following, listed, memories]
+            lights = 0 if step.is_last else len(trees.lights)
+            inputs = [ROOM, 0, step, lights, scene, trees.samples, samples, queue, hits, rays]
+            inputs += [scratch, is_alive, following, listed, memories]
             self._of_wave.append((chain.add(Stage(tree_tiles.shade_tile, inputs, ROOM, (STOP, "")))[0], 7))
-            if lamps:
+            if lights:
                 shadows = rays.shadow_origin, rays.shadow_direction
                 found_blocked, own = blocked.struct(), memories.shadows
                 chain.add(*tracer.stages(ANY, *shadows, count, ROOM, found_blocked, False, True, counts=own))
-            inputs = [ROOM, 0, step.lamp, step.lamp_end - step.lamp, queue.slot, blocked.occluded, rays, listed, memories]
+            inputs = [
+                ROOM,
+                0,
+                step.first_light,
+                step.light_end - step.first_light,
+                queue.slot,
+                blocked.occluded,
+                rays,
+                listed,
+                memories,
+            ]
             chain.add(Stage(tree_tiles.gather_tile, inputs, ROOM, (STOP, ""), memories.shaded))
         return chain

@@ -1,7 +1,7 @@
 """Waves of rays: the samples of some pixels, traced together, generation by generation.
 
 A generation is a queue of rays. Its closest hits are found in one batch; a kernel turns them into light, shadow rays and the
-rays of the next generation; the shadow rays are one batch for each lamp; what arrives is added to the samples;
+rays of the next generation; the shadow rays are one batch for each light; what arrives is added to the samples;
 and the rays that go on are moved together. All arrays stay on the device. On CUDA, the number of rays that go on is the only
 value that the host reads. On the CPU, paths are followed tile by tile where that is possible
 (`wrt.imaging.integrators.path_chain`).
@@ -22,7 +22,7 @@ from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.imaging.integrators.render_settings import RenderSettings
 from wrt.imaging.integrators.texture_tiles import TextureTiles
 from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES
-from wrt.imaging.integrators.tree_chain import MOST_LAMPS, TreeChain, Trees
+from wrt.imaging.integrators.tree_chain import MAX_TREE_LIGHTS, TreeChain, Trees
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.wavefront import path_step, ray_queue, tree_step
@@ -109,7 +109,7 @@ class Wave:
             setattr(self.gathered, name, empty(count, dtype, self._device))
         places = count * self._branches
         self.scratch = new_queue(places, self._device)
-        self.goes_on, self._places = (empty(places, wp.int32, self._device) for _ in range(2))
+        self.is_alive, self._places = (empty(places, wp.int32, self._device) for _ in range(2))
 
     def follow_in_tiles(
         self, tracer: RayTracer, camera: CameraModel, wave: ray_queue.Wave, count: int, film: Film, from_one_point: bool
@@ -147,10 +147,10 @@ class Wave:
         if self._is_path:
             paths = Paths(self.scene, self.samples, self._step, self.settings.depth, self._group, self.radiance)
             return PathChain(paths, tracer, from_one_point)
-        lamps = self._lamps()
-        if len(lamps) > MOST_LAMPS:
+        lights = self._lights()
+        if len(lights) > MAX_TREE_LIGHTS:
             return None
-        trees = Trees(self.scene, self.samples, self._step, self.settings.depth, self.radiance, lamps)
+        trees = Trees(self.scene, self.samples, self._step, self.settings.depth, self.radiance, lights)
         return TreeChain(trees, tracer, from_one_point)
 
     def start(self, camera: CameraModel, wave: ray_queue.Wave, count: int) -> None:
@@ -192,28 +192,28 @@ class Wave:
             self._blocked = self._shadows(tracer, self.scene.lights.sky_entry < 0)
 
     def _follow_trees(self, tracer: RayTracer, hits: DeviceHits) -> None:
-        lamps, sky = [] if self._step.is_last else self._lamps(), self.scene.lights.sky_entry
-        self._step.lamp, self._step.lamp_end = (lamps[0], lamps[0] + 1) if lamps else (0, 0)
+        lights, sky = [] if self._step.is_last else self._lights(), self.scene.lights.sky_entry
+        self._step.first_light, self._step.light_end = (lights[0], lights[0] + 1) if lights else (0, 0)
         self._run_step(tree_step.tree_step, hits, tree_step.ShadowList())
-        self._gather(self._shadows(tracer, lamps[0] != sky) if lamps else self._none, True)
-        for entry in lamps[1:]:
+        self._gather(self._shadows(tracer, lights[0] != sky) if lights else self._none, True)
+        for entry in lights[1:]:
             found = hits.struct()
             inputs = (self._step, entry, self.scene, self.samples, self._wave, self.queue, found, self.gathered)
-            self.run_groups(tree_step.shade_by_lamp, found, *inputs)
+            self.run_groups(tree_step.shade_by_light, found, *inputs)
             self._gather(self._shadows(tracer, entry != sky), False)
 
-    def _lamps(self) -> list[int]:
-        """Entries of the lamps that light all points; with hard shadows, the sky's mean is the ambient light."""
+    def _lights(self) -> list[int]:
+        """Entries of the lights that light all points; with hard shadows, the sky's mean is the ambient light."""
         lights = self.scene.lights
         return [entry for entry in range(lights.count) if self._step.distributed or entry != lights.sky_entry]
 
     def _run_step(self, kernel: wp.Kernel, hits: DeviceHits, *more: Any) -> None:
         found = hits.struct()
         inputs = (self._step, self.scene, self.samples, self._wave, self.queue, found, self.gathered, self.scratch)
-        self.run_groups(kernel, found, *inputs, self.goes_on, *more)
+        self.run_groups(kernel, found, *inputs, self.is_alive, *more)
 
     def _shadows(self, tracer: RayTracer, similar: bool) -> wp.array:
-        """Which shadow rays are blocked. Those of camera rays' hits to a lamp are similar; to the sky they go all ways."""
+        """Which shadow rays are blocked. Those of camera rays' hits to a light are similar; to the sky they go all ways."""
         self.ray_count += self.count
         similar = similar and self._step.generation == 0
         return tracer.blocked(self.gathered.shadow_origin, self.gathered.shadow_direction, self.count, similar=similar)
@@ -224,14 +224,14 @@ class Wave:
     def _compact(self) -> int:
         """Moves the rays that go on to the queue, and returns their number; of paths, light past shadow rays is added first."""
         places = self.count * self._branches
-        wp.utils.array_scan(self.goes_on[:places], self._places[:places], inclusive=True)
-        scratch, goes_on, sums = self.scratch, self.goes_on, self._places
+        wp.utils.array_scan(self.is_alive[:places], self._places[:places], inclusive=True)
+        scratch, is_alive, sums = self.scratch, self.is_alive, self._places
         if self._is_path:
-            self._run(ray_queue.settle_paths, places, self._blocked, self.gathered, scratch, goes_on, sums, self.queue)
+            self._run(ray_queue.settle_paths, places, self._blocked, self.gathered, scratch, is_alive, sums, self.queue)
         following = int(sums[places - 1 : places].numpy()[0])
         if not self._is_path and following > 0:
             self._make_room(following)
-            self._run(ray_queue.fill, places, scratch, goes_on, sums, self.queue)
+            self._run(ray_queue.fill, places, scratch, is_alive, sums, self.queue)
         return following
 
     @property

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.imaging.lights.lamps import AreaLight, DirectionalLight, PointLight, SpotLight
+from wrt.imaging.lights.light_sources import AreaLight, DirectionalLight, PointLight, SpotLight
 from wrt.imaging.lights.sky_image import Sky
 from wrt.kernels.shading.emitters import light_table
 from wrt.kernels.shading.emitters.environment import Environment
@@ -25,7 +25,7 @@ EVEN_SHARE = 0.25
 
 EVEN_SKY_SHARE = 0.7
 """Share of the choices below which a path never chooses a sky of one colour: scattering samples such a sky as well as can be,
-and the lamps are then chosen more often (notebooks/records/2026-11-23-light-tiles.md)."""
+and the lights are then chosen more often (notebooks/records/2026-11-23-light-tiles.md)."""
 
 BOX_ROOM = 1e-4
 """What a box is larger than what it holds on each side, in radii of the scene: many times the error of a hit."""
@@ -109,7 +109,7 @@ def device_lights(scene: Scene, lights: Sequence[Light], emission: np.ndarray, o
 
 
 def samples_sky(table: Any) -> bool:
-    """Whether a path may choose the sky of a table on the CPU as its lamp."""
+    """Whether a path may choose the sky of a table on the CPU as its light."""
     if table.sky_entry < 0:
         return False
     low, high = table.sums.numpy()[table.sky_entry : table.sky_entry + 2]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.imaging.lights.lamps import unit
+from wrt.imaging.lights.light_sources import unit
 from wrt.kernels.validation import as_float, as_real_array
 from wrt.materials.material import as_color
 

@@ -18,8 +18,8 @@ order in u:
   vertex, is off by 8 u h M, and the sum of three, with |s| <= 1, by 34 u h M in all, at most 2.2 S h;
 * a line passes the point at a distance of at most 2 d, in the plane of the areas, whose edges are at most 2 h: 8 d h;
 * a hit is accepted only if the ray meets the triangle's box, widened by its slack (`wrt.kernels.simd.boxes`). So its sheared
-  vertices are at most D = 2 h + 3 S. Each is computed with an error of at most 3.1 u M + u D, and an area with one of
-  12.4 u M D + 8 u D^2, at most 3.6 S h + 5.4 S^2.
+  vertices are at most D = 2 h + 3 S; and D <= 2 M, because slopes are at most 1. Each is computed with an error of at most
+  3.1 u M + u D, and an area with one of 12.4 u M D + 8 u D^2, at most 3.6 S h + 5.4 S^2.
 The sum is less than e = 16 d (h + d). `TINY` is for products that underflow; packets whose coordinates are so large that
 products might overflow are not tested this way (`LARGEST`).
 

@@ -68,7 +68,7 @@ class PacketLayout:
 
     @property
     def usual_extent(self) -> int:
-        """Index of the float before it; used by `wrt.kernels.traversal.packet.core.packet_splitting`."""
+        """Index of the second last float; used by `wrt.kernels.traversal.packet.core.packet_splitting`."""
         return self.size - 2
 
     @property

@@ -1,13 +1,13 @@
-"""A step of path tracing for W plain rays at once, on the CPU.
+"""A step of path tracing for W simple rays at once, on the CPU.
 
 Most rays of most pictures hit a matte surface in air. Shading one takes a thousand instructions, nearly without branches, so W
 of them are shaded in lanes. So are those that hit a mirror or smooth glass, and paths that end: in the last generation, and
-where nothing is hit under a sky of one colour. A ray is plain if its surface has no image, no colours of corners and emits
-nothing, if nothing is absorbed on its way, if it enters glass from air, and if the lamp that it chooses is one of those below.
-Each plain ray gets the bits that `path_step` gives it. The others, and whole groups of W without a plain ray, are left to it.
+where nothing is hit under a sky of one colour. A ray is simple if its surface has no image, no colours of corners and emits
+nothing, if nothing is absorbed on its way, if it enters glass from air, and if the light that it chooses is one of those below.
+Each simple ray gets the bits that `path_step` gives it. The others, and whole groups of W without a simple ray, are left to it.
 
-Lamps: points, directions, flat and round lamps, emissive triangles, and a sky of one colour. Scenes with many lamps have no
-plain rays.
+Lights: points, directions, flat and round lights, emissive triangles, and a sky of one colour. Scenes with many lights have no
+simple rays.
 
 The C++ is in `kernels/native`: `path_step.h`, and what it includes.
 """
@@ -21,7 +21,7 @@ from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.spawn import INSET
 from wrt.kernels.runtime import native
-from wrt.kernels.shading.bsdf.ggx import SMALLEST_ALPHA
+from wrt.kernels.shading.bsdf.ggx import MIN_ALPHA
 from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, DIFFUSE, MIRROR
 from wrt.kernels.shading.emitters.light_table import (
     DIRECTIONAL,
@@ -38,9 +38,7 @@ from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 
-SURFACES = same(
-    OFFSET=OFFSET, INSET=INSET, SMALLEST_ALPHA=SMALLEST_ALPHA, DIFFUSE=DIFFUSE, MIRROR=MIRROR, DIELECTRIC=DIELECTRIC
-)
+SURFACES = same(OFFSET=OFFSET, INSET=INSET, MIN_ALPHA=MIN_ALPHA, DIFFUSE=DIFFUSE, MIRROR=MIRROR, DIELECTRIC=DIELECTRIC)
 """C++: the constants of `surfaces.h` are those of Python."""
 
 LIGHTS = same(
@@ -72,16 +70,16 @@ class PathStep:
     roulette: int
     """First generation whose rays may end by Russian roulette."""
     samples_lights: bool
-    """whether lamps are sampled; without, light is found by scattering only."""
+    """whether lights are sampled; without, light is found by scattering only."""
 
 
 @cache
-def make_shade_plain(width: int) -> Any:
-    """`shade_plain` for so many lanes."""
-    call = f"wrt::shade_paths<{width}>({ARRAYS}, step, first, wrt::InPlace{{following, goes_on, rays}})"
+def make_path_step_simd(width: int) -> Any:
+    """`path_step_simd` for the given number of lanes."""
+    call = f"wrt::shade_paths<{width}>({ARRAYS}, step, first, wrt::InPlace{{following, is_alive, rays}})"
 
     @native.func_native("path_step.h", in_lanes(call, SURFACES, LIGHTS, SAMPLES))
-    def shade_plain(
+    def path_step_simd(
         first: int,
         step: PathStep,
         scene: LitScene,
@@ -91,15 +89,15 @@ def make_shade_plain(width: int) -> Any:
         hits: HitBatch,
         rays: Gathered,
         following: RayQueue,
-        goes_on: wp.array(dtype=int),
+        is_alive: wp.array(dtype=int),
     ) -> wp.uint32:
-        """Does the step of the plain ones among the rays first .. first + width - 1, which all exist, and returns one bit for
+        """Does the step of the simple ones among the rays first .. first + width - 1, which all exist, and returns one bit for
         each. What it writes for the others is to be overwritten.
         """
         ...
 
-    return shade_plain
+    return path_step_simd
 
 
 WIDTH = wp.constant(lane_width())
-shade_plain = make_shade_plain(lane_width())
+path_step_simd = make_path_step_simd(lane_width())

@@ -1,4 +1,4 @@
-// Helper threads that stay on their core while they sleep: `wrt.kernels.runtime.own_core`. CPUs only.
+// Helper threads that stay on their core while they sleep: `wrt.kernels.runtime.core_pinning`. CPUs only.
 #pragma once
 #include "calls.h"
 
@@ -77,7 +77,7 @@ inline bool set_cores(word thread, word those)
 }
 
 /// Before a helper sleeps: restricts it to its core, unless another sleeper has the same one.
-inline void stay(Sleepers& all, word index)
+inline void pin(Sleepers& all, word index)
 {
     const word cores = get_cores(0), core = this_core();
     if (index >= MAX_SLEEPERS || core < 0 || !(cores >> core & 1)) return;
@@ -92,7 +92,7 @@ inline void stay(Sleepers& all, word index)
 }
 
 /// After it: lifts the restriction, unless somebody else has set another.
-inline void stay_no_longer(Sleepers& all, word index)
+inline void unpin(Sleepers& all, word index)
 {
     if (index >= MAX_SLEEPERS || get(all.of[index].state) == 0) return;
     Sleeper& own = all.of[index];
@@ -106,7 +106,7 @@ inline void stay_no_longer(Sleepers& all, word index)
 }
 
 /// Moves sleepers away from the core of the calling thread.
-inline void make_way(Sleepers& all)
+inline void move_sleepers_away(Sleepers& all)
 {
     const word core = this_core();
     for (Sleeper& other : all.of) {

@@ -1,4 +1,4 @@
-"""Lamps under a sky of one colour: paths find such a sky by scattering, and choose a lamp each time."""
+"""Lights under a sky of one colour: paths find such a sky by scattering, and choose a light each time."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def pictures(lights, count=16):
 
 
 def chosen(lights):
-    """Probabilities with which lamps are chosen, the sky's last."""
+    """Probabilities with which lights are chosen, the sky's last."""
     rendering = wrt.Rendering(wrt.Scene(plane((-5, -5), (5, 5)), device="cpu"), CAMERA, integrator="path", lights=lights)
     return np.diff(rendering._lit.lights.sums.numpy())
 
 
-@pytest.mark.parametrize("lamp", [SUN, wrt.AreaLight.sphere((-2, -2, 4), 0.4, 40.0)])
-def test_a_sky_that_is_not_chosen_gives_the_same_light_with_less_noise(lamp, monkeypatch):
-    lights = [wrt.Sky((0.8, 0.9, 1.0)), lamp]
+@pytest.mark.parametrize("light", [SUN, wrt.AreaLight.sphere((-2, -2, 4), 0.4, 40.0)])
+def test_a_sky_that_is_not_chosen_gives_the_same_light_with_less_noise(light, monkeypatch):
+    lights = [wrt.Sky((0.8, 0.9, 1.0)), light]
     assert chosen(lights).tolist() == [1.0, 0.0]
     found = pictures(lights)
     monkeypatch.setattr(device_lights, "EVEN_SKY_SHARE", 0.0)
@@ -45,7 +45,7 @@ def test_a_sky_that_is_not_chosen_gives_the_same_light_with_less_noise(lamp, mon
 
 
 def test_other_skies_are_chosen():
-    """A sky alone, one much brighter than the lamps, and one of several colours."""
+    """A sky alone, one much brighter than the lights, and one of several colours."""
     assert chosen([wrt.Sky(1.0)]).tolist() == [1.0]
     assert chosen([wrt.Sky(1.0), wrt.DirectionalLight((0, 0, -1), 0.1)])[-1] > 0.7
     assert chosen([wrt.Sky.gradient(0.4, 0.8), SUN])[-1] > 0.0

@@ -2,24 +2,26 @@
 
 Warp's entry point of a CPU kernel is a C function of two pointers, the launch bounds and the packed arguments. Native code can
 therefore run any kernel for any range of items, without Python: it copies both, writes the first item and the number of items,
-and calls the function. Two kernels do this, `serve` on each helper thread and `lead` on the calling thread (the leader). They
-communicate through the *board*, the struct `Board` of kernels/native/pool.h, which has a slot for each caller (schedules: see
-`wrt.kernels.runtime.schedules`). Python knows the places of some of its 64-bit words; the compiler checks them.
+and calls the function. Two kernels do this, `run_as_helper` on each helper thread and `run_as_caller` on the calling thread
+(the caller). They communicate through the job queue, the struct `JobQueue` of kernels/native/pool.h, which has a slot for each
+caller (schedules: see `wrt.kernels.runtime.schedules`). Python knows the places of some of its 64-bit words; the compiler
+checks them.
 
-**A job.** The leader copies the job into its slot, makes `generation` odd, sets its bit in `mask`, wakes helpers if any sleep,
+**A job.** The caller copies the job into its slot, makes `generation` odd, sets its bit in `mask`, wakes helpers if any sleep,
 and claims chunks like a helper. When no items are left it makes `generation` even and waits until `active` is 0. A helper
-increments `active` and then reads `generation` again, so either the leader sees the helper or the helper sees the end (both
+increments `active` and then reads `generation` again, so either the caller sees the helper or the helper sees the end (both
 operations are sequentially consistent). A helper that is not scheduled by the system delays a job only if it holds a chunk.
 
 **Programs.** A job may name a following job, a number in memory that gives its number of items, and a number that decides
 whether to continue. A loop over the levels of a tree thus runs without Python. The end of a job is the barrier between the two.
 
-**Interrupts.** `lead` returns to Python after at most `TURN_NS`, or after its current chunk, so that Python can handle signals.
-It is called again until `phase` is IDLE. To abandon a job, the caller calls `stop`, and `lead` until all helpers have left.
+**Interrupts.** `run_as_caller` returns to Python after at most `TURN_NS`, or after its current chunk, so that Python can handle
+signals. It is called again until `phase` is IDLE. To abandon a job, the caller calls `stop`, and `run_as_caller` until all
+helpers have left.
 
 **Waiting.** A helper without work spins for `spin_ns`, if at most `max_spinning` helpers do, and then sleeps on a futex. It
-increments `sleeping` before it looks for jobs a last time; a leader sets `mask` before it reads `sleeping`. One of the two
-therefore sees the other. A leader wakes `WAKE` helpers, and each of them as many while chunks are left, which shares the system
+increments `sleeping` before it looks for jobs a last time; a caller sets `mask` before it reads `sleeping`. One of the two
+therefore sees the other. A caller wakes `WAKE` helpers, and each of them as many while chunks are left, which shares the system
 calls.
 
 **Limits.** Needs Linux (futex).
@@ -30,26 +32,26 @@ import ctypes
 import warp as wp
 
 from wrt.kernels.runtime import native
+from wrt.kernels.runtime.core_pinning import MAX_SLEEPERS, SLEEPER_WORDS
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.runtime.own_core import MAX_SLEEPERS, SLEEPER_WORDS
 from wrt.kernels.runtime.schedules import SCHEDULES
 
 exact_module(__name__)
 
 MAX_SPINNING, SPIN_NS, STAYS, FIRST_SLOT = 65, 66, 67, 128
-"""Words of the board: greatest number of helpers that spin at a time; nanoseconds for which a helper spins before it sleeps;
-1 if a sleeping helper stays on its core; the first slot."""
+"""Words of the job queue: greatest number of helpers that spin at a time; nanoseconds for which a helper spins before it
+sleeps; 1 if a sleeping helper stays on its core; the first slot."""
 
 SLOTS, SLOT_WORDS, ACTIVE, PHASE = 64, 80, 16, 49
-"""Slots, the words of each, and two of these: the number of helpers that work on its job, and what its leader does."""
+"""Slots, the words of each, and two of these: the number of helpers that work on its job, and what its caller does."""
 
 SLEEPERS = FIRST_SLOT + SLOTS * SLOT_WORDS
-BOARD_WORDS = SLEEPERS + MAX_SLEEPERS * SLEEPER_WORDS + 1
+JOB_QUEUE_WORDS = SLEEPERS + MAX_SLEEPERS * SLEEPER_WORDS + 1
 
 IDLE = 0
 """Value of `PHASE` in a slot without a job."""
 
-QUEUE_WORDS = 16
+CHUNK_QUEUE_WORDS = 16
 """64-bit words per queue, for schedules with queues: two cache lines."""
 
 MAX_ARGUMENT_BYTES = 8192
@@ -68,8 +70,8 @@ class Job(ctypes.Structure):
         ("arguments", ctypes.c_int64),  # address of its packed arguments
         ("argument_bytes", ctypes.c_int64),
         ("count", ctypes.c_int64),  # items
-        ("largest", ctypes.c_int64),  # greatest number of items per chunk
-        ("smallest", ctypes.c_int64),  # least number of items per chunk
+        ("max_chunk", ctypes.c_int64),  # greatest number of items per chunk
+        ("min_chunk", ctypes.c_int64),  # least number of items per chunk
         ("divisor", ctypes.c_int64),  # a chunk is the remaining items / divisor, within these limits
         ("helpers", ctypes.c_int64),  # greatest number of threads besides the caller's
         ("schedule", ctypes.c_int64),  # `Schedule.code`
@@ -83,17 +85,17 @@ class Job(ctypes.Structure):
 
 
 PLACES = {
-    "Board": {"max_spinning": MAX_SPINNING, "spin_ns": SPIN_NS, "stays": STAYS, "slots": FIRST_SLOT, "sleepers": SLEEPERS},
+    "JobQueue": {"max_spinning": MAX_SPINNING, "spin_ns": SPIN_NS, "stays": STAYS, "slots": FIRST_SLOT, "sleepers": SLEEPERS},
     "JobSlot": {"active": ACTIVE, "phase": PHASE},
     "Job": {name: getattr(Job, name).offset // 8 for name, _ in Job._fields_},
 }
 """Places of members in structs of the header, in words."""
 
-SIZES = {"Board": BOARD_WORDS, "JobSlot": SLOT_WORDS, "Job": ctypes.sizeof(Job) // 8, "Queue": QUEUE_WORDS}
+SIZES = {"JobQueue": JOB_QUEUE_WORDS, "JobSlot": SLOT_WORDS, "Job": ctypes.sizeof(Job) // 8, "ChunkQueue": CHUNK_QUEUE_WORDS}
 """Words of structs of the header."""
 
 VALUES = {f"Schedule::{schedule.name.upper()}": schedule.code for schedule in SCHEDULES.values()}
-VALUES |= {"Phase::IDLE": IDLE, "Board::SLOTS": SLOTS}
+VALUES |= {"Phase::IDLE": IDLE, "JobQueue::SLOTS": SLOTS}
 """Constants of the header."""
 
 
@@ -111,55 +113,55 @@ def on_cpu(code: str) -> str:
     return f"#if !defined(__CUDA_ARCH__)\n{code}\n#endif\n    return 0;\n"
 
 
-BOARD = "auto& b = *(wrt::pool::Board*)board.data;\n"
+JOBS = "auto& b = *(wrt::pool::JobQueue*)job_queue.data;\n"
 
 
-@native.func_native("pool.h", on_cpu(f"{BOARD}wrt::pool::serve<{BOUNDS}>(b, helper);"))
-def serve_native(board: wp.array(dtype=wp.int64), helper: wp.int64) -> int:
-    """The loop of the helper with a number; returns when the board is closed."""
+@native.func_native("pool.h", on_cpu(f"{JOBS}wrt::pool::run_as_helper<{BOUNDS}>(b, helper);"))
+def run_as_helper_native(job_queue: wp.array(dtype=wp.int64), helper: wp.int64) -> int:
+    """The loop of the helper with a number; returns when the job queue is closed."""
     ...
 
 
-LEAD = f"wrt::pool::lead<{BOUNDS}>(b, b.slots[slot], (const wrt::pool::Job*)job);"
+RUN_AS_CALLER = f"wrt::pool::run_as_caller<{BOUNDS}>(b, b.slots[slot], (const wrt::pool::Job*)job);"
 
 
-@native.func_native("pool.h", on_cpu(f"{layout_checks()}{BOARD}{LEAD}"))
-def lead_native(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) -> int:
+@native.func_native("pool.h", on_cpu(f"{layout_checks()}{JOBS}{RUN_AS_CALLER}"))
+def run_as_caller_native(job_queue: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) -> int:
     """Begins the job at address `job` in a slot, or continues the current one and those that follow it."""
     ...
 
 
-@native.func_native("pool.h", on_cpu(f"{BOARD}wrt::pool::stop(b.slots[slot]);"))
-def stop_native(board: wp.array(dtype=wp.int64), slot: wp.int64) -> int:
+@native.func_native("pool.h", on_cpu(f"{JOBS}wrt::pool::stop(b.slots[slot]);"))
+def stop_native(job_queue: wp.array(dtype=wp.int64), slot: wp.int64) -> int:
     """Stops the job of a slot: no thread takes another chunk."""
     ...
 
 
-@native.func_native("pool.h", on_cpu(f"{BOARD}wrt::pool::close(b);"))
-def close_native(board: wp.array(dtype=wp.int64)) -> int:
+@native.func_native("pool.h", on_cpu(f"{JOBS}wrt::pool::close(b);"))
+def close_native(job_queue: wp.array(dtype=wp.int64)) -> int:
     """Makes all helpers return."""
     ...
 
 
 @wp.kernel
-def serve(board: wp.array(dtype=wp.int64), helper: wp.int64):
+def run_as_helper(job_queue: wp.array(dtype=wp.int64), helper: wp.int64):
     """Runs a helper thread. One item."""
-    serve_native(board, helper)
+    run_as_helper_native(job_queue, helper)
 
 
 @wp.kernel
-def lead(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64):
-    """Runs one turn of the leader of a slot's job. One item. job: address of a `Job`."""
-    lead_native(board, slot, job)
+def run_as_caller(job_queue: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64):
+    """Runs one turn of the caller of a slot's job. One item. job: address of a `Job`."""
+    run_as_caller_native(job_queue, slot, job)
 
 
 @wp.kernel
-def stop(board: wp.array(dtype=wp.int64), slot: wp.int64):
+def stop(job_queue: wp.array(dtype=wp.int64), slot: wp.int64):
     """Stops the job of a slot. One item."""
-    stop_native(board, slot)
+    stop_native(job_queue, slot)
 
 
 @wp.kernel
-def close(board: wp.array(dtype=wp.int64)):
-    """Closes the board. One item."""
-    close_native(board)
+def close(job_queue: wp.array(dtype=wp.int64)):
+    """Closes the job queue. One item."""
+    close_native(job_queue)

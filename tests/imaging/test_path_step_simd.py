@@ -10,14 +10,14 @@ import warp as wp
 
 import wrt
 from wrt.imaging.integrators import wavefront
-from wrt.kernels.shading.sampling import turned
+from wrt.kernels.shading.sampling import direction_of
 from wrt.scenes.shapes import plane
 
 CORNERS = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
 
 SPOT = [wrt.SpotLight((0, 0, 3), (0, 0, -1), 9.0)]
 
-LAMPS = {
+LIGHTS = {
     "point": lambda: [wrt.PointLight((0.5, -1.0, 2.0), 4.0)],
     "directional": lambda: [wrt.DirectionalLight((0.3, 0.2, -1.0), 2.0)],
     "rectangle": lambda: [wrt.AreaLight.rectangle((-1, -1, 2), (1, 0, 0), (0, 1, 0), 5.0, two_sided=True)],
@@ -26,7 +26,7 @@ LAMPS = {
     "one color": lambda: [wrt.Sky((0.5, 0.8, 1.0))],
     "gradient": lambda: [wrt.Sky.gradient(0.8, (0.2, 0.4, 0.9), 0.2)],
     "many": lambda: (
-        [light for name in list(LAMPS)[:6] for light in LAMPS[name]()] + [wrt.SpotLight((0, 0, 3), (0, 0, -1), 9.0)]
+        [light for name in list(LIGHTS)[:6] for light in LIGHTS[name]()] + [wrt.SpotLight((0, 0, 3), (0, 0, -1), 9.0)]
     ),
     "too many": lambda: [wrt.PointLight((x, -1.0, 2.0), 0.5) for x in range(9)],
     "emissive triangles": lambda: [],
@@ -60,12 +60,12 @@ def matte_room(emits: bool, reach: float = 0.0) -> wrt.Scene:
     return wrt.Scene(parts)
 
 
-@pytest.mark.parametrize("lamp", [pytest.param(name, marks=[pytest.mark.width] * (name == "many")) for name in LAMPS])
+@pytest.mark.parametrize("light", [pytest.param(name, marks=[pytest.mark.width] * (name == "many")) for name in LIGHTS])
 @pytest.mark.parametrize("sampler", ["sobol", "random"])
-def test_lanes_and_scalar_steps_make_the_same_picture(lamp, sampler, monkeypatch):
-    scene = matte_room(emits=lamp == "emissive triangles")
+def test_lanes_and_scalar_steps_make_the_same_picture(light, sampler, monkeypatch):
+    scene = matte_room(emits=light == "emissive triangles")
     camera = wrt.PinholeCamera(37, 23, fov=60, position=(0, -2.5, 1.8), look_at=(0, 0, 0.2), up=(0, 0, 1))
-    options = {"lights": LAMPS[lamp](), "integrator": "path", "samples": 2, "depth": 5, "sampler": sampler}
+    options = {"lights": LIGHTS[light](), "integrator": "path", "samples": 2, "depth": 5, "sampler": sampler}
     in_lanes = wrt.Rendering(scene, camera, **options).advance().linear
     monkeypatch.setattr(wavefront, "GROUP", 1)
     one_by_one = wrt.Rendering(scene, camera, **options).advance().linear
@@ -76,7 +76,7 @@ def test_lanes_and_scalar_steps_make_the_same_picture(lamp, sampler, monkeypatch
 def test_lanes_near_edges(monkeypatch):
     """In a scene 10 km wide, rounding is so coarse that nearly all points are moved away from the edges of their triangles."""
     camera = wrt.PinholeCamera(37, 23, fov=60, position=(0, -2.5, 1.8), look_at=(0, 0, 0.2), up=(0, 0, 1))
-    options = {"lights": LAMPS["sphere"](), "integrator": "path", "samples": 2, "depth": 5, "sampler": "sobol"}
+    options = {"lights": LIGHTS["sphere"](), "integrator": "path", "samples": 2, "depth": 5, "sampler": "sobol"}
     scene = matte_room(emits=False, reach=1e4)
     in_lanes = wrt.Rendering(scene, camera, **options).advance().linear
     monkeypatch.setattr(wavefront, "GROUP", 1)
@@ -88,7 +88,7 @@ def test_lanes_near_edges(monkeypatch):
 @wp.kernel
 def list_turned(turns: wp.array(dtype=float), out: wp.array(dtype=wp.vec2)):
     i = wp.tid()
-    out[i] = turned(turns[i])
+    out[i] = direction_of(turns[i])
 
 
 def test_turned_is_cosine_and_sine():

@@ -1,9 +1,8 @@
-"""Lamps: points, spots, parallel light, and flat or round areas.
+"""Lights: points, spots, parallel light, and flat or round areas.
 
-Lamps are not part of the scene. Points and directions are seen by nobody; areas are seen by the camera and in mirrors, but rays
-pass through them, so that they cast no shadow. For a lamp that does, give a mesh an emissive material
-(`wrt.Material(emission=...)`): it is found in the same way.
-"""
+Lights are not part of the scene. Points and directions are seen by nobody; areas are seen by the camera and in mirrors, but
+rays pass through them, so that they cast no shadow. For a light that does, give a mesh an emissive material
+(`wrt.Material(emission=...)`): it is found in the same way."""
 
 from __future__ import annotations
 
@@ -113,7 +112,7 @@ class DirectionalLight:
 
 @dataclass(frozen=True, eq=False)
 class AreaLight:
-    """A flat or round lamp of constant radiance; made by `rectangle`, `triangle` or `sphere`.
+    """A flat or round light of constant radiance; made by `rectangle`, `triangle` or `sphere`.
 
     Attributes:
         shape: "rectangle", "triangle" or "sphere".
@@ -121,7 +120,7 @@ class AreaLight:
         edge1, edge2: (3,) from the corner to its neighbours; 0 for a sphere.
         radius: of a sphere; else 0.
         radiance: linear.
-        two_sided: whether a flat lamp emits on both sides. The front is where its corner, the end of `edge1` and that of
+        two_sided: whether a flat light emits on both sides. The front is where its corner, the end of `edge1` and that of
             `edge2` are in counter-clockwise order.
     """
 
@@ -182,18 +181,18 @@ class AreaLight:
     def _flat(cls, shape: str, corner: Any, edge1: Any, edge2: Any, radiance: Any, two_sided: bool) -> AreaLight:
         corner, edge1, edge2 = (place(name, value) for name, value in (("corner", corner), ("edge1", edge1), ("edge2", edge2)))
         if not np.linalg.norm(np.cross(edge1, edge2)) > 0.0:
-            raise ValueError("the lamp has no area: its edges are parallel, or zero")
+            raise ValueError("the light has no area: its edges are parallel, or zero")
         return cls(shape, corner, edge1, edge2, 0.0, as_color("radiance", radiance), as_bool("two_sided", two_sided))
 
     @property
     def area(self) -> float:
-        """Area that emits, both sides of a flat lamp counted once."""
+        """Area that emits, both sides of a flat light counted once."""
         if self.shape == "sphere":
             return 4.0 * np.pi * self.radius**2
         return float(np.linalg.norm(np.cross(self.edge1, self.edge2))) * (0.5 if self.shape == "triangle" else 1.0)
 
     @property
     def normal(self) -> np.ndarray:
-        """(3,) unit normal of a flat lamp's front; 0 for a sphere."""
+        """(3,) unit normal of a flat light's front; 0 for a sphere."""
         across = np.cross(self.edge1, self.edge2)
         return across if self.shape == "sphere" else across / np.linalg.norm(across)
