@@ -16,12 +16,12 @@ AS_USERS = "WRT_TESTS_AS_USERS"
 
 if os.environ.get(AS_USERS) != "1":
     wp.config.cpu_compiler_flags = "-march=native -mllvm=-inline-threshold=1000 -O1"
-"""Most of the time of the tests goes into compiling kernels. Users' have -O2 and inline nine times as much (9000): kernels then run
-faster, which is not asked here. CPU seconds on a Zen CPU with AVX2, three packet kernels and four of builds: 14.9 with -O2 and
-1000, 14.4 with 225, 10.3 with -O1 and 1000, 10.6 with -O1 and 25, 4.1 with -O0. With -O1 Clang vectorises the loops that say so,
-which all loops over lanes do; with -O0 it vectorises none, and by LLVM's own threshold (225) it leaves some. The bits are the
-same; `test_bits.py` asks for them of the kernels that users run first, compiled as theirs are. Processes that tests start compile
-as users do, unless they are given these flags."""
+"""Most of the time of the tests goes into compiling kernels. Users' have -O2 and inline nine times as much (9000): kernels then
+run faster, which is not asked here. CPU seconds on a Zen CPU with AVX2, three packet kernels and four of builds: 14.9 with -O2
+and 1000, 14.4 with 225, 10.3 with -O1 and 1000, 10.6 with -O1 and 25, 4.1 with -O0. With -O1 Clang vectorises the loops that
+say so, which all loops over lanes do; with -O0 it vectorises none, and by LLVM's own threshold (225) it leaves some. The bits
+are the same; `test_bits.py` asks for them of the kernels that users run first, compiled as theirs are. Processes that tests
+start compile as users do, unless they are given these flags."""
 
 os.environ.setdefault("WRT_SHOW_COMPILING", "0")
 """What processes that tests start say on stderr must not depend on what is in the kernel cache."""
@@ -47,6 +47,14 @@ OTHER_WAYS_TO_PACKETS = ("repacked_packet", "multi_frusta", "mlrta", "aepsa", "o
 what they do with one triangle test, and with an origin that must be shared, is the same for all."""
 
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leaves out what is marked `exhaustive`, unless `-m` names that."""
+    if "exhaustive" not in config.option.markexpr:
+        left_out = [item for item in items if item.get_closest_marker("exhaustive")]
+        items[:] = [item for item in items if not item.get_closest_marker("exhaustive")]
+        config.hook.pytest_deselected(items=left_out)
 
 
 @pytest.fixture(autouse=True, scope="module")
