@@ -96,11 +96,13 @@ def test_culling_never_shows(tree, culling, triangle_test, own_origins, device):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize(("culling", "triangle_test", "own_origins"), FITTING)
-def test_culling_never_shows_in_shadows(culling, triangle_test, own_origins, device):
+@pytest.mark.parametrize(
+    ("tree", "culling", "triangle_test", "own_origins"), [("bvh", *fitting) for fitting in FITTING] + OTHERS
+)
+def test_culling_never_shows_in_shadows(tree, culling, triangle_test, own_origins, device):
     """Any hit, by all that fits."""
     for make in SCENES.values():
-        scene = wrt.Scene(make(), "bvh", device=device)
+        scene = wrt.Scene(make(), tree, device=device)
         rays = ragged(*beams(scene.meshes[0], 60, own_origins))
         expected = brute_force(scene, rays, triangle_test=triangle_test)
         plan = packet_plan(scene, rays, triangle_test, culling=culling)
