@@ -17,11 +17,10 @@ AS_USERS = "WRT_TESTS_AS_USERS"
 if os.environ.get(AS_USERS) != "1":
     wp.config.cpu_compiler_flags = "-march=native -mllvm=-inline-threshold=1000 -O1"
 """Most of the time of the tests goes into compiling kernels. Users' have -O2 and inline nine times as much (9000): kernels
-then run faster, which is not asked here. CPU seconds on a Zen CPU with AVX2, three packet kernels and four of builds:
-14.9 with -O2 and 1000, 14.4 with 225, 10.3 with -O1 and 1000, 10.6 with -O1 and 25, 4.1 with -O0. With -O1 Clang
-vectorises the loops that say so, which all loops over lanes do; with -O0 it vectorises none, and by LLVM's own
-threshold (225) it leaves some. The bits are the same; `test_bits.py` asks for them of the kernels that users run first,
-compiled as theirs are. Processes that tests start compile as users do, unless they are given these flags."""
+then run faster, which is not asked here. CPU seconds on a Zen CPU with AVX2, three packet kernels, three of builds, and
+brute force: 14.9 with -O2 and 1000, 14.4 with 225, 10.3 with -O1 and 1000, 4.1 with -O0. The bits are the same;
+`test_bits.py` asks for them of the kernels that users run first, compiled as theirs are. Processes that tests start
+compile as users do, unless they are given these flags."""
 
 os.environ.setdefault("WRT_SHOW_COMPILING", "0")
 """What processes that tests start say on stderr must not depend on what is in the kernel cache."""
@@ -64,16 +63,30 @@ CLASSICS = {
 """Algorithms of kernels/classics and builders/classics. "none" is a key of several tables."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the tests that have a classic as a parameter, and those of studies. Files about classics alone mark themselves."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Marks the tests that have a classic as a parameter, and those of studies; files about classics alone mark themselves.
+    Leaves out what is marked `exhaustive`, unless `-m` names that."""
     for item in items:
         if hasattr(item, "callspec") and any(isinstance(one, str) and one in CLASSICS for one in item.callspec.params.values()):
             item.add_marker("classics")
         if item.path.parent.name == "studies":
             item.add_marker("studies")
+    if "exhaustive" not in config.option.markexpr:
+        items[:] = [item for item in items if not item.get_closest_marker("exhaustive")]
 
 
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
+
+
+DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leaves out what is marked `exhaustive`, unless `-m` names that."""
+    if "exhaustive" not in config.option.markexpr:
+        left_out = [item for item in items if item.get_closest_marker("exhaustive")]
+        items[:] = [item for item in items if not item.get_closest_marker("exhaustive")]
+        config.hook.pytest_deselected(items=left_out)
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -192,9 +192,6 @@ def test_the_command_writes_tables_figures_and_a_picture(tmp_path):
         (["teapot", "--size", "6"], "multiple of 4"),
         (["teapot", "--rounds", "0"], "--rounds"),
         (["teapot", "--threads", "0"], "--threads"),
-        (["layouts", "--builder", "nothing"], "'nothing' is not one of"),
-        (["layouts", "--allocations", "--compact"], "--allocations and --compact are different comparisons"),
-        (["ray-aware", "--traversal", "nothing"], "'nothing' is not one of"),
     ],
 )
 def test_the_command_refuses_what_it_cannot_do(arguments, message):

@@ -14,7 +14,7 @@ from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.bvh import binned_bvh as binned
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.bvh_statistics import bvh_statistics, unpack
-from wrt.builders.bvh.phases.collapse import collapse
+from wrt.builders.bvh.phases import collapse as collapse_phase
 from wrt.builders.bvh.update.refit import refit
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.triangle_boxes import triangle_boxes
@@ -187,7 +187,8 @@ def test_collapse_is_optimal(name, width, block, monkeypatch):
     """The finished tree costs what the dynamic programme, worked out again from its definition, says is the least."""
     mesh = SCENES[name]()
     binary = []
-    monkeypatch.setattr(binned, "collapse", lambda *args: binary.append(args[0]) or collapse(*args))
+    collapse = collapse_phase.collapse
+    monkeypatch.setattr(collapse_phase, "collapse", lambda *args: binary.append(args[0]) or collapse(*args))
     tree, config = build(mesh, width=width, block=block)
     expected = best_cost(binary[0].tree, config.struct(), config.cost, 0, width)
     cost = bvh_statistics(tree, mesh.triangle_count, config.cost).sah_cost

@@ -17,8 +17,8 @@ from wrt.builders.bvh import projected_binned as projected
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.bvh_statistics import unpack
 from wrt.builders.bvh.known_rays_config import NodeRules, ProjectedConfig
+from wrt.builders.bvh.phases import collapse as collapse_phase
 from wrt.builders.bvh.phases.bvh_bins import FEW
-from wrt.builders.bvh.phases.collapse import collapse
 from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES, AxisChoice
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.influence.projected_cost import RayDistribution
@@ -224,7 +224,8 @@ def test_planes_are_those_of_the_published_algorithm(axes, kind, monkeypatch):
     mesh = SCENES["random_triangles"]()
     area = area_of(mesh, kind)
     binary = []
-    monkeypatch.setattr(binned, "collapse", lambda *args: binary.append(args[0]) or collapse(*args))
+    collapse = collapse_phase.collapse
+    monkeypatch.setattr(collapse_phase, "collapse", lambda *args: binary.append(args[0]) or collapse(*args))
     _, config = build(mesh, area, axes, others=0.0)
     tree = binary[0].tree
     order, ranges, pairs = tree.order.numpy(), tree.range.numpy(), tree.pair.numpy()

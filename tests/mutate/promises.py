@@ -174,8 +174,8 @@ MUTATIONS = [
     ),
     Mutation(
         path="kernels/runtime/pool.py",
-        old="            return Slot(self._board, self._free.popleft(), self._free)",
-        new="            return Slot(self._board, self._free.popleft())",
+        old="            return Slot(self._job_queue, self._free.popleft(), self._free)",
+        new="            return Slot(self._job_queue, self._free.popleft())",
         tests="tests/execution/test_pool.py::test_slots_come_back_when_their_threads_end",
         promise="any number of threads may query, one after the other",
     ),

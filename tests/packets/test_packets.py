@@ -29,7 +29,8 @@ FITTING = [
 `entry_exit`, which tests triangles as `frustum` does."""
 
 ANY_HIT = "frustum"
-"""The culling with which every test looks for any hit; with the others one does: what ends a search knows neither of them."""
+"""The culling with which every test looks for any hit, origins shared or not; with the others one test does, for rays with
+origins of their own: what ends a search knows neither the culling nor the test."""
 
 OTHERS = [(tree, "vertex", "woop", own) for tree in TRAVERSALS["packet"].trees if tree != "bvh" for own in (False, True)]
 """Leaves are leaves: what culling and test do there, one tree shows for all."""
@@ -90,8 +91,22 @@ def test_culling_never_shows(tree, culling, triangle_test, own_origins, device):
         plan = packet_plan(scene, rays, triangle_test, culling=culling)
         assert plan.shared_origin != own_origins
         assert_same_hits(scene.intersect(rays, traversal=plan), expected)
-        if triangle_test == ENGINE_TESTS[0] or culling == ANY_HIT:
+        if culling == ANY_HIT or (triangle_test == ENGINE_TESTS[0] and own_origins):
             np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(
+    ("tree", "culling", "triangle_test", "own_origins"), [("bvh", *fitting) for fitting in FITTING] + OTHERS
+)
+def test_culling_never_shows_in_shadows(tree, culling, triangle_test, own_origins, device):
+    """Any hit, by all that fits."""
+    for make in SCENES.values():
+        scene = wrt.Scene(make(), tree, device=device)
+        rays = ragged(*beams(scene.meshes[0], 60, own_origins))
+        expected = brute_force(scene, rays, triangle_test=triangle_test)
+        plan = packet_plan(scene, rays, triangle_test, culling=culling)
+        np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
 
 
 @pytest.mark.width

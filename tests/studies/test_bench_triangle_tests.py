@@ -16,6 +16,7 @@ from studies.__main__ import studies
 from studies.triangles import komatsu_tables as tables
 from studies.triangles.triangle_precision import MARGIN, aimed_pairs, errors, leaks, precision, solve
 from studies.triangles.triangle_test_comparison import SITUATIONS, ratios, run_triangle_tests
+from wrt.bench.comparisons.auto_cases import subdivided
 from wrt.bench.core.paired_timing import Timing
 from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
 from wrt.kernels.triangle import TRIANGLE_TESTS, moeller_trumbore
@@ -254,7 +255,7 @@ def test_forms_with_other_exits_hit_the_same():
 
 
 def test_subdivision_keeps_the_surface():
-    divided = tables.subdivided(MESH, 2)
+    divided = subdivided(MESH, 2)
     assert divided.triangle_count == 16 * MESH.triangle_count
     area = [mesh.to_trimesh().area for mesh in (MESH, divided)]
     assert area[1] == pytest.approx(area[0], rel=1e-4)

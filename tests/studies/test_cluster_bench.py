@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from studies import cluster
 from studies.__main__ import studies
 from studies.clusters.cluster_simulation import ClusterModel, simulate
 from studies.clusters.town import ground_points, sun_directions, town
@@ -41,7 +42,9 @@ def test_the_town():
     assert (suns[:, 2] > 0.0).all()
 
 
-def test_the_command(tmp_path):
+def test_the_command(tmp_path, monkeypatch):
+    """The simulated batch has 1e4 tasks here; of 1e12 rays by this machine's speed it would have more than a million."""
+    monkeypatch.setattr(cluster, "ClusterModel", lambda rays, *args, **kw: ClusterModel(1e4 * args[1], *args, **kw))
     given = ["--triangles", "2000", "--points", "50", "--suns", "40", "--task-rays", "400", "--workers", "1", "--rounds", "1"]
     done = CliRunner().invoke(studies, ["cluster", *given, "--json", str(tmp_path / "figures.json")])
     assert done.exit_code == 0, done.output

@@ -29,6 +29,21 @@ def test_a_study_says_what_it_takes(name):
     assert "Usage:" in done.output
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["layouts", "--builder", "nothing"], "'nothing' is not one of"),
+        (["layouts", "--allocations", "--compact"], "--allocations and --compact are different comparisons"),
+        (["ray-aware", "--traversal", "nothing"], "'nothing' is not one of"),
+    ],
+)
+def test_a_study_refuses_what_it_cannot_do(arguments, message):
+    done = CliRunner().invoke(studies, arguments)
+    assert done.exit_code != 0
+    assert message in done.output
+    assert "Traceback" not in done.output
+
+
 @pytest.mark.parametrize(("module", "attribute"), ROW_STUDIES.values())
 def test_row_studies_exist(module, attribute):
     assert callable(getattr(import_module(f"studies.{module}"), attribute))

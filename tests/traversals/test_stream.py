@@ -44,11 +44,17 @@ def utilisation(scene: wrt.Scene, rays: wrt.Rays, size: int) -> tuple[float, flo
     return traversal, work["intersection_active"].sum() / work["intersection_slots"].sum()
 
 
-@pytest.mark.parametrize(
-    ("triangle_test", "own_origins"),
-    [(name, own) for name in ENGINE_TESTS for own in (False, True) if not (own and TRIANGLE_TESTS[name].needs_shared_origin)],
-)
-@pytest.mark.parametrize("tree", TREES)
+BEAMS = [
+    pytest.param(tree, name, own, marks=[pytest.mark.exhaustive] * (name != ENGINE_TESTS[0] and tree != "bvh"))
+    for tree in TREES
+    for name in ENGINE_TESTS
+    for own in (False, True)
+    if not (own and TRIANGLE_TESTS[name].needs_shared_origin)
+]
+"""All tests in one tree, and all trees with one test: leaves are the same in all."""
+
+
+@pytest.mark.parametrize(("tree", "triangle_test", "own_origins"), BEAMS)
 def test_beams(tree, triangle_test, own_origins, device):
     """Rays that stay together, in planes of faces and along the axes; some are bad; the last stream is not full."""
     for name in SMALL_SCENES:
