@@ -78,17 +78,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
 
 
-DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leaves out what is marked `exhaustive`, unless `-m` names that."""
-    if "exhaustive" not in config.option.markexpr:
-        left_out = [item for item in items if item.get_closest_marker("exhaustive")]
-        items[:] = [item for item in items if not item.get_closest_marker("exhaustive")]
-        config.hook.pytest_deselected(items=left_out)
-
-
 @pytest.fixture(autouse=True, scope="module")
 def frozen() -> None:
     """What earlier files left, kernels above all, is not scanned again at every garbage collection. Studies collect before each
