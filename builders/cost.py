@@ -35,15 +35,7 @@ increases with a count, so the cost does not: sweeps that meet a plane several t
 **Determinism.** Builders that call these functions with the same counts get the same bits, so builders that make the same
 choices build the same tree. Ties go to the smaller axis, then to the smaller position, then to planar triangles on the right.
 
-References:
-    J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987.
-    J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
-    V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    W. A. Hunt: Corrections to the surface area metric with respect to mail-boxing.
-        IEEE Symposium on Interactive Ray Tracing 2008.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+References: goldsmith-salmon-1987; macdonald-booth-1990; havran-2001; wald-havran-2006; hunt-2008; rahikainen-2013.
 """
 
 from dataclasses import dataclass

@@ -14,10 +14,7 @@ cluster leaves undetermined. It is replaced by that rotation if it almost flatte
 
 **Complexity.** Linear in frames x triangles x clusters.
 
-References:
-    J. Guenther, H. Friedrich, I. Wald, H.-P. Seidel, P. Slusallek: Ray tracing animated scenes using motion decomposition.
-        Computer Graphics Forum 25(3) (Eurographics 2006).
-    S. P. Lloyd: Least squares quantization in PCM. IEEE Transactions on Information Theory 28(2), 1982.
+References: guenther-2006-motion; lloyd-1982.
 """
 
 from dataclasses import dataclass

@@ -7,9 +7,7 @@ of IEEE 754: negative numbers by decreasing magnitude, -0.0 before 0.0.
 
 **Memory.** A row has room for twice its keys. Passes move them to the other half and back.
 
-References:
-    C. Benthin: Realtime ray tracing on current CPU architectures. Ph.D. thesis, Saarland University, 2006 (parallel build).
-    M. Zagha, G. E. Blelloch: Radix sort for vector multiprocessors. Supercomputing 1991.
+References: benthin-2006 (parallel build); zagha-blelloch-1991.
 """
 
 import warp as wp

@@ -23,12 +23,8 @@ suffices.
 more triangles in total than the whole node (notebooks/records/2026-11-22-partial-rebuilds.md has an example). Then the whole
 node is rebuilt, which is less work and gives a better tree.
 
-References:
-    X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
-        Conference on Computer Science and Software Engineering 2008 (as described by Rahikainen 2013).
-    C. Lauterbach, S.-E. Yoon, D. Tuft, D. Manocha: RT-DEFORM: interactive ray tracing of dynamic scenes using BVHs.
-        IEEE Symposium on Interactive Ray Tracing 2006 (a threshold on the degradation by refitting).
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+References: yang-2008 (as described by rahikainen-2013); lauterbach-2006 (a threshold on the degradation by refitting);
+    rahikainen-2013.
 """
 
 from collections.abc import Callable

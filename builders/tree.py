@@ -67,9 +67,7 @@ class StopRules:
     Raises:
         ValueError: a value is out of range, or the termination is unknown.
 
-    References:
-        V. Havran, J. Bittner: On improving kd-trees for ray shooting. WSCG 2002.
-        M. Pharr, G. Humphreys: Physically based rendering. Morgan Kaufmann, 2004.
+    References: havran-bittner-2002; pharr-humphreys-2004.
     """
 
     max_depth: int | None = None

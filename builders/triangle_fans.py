@@ -23,8 +23,7 @@ bounded valence, O(log F) each for the queue.
 
 **Limits.** The code runs on the host (notebooks/records/2026-11-21-triangle-tests.md has times and sizes of fans).
 
-References:
-    E. Galin, S. Akkouche: Fast processing of triangle meshes using triangle fans. Shape Modeling International 2005.
+References: galin-akkouche-2005.
 """
 
 from __future__ import annotations

@@ -11,6 +11,8 @@ sys.path.insert(0, str(HERE))
 
 import drawings  # noqa: E402
 
+from wrt.references import REFERENCES  # noqa: E402
+
 ROOT = HERE.parent
 
 project = "wrt"
@@ -36,7 +38,8 @@ napoleon_use_rtype = False
 
 
 def gather_pages() -> None:
-    """Copies notebooks and records into docs/, where Sphinx looks for pages; docs/.gitignore leaves the copies out."""
+    """Copies notebooks and records into docs/, where Sphinx looks for pages, and writes the page of references; docs/.gitignore
+    leaves these out."""
     for source, target, patterns in (
         (ROOT / "notebooks", HERE / "notebooks", ("*.ipynb",)),
         (ROOT / "notebooks" / "records", HERE / "records", ("*.md", "*.png")),
@@ -45,6 +48,9 @@ def gather_pages() -> None:
         target.mkdir()
         for path in (path for pattern in patterns for path in sorted(source.glob(pattern))):
             shutil.copyfile(path, target / path.name)
+    rows = [f"`{key}`\n: {work}\n" for key, work in REFERENCES.items()]
+    text = "# References\n\nWhat docstrings cite, by key (`wrt.references`).\n\n" + "\n".join(rows)
+    (HERE / "references.md").write_text(text, encoding="utf-8")
 
 
 def as_restructured_text(app, what, name, obj, options, lines: list[str]) -> None:

@@ -22,10 +22,7 @@ have rules of their own (`large_boxes`). The tree is the same for any number of 
 
 **Limits.** Surface areas are float32: nodes larger than 1e19 or smaller than 1e-19 are split in the middle of their list.
 
-References:
-    I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
-    I. Wald, S. Woop, C. Benthin, G. S. Johnson, M. Ernst: Embree: a kernel framework for efficient CPU ray tracing.
-        ACM Transactions on Graphics 33(4), 2014.
+References: wald-2007-sah; wald-2014.
 """
 
 from dataclasses import replace

@@ -14,10 +14,7 @@ traversal can be counted in the same units and compared. If V is the overlap of 
 A_2, their relative overlap is V / min(A_1, A_2). For many pairs it is the sum of all V over the sum of all minima (section
 6.2.8). A wide node has W (W - 1) / 2 pairs.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024.
-    T. Aila, T. Karras, S. Laine: On quality metrics of bounding volume hierarchies. High Performance Graphics 2013.
+References: falcone-2024; aila-2013.
 """
 
 from dataclasses import dataclass

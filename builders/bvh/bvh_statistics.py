@@ -4,8 +4,7 @@ The expected cost of a ray that hits the root's box:
 
     sum over nodes of C_t SA(i) / SA(root)  +  sum over leaves of C_b blocks(n) SA(l) / SA(root)
 
-References:
-    J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987.
+References: goldsmith-salmon-1987.
 """
 
 from dataclasses import dataclass

@@ -15,9 +15,7 @@ shared instances, get a tree by the surface area heuristic, as good as that of a
 **Update.** Nodes are numbered by their height, greatest first. New boxes go into the lanes of the leaves and upwards level by
 level (`InstanceForest.bounds`); the nodes stay as they are, until `InstanceForest.cost` says that others would be better.
 
-References:
-    I. Kamel, C. Faloutsos: On packing R-trees. CIKM 1993 (sorted along a space-filling curve, packed level by level).
-    G. M. Morton: A computer oriented geodetic data base and a new technique in file sequencing. IBM, 1966.
+References: kamel-faloutsos-1993 (sorted along a space-filling curve, packed level by level); morton-1966.
 """
 
 from __future__ import annotations

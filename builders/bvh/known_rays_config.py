@@ -1,8 +1,6 @@
 """Configuration of a BVH build for known rays: costs, ray distribution, axes, and stop rules.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024 (section 5.1).
+References: falcone-2024 (section 5.1).
 """
 
 from dataclasses import dataclass, field

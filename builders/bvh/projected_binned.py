@@ -18,10 +18,7 @@ stop rule.
 **What we changed.** The published build handles one area and is recursive. Where no other axis is acceptable, it weighs the
 planes of the longest side by surface area; see `split_axes`.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024.
-    I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
+References: falcone-2024; wald-2007-sah.
 """
 
 from dataclasses import replace

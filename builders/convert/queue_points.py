@@ -6,9 +6,7 @@ has the nodes above the queue points, and each queue point as a leaf. Leaves hol
 
 The bytes of subtrees are summed level by level from the deepest: O(nodes), vectorised, once per tree.
 
-References:
-    P. A. Navrátil, D. S. Fussell, C. Lin, W. R. Mark: Dynamic ray scheduling to improve ray coherence and bandwidth
-        utilization. IEEE Symposium on Interactive Ray Tracing 2007.
+References: navratil-2007.
 """
 
 from dataclasses import dataclass

@@ -36,12 +36,7 @@ lists, in time n log n in the references of a leaf.
 **Limits.** A triangle in several leaves is in several blocks, and tested again for each that a ray meets. Lists and triangle
 records are held in addition to those of the tree. The tree must be finished: additions of a lazy build are not supported.
 
-References:
-    M. Ernst, G. Greiner: Early split clipping for bounding volume hierarchies. IEEE/EG Symposium on Interactive Ray Tracing
-        2007.
-    S. Popov, I. Georgiev, R. Dimov, P. Slusallek: Object partitioning considered harmful: space subdivision for BVHs.
-        High Performance Graphics 2009.
-    M. Stich, H. Friedrich, A. Dietrich: Spatial splits in bounding volume hierarchies. High Performance Graphics 2009.
+References: ernst-greiner-2007; popov-2009; stich-2009.
 """
 
 import numpy as np

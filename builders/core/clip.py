@@ -26,13 +26,7 @@ triangle meets: intersection tests in inner nodes, of which Rahikainen 2013 (4.1
 **Limits.** The build takes 2 to 3 times as long (notebooks/records/2026-11-21-split-clipping.md). The choice of planes is
 greedy: smaller boxes make single splits cheaper, and usually, but not always, the tree.
 
-References:
-    I. E. Sutherland, G. W. Hodgman: Reentrant polygon clipping. Communications of the ACM 17(1), 1974.
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    A. Soupikov, M. Shevtsov, A. Kapustin: Improving kd-tree quality at a reasonable construction cost.
-        IEEE Symposium on Interactive Ray Tracing 2008.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+References: sutherland-hodgman-1974; wald-havran-2006; soupikov-2008; rahikainen-2013.
 """
 
 from typing import Any

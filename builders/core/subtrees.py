@@ -7,11 +7,7 @@ lists. The right child is pushed on a stack, so nodes are written in depth-first
 
 A task that runs out of memory reports it and stops. The build is then repeated with more memory (`Reservation`).
 
-References:
-    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
-        High Performance Graphics 2010.
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
+References: choi-2010; wald-havran-2006.
 """
 
 from collections.abc import Callable

@@ -19,10 +19,7 @@ boxes of oblique regions tell little: where no plane saves SAVING of the tests, 
 **What we changed.** The kd-tree that the thesis cites, Fussell and Subramanian's, holds triangles for rays. This one holds
 regions for points.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024 (sections 5.5.2, 7.2).
-    D. Fussell, K. R. Subramanian: Fast ray tracing using k-d trees. Technical report, University of Texas at Austin, 1988.
+References: falcone-2024 (sections 5.5.2, 7.2); fussell-subramanian-1988.
 """
 
 from __future__ import annotations

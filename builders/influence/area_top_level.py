@@ -10,9 +10,7 @@ octree of d levels below the root has (8^(d + 1) - 1) / 7 cells.
 `wrt.kernels.influence.area_assignment` for the reason. The list contains every triangle that has a vertex, an edge or an
 interior point in the region, and some of which only the box reaches into it.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024 (sections 3.2, 3.3, 5.5).
+References: falcone-2024 (sections 3.2, 3.3, 5.5).
 """
 
 from __future__ import annotations

@@ -6,9 +6,7 @@ pinhole camera. It is a frustum whose rays leave its near plane on lines through
 (`wrt.builders.influence.projected_cost`), and rays are assigned to areas (`affine`; for traced batches, by the loops of
 `wrt.kernels.influence.area_lanes`).
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024 (chapter 3, section 5.4).
+References: falcone-2024 (chapter 3, section 5.4).
 """
 
 from dataclasses import dataclass

@@ -15,10 +15,7 @@ area that does not see the scene's box is omitted. If no area sees it, only the 
 **Rays in all directions.** Projected areas are 0 for flat boxes seen from the side, and for boxes outside all areas, so all
 splits of such boxes would cost the same. A small share of rays in all directions (`RayDistribution.others`) decides there.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024.
-    B. Fabianowski, C. Fowler, J. Dingliana: A cost metric for scene-interior ray origins. Eurographics 2009, short papers.
+References: falcone-2024; fabianowski-2009.
 """
 
 from collections.abc import Sequence

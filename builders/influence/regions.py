@@ -12,9 +12,7 @@ region.
 
 **Margin.** Conservative queries widen a region: `struct(center, margin)` moves each face outward by the margin.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024 (section 5.3).
+References: falcone-2024 (section 5.3).
 """
 
 from __future__ import annotations

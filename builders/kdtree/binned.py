@@ -22,10 +22,7 @@ the box of a node's triangles, not the node's own box, so its faces are candidat
 exactly. Triangles are moved as whole references, not as indices. Sampling starts only in nodes large enough for reliable
 counts. The tree is the same for any number of threads, chunks and tasks.
 
-References:
-    M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
-        scenes. Computer Graphics Forum 26(3), 2007.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
+References: shevtsov-2007-kdtree; rahikainen-2013 (section 4.2).
 """
 
 from functools import cache

@@ -23,10 +23,7 @@ instead of from a shared counter. The split of a node does not depend on the pha
 for any number of threads, chunks and tasks, also if triangles are clipped, in the levels (`clipped_levels`) and in the tasks
 (`clipped_events`).
 
-References:
-    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
-        High Performance Graphics 2010.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2, algorithm 4.2.2).
+References: choi-2010; rahikainen-2013 (section 4.2, algorithm 4.2.2).
 """
 
 from typing import NamedTuple

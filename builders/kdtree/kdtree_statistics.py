@@ -5,9 +5,7 @@ for the visit of a leaf):
 
     sum over inner nodes of C_t SA(i) / SA(root)  +  sum over leaves of C_b blocks(n) SA(l) / SA(root)
 
-References:
-    J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+References: macdonald-booth-1990; rahikainen-2013.
 """
 
 from dataclasses import dataclass

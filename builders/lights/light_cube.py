@@ -12,10 +12,7 @@ their triangles, and none on the points of their own lit side.
 
 **Memory.** 16 bytes a cell and 8 bytes an entry; while it is built nothing more.
 
-References:
-    E. A. Haines, D. P. Greenberg: The light buffer: a shadow-testing accelerator. IEEE Computer Graphics and Applications 6(9),
-        1986.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 2.3).
+References: haines-greenberg-1986; rahikainen-2013 (section 2.3).
 """
 
 from __future__ import annotations

@@ -24,9 +24,7 @@ inside: no ray passes through at an edge or a vertex.
 **Limits.** If a triangle is so thin that even float64 cannot locate the ray along it (its height is below 1e-16 of the ray's
 reach), its t may precede the entry of its box. Whether that hit is found then depends on the tree.
 
-References:
-    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
-    T. Ize: Robust BVH ray traversal. Journal of Computer Graphics Techniques 2(2), 2013.
+References: woop-2013; ize-2013.
 """
 
 import warp as wp

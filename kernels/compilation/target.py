@@ -17,9 +17,7 @@ set, the width is that of this CPU, and the code is what Warp's own flags give, 
 full registers (`WIDE_REGISTERS`). Two more flags shorten compiling and do not change the code (`QUICKER`). CUDA is not
 affected: its width is 2, and Warp compiles for the GPU that it finds.
 
-References:
-    H. J. Lu, M. Matz, M. Girkar, J. Hubička, A. Jaeger, M. Mitchell (editors): System V Application Binary Interface, AMD64
-        Architecture Processor Supplement, 2020 (the levels x86-64-v2, v3 and v4).
+References: lu-2020 (the levels x86-64-v2, v3 and v4).
 """
 
 import os

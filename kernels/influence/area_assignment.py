@@ -24,9 +24,7 @@ region widened by a margin of several times the greatest slack of any ray that s
 (`wrt.builders.influence.area_top_level`). With this margin the argument above holds for every computed hit, to the bit,
 including triangles that are seen edge-on.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024 (chapter 3, section 5.5).
+References: falcone-2024 (chapter 3, section 5.5).
 """
 
 import warp as wp

@@ -20,9 +20,7 @@ lane.
 The far end of an area is ignored, because rays continue beyond it. Projections of radial areas are measured in the plane at
 depth 1.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024.
+References: falcone-2024.
 """
 
 import warp as wp

@@ -2,9 +2,7 @@
 
 A polygon is the first `count` points of a local array with room for MAX_CORNERS, counter-clockwise.
 
-References:
-    I. E. Sutherland, G. W. Hodgman: Reentrant polygon clipping. Communications of the ACM 17(1), 1974.
-    A. M. Andrew: Another efficient algorithm for convex hulls in two dimensions. Information Processing Letters 9(5), 1979.
+References: sutherland-hodgman-1974; andrew-1979.
 """
 
 import warp as wp

@@ -14,11 +14,7 @@ window covers a solid angle of dx dy (1 + x^2 + y^2)^(-3/2). Integrated over y, 
 which is solved for y. Equal areas of the unit square map to equal areas of the sphere (Urena, Fajardo and King 2013 do this for
 any rectangle).
 
-References:
-    C. Urena, M. Fajardo, A. King: An area-preserving parametrization for spherical rectangles. Computer Graphics Forum 32(4)
-        (Eurographics Symposium on Rendering), 2013.
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024 (section 5.6.2, appendix B).
+References: urena-2013; falcone-2024 (section 5.6.2, appendix B).
 """
 
 import warp as wp

@@ -16,10 +16,7 @@ rectangles, so corners are never computed.
 conservative callers add to a region (`wrt.builders.influence.regions`). Projections that overlap within rounding are not
 separated, and a NaN is in no region.
 
-References:
-    S. Gottschalk, M. C. Lin, D. Manocha: OBBTree: a hierarchical structure for rapid interference detection. SIGGRAPH 1996.
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024 (sections 5.3 and A.4 to A.7).
+References: gottschalk-1996; falcone-2024 (sections 5.3 and A.4 to A.7).
 """
 
 import warp as wp

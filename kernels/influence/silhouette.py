@@ -5,10 +5,7 @@ table lists them for all 27 cases (`SILHOUETTES`). It is generated from the defi
 two faces is visible and the other is not. The outline of a box that the near plane cuts is the convex hull of the remaining
 part: corners behind the plane have no projection, and the points where the plane cuts edges are new corners.
 
-References:
-    D. Schmalstieg, R. F. Tobler: Real-time bounding box area computation. TU Wien, Technical Report TR-186-2-99-10, 1999.
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024 (sections 5.4.1 and 5.4.2, appendices A.9 and A.10).
+References: schmalstieg-tobler-1999; falcone-2024 (sections 5.4.1 and 5.4.2, appendices A.9 and A.10).
 """
 
 from itertools import product

@@ -1,8 +1,6 @@
 """An influence area as kernels see it, the direction of its rays at a box, and which rays belong to it.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024.
+References: falcone-2024.
 """
 
 import warp as wp

@@ -19,11 +19,7 @@ enlarged as `wrt.builders.core.clip` explains.
 Depth-first and van Emde Boas orders of nodes and blocks do not change the speed of traversal
 (notebooks/records/2026-11-22-box-formats.md).
 
-References:
-    I. Wald, C. Benthin, S. Boulos: Getting rid of packets: efficient SIMD single-ray traversal using multi-branching BVHs. IEEE
-        Symposium on Interactive Ray Tracing 2008.
-    H. Dammertz, J. Hanika, A. Keller: Shallow bounding volume hierarchies for fast SIMD ray tracing of incoherent rays.
-        Eurographics Symposium on Rendering 2008.
+References: wald-2008; dammertz-2008.
 """
 
 import warp as wp

@@ -15,9 +15,7 @@ A leaf above the exits has its word at the first exit below it. Planes and exits
 
 A walk names a node by the number of its word, subtree * 2^(height + 1) + k. The tree's root is 1.
 
-References:
-    V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 2.2).
+References: havran-2001; rahikainen-2013 (section 2.2).
 """
 
 from functools import cache

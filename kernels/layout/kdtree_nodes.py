@@ -12,9 +12,7 @@ The left (lower) child of node i is node i + 1. A leaf of n triangles owns ceil(
 There is a second order of the same nodes, in pairs: the two children of a node are adjacent. An inner node then stores the
 index of its left child, and the right child follows it. Pairs can be in any order (`wrt.builders.kdtree.LAYOUTS`).
 
-References:
-    V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001 (depth-first layout).
-    I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004 (8-byte node).
+References: havran-2001 (depth-first layout); wald-2004 (8-byte node).
 """
 
 from functools import cache

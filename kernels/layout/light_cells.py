@@ -15,9 +15,7 @@ An entry is 64 bits: the least depth at which a shadow ray of the cell can hit t
 in the upper 32, its number in the lower 32. Lists are sorted by entry, so by depth, then by triangle. A list contains no
 triangle behind the depth `far` of its cell.
 
-References:
-    E. A. Haines, D. P. Greenberg: The light buffer: a shadow-testing accelerator. IEEE Computer Graphics and Applications 6(9),
-        1986.
+References: haines-greenberg-1986.
 """
 
 import warp as wp

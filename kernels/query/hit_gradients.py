@@ -18,10 +18,7 @@ on one thread.
 **Limits.** The triangle is held fixed, so the derivatives do not include silhouettes: changes that arise because a ray moves
 from one surface to another are missing. The derivatives grow as 1 / sine of the angle between ray and plane, like t itself.
 
-References:
-    T. Moeller, B. Trumbore: Fast, minimum storage ray-triangle intersection. Journal of Graphics Tools 2(1), 1997.
-    T.-M. Li, M. Aittala, F. Durand, J. Lehtinen: Differentiable Monte Carlo ray tracing through edge sampling. ACM Transactions
-        on Graphics 37(6), 2018 (for the part that is omitted here).
+References: moeller-trumbore-1997; li-2018 (for the part that is omitted here).
 """
 
 from functools import cache

@@ -5,9 +5,7 @@ The reference that scenes are checked against (`Scene.verify`). A triangle's cor
 axis; the ray meets the triangle, edges included, if it is on the same side of all three edges. Threads and blocks of rays never
 change an answer.
 
-References:
-    A. van Oosterom, J. Strackee: The solid angle of a plane triangle. IEEE Transactions on Biomedical Engineering 30(2), 1983.
-    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
+References: van-oosterom-strackee-1983; woop-2013.
 """
 
 import numpy as np

@@ -54,10 +54,7 @@ the coordinates of the point alone.
 **Sides.** A ray may be made to start on a given side, although it points to the other one. It then starts so that it passes
 through the point, and meets the triangle.
 
-References:
-    C. Waechter, N. Binder: A fast and robust method for avoiding self-intersection. Ray Tracing Gems, 2019.
-    M. Pharr, W. Jakob, G. Humphreys: Physically based rendering: from theory to implementation, 3rd edition. Morgan Kaufmann,
-        2016 (section 3.9, bounds of rounding errors).
+References: waechter-binder-2019; pharr-2016 (section 3.9, bounds of rounding errors).
 """
 
 import warp as wp

@@ -13,9 +13,7 @@ During graph capture on the CPU, all items are one launch.
 
 A `PreparedLaunch` keeps a kernel with its packed arguments for repeated use: the element of a launch cache.
 
-References:
-    C. D. Polychronopoulos, D. J. Kuck: Guided self-scheduling: a practical scheduling scheme for parallel supercomputers. IEEE
-        Transactions on Computers C-36(12), 1987.
+References: polychronopoulos-kuck-1987.
 """
 
 import os

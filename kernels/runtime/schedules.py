@@ -4,15 +4,7 @@ A schedule decides which chunk of items a thread takes next. Results do not depe
 Rahikainen (2013, chapter 5) describes, and work stealing. The default is "guided"; the others are for comparison (`wrt bench
 scheduling`; notebooks/records/2026-11-22-scaling.md).
 
-References:
-    C. D. Polychronopoulos, D. J. Kuck: Guided self-scheduling: a practical scheduling scheme for parallel supercomputers. IEEE
-        Transactions on Computers C-36(12), 1987.
-    S. Parker, W. Martin, P.-P. J. Sloan, P. Shirley, B. Smits, C. Hansen: Interactive ray tracing. Symposium on Interactive 3D
-        Graphics, 1999.
-    M. Nunes, L. P. Santos: Workload distribution for ray tracing in multi-core systems. Encontro Portugues de Computacao
-        Grafica, 2009.
-    R. D. Blumofe, C. E. Leiserson: Scheduling multithreaded computations by work stealing. Journal of the ACM 46(5), 1999.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapter 5).
+References: polychronopoulos-kuck-1987; parker-1999; nunes-santos-2009; blumofe-leiserson-1999; rahikainen-2013 (chapter 5).
 """
 
 from dataclasses import dataclass

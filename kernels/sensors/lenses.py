@@ -7,12 +7,7 @@ no ray, the result is NaN.
 Distortions without a closed inverse are inverted by Newton's method, on the branch that begins at the image centre: where the
 distortion folds back, there is no ray.
 
-References:
-    D. C. Brown: Decentering distortion of lenses. Photogrammetric Engineering 32(3), 1966.
-    J. Kannala, S. S. Brandt: A generic camera model and calibration method for conventional, wide-angle, and fish-eye lenses.
-        IEEE Transactions on Pattern Analysis and Machine Intelligence 28(8), 2006.
-    V. Usenko, N. Demmel, D. Cremers: The double sphere camera model. International Conference on 3D Vision, 2018.
-    OpenCV: camera calibration and 3D reconstruction; fisheye camera model (documentation).
+References: brown-1966; kannala-brandt-2006; usenko-2018; opencv (documentation).
 """
 
 import warp as wp

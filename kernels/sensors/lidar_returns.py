@@ -15,9 +15,7 @@ blocks the ray, but is not detected.
 **Noise** is that of a return which was detected: misses remain misses. It is a function of seed, beam and place among the
 beam's returns (`wrt.kernels.sensors.philox`).
 
-References:
-    W. Wagner, A. Ullrich, V. Ducic, T. Melzer, N. Studnicka: Gaussian decomposition and calibration of a novel small-footprint
-        full-waveform digitising airborne laser scanner. ISPRS Journal of Photogrammetry and Remote Sensing 60(2), 2006.
+References: wagner-2006.
 """
 
 import warp as wp

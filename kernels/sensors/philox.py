@@ -6,11 +6,7 @@ seed must give the same bits.
 **Idea.** A block cipher of few rounds maps a counter to four random words; the key is the seed. So the noise of a return is a
 function of its number. The generator passes the tests of BigCrush, and its authors publish known answers, which the tests use.
 
-References:
-    J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw: Parallel random numbers: as easy as 1, 2, 3. International Conference
-        for High Performance Computing, Networking, Storage and Analysis (SC), 2011.
-    G. E. P. Box, M. E. Muller: A note on the generation of random normal deviates. Annals of Mathematical Statistics 29(2),
-        1958.
+References: salmon-2011; box-muller-1958.
 """
 
 import warp as wp

@@ -3,8 +3,7 @@
 The angle between two unit quaternions is taken from the arc tangent of their quotient, which is exact to rounding for small
 angles, too. Between two keys, the linear velocity is constant in the world, and the angular velocity is constant.
 
-References:
-    K. Shoemake: Animating rotation with quaternion curves. SIGGRAPH 1985.
+References: shoemake-1985.
 """
 
 import warp as wp

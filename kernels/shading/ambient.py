@@ -3,9 +3,7 @@
 The share is the integral of visibility times cosine over the hemisphere. Rays are drawn with a density proportional to the
 cosine, so the estimate is the share of rays that leave the scene (or travel farther than a given distance).
 
-References:
-    S. Zhukov, A. Iones, G. Kronin: An ambient light illumination model. Eurographics Workshop on Rendering, 1998.
-    H. Landis: Production-ready global illumination. SIGGRAPH course 16, 2002.
+References: zhukov-1998; landis-2002.
 """
 
 import warp as wp

@@ -1,7 +1,6 @@
 """From light to colour: samples are summed in linear light, then converted to sRGB.
 
-References:
-    IEC 61966-2-1:1999, Default RGB colour space, sRGB.
+References: iec-61966-1999.
 """
 
 import warp as wp

@@ -5,8 +5,7 @@ result does not depend on how a surface is triangulated (Thuermer and Wuethrich 
 the corner's own by less than the crease angle count, so a cube keeps its edges. Both sides of a triangle are shaded, so a
 neighbour of opposite winding counts with its normal reversed.
 
-References:
-    G. Thuermer, C. A. Wuethrich: Computing vertex normals from polygonal facets. Journal of Graphics Tools 3(1), 1998.
+References: thuermer-wuethrich-1998.
 """
 
 import warp as wp

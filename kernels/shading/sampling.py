@@ -9,14 +9,7 @@ higher bits. It keeps that property, removes the regular pattern and makes the e
 that does this from the lowest bit up, in a few multiplications. Burley applies it between two bit reversals, to the index (so
 that each pixel has its own order) and to each coordinate. The constants are theirs.
 
-References:
-    I. M. Sobol: On the distribution of points in a cube and the approximate evaluation of integrals.
-        USSR Computational Mathematics and Mathematical Physics 7(4), 1967.
-    A. B. Owen: Randomly permuted (t,m,s)-nets and (t,s)-sequences. MCQMC 1995.
-    T. Kollig, A. Keller: Efficient multidimensional sampling. Eurographics 2002.
-    S. Laine, T. Karras: Stratified sampling for stochastic transparency. Eurographics Symposium on Rendering 2011.
-    B. Burley: Practical hash-based Owen scrambling. Journal of Computer Graphics Techniques 9(4), 2020.
-    T. Duff et al.: Building an orthonormal basis, revisited. Journal of Computer Graphics Techniques 6(1), 2017.
+References: sobol-1967; owen-1995; kollig-keller-2002; laine-karras-2011; burley-2020; duff-2017.
 """
 
 import warp as wp

@@ -7,8 +7,7 @@ is made from the transformed triangle at each hit.
 Points are float32 relative to the scene's centre. Their error, a few units in the last place, is small against the offset of
 `OFFSET` times the reach.
 
-References:
-    J. Hanika: Hacking the shadow terminator. Ray Tracing Gems II, 2021.
+References: hanika-2021.
 """
 
 import warp as wp

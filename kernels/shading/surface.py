@@ -7,8 +7,7 @@
 shadow itself, and the edge of that shadow shows the triangles. Hanika moves the origin of the shadow ray off the triangle to
 the curved surface that the normals describe: upwards where the surface is convex, nowhere else. Flat normals give no shift.
 
-References:
-    J. Hanika: Hacking the shadow terminator. Ray Tracing Gems II, 2021.
+References: hanika-2021.
 """
 
 import warp as wp

@@ -17,11 +17,7 @@ is clamped to the interval in which it does (`clamp_to_box`). Rounding is monoto
 that contains the triangle's box is never later than this t. A traversal that skips a node only if its entry lies beyond the
 best hit so far therefore finds exactly the hits of brute force: the same t to the bit and the same primitive.
 
-References:
-    T. L. Kay, J. T. Kajiya: Ray tracing complex scenes. SIGGRAPH 1986.
-    A. Williams, S. Barrus, R. K. Morley, P. Shirley: An efficient and robust ray-box intersection algorithm. Journal of
-        Graphics Tools 10(1), 2005.
-    T. Ize: Robust BVH ray traversal. Journal of Computer Graphics Techniques 2(2), 2013.
+References: kay-kajiya-1986; williams-2005; ize-2013.
 """
 
 import warp as wp

@@ -23,10 +23,7 @@ notebooks/records/2026-11-23-fan-trees.md.
 **Differences from the paper.** The determinant is not compared with a threshold: the comparisons reject the results of a
 division by zero. The matrix form of the formula in Rahikainen (2013, equation 2.17) has the signs of u and v exchanged.
 
-References:
-    E. Galin, S. Akkouche: Fast processing of triangle meshes using triangle fans. Shape Modeling International 2005.
-    J. Havel, A. Herout: Yet faster ray-triangle intersection (using SSE4). IEEE TVCG 16(3), 2010.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (equations 2.17 and 2.18).
+References: galin-akkouche-2005; havel-herout-2010; rahikainen-2013 (equations 2.17 and 2.18).
 """
 
 from functools import cache

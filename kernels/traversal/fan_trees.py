@@ -8,8 +8,7 @@ is with W = 1.
 
 **Limits.** A fan's test does not decide edges at the rim exactly, so crossings are not counted.
 
-References:
-    E. Galin, S. Akkouche: Fast processing of triangle meshes using triangle fans. Shape Modeling International 2005.
+References: galin-akkouche-2005.
 """
 
 from functools import cache

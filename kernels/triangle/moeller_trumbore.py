@@ -13,8 +13,7 @@ that are not finite, which fail every comparison.
 **Limits.** Fast and short, but not watertight: the third edge is tested through u + v <= 1, whose rounding differs from that of
 the same edge in the neighbouring triangle.
 
-References:
-    T. Moeller, B. Trumbore: Fast, minimum storage ray/triangle intersection. Journal of Graphics Tools 2(1), 1997.
+References: moeller-trumbore-1997.
 """
 
 import warp as wp

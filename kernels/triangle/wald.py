@@ -22,10 +22,7 @@ NaN needs no special case.
 their rounding: hits are less precise than those of tests that subtract a vertex first. The test is not watertight. In vector
 code, triangles of several main axes run in one loop, so the axis costs selects instead of a jump.
 
-References:
-    I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
-    C. Waechter: Realtime ray tracing. Diploma thesis, Ulm University, 2004.
-    D. Badouel: An efficient ray-polygon intersection. Graphics Gems, Academic Press, 1990.
+References: wald-2004; waechter-2004; badouel-1990.
 """
 
 import warp as wp

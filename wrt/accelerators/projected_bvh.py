@@ -55,12 +55,7 @@ class ProjectedBvh:
         TypeError: `areas` holds something else.
         ValueError: an unknown cost or axis choice, a value out of range, or both `subset` and `spatial_splits`.
 
-    References:
-        L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di
-        Milano, 2024.
-        M. Stich, H. Friedrich, A. Dietrich: Spatial splits in bounding volume hierarchies. High Performance Graphics 2009.
-        L. Tessari, A. Dittebrandt, M. J. Doyle, C. Benthin: Stochastic subsets for BVH construction. Computer Graphics Forum
-        42(2), 2023.
+    References: falcone-2024; stich-2009; tessari-2023.
     """
 
     kind: ClassVar[str] = "bvh"

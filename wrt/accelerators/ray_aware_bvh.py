@@ -56,9 +56,7 @@ class RayAwareBvh:
     `wrt.Scene` raises a ValueError for an octree or kd-tree of more than 1 GB (thousands of large areas at depth 8); use fewer
     levels or an array.
 
-    References:
-        L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di
-        Milano, 2024.
+    References: falcone-2024.
     """
 
     kind: ClassVar[str] = "bvh"

@@ -8,8 +8,7 @@ float32.
 Distance queries (`compute_distance`, `compute_signed_distance`, `compute_closest_points`, `compute_occupancy`) are not
 implemented: to ask for one is an AttributeError that says what to use instead, such as `wrt.Scene.contains` for inside tests.
 
-References:
-    Q.-Y. Zhou, J. Park, V. Koltun: Open3D: A modern library for 3D data processing. arXiv:1801.09847, 2018 (the interface).
+References: zhou-2018 (the interface).
 """
 
 from __future__ import annotations

@@ -7,8 +7,7 @@ not limited; rows are sorted by ray, then by distance.
 
 The scene is built by the first query, and rebuilt by the first query after the mesh has changed, as detected by its hash.
 
-References:
-    M. Dawson-Haggerty et al.: trimesh, https://trimesh.org (the interface).
+References: dawson-haggerty (the interface).
 """
 
 from __future__ import annotations

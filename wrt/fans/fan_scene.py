@@ -54,8 +54,7 @@ class FanScene(Scene):
     Raises:
         TypeError, ValueError: as `wrt.Scene`; an unknown form; another tree.
 
-    References:
-        E. Galin, S. Akkouche: Fast processing of triangle meshes using triangle fans. Shape Modeling International 2005.
+    References: galin-akkouche-2005.
     """
 
     fans: TriangleFans

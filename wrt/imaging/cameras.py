@@ -6,11 +6,7 @@ ray passes through the pixel centre. With S samples, ray s takes point s of the 
 samples cover all S columns and, for powers of two, all S rows of a pixel once, which keeps edges smooth. Another seed
 shifts the pattern (Cranley and Patterson), so that images with different seeds can be averaged.
 
-References:
-    J. M. Hammersley: Monte Carlo methods for solving multivariable problems. Annals of the New York Academy of Sciences
-    86(3), 1960.
-    R. Cranley, T. N. L. Patterson: Randomization of number theoretic methods for multiple integration. SIAM Journal on
-    Numerical Analysis 13(6), 1976.
+References: hammersley-1960; cranley-patterson-1976.
 """
 
 from __future__ import annotations

@@ -14,9 +14,7 @@ the others, so C_miss is not C_global: all three costs are counted, on a sample 
 **Cost** of a ray is the scene's cost model applied to its counted work: nodes visited, and triangles tested in blocks of
 the tree's width, by single rays. Finding the area of a ray is added (`AREA_LOOKUP_COST`).
 
-References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-    2024.
+References: falcone-2024.
 """
 
 from __future__ import annotations

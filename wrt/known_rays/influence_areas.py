@@ -21,13 +21,7 @@ tolerance. Since a point far away also explains parallel rays, a point has to ex
 **Regions** enclose the origins of the explained rays and extend along the rays as far as `bounds`: a cuboid for parallel
 rays; for radial rays a frustum, or, for wide bundles, one for each side of a cube around the point.
 
-References:
-    M. Ester, H.-P. Kriegel, J. Sander, X. Xu: A density-based algorithm for discovering clusters in large spatial databases
-    with noise. KDD 1996.
-    M. A. Fischler, R. C. Bolles: Random sample consensus: a paradigm for model fitting with applications to image analysis
-    and automated cartography. Communications of the ACM 24(6), 1981.
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-    2024.
+References: ester-1996; fischler-bolles-1981; falcone-2024.
 """
 
 from __future__ import annotations

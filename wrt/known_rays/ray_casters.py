@@ -10,9 +10,7 @@
 The same seed gives the same rays, whatever the count, in a low-discrepancy pattern (`wrt.kernels.influence.ray_casting`).
 Cameras sample the image plane uniformly, square caps the sphere.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-    2024: section 5.6.2, appendix B.
+References: falcone-2024 (section 5.6.2, appendix B).
 """
 
 from __future__ import annotations

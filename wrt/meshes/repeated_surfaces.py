@@ -11,8 +11,7 @@ around a face that was written once too often it has one.
 **Search.** Triangles get a hash of 64 bits that does not depend on the order of their corners. If no two are equal, which one
 sort tells, nothing repeats. Only those with equal hashes are compared, by their coordinates.
 
-References:
-    A. Appleby: MurmurHash3, 2011 (the mixing of bits).
+References: appleby-2011 (the mixing of bits).
 """
 
 from __future__ import annotations

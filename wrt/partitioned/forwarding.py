@@ -4,10 +4,7 @@ A part is chosen and loaded, and all rays of its queue are traced in it; each th
 unless its best hit lies before that. The part chosen is the one with the largest benefit for its cost: rays that wait, over
 bytes that are not in memory, plus a constant for handling a queue at all.
 
-References:
-    M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997.
-    P. A. Navrátil, D. S. Fussell, C. Lin, W. R. Mark: Dynamic ray scheduling to improve ray coherence and bandwidth
-        utilization. IEEE Symposium on Interactive Ray Tracing 2007.
+References: pharr-1997; navratil-2007.
 """
 
 from __future__ import annotations

@@ -7,9 +7,7 @@ next part is read into it.
 A thread that loads the next part meanwhile was tried: with two cores it takes more time from tracing than it saves
 (notebooks/records/2026-11-23-parts-on-disk.md).
 
-References:
-    M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997
-        (a cache of geometry, least recently used first).
+References: pharr-1997 (a cache of geometry, least recently used first).
 """
 
 from __future__ import annotations

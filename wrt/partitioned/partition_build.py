@@ -7,8 +7,7 @@ to the centre of the whole scene, and its triangle records, and is saved.
 
 Everything happens in a folder beside the target, which is renamed when it is complete; after an error, nothing is left.
 
-References:
-    M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997.
+References: pharr-1997.
 """
 
 from __future__ import annotations

@@ -12,8 +12,7 @@ With several meshes, or shells within each other, a point is inside if an odd nu
 A triangle that repeats an earlier one, the same side in front, is left out (`SceneState.distinct`): the surface is there once.
 One that is turned over counts, so that bodies may touch: see `wrt.meshes.repeated_surfaces`.
 
-References:
-    M. Shimrat: Algorithm 112: Position of point relative to polygon. Communications of the ACM 5(8), 1962 (parity).
+References: shimrat-1962 (parity).
 """
 
 from __future__ import annotations

@@ -18,8 +18,7 @@ length is L and height h as seen along the ray:
 If `occluded` contradicts `intersect`, that is a miss or a false hit, too. `contains` is compared with winding numbers
 (`wrt.query.checks.inside_check`).
 
-References:
-    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
+References: woop-2013.
 """
 
 from __future__ import annotations

@@ -4,10 +4,7 @@ Yang et al. (2008) dedicate some threads to building and let the others trace th
 finished; frames switch trees between them. Here a copy of the scene is updated in a thread of its own, and the tracing
 thread takes over the result in one step.
 
-References:
-    X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
-    Conference on Computer Science and Software Engineering, 2008 (as described in V. Rahikainen: On real-time ray tracing.
-    MSc thesis, University of Tampere, 2013).
+References: yang-2008 (as described by rahikainen-2013).
 """
 
 from __future__ import annotations

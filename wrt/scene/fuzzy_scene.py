@@ -65,9 +65,7 @@ class FuzzyScene(Scene):
     Raises:
         TypeError, ValueError: bad frames, faces, numbers or maps.
 
-    References:
-        J. Guenther, H. Friedrich, I. Wald, H.-P. Seidel, P. Slusallek: Ray tracing animated scenes using motion
-        decomposition. Computer Graphics Forum 25(3), 2006.
+    References: guenther-2006-motion.
     """
 
     frame: int

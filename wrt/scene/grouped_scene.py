@@ -16,13 +16,7 @@ trees of Bikker (2007). Trees of a single leaf are the moving objects of Parker 
 **Limits.** Builders limit the depth of a tree, but a deep group below an upper tree may exceed the limit. One BVH over all
 triangles is then built instead. This takes a chain of about sixty triangles, each twice as large as the previous one.
 
-References:
-    Y.-S. Kang, J.-H. Nah, W.-C. Park, S.-B. Yang: gkDtree: a group-based parallel update kd-tree for interactive ray
-    tracing. Journal of Systems Architecture 59, 2013.
-    J. Bikker: Real-time ray tracing through the eyes of a game developer. IEEE Symposium on Interactive Ray Tracing 2007.
-    S. Parker, W. Martin, P.-P. J. Sloan, P. Shirley, B. Smits, C. Hansen: Interactive ray tracing. I3D 1999.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (an overview of trees for dynamic
-    scenes).
+References: kang-2013; bikker-2007; parker-1999; rahikainen-2013 (an overview of trees for dynamic scenes).
 """
 
 from __future__ import annotations

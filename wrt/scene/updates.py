@@ -4,9 +4,7 @@ A BVH is updated by refitting its boxes, a kd-tree by refilling the leaves betwe
 motion, but traversal becomes slower the further the triangles move. `wrt.builders.rebuild_heuristic` finds the subtrees that
 have become too costly.
 
-References:
-    X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
-    Conference on Computer Science and Software Engineering, 2008.
+References: yang-2008.
 """
 
 from __future__ import annotations

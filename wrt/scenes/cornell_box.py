@@ -4,9 +4,7 @@ The measured box of the Program of Computer Graphics at Cornell University, ten 
 usual conversion of the measured spectra to red, green and blue. z is up, the open side faces -y. The lamp hangs half a
 millimetre below the ceiling of the original, so that no two surfaces coincide.
 
-References:
-    C. M. Goral, K. E. Torrance, D. P. Greenberg, B. Battaile: Modeling the interaction of light between diffuse surfaces.
-        SIGGRAPH 1984.
+References: goral-1984.
 """
 
 from __future__ import annotations

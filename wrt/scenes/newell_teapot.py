@@ -8,9 +8,7 @@ a patch's control points reverses its points bit for bit. So neighbouring patche
 and their points can be welded without a tolerance. Where a side of a patch shrinks to a point (the top of the knob, the
 centre of the bottom), the collapsed triangles are dropped.
 
-References:
-    M. E. Newell: The utilization of procedure models in digital image synthesis. PhD thesis, University of Utah, 1975.
-    F. C. Crow: The origins of the teapot. IEEE Computer Graphics and Applications 7(1), 1987.
+References: newell-1975; crow-1987.
 """
 
 from __future__ import annotations

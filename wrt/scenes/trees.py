@@ -6,10 +6,7 @@ radius. A child leaves its parent at a branching angle, rotated about it by the 
 (phyllotaxis). All parameters are jittered, and branches bend upward. One set of array operations makes all branches of one
 order, over all trees.
 
-References:
-    H. Honda: Description of the form of trees by the parameters of the tree-like body: effects of the branching angle and
-    the branch length on the shape of the tree-like body. Journal of Theoretical Biology 31, 1971.
-    P. Prusinkiewicz, A. Lindenmayer: The algorithmic beauty of plants. Springer, 1990.
+References: honda-1971; prusinkiewicz-lindenmayer-1990.
 """
 
 from __future__ import annotations

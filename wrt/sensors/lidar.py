@@ -87,8 +87,7 @@ class Lidar:
         TypeError: a value of a wrong type.
         ValueError: a value out of range, or an unknown name.
 
-    References:
-        H. Vogel: A better way to construct the sunflower head. Mathematical Biosciences 44(3-4), 1979.
+    References: vogel-1979.
     """
 
     pattern: LidarPattern

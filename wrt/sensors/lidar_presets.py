@@ -4,11 +4,7 @@ An entry names its sheet, and says which of its figures were compared with a pub
 which; the others were written down from memory and may be wrong. Where a sheet is silent, the lidar's default stands: no least
 range, no threshold. Intensities are relative, so thresholds follow from a stated range for a stated reflectance.
 
-References:
-    Velodyne: VLP-16 user manual, 63-9243; HDL-32E user's manual and programming guide, 63-9113.
-    Ouster: OS1 data sheet of the first generation; default beam angles of that generation in the maker's SDK.
-    RoboSense: RS-LiDAR-M1 user guide.
-    Livox: Mid series user manual, 2019.
+References: velodyne; ouster; robosense; livox-2019.
 """
 
 from __future__ import annotations

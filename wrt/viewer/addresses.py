@@ -13,8 +13,7 @@ how they begin. What is not written as here is refused, although a resolver may 
 and, where other computers reach the server, every address written in numbers, which no name server decides about, and the
 name of this computer.
 
-References:
-    C. Jackson, A. Barth, A. Bortz, W. Shao, D. Boneh: Protecting browsers from DNS rebinding attacks. ACM CCS 2007.
+References: jackson-2007.
 """
 
 from __future__ import annotations

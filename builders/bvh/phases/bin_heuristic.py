@@ -4,8 +4,7 @@ The loops of the binned build and of the collapse are written once (`bvh_levels`
 each `Heuristic`. Rays in all directions meet a box in proportion to its surface area. `projected_binned` has the model for
 known rays.
 
-References:
-    J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
+References: macdonald-booth-1990.
 """
 
 from dataclasses import dataclass

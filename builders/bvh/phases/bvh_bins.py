@@ -13,10 +13,7 @@ chunks gives the same result as in one pass.
 
 Every function works on the scratch memory of one slot, which belongs to a subtree's task or to a chunk of the top levels.
 
-References:
-    I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
-    M. Vinkler, J. Bittner, V. Havran: Extended Morton codes for high performance bounding volume hierarchy construction.
-        High Performance Graphics 2017.
+References: wald-2007-sah; vinkler-2017.
 """
 
 import warp as wp

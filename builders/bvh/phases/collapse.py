@@ -22,11 +22,7 @@ When all levels are known, one launch writes boxes, child words and leaf blocks.
 
 **Complexity.** O(W^2) per binary node, in W vector steps.
 
-References:
-    I. Wald, C. Benthin, S. Boulos: Getting rid of packets: efficient SIMD single-ray traversal using multi-branching BVHs.
-        IEEE Symposium on Interactive Ray Tracing 2008.
-    H. Ylitie, T. Karras, S. Laine: Efficient incoherent ray traversal on GPUs through compressed wide BVHs.
-        High Performance Graphics 2017.
+References: wald-2008; ylitie-2017.
 """
 
 from functools import cache

@@ -14,9 +14,7 @@ Both concern a few dozen nodes; of scanned meshes, only the uppermost. The cost 
 
 **Limits.** A wall that is not parallel to an axis has no flat box.
 
-References:
-    B. Fabianowski, C. Fowler, J. Dingliana: A cost metric for scene-interior ray origins. Eurographics 2009, short papers.
-        The case of rays that start anywhere in space.
+References: fabianowski-2009.
 """
 
 import warp as wp

@@ -14,9 +14,7 @@ although Algorithm 5.1 rejects low qualities. Here quality is 1 minus that share
 the other axes, not by surface area, because the two costs are not comparable. If no axis tried so far has a plane with
 triangles on both sides, the remaining axes are tried too.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024.
+References: falcone-2024.
 """
 
 from dataclasses import dataclass

@@ -8,8 +8,7 @@ on the left of it are those that entered before, those on the right are those th
 **Determinism.** `slab_of` maps a coordinate to a slab. Bins and division evaluate the same expression, so no side gets more
 triangles than were counted. It may get fewer: a triangle may have no part in the overlap of its box and a side.
 
-References:
-    M. Stich, H. Friedrich, A. Dietrich: Spatial splits in bounding volume hierarchies. High Performance Graphics 2009.
+References: stich-2009.
 """
 
 import warp as wp

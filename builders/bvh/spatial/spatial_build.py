@@ -30,10 +30,7 @@ less seldom saves a block.
 
 **Limits.** The nodes of a level are divided by one thread each, so the root by one. Leaves share triangles: see `Bvh.shared`.
 
-References:
-    M. Stich, H. Friedrich, A. Dietrich: Spatial splits in bounding volume hierarchies. High Performance Graphics 2009.
-    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
-        Politecnico di Milano, 2024.
+References: stich-2009; falcone-2024.
 """
 
 from dataclasses import replace

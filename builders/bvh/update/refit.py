@@ -3,11 +3,7 @@
 Every triangle is read once and every node is written once, from the deepest level up, in parallel over the nodes of a level.
 The tree stays correct for any motion. Traversal slows down as triangles that were close when it was built move apart.
 
-References:
-    I. Wald, S. Boulos, P. Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies.
-        ACM Transactions on Graphics 26(1), 2007.
-    C. Lauterbach, S.-E. Yoon, D. Tuft, D. Manocha: RT-DEFORM: interactive ray tracing of dynamic scenes using BVHs.
-        IEEE Symposium on Interactive Ray Tracing 2006.
+References: wald-2007-deformable; lauterbach-2006.
 """
 
 from time import perf_counter

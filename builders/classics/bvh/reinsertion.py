@@ -28,11 +28,7 @@ unless the tree of wide nodes becomes clearly cheaper (`MAX_RELATIVE_COST`).
 Since the binned build divides by size, rays rarely do (notebooks/records/2026-11-24-large-triangles.md). The build takes
 several times as long whether or not moves are kept.
 
-References:
-    J. Bittner, M. Hapala, V. Havran: Fast insertion-based optimization of bounding volume hierarchies.
-        Computer Graphics Forum 32(1), 2013.
-    D. Meister, J. Bittner: Parallel reinsertion for bounding volume hierarchy optimization.
-        Computer Graphics Forum 37(2), 2018.
+References: bittner-2013; meister-bittner-2018.
 """
 
 from dataclasses import replace

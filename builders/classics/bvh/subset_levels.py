@@ -25,9 +25,7 @@ equal length, which is uniform and follows the order of the mesh.
 **Limits.** The descent ends early where the subtrees might become too deep. The draw has a fixed seed: a tree can be built
 again. Meshes of fewer than 2 * MIN_SUBSET triangles are built whole.
 
-References:
-    L. Tessari, A. Dittebrandt, M. J. Doyle, C. Benthin: Stochastic subsets for BVH construction. Computer Graphics Forum 42(2),
-        2023.
+References: tessari-2023.
 """
 
 from dataclasses import dataclass

@@ -18,10 +18,7 @@ builds a subtree depth first.
 
 The build shares only the cost model, the stop rules and the collapse with the other builders.
 
-References:
-    J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987.
-    I. Wald, S. Boulos, P. Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies.
-        ACM Transactions on Graphics 26(1), 2007.
+References: goldsmith-salmon-1987; wald-2007-deformable.
 """
 
 import numpy as np

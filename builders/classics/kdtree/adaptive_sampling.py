@@ -24,12 +24,7 @@ Classify and partition: one pass over the references.
 **What we changed.** The samples divide the box of a node's triangles, not the node's own box, so its faces, which cut off empty
 space, are candidate planes too. The quadratic ignores that leaves are counted in blocks; the cost of its minimum does not.
 
-References:
-    S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    W. Hunt, W. R. Mark, G. Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic.
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
+References: popov-2006; hunt-2006; rahikainen-2013 (section 4.2).
 """
 
 from functools import cache

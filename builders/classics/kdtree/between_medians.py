@@ -20,9 +20,7 @@ medians cuts off empty space.
 **Limits.** Trees cost about as much as exact ones, but random rays are somewhat slower
 (notebooks/records/2026-11-21-kdtree-builders.md).
 
-References:
-    J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.1).
+References: macdonald-booth-1990; rahikainen-2013 (section 4.1).
 """
 
 import warp as wp

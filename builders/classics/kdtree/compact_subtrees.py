@@ -13,9 +13,7 @@ depth-first order.
 **Limits.** Where leaves are near the root of a subtree, the places below them are unused. Only the walk of single rays reads
 this layout, for closest and any hits: for measurements (notebooks/records/2026-11-23-spatial-splits-and-compact-subtrees.md).
 
-References:
-    V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 2.2).
+References: havran-2001; rahikainen-2013 (section 2.2).
 """
 
 from dataclasses import replace

@@ -9,9 +9,7 @@ than a leaf. Otherwise the node is searched as usual.
 **What we changed.** Rahikainen 2013 (4.1) says that Havran tried three ways to cut off empty space, and does not describe them.
 Here they are: by a factor on the cost (`wrt.builders.cost`), early, and late, in leaves (`postprocess`).
 
-References:
-    V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.1).
+References: havran-2001; rahikainen-2013 (section 4.1).
 """
 
 from functools import cache

@@ -18,11 +18,7 @@ average, for the object median.
 **What we changed.** The older builds stop at a fixed depth or leaf size. Here every builder stops by the same rules
 (`wrt.builders.tree.StopRules`), so that trees differ by their planes alone.
 
-References:
-    D. S. Fussell, K. R. Subramanian: Fast ray tracing using k-d trees. Technical report TR-88-07, University of Texas, 1988.
-    C. A. R. Hoare: Algorithm 65: Find. Communications of the ACM 4(7), 1961.
-    I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (chapter 4).
+References: fussell-subramanian-1988; hoare-1961; wald-2004; rahikainen-2013 (chapter 4).
 """
 
 import warp as wp

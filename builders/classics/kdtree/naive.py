@@ -15,10 +15,7 @@ reproduces the tree of the sorting builders by an independent method.
 **What we changed.** A node's triangles are those whose boxes meet it, not those that meet it themselves. 16 are compared at a
 time.
 
-References:
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.1.2).
+References: wald-havran-2006; rahikainen-2013 (algorithm 4.1.2).
 """
 
 from wrt.builders.classics.kdtree.early_cutting import early

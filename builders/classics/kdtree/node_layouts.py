@@ -21,10 +21,7 @@ pairs), and differ in the order of the pairs:
 **Results.** Depth first and subtrees are faster for trees that exceed the caches; small trees gain little
 (notebooks/records/2026-11-21-kdtree-layouts.md).
 
-References:
-    V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
-    H. Prokop: Cache-oblivious algorithms. M.Sc. thesis, Massachusetts Institute of Technology, 1999.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 2.2).
+References: havran-2001; prokop-1999; rahikainen-2013 (section 2.2).
 """
 
 from collections import deque

@@ -23,10 +23,7 @@ triangles.
 The build shares only the cost model, the stop rules and the clipping of a triangle with the other builders. If it makes the
 same tree as they do, their sorted lists, counts across chunks, classification and assembly are right.
 
-References:
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.1.3).
+References: wald-havran-2006; rahikainen-2013 (algorithm 4.1.3).
 """
 
 from time import perf_counter

@@ -20,10 +20,7 @@ which is known only after the copy. The paper samples the node's box while it co
 The paper assigns whole subtrees to threads; here the levels above them are parallel too. The tree is the same for any number of
 threads.
 
-References:
-    S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.2.1).
+References: popov-2006; rahikainen-2013 (algorithm 4.2.1).
 """
 
 from functools import partial

@@ -16,10 +16,7 @@ task and no levels above it, on one thread. It is the baseline for all other bui
 **What we changed.** The paper always clips. Here clipping is an option; without it the parts of a list stay sorted, and builds
 are faster (notebooks/records/2026-11-21-split-clipping.md).
 
-References:
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithms 4.1.4 and 4.1.5).
+References: wald-havran-2006; rahikainen-2013 (algorithms 4.1.4 and 4.1.5).
 """
 
 from wrt.builders.classics.kdtree.early_cutting import early

@@ -21,9 +21,7 @@ which of them were clipped in tasks.
 **Limits.** The build takes about twice as long, and the gain depends on the scene: large for long slanted triangles, small for
 scanned surfaces (notebooks/records/2026-11-21-split-clipping.md).
 
-References:
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
+References: wald-havran-2006.
 """
 
 import warp as wp

@@ -4,10 +4,7 @@ A node has one list per axis. Search sweeps the three lists, 16 events at a time
 every triangle from the list of the split axis. Partition splits each list between the children in one pass. A part of a sorted
 list is sorted, so nothing is merged or sorted again, unless triangles are clipped to nodes (`clipped_events`).
 
-References:
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithms 4.1.4 and 4.1.5).
+References: wald-havran-2006; rahikainen-2013 (algorithms 4.1.4 and 4.1.5).
 """
 
 import warp as wp

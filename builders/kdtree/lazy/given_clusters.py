@@ -8,9 +8,7 @@ then, unless it is small. The meshes may be in groups, which are then nodes of t
 pass over the triangles computes their new boxes. When the clusters have grown too much, they are sorted anew
 (`MAX_GROWN_AREA`).
 
-References:
-    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
-        IEEE Symposium on Interactive Ray Tracing 2007.
+References: hunt-2007.
 """
 
 from dataclasses import dataclass

@@ -30,10 +30,7 @@ replaced, never modified, so several threads may trace while one of them builds.
 (notebooks/records/2026-11-21-kdtree-builders.md). Planes above the cells are chosen without a count of triangles, so
 `leaf_triangles` holds only below them.
 
-References:
-    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
-        IEEE Symposium on Interactive Ray Tracing 2007.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
+References: hunt-2007; rahikainen-2013 (section 4.2).
 """
 
 import threading

@@ -19,9 +19,7 @@ few triangles is built from these ranges without opening its groups.
 **Complexity.** The boxes of all nodes are computed from those of the meshes in O(nodes). Only groups on the way to cells that
 rays reach are opened.
 
-References:
-    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
-        IEEE Symposium on Interactive Ray Tracing 2007.
+References: hunt-2007.
 """
 
 from __future__ import annotations

@@ -4,11 +4,7 @@ A cluster contains the triangles of one grid cell: a range of triangle ids and t
 clusters, and no triangle is read again until a ray comes near its cluster. A first pass over the triangles computes cells,
 counts and boxes, separately for each chunk; a second pass writes the ids.
 
-References:
-    M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
-        scenes. Computer Graphics Forum 26(3), 2007 (initial clustering).
-    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
-        IEEE Symposium on Interactive Ray Tracing 2007.
+References: shevtsov-2007-kdtree (initial clustering); hunt-2007.
 """
 
 from dataclasses import dataclass

@@ -13,11 +13,7 @@ their parts are sorted and merged in, chunk by chunk (`clipped_events` does the 
 
 The parts are clipped as in tasks, so the tree does not depend on the level at which tasks begin.
 
-References:
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
-        High Performance Graphics 2010.
+References: wald-havran-2006; choi-2010.
 """
 
 import numpy as np

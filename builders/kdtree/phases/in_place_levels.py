@@ -18,10 +18,7 @@ counts before and behind a chunk bound the cost of all its planes from below. Th
 each chunk. A chunk whose bound exceeds the least of these costs cannot contain a node's best plane (`may_contain_best`). A few
 percent of the chunks remain (notebooks/records/2026-11-21-kdtree-builders.md).
 
-References:
-    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
-        High Performance Graphics 2010.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.2.2).
+References: choi-2010; rahikainen-2013 (algorithm 4.2.2).
 """
 
 import warp as wp

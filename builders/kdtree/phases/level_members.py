@@ -3,9 +3,7 @@
 ClassifyTriangles of Choi et al. 2010, by count, scan and fill: `count_shared`, a sum over the chunks on the host, and
 `refine_members`. Which nodes a triangle lies in: `membership`.
 
-References:
-    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
-        High Performance Graphics 2010.
+References: choi-2010.
 """
 
 import warp as wp

@@ -1,9 +1,7 @@
 """The fill phase (Choi et al. 2010): copies each live node's triangles and events to its task (count, scan, fill), in sorted
 order.
 
-References:
-    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
-        High Performance Graphics 2010.
+References: choi-2010.
 """
 
 import warp as wp

@@ -3,10 +3,7 @@
 For few triangles this is faster than any sort, because 16 boxes are compared with a plane at once. The candidate planes are
 those of a sweep, and the same one wins among equal costs: smaller axis, smaller position, planar triangles on the right.
 
-References:
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.1.2).
+References: wald-havran-2006; rahikainen-2013 (algorithm 4.1.2).
 """
 
 from functools import cache

@@ -9,9 +9,7 @@ A reference has lanes for the lower ends and for the negated upper ones. Both ar
 from the opposite face, so that an interval that ends at a plane counts on its left only. Counts are exact up to the rounding of
 the plane's position. If only every `step`-th triangle is counted they are estimates, and the partition counts again.
 
-References:
-    M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
-        scenes. Computer Graphics Forum 26(3), 2007.
+References: shevtsov-2007-kdtree.
 """
 
 from functools import cache

@@ -3,9 +3,7 @@
 Counts and minima do not depend on the grouping. So the result does not depend on chunks or threads, and a node gets the same
 split as in a task.
 
-References:
-    M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
-        scenes. Computer Graphics Forum 26(3), 2007.
+References: shevtsov-2007-kdtree.
 """
 
 from functools import cache

@@ -11,11 +11,7 @@ clip the same references to the same boxes, so the tree does not depend on the l
 
 The kernels are in `reference_chunks`.
 
-References:
-    M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
-        scenes. Computer Graphics Forum 26(3), 2007.
-    S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
-        IEEE Symposium on Interactive Ray Tracing 2006.
+References: shevtsov-2007-kdtree; popov-2006.
 """
 
 from dataclasses import dataclass

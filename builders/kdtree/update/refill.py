@@ -8,9 +8,7 @@ their length.
 A triangle in a plane goes to the right of it. A plane may come to lie outside the box of all triangles, or two may coincide.
 Rays meet widened cells (`wrt.kernels.simd.boxes`), so cells without interior lose nothing.
 
-References:
-    X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
-        Conference on Computer Science and Software Engineering 2008 (trees are deformed until a heuristic requests a rebuild).
+References: yang-2008 (trees are deformed until a heuristic requests a rebuild).
 """
 
 from dataclasses import replace

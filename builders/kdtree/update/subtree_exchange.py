@@ -4,10 +4,7 @@ The triangles of a subtree are those in its leaves, with their boxes clamped to 
 (`wrt.kernels.layout.kdtree_nodes`), so a subtree is a contiguous range of them. The new tree concatenates the ranges between
 the replaced subtrees and the new subtrees.
 
-References:
-    X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
-        Conference on Computer Science and Software Engineering 2008 (as described by Rahikainen 2013).
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+References: yang-2008 (as described by rahikainen-2013); rahikainen-2013.
 """
 
 from collections.abc import Callable, Mapping

@@ -23,11 +23,7 @@ therefore differs from the area of the exact vertices by at most 2 slack (|p| + 
 sum of the absolute coordinates, greatest at a corner. The areas computed here have a rounding error of 13 / 16 slack (|p| +
 |q|). They must be beyond 4 slack (|p| + |q| + 4 slack), and beyond the least normal number.
 
-References:
-    K. Dmitriev, V. Havran, H.-P. Seidel: Faster ray tracing with SIMD shaft culling. Research report MPI-I-2004-4-006,
-        Max-Planck-Institut fuer Informatik, 2004.
-    A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
+References: dmitriev-2004; reshetov-2005; rahikainen-2013 (section 3.3).
 """
 
 from functools import cache

@@ -11,9 +11,7 @@ rule). Boxes and triangles are culled as by `inverse_frustum`.
 
 **Cost.** One loop over the P rays per leaf, as for transient frusta, which use it for more.
 
-References:
-    A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
+References: reshetov-2005; rahikainen-2013 (section 3.3).
 """
 
 from functools import cache

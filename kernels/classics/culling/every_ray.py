@@ -6,8 +6,7 @@ any ray. The rays share only the decisions, the loads and the lanes.
 The box test cannot stop at the first ray that meets the box. If the nearest child of a level lies beyond all best hits, the
 rest of the level is dropped, and this needs the least entry of all rays.
 
-References:
-    I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
+References: wald-2001.
 """
 
 from functools import cache

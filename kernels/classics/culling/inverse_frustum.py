@@ -26,9 +26,7 @@ farthest corner of the scene). The lines are computed from slopes and origins wi
 are extended most. `MARGIN` is 128 u reach; boxes are widened by it. No ray exists before its origin, so none is at a depth
 below 0, and no hit is behind the scene: boxes are clipped at both ends.
 
-References:
-    A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
+References: reshetov-2005; rahikainen-2013 (section 3.3).
 """
 
 from functools import cache

@@ -18,10 +18,7 @@ outside the same side (`side_planes`). If the scene ends soon after the origins,
 reach, so that extending a side backward magnifies its rounding at most five times. If all rays share an origin, the near
 rectangle is that point. A packet without a main axis is culled by `interval_culling`.
 
-References:
-    R. Overbeck, R. Ramamoorthi, W. R. Mark: Large ray packets for real-time Whitted ray tracing. IEEE Symposium on Interactive
-        Ray Tracing 2008.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
+References: overbeck-2008; rahikainen-2013 (section 3.3).
 """
 
 from functools import cache

@@ -12,11 +12,7 @@ few roundings, or after `MOST` levels. t is that of the last triangle's middle, 
 rays are hit that pass beside the triangle by less than the slack. A test takes some 20 levels with four boxes each. A ray in
 the plane of the triangle but beside it may visit every box along a line.
 
-References:
-    H. Dammertz, A. Keller: Improving ray tracing precision by object space intersection computation. IEEE Symposium on
-        Interactive Ray Tracing, 2006.
-    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
-    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
+References: dammertz-keller-2006; pichler-2018; woop-2013.
 """
 
 from dataclasses import dataclass

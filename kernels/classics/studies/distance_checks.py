@@ -6,8 +6,7 @@ The functions made here take the place of the check in `wrt.kernels.classics.stu
 are larger than infinity. So one comparison of integers, bits(t) - 1 < bits(t_max) - 1, replaces 0 < t and t < t_max. It
 excludes 0, which wraps around, everything negative, NaN, and what lies at t_max or beyond.
 
-References:
-    C. Waechter: Realtime ray tracing. Diploma thesis, Universitaet Ulm, 2004.
+References: waechter-2004.
 """
 
 from functools import cache

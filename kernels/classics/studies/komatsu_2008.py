@@ -17,10 +17,7 @@ those of the other algorithms", are those of Wald's listing: t is not in the ray
 u < 0; v < 0; u + v > 1. So that is what `projection` does; it is two-sided. Wald's listing has 23 operations with the sum
 u + v, and the paper says 22.
 
-References:
-    K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
-        precomputation and early termination. IPSJ Transactions on Advanced Computing Systems 1(1), 2008.
-    I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
+References: komatsu-2008; wald-2004.
 """
 
 import warp as wp

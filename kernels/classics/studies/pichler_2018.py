@@ -28,11 +28,7 @@ last, which the thesis found fastest; `range_last`, both last.
 each edge, against which the point is compared before t is divided out. It is not said how these planes stand: here a plane's
 value is the weight of the vertex opposite. The second test is `wrt.kernels.classics.triangle.pluecker`.
 
-References:
-    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
-    D. Baldwin, M. Weber: Fast ray-triangle intersections by coordinate transformation.
-        Journal of Computer Graphics Techniques 5(3), 2016.
-    J. Amanatides, K. Choi: Ray tracing triangular meshes. Western Computer Graphics Symposium, 1997.
+References: pichler-2018; baldwin-weber-2016; amanatides-choi-1997.
 """
 
 from dataclasses import replace

@@ -34,11 +34,7 @@ frozen stack from its bottom.
 **Limits.** Packets of 64 already share the descent among their rays, so little is left to save
 (notebooks/records/2026-11-21-kdtree-packets.md).
 
-References:
-    A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
-    C. Fowler, S. Collins, M. Manzke: Accelerated entry point search algorithm for real-time ray-tracing. Spring Conference on
-        Computer Graphics (SCCG) 2009.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapter 5, algorithm 5.1).
+References: reshetov-2005; fowler-2009; rahikainen-2013 (chapter 5, algorithm 5.1).
 """
 
 from functools import cache, partial

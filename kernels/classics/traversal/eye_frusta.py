@@ -22,9 +22,7 @@ any hits are a switch. No ray needs another traversal: both signs along all thre
 **Limits.** All rays of the batch must start at one point. On CUDA a thread traces a block, which is correct but slow. Figures:
 notebooks/records/2026-11-23-multi-frusta.md.
 
-References:
-    C. Benthin, I. Wald: Efficient ray traced soft shadows using multi-frusta tracing. High Performance Graphics 2009.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 2.3).
+References: benthin-wald-2009; rahikainen-2013 (section 2.3).
 """
 
 from dataclasses import replace

@@ -19,12 +19,7 @@ Forgetting a triangle is always correct: the same hit is found again and replace
 (notebooks/records/2026-11-21-kdtree-packets.md, notebooks/records/2026-11-22-plain-mailbox.md). The plain array avoids the most
 tests, and to search it takes the longest.
 
-References:
-    B. Arnaldi, T. Priol, K. Bouatouch: A new space subdivision method for ray tracing CSG modelled scenes. The Visual Computer
-        3, 1987.
-    I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
-    M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures. GraphiCon 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013.
+References: arnaldi-1987; wald-2001; shevtsov-2007-triangle; rahikainen-2013.
 """
 
 from functools import cache

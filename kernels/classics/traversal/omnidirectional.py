@@ -21,9 +21,7 @@ equal signs need no special case, and no ray is traced alone.
 **Limits.** If rays have nothing in common, a packet visits the cells of all its rays, and most lanes are idle;
 `wrt.kernels.traversal.lockstep.lockstep_kernel` is faster there. Figures: notebooks/records/2026-11-21-kdtree-packets.md.
 
-References:
-    A. Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees. IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapter 5).
+References: reshetov-2006; rahikainen-2013 (chapter 5).
 """
 
 from functools import cache

@@ -16,9 +16,7 @@ abandoned, split (`packet_splitting`) or traced ray by ray, except at leaves tha
 **Limits.** The count costs P lanes per child visited, which coherent packets do not need. Figures:
 notebooks/records/2026-11-22-bounces.md.
 
-References:
-    S. Boulos, I. Wald, C. Benthin: Adaptive ray packet reordering. IEEE Symposium on Interactive Ray Tracing 2008.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.2).
+References: boulos-2008; rahikainen-2013 (section 3.2).
 """
 
 from dataclasses import replace

@@ -15,10 +15,7 @@ the edge that is called `b`. Here u weighs vertex b and v weighs vertex c.
 
 **Limits.** The inside test comes late, so most rays pay for the whole computation. The test is not watertight.
 
-References:
-    D. Badouel: An efficient ray-polygon intersection. Graphics Gems, Academic Press, 1990.
-    I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+References: badouel-1990; wald-2004; rahikainen-2013.
 """
 
 import warp as wp

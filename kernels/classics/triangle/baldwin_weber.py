@@ -16,9 +16,7 @@ code for each index; the vector form selects components instead, like Wald's tes
 
 **Limits.** Those of Wald's test: less precise far from the centre of the scene, and not watertight.
 
-References:
-    D. Baldwin, M. Weber: Fast ray-triangle intersections by coordinate transformation.
-        Journal of Computer Graphics Techniques 5(3), 2016.
+References: baldwin-weber-2016.
 """
 
 import warp as wp

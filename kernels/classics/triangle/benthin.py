@@ -20,8 +20,7 @@ origin.
 
 **Limits.** Those of Komatsu's test: it is neither `watertight` at vertices nor `accurate` at tips of needles.
 
-References:
-    C. Benthin: Realtime ray tracing on current CPU architectures. PhD thesis, Saarland University, 2006.
+References: benthin-2006.
 """
 
 import warp as wp

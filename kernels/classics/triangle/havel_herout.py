@@ -18,10 +18,7 @@ u and after v are joined into one, which is faster with lanes (notebooks/records
 **Limits.** The distances of the planes are measured from the centre of the scene and round accordingly: the test is less
 precise than one that subtracts a vertex first. It is not watertight.
 
-References:
-    J. Havel, A. Herout: Yet faster ray-triangle intersection (using SSE4).
-        IEEE Transactions on Visualization and Computer Graphics 16(3), 2010.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+References: havel-herout-2010; rahikainen-2013.
 """
 
 import warp as wp

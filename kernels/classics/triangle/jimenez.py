@@ -19,10 +19,7 @@ thesis that names the test (Pichler 2018, section 3.1) gives its outline; the fo
 **Limits.** Edges are factors of the products, so neighbours round differently: the test is not watertight. A triangle whose
 plane contains the ray is missed.
 
-References:
-    J. J. Jimenez, R. J. Segura, F. R. Feito: A robust segment/triangle intersection algorithm for interference tests.
-        Efficiency study. Computational Geometry 43(5), 2010.
-    T. A. Pichler: Fast CPU ray-triangle intersection method. Diploma thesis, TU Wien, 2018.
+References: jimenez-2010; pichler-2018.
 """
 
 import warp as wp

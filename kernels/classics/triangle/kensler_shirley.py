@@ -14,9 +14,7 @@ for every ray. The reciprocal is multiplied into the vector to the triangle at o
 
 **Limits.** Those of Moeller and Trumbore's test: not watertight, and not accurate at needles.
 
-References:
-    A. Kensler, P. Shirley: Optimizing ray-triangle intersection via automated search. IEEE Symposium on Interactive Ray
-        Tracing, 2006.
+References: kensler-shirley-2006.
 """
 
 import warp as wp

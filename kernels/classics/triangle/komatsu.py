@@ -32,10 +32,7 @@ vertex occasionally pass through (figures in the record). The test is therefore 
 Near the tip of a needle two planes almost coincide, and a hit may lie beyond the tip by much more than the slack: the test is
 not `accurate`. A triangle whose plane contains the origin is hit, at t = 0, from one side only.
 
-References:
-    K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
-        precomputation and early termination. IPSJ Transactions on Advanced Computing Systems 1(1), 2008.
-    C. Benthin: Realtime ray tracing on current CPU architectures. PhD thesis, Saarland University, 2006.
+References: komatsu-2008; benthin-2006.
 """
 
 import warp as wp

@@ -14,10 +14,7 @@ before they are compared. The paper's three further exits and t form one step: l
 
 **Limits.** Like the plain test it is not watertight: u + v <= 1 rounds differently from the same edge in the neighbour.
 
-References:
-    K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
-        precomputation and early termination. IPSJ Transactions on Advanced Computing Systems 1(1), 2008. (Section 2.2)
-    T. Moeller, B. Trumbore: Fast, minimum storage ray/triangle intersection. Journal of Graphics Tools 2(1), 1997.
+References: komatsu-2008 (Section 2.2); moeller-trumbore-1997.
 """
 
 import warp as wp

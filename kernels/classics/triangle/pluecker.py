@@ -21,13 +21,7 @@ other way, which negates the product exactly if it is computed symmetrically. So
 
 **Limits.** The edges at a vertex round independently, so the test is not `watertight`.
 
-References:
-    K. Shoemake: Pluecker coordinate tutorial. Ray Tracing News 11(1), 1998.
-    J. Amanatides, K. Choi: Ray tracing triangular meshes. Western Computer Graphics Symposium, 1997.
-    C. Benthin: Realtime ray tracing on current CPU architectures. PhD thesis, Saarland University, 2006.
-    T. Davidovic, T. Engelhardt, I. Georgiev, P. Slusallek, C. Dachsbacher: 3D rasterization: a bridge between rasterization
-        and ray casting. Graphics Interface 2012.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+References: shoemake-1998; amanatides-choi-1997; benthin-2006; davidovic-2012; rahikainen-2013.
 """
 
 import warp as wp

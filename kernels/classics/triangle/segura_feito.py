@@ -18,10 +18,7 @@ and v are always computed, in the last step.
 form of the same signs it is not exactly antisymmetric, so rays may pass along edges. Each exit costs a branch over all lanes,
 which all lanes seldom take together; a single step is faster (notebooks/records/2026-11-21-triangle-tests.md).
 
-References:
-    R. J. Segura, F. R. Feito: Algorithms to test ray-triangle intersection. Comparative study. WSCG 2001.
-    R. J. Segura, F. R. Feito: An algorithm for determining intersection segment-polygon in 3D.
-        Computers & Graphics 22(5), 1998.
+References: segura-feito-2001; segura-feito-1998.
 """
 
 import warp as wp

@@ -18,9 +18,7 @@ they are correct. The record is computed in float64, then rounded.
 (notebooks/records/2026-11-21-triangle-tests.md). The inside test is relative to a vertex, which is precise. t is less precise,
 because the plane's distance is measured from the centre of the scene. The test is not watertight.
 
-References:
-    M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures. GraphiCon 2007.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+References: shevtsov-2007-triangle; rahikainen-2013.
 """
 
 import warp as wp

@@ -20,11 +20,7 @@ order `cells` of `wrt.kernels.query.ordering.ray_order`.
 **Steps.** Keys are sorted, stably; places where a packet must end are marked; groups are numbered by a scan; the rooms of the
 groups, rounded up to whole packets, are summed; each ray is put into its place.
 
-References:
-    S. Boulos, D. Edwards, J. D. Lacewell, J. Kniss, J. Kautz, P. Shirley, I. Wald: Packet-based Whitted and distribution ray
-        tracing. Graphics Interface 2007.
-    E. Månsson, J. Munkberg, T. Akenine-Möller: Deep coherent ray tracing. IEEE Symposium on Interactive Ray Tracing 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.2).
+References: boulos-2007; mansson-2007; rahikainen-2013 (section 3.2).
 """
 
 from dataclasses import dataclass

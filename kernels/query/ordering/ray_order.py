@@ -12,10 +12,7 @@ during tracing would wait once per ray.
 **Limits.** The copies cost several cache misses per ray, so reordering pays only for large scenes
 (notebooks/records/2026-11-21-streams.md).
 
-References:
-    M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997.
-    K. Garanzha, C. Loop: Fast ray sorting and breadth-first packet traversal for GPU ray tracing. Eurographics 2010.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.1).
+References: pharr-1997; garanzha-loop-2010; rahikainen-2013 (section 3.1).
 """
 
 from collections.abc import Callable

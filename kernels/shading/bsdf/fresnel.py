@@ -3,11 +3,7 @@
 `mirrored`, `refracted` and `fresnel_exact` stand in `kernels/native/scattering.h` for W rays in lanes: the same operations in
 the same order.
 
-References:
-    A. Fresnel: Memoire sur la loi des modifications que la reflexion imprime a la lumiere polarisee. 1823.
-    C. Schlick: An inexpensive BRDF model for physically-based rendering. Computer Graphics Forum 13(3), 1994.
-    E. Veach: Robust Monte Carlo methods for light transport simulation. Thesis, Stanford University, 1997 (section 5.2,
-        radiance across boundaries).
+References: fresnel-1823; schlick-1994; veach-1997 (section 5.2, radiance across boundaries).
 """
 
 import warp as wp

@@ -3,14 +3,7 @@
 `alpha` is the width of the distribution. Materials give a roughness, of which alpha is the square. Facets are sampled among
 those that are seen from a direction, by spherical caps; the weight of a sample is then the share that is not shadowed.
 
-References:
-    B. Smith: Geometrical shadowing of a random rough surface. IEEE Transactions on Antennas and Propagation 15(5), 1967.
-    T. S. Trowbridge, K. P. Reitz: Average irregularity representation of a rough surface. Journal of the Optical Society of
-        America 65(5), 1975.
-    B. Walter, S. Marschner, H. Li, K. Torrance: Microfacet models for refraction through rough surfaces. EGSR 2007.
-    E. Heitz: Understanding the masking-shadowing function in microfacet-based BRDFs. Journal of Computer Graphics Techniques
-        3(2), 2014.
-    J. Dupuy, A. Benyoub: Sampling visible GGX normals with spherical caps. Computer Graphics Forum 42(8), 2023.
+References: smith-1967; trowbridge-reitz-1975; walter-2007; heitz-2014; dupuy-benyoub-2023.
 """
 
 import warp as wp

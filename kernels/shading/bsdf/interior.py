@@ -8,8 +8,7 @@ changes (Schmidt and Budge 2002).
 The list has four places of 16 bits in one word, each 0 or a material's number plus 1. A ray that enters a fifth medium forgets
 to note it.
 
-References:
-    C. M. Schmidt, B. Budge: Simple nested dielectrics in ray traced images. Journal of Graphics Tools 7(2), 2002.
+References: schmidt-budge-2002.
 """
 
 import warp as wp

@@ -11,11 +11,7 @@ include the cosine to the normal. Mirrors and smooth dielectrics scatter to sing
 * **Dielectric**: smooth, or of facets that reflect and refract (Walter et al. 2007). Refraction into a medium compresses
   radiance by the square of the ratio of indices; leaving it undoes that (Veach 1997).
 
-References:
-    M. Ashikhmin, P. Shirley: An anisotropic Phong BRDF model. Journal of Graphics Tools 5(2), 2000.
-    J. H. Lambert: Photometria. 1760.
-    B. Walter, S. Marschner, H. Li, K. Torrance: Microfacet models for refraction through rough surfaces. EGSR 2007.
-    Khronos Group: glTF 2.0 specification, appendix B, BRDF implementation. 2021.
+References: ashikhmin-shirley-2000; lambert-1760; walter-2007; khronos-gltf-2021.
 """
 
 import warp as wp

@@ -5,9 +5,7 @@ sampling density is constant within the cells of a grid that divides longitude a
 Archimedes, cells of such a grid have equal solid angles, so the density is the cell's weight over the mean weight, divided by
 4 pi, and a constant sky is sampled uniformly.
 
-References:
-    M. Pharr, W. Jakob, G. Humphreys: Physically based rendering: from theory to implementation, 3rd edition. Morgan Kaufmann,
-        2016 (section 14.2.4, infinite area lights).
+References: pharr-2016 (section 14.2.4, infinite area lights).
 """
 
 import warp as wp

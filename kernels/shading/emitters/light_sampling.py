@@ -2,11 +2,7 @@
 
 The last two let paths combine both ways to find light, each with the weight of the power heuristic (Veach and Guibas 1995).
 
-References:
-    P. Shirley, C. Wang, K. Zimmerman: Monte Carlo techniques for direct lighting calculations. ACM Transactions on Graphics
-        15(1), 1996.
-    E. Veach, L. J. Guibas: Optimally combining sampling techniques for Monte Carlo rendering. SIGGRAPH 1995.
-    G. Turk: Generating random points in triangles. Graphics Gems, 1990.
+References: shirley-1996; veach-guibas-1995; turk-1990.
 """
 
 import warp as wp

@@ -8,11 +8,7 @@ half a pixel and ends at 1.5.
 at depth z is a disc in that plane, of radius r |z - f| / z for a lens of radius r focused at f (Potmesil and Chakravarty 1981,
 Cook 1984). The lens is a disc; the map from the square keeps areas (Shirley and Chiu 1997).
 
-References:
-    M. Potmesil, I. Chakravarty: A lens and aperture camera model for synthetic image generation. SIGGRAPH 1981.
-    R. L. Cook, T. Porter, L. Carpenter: Distributed ray tracing. SIGGRAPH 1984.
-    P. Shirley: Discrepancy as a quality measure for sample distributions. Eurographics 1991.
-    P. Shirley, K. Chiu: A low distortion map between disk and square. Journal of Graphics Tools 2(3), 1997.
+References: potmesil-chakravarty-1981; cook-1984; shirley-1991; shirley-chiu-1997.
 """
 
 from functools import cache

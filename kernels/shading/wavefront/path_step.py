@@ -4,10 +4,7 @@ Kajiya's path tracing. At each point a light is chosen by power and sampled (nex
 followed. Light that both ways can find is weighted by the power heuristic (Veach and Guibas 1995). From generation `roulette`
 on, a path goes on with the probability of its weight, at most 0.95, and is weighted up by its inverse (Arvo and Kirk 1990).
 
-References:
-    J. T. Kajiya: The rendering equation. SIGGRAPH 1986.
-    J. Arvo, D. Kirk: Particle transport and image synthesis. SIGGRAPH 1990.
-    E. Veach, L. J. Guibas: Optimally combining sampling techniques for Monte Carlo rendering. SIGGRAPH 1995.
+References: kajiya-1986; arvo-kirk-1990; veach-guibas-1995.
 """
 
 import warp as wp

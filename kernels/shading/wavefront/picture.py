@@ -3,9 +3,7 @@
 The film holds, for each pixel, the sum of its samples' radiance, and of the squares of their luminance. The mean's standard
 error follows from both.
 
-References:
-    E. Reinhard, M. Stark, P. Shirley, J. Ferwerda: Photographic tone reproduction for digital images. SIGGRAPH 2002.
-    K. Narkowicz: ACES filmic tone mapping curve. 2016 (a fit to the curve of the Academy).
+References: reinhard-2002; narkowicz-2016 (a fit to the curve of the Academy).
 """
 
 import warp as wp

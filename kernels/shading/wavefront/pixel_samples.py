@@ -15,12 +15,7 @@ The cells of a grid go to the samples in another random order in each dimension 
 pixel, and has one random order for all pixels in the others. Halton's sequence serves sixteen dimensions. Further ones are
 random: its bases are then so large that few samples leave gaps.
 
-References:
-    J. H. Halton: On the efficiency of certain quasi-random sequences of points in evaluating multi-dimensional integrals.
-        Numerische Mathematik 2, 1960.
-    R. L. Cook, T. Porter, L. Carpenter: Distributed ray tracing. SIGGRAPH 1984.
-    R. L. Cook: Stochastic sampling in computer graphics. ACM Transactions on Graphics 5(1), 1986.
-    A. Kensler: Correlated multi-jittered sampling. Pixar technical memo 13-01, 2013 (a permutation by hashing).
+References: halton-1960; cook-1984; cook-1986; kensler-2013 (a permutation by hashing).
 """
 
 import warp as wp

@@ -11,9 +11,7 @@ A generation is cut into streams of one length (theirs: 4096 rays), one an item.
 The answers are those of `path_step`, bit for bit: a ray's step depends on the ray alone. wrt's pictures are not made in this
 way, which the study `studies.light.shading_streams_comparison` measures.
 
-References:
-    C. P. Gribble, K. Ramani: Coherent ray tracing via stream filtering. IEEE Symposium on Interactive Ray Tracing 2008.
-    K. Ramani, C. P. Gribble, A. Davis: StreamRay: a stream filtering architecture for coherent ray tracing. ASPLOS 2009.
+References: gribble-ramani-2008; ramani-2009.
 """
 
 from functools import cache

@@ -3,8 +3,7 @@
 Textures by tiles on demand, as in memory-coherent ray tracing (Pharr et al. 1997): the hits of a generation are known before
 any of them is shaded, so what they read of the images is known, too. `wrt.imaging.integrators.texture_tiles` loads it.
 
-References:
-    M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997.
+References: pharr-1997.
 """
 
 import warp as wp

@@ -12,10 +12,7 @@ the pixel, on the lens and in time. Light that is scattered diffusely twice is n
 **Adaptive depth.** A ray ends when its weight falls below a threshold (Hall and Greenberg 1983). With Russian roulette, such a
 ray goes on with the probability weight / threshold and then has the weight of the threshold, which keeps the mean.
 
-References:
-    T. Whitted: An improved illumination model for shaded display. Communications of the ACM 23(6), 1980.
-    R. A. Hall, D. P. Greenberg: A testbed for realistic image synthesis. IEEE Computer Graphics and Applications 3(8), 1983.
-    R. L. Cook, T. Porter, L. Carpenter: Distributed ray tracing. SIGGRAPH 1984.
+References: whitted-1980; hall-greenberg-1983; cook-1984.
 """
 
 import warp as wp

@@ -28,12 +28,7 @@ Figures: notebooks/records/2026-11-21-single-rays.md.
 `single_kdtree`. On CUDA one thread processes all lanes in a loop, which is correct but slow; there each hardware lane should
 have a ray, as in `single_kdtree`. A run is 64 rays per lane, so small batches occupy few threads.
 
-References:
-    T. Foley, J. Sugerman: KD-tree acceleration structures for a GPU raytracer. Graphics Hardware 2005.
-    D. R. Horn, J. Sugerman, M. Houston, P. Hanrahan: Interactive k-d tree GPU raytracing. Symposium on Interactive 3D Graphics
-        and Games (I3D) 2007.
-    T. Aila, S. Laine: Understanding the efficiency of ray traversal on GPUs. High Performance Graphics 2009.
-    I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
+References: foley-sugerman-2005; horn-2007; aila-laine-2009; wald-2001.
 """
 
 from functools import cache

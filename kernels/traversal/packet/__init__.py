@@ -16,12 +16,7 @@ To add a culling, write its file and add one line to `CULLINGS` (those that "aut
 `wrt.kernels.classics.culling`); tests, command line and benchmarks use the table. The
 tests have a scalar form of each loop over W boxes or triangles, in plain Warp (tests/support/scalar_cullings.py).
 
-References:
-    I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
-    S. Boulos, I. Wald, P. Shirley: Geometric and arithmetic culling methods for entire ray packets. Technical report
-        UUCS-06-010, University of Utah, 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapter 3, a survey of packets and
-        culling).
+References: wald-2001; boulos-2006; rahikainen-2013 (chapter 3, a survey of packets and culling).
 """
 
 from collections.abc import Callable

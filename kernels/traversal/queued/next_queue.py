@@ -8,11 +8,7 @@ point whose box is entered beyond the best hit is skipped, and so are all after 
 The t of entry is a function of ray and box alone: it does not depend on hits. So a ray visits each point at most once, whatever
 the order in which queues are processed.
 
-References:
-    M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997.
-    P. A. Navrátil, D. S. Fussell, C. Lin, W. R. Mark: Dynamic ray scheduling to improve ray coherence and bandwidth
-        utilization. IEEE Symposium on Interactive Ray Tracing 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.1, Algorithm 3.1.1).
+References: pharr-1997; navratil-2007; rahikainen-2013 (section 3.1, Algorithm 3.1.1).
 """
 
 from functools import cache

@@ -17,12 +17,7 @@ the caller's, who passes each bounce as a batch. The cut depends on bytes, also 
 **Limits.** Rays go one by one through a subtree, not in lanes of packets or streams. The state of a waiting ray is written and
 read once per subtree.
 
-References:
-    M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997.
-    P. A. Navrátil, D. S. Fussell, C. Lin, W. R. Mark: Dynamic ray scheduling to improve ray coherence and bandwidth
-        utilization. IEEE Symposium on Interactive Ray Tracing 2007.
-    P. A. Navrátil: Memory-efficient, scalable ray tracing. PhD thesis, University of Texas at Austin, 2010.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.1, Algorithm 3.1.1).
+References: pharr-1997; navratil-2007; navratil-2010; rahikainen-2013 (section 3.1, Algorithm 3.1.1).
 """
 
 from functools import cache

@@ -26,9 +26,7 @@ component may be flushed to 0 (`wrt.kernels.layout.ray_batch`, short directions)
 culled at leaves, because `occluded` is hit by both sides. Eye rays have a traversal of their own
 (`wrt.kernels.classics.traversal.eye_frusta`).
 
-References:
-    C. Benthin, I. Wald: Efficient ray traced soft shadows using multi-frusta tracing. High Performance Graphics 2009.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 2.3).
+References: benthin-wald-2009; rahikainen-2013 (section 2.3).
 """
 
 from functools import cache

@@ -6,9 +6,7 @@ or empty. After rays have been traced through the built part, they traverse the 
 of their range to their hit, and mark the first unbuilt cells on the way. A ray that marks none has its final answer: everything
 that could precede its hit was built when it was traced.
 
-References:
-    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies. IEEE Symposium on
-        Interactive Ray Tracing 2007.
+References: hunt-2007.
 """
 
 import warp as wp

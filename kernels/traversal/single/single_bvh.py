@@ -10,12 +10,7 @@ minimum, computed in the lanes (`wrt.kernels.traversal.single.key_walk`). Up to 
 thread are a loop, the ray continues with the nearest child and pushes the others on a stack, with their entries, unsorted.
 Figures: notebooks/records/2026-11-21-single-rays.md.
 
-References:
-    I. Wald, C. Benthin, S. Boulos: Getting rid of packets: efficient SIMD single-ray traversal using multi-branching BVHs. IEEE
-        Symposium on Interactive Ray Tracing 2008.
-    H. Dammertz, J. Hanika, A. Keller: Shallow bounding volume hierarchies for fast SIMD ray tracing of incoherent rays.
-        Eurographics Symposium on Rendering 2008.
-    M. Ernst, G. Greiner: Multi bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2008.
+References: wald-2008; dammertz-2008; ernst-greiner-2008.
 """
 
 from functools import cache

@@ -23,9 +23,7 @@ right for neighbouring rays, because they take the same path. For incoherent ray
 is discarded, so there both outcomes are computed and one is selected. `TraversalConfig.coherent` chooses the form; the hits are
 the same. Figures: notebooks/records/2026-11-21-single-rays.md.
 
-References:
-    V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapter 5).
+References: havran-2001; rahikainen-2013 (chapter 5).
 """
 
 from functools import cache

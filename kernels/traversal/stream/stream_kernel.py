@@ -29,11 +29,7 @@ some rays visit nodes that a single ray would skip. A stream needs some hundred 
 thread; this does not suit CUDA, where it compiles but has not been measured. Neighbouring rays are faster in packets, whose
 culling avoids most of their tests.
 
-References:
-    I. Wald, C. P. Gribble, S. Boulos, A. Kensler: SIMD ray stream tracing - SIMD ray traversal with generalized ray packets and
-        on-the-fly re-ordering. Technical report UUSCI-2007-012, University of Utah, 2007.
-    C. P. Gribble, K. Ramani: Coherent ray tracing via stream filtering. IEEE Symposium on Interactive Ray Tracing 2008.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.4).
+References: wald-2007-streams; gribble-ramani-2008; rahikainen-2013 (section 3.4).
 """
 
 import ctypes

@@ -21,11 +21,7 @@ The upper tree is over the boxes of the clusters in the scene. It is walked like
 (`wrt.kernels.traversal.two_level.linked_kdtrees`, without links). A triangle is in every leaf of a kd-tree that its fuzzy box
 meets, and planes are widened as boxes are, so the argument above holds for cells.
 
-References:
-    J. Guenther, H. Friedrich, I. Wald, H.-P. Seidel, P. Slusallek: Ray tracing animated scenes using motion decomposition.
-        Computer Graphics Forum 25(3) (Eurographics 2006).
-    J. Guenther, H. Friedrich, H.-P. Seidel, P. Slusallek: Interactive ray tracing of skinned animations. The Visual Computer
-        22(9), 2006.
+References: guenther-2006-motion; guenther-2006-skinned.
 """
 
 from functools import cache

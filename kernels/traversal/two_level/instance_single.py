@@ -13,11 +13,8 @@ values. Twice that fraction of the reach in the scene (the factor 2 leaves room 
 the instance's box) is the slack of the upper tree's boxes, for the worst of all instances (`InstanceTree.stretch`). No instance
 is therefore skipped, or entered too late, if its own tree finds a hit: the result is that of visiting every instance in turn.
 
-References:
-    S. M. Rubin, T. Whitted: A 3-dimensional representation for fast rendering of complex scenes. SIGGRAPH 1980 (a hierarchy of
-        spaces, rays transformed on the way down).
-    I. Wald, C. Benthin, P. Slusallek: Distributed interactive ray tracing of dynamic scenes. IEEE Symposium on Parallel and
-        Large-Data Visualization and Graphics 2003 (two levels of trees, of which only the upper is rebuilt).
+References: rubin-whitted-1980 (a hierarchy of spaces, rays transformed on the way down); wald-2003 (two levels of trees, of
+    which only the upper is rebuilt).
 """
 
 from functools import cache

@@ -14,9 +14,7 @@ stops as early as a single ray would.
 left, they are traced one by one (`wrt.kernels.traversal.two_level.instance_single`). If the instances of a scene are disjoint,
 most rays are done after two rounds.
 
-References:
-    M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997 (rays
-        queued at the parts of a scene).
+References: pharr-1997 (rays queued at the parts of a scene).
 """
 
 from functools import cache

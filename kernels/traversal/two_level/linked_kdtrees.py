@@ -18,11 +18,7 @@ go through the list of all groups (`LinkedNodes.every`) in place of the upper tr
 **Other spaces.** The walk takes the ray in the space of the cells and in that of the triangles, which may differ
 (`wrt.kernels.traversal.two_level.fuzzy_boxes`).
 
-References:
-    Y.-S. Kang, J.-H. Nah, W.-C. Park, S.-B. Yang: gkDtree: a group-based parallel update kd-tree for interactive ray tracing.
-        Journal of Systems Architecture 59, 2013.
-    J. Bikker: Real-time ray tracing through the eyes of a game developer. IEEE Symposium on Interactive Ray Tracing 2007.
-    S. Parker, W. Martin, P.-P. J. Sloan, P. Shirley, B. Smits, C. Hansen: Interactive ray tracing. I3D 1999.
+References: kang-2013; bikker-2007; parker-1999.
 """
 
 from functools import cache

@@ -26,11 +26,7 @@ projected vertices coincide, contains no such point. `CROSSING` holds this rule 
 **Departures.** The axes are not swapped to keep the winding: the test is two-sided, so it only checks that the three signs
 agree. The caller compares the distance (see `wrt.kernels.simd.boxes`, the consistency rule).
 
-References:
-    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection.
-        Journal of Computer Graphics Techniques 2(1), 2013.
-    H. Edelsbrunner, E. P. Muecke: Simulation of simplicity: a technique to cope with degenerate cases in geometric algorithms.
-        ACM Transactions on Graphics 9(1), 1990.
+References: woop-2013; edelsbrunner-muecke-1990.
 """
 
 from functools import cache

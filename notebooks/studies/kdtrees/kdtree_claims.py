@@ -7,13 +7,7 @@
 
 Times are the processor time of one thread; contenders take turns (`paired_timing`).
 
-References:
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
-        IEEE Symposium on Interactive Ray Tracing 2007.
-    W. A. Hunt: Corrections to the surface area metric with respect to mail-boxing.
-        IEEE Symposium on Interactive Ray Tracing 2008.
+References: wald-havran-2006; hunt-2007; hunt-2008.
 """
 
 from __future__ import annotations

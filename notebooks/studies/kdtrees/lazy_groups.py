@@ -3,9 +3,7 @@
     district        a scene of nested groups: blocks of houses of parts
     first_views     scene, first view and the same view again, by the hierarchy that the tree starts from
 
-References:
-    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
-        IEEE Symposium on Interactive Ray Tracing 2007.
+References: hunt-2007.
 """
 
 from __future__ import annotations

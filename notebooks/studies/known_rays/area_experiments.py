@@ -6,8 +6,7 @@
 
 Each returns a list of plain dicts; see `studies.known_rays.ray_distribution` for scenes, trees and costs.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano, 2024.
+References: falcone-2024.
 """
 
 from __future__ import annotations

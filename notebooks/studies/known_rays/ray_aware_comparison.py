@@ -9,9 +9,7 @@ work on the machine disturbs less; that of several is the clock's. "ProjectedBvh
 rays' area; "RayAwareBvh" has the default tree too, and sends each ray that belongs to the area to the area's own tree;
 "areas=0" is the same with the area given in the call.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024.
+References: falcone-2024.
 """
 
 from __future__ import annotations

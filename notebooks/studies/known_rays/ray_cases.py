@@ -4,9 +4,7 @@ The thesis has random triangles, a low-poly head (Suzanne), a cottage, the walls
 palace). Each is seen by parallel and by radial rays, four ways: along an axis, turned from it by 15 and by 45
 degrees in a plane of two axes, and oblique to all.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024: sections 6.1, 6.2.
+References: falcone-2024 (sections 6.1, 6.2).
 """
 
 from __future__ import annotations

@@ -10,9 +10,7 @@
 Each returns a list of plain dicts. Scenes, areas and the thesis' names of trees: `ray_cases`. Costs are the thesis' own, 1
 a box and 1.2 a triangle, counted for rays that pass through all that they meet; times are ratios of turns.
 
-References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024: chapter 6.
+References: falcone-2024 (chapter 6).
 """
 
 from __future__ import annotations

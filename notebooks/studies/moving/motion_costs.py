@@ -8,8 +8,7 @@
 
 All but `thread_splits`, which needs two threads and takes wall time, measure the processor time of one thread.
 
-References:
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013, section 4.2, which describes all of them.
+References: rahikainen-2013 (section 4.2, which describes all of them).
 """
 
 from __future__ import annotations

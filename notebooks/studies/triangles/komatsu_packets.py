@@ -8,9 +8,7 @@ that point alone.
     bundles       without a tree: time of a test, of the records of a triangle, and both together by the rays of an origin
     with_records  with a tree: rays of an origin from which on the engine's test of this kind pays
 
-References:
-    K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
-        precomputation and early termination. IPSJ Transactions on Advanced Computing Systems 1(1), 2008.
+References: komatsu-2008.
 """
 
 from __future__ import annotations

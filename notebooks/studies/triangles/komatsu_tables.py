@@ -15,9 +15,7 @@ foresees. On the bunny the published test with all its exits takes three to four
 sorted so that branches are foreseen it takes 0.6 times as long (`foreseen`): exits do save arithmetic, but not as much as a
 wrong guess costs. What pays is one exit that nearly all vectors take, before the divisions of a hit; so the engine does.
 
-References:
-    K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
-        precomputation and early termination. IPSJ Transactions on Advanced Computing Systems 1(1), 2008.
+References: komatsu-2008.
 """
 
 from __future__ import annotations

@@ -11,8 +11,7 @@ triangles at once. A query is a view of the scene (closest hits) and the ambient
 thread. Contenders take turns; "ratio" is the median over the rounds of time / the reference's time of that round, "least"
 and "greatest" are those of a round. The clock is the processor time of the thread.
 
-References:
-    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
+References: pichler-2018.
 """
 
 from __future__ import annotations

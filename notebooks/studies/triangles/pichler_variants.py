@@ -11,10 +11,7 @@
 Each returns a list of plain dicts. Scenes are those of `pichler_tables`. The clock is the processor time of one thread,
 contenders take turns; "ratio" is the median over the rounds of time / the reference's time of that round.
 
-References:
-    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
-    J. Havel, A. Herout: Yet faster ray-triangle intersection (using SSE4).
-        IEEE Transactions on Visualization and Computer Graphics 16(3), 2010.
+References: pichler-2018; havel-herout-2010.
 """
 
 from __future__ import annotations

@@ -9,9 +9,7 @@ Leaks are counted on closed convex bodies, from inside, with rays at vertices an
 went through between two triangles. This is asked of the whole engine, with a tree, and of forms that are not in the engine by
 brute force.
 
-References:
-    J. Havel, A. Herout: Yet faster ray-triangle intersection (using SSE4).
-        IEEE Transactions on Visualization and Computer Graphics 16(3), 2010.
+References: havel-herout-2010.
 """
 
 from __future__ import annotations

@@ -10,9 +10,7 @@ then code (`lane_form`), to be timed.
 
 **Signs.** Exchanging two vectors of a volume changes its sign, which costs nothing; it is kept in the form.
 
-References:
-    A. Kensler, P. Shirley: Optimizing ray-triangle intersection via automated search. IEEE Symposium on Interactive Ray
-        Tracing, 2006.
+References: kensler-shirley-2006.
 """
 
 from __future__ import annotations

@@ -5,10 +5,7 @@ then: `wrt.Scene.update` moves vertices and instances. So each sample sees one c
 reflections too, with every traversal and every tree. The price is an update for each sample; and the blur of a fast body is
 made of S sharp pictures, where times that differ by pixel would show grain.
 
-References:
-    R. L. Cook, T. Porter, L. Carpenter: Distributed ray tracing. SIGGRAPH 1984.
-    P. Haeberli, K. Akeley: The accumulation buffer: hardware support for high-quality rendering. SIGGRAPH 1990 (frames of
-        slices).
+References: cook-1984; haeberli-akeley-1990 (frames of slices).
 """
 
 from __future__ import annotations

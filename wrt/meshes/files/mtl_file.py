@@ -1,7 +1,6 @@
 """Materials of OBJ files: the diffuse colour and its image. Highlights, transparency and other images are not read.
 
-References:
-    Wavefront Technologies: Advanced Visualizer manual, appendix: MTL material format. 1995.
+References: wavefront-technologies-1995.
 """
 
 from __future__ import annotations

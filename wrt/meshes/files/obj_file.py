@@ -3,8 +3,7 @@
 An index counts from 1, or, if it is negative, back from the last vertex before its line. Groups, objects, normals and smoothing
 do not change triangles or their order. Lines, points, curves and free-form surfaces are not read.
 
-References:
-    Wavefront Technologies: Advanced Visualizer manual, appendix B1: Object files (.obj). 1992.
+References: wavefront-technologies-1992.
 """
 
 from __future__ import annotations

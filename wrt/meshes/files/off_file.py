@@ -4,8 +4,7 @@ The first word tells what a vertex has: C for a colour of three or four numbers,
 vertex is its line's first three numbers. Colours of faces are skipped. Files in four or n dimensions, and binary ones, are
 refused.
 
-References:
-    Geometry Center: Geomview manual, object file formats. University of Minnesota, 1996.
+References: geometry-center-1996.
 """
 
 from __future__ import annotations

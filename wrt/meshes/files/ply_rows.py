@@ -4,8 +4,7 @@ A row is made of numbers and of lists, each list with its length before it. Elem
 list has the length that it has in the first row, are read as one array; others row by row, of which only the lengths are looked
 at.
 
-References:
-    G. Turk: The PLY polygon file format. Stanford University, 1994.
+References: turk-1994.
 """
 
 from __future__ import annotations

@@ -5,10 +5,7 @@ wrong. Convex here is what a fan from the first corner covers exactly: every cor
 turns together go round once. Others are projected along their normal (Newell's sum, exact for flat polygons) and cut ear by
 ear.
 
-References:
-    G. H. Meisters: Polygons have ears. The American Mathematical Monthly 82(6), 1975.
-    I. E. Sutherland, R. F. Sproull, R. A. Schumacker: A characterization of ten hidden-surface algorithms. ACM Computing
-        Surveys 6(1), 1974 (Newell's normal).
+References: meisters-1975; sutherland-1974 (Newell's normal).
 """
 
 from __future__ import annotations

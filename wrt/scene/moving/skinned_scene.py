@@ -10,9 +10,7 @@ are enlarged by a margin, so that poses within the limits seldom leave them.
 
 **Complexity.** Making: samples x triangles x bones. A pose: the skin and its boxes, linear in triangles.
 
-References:
-    J. Guenther, H. Friedrich, H.-P. Seidel, P. Slusallek: Interactive ray tracing of skinned animations. The Visual Computer
-        22(9), 2006.
+References: guenther-2006-skinned.
 """
 
 from __future__ import annotations

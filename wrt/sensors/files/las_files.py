@@ -3,8 +3,7 @@
 LAS stores coordinates as integers of 32 bits, x = offset + scale * X. Both follow from the data, so that points far from 0, as
 in UTM coordinates, are as precise as points near 0.
 
-References:
-    American Society for Photogrammetry and Remote Sensing: LAS specification 1.4, revision 15. 2019.
+References: asprs-2019.
 """
 
 from __future__ import annotations

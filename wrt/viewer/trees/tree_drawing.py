@@ -4,10 +4,7 @@ The cost is what the surface area heuristic expects: a ray that meets the root's
 their surface areas as probability. Summed over a level, that is the number of its nodes that such a ray visits, and of the
 blocks of its leaves whose triangles are tested, if nothing ends the ray before.
 
-References:
-    J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE Computer Graphics and
-        Applications 7(5), 1987.
-    J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6(3), 1990.
+References: goldsmith-salmon-1987; macdonald-booth-1990.
 """
 
 from __future__ import annotations

@@ -3,9 +3,7 @@
 Chunks of events end where the position changes, so no plane is shared between them. The best plane is taken in the order of
 axes and chunks. So the result does not depend on chunks or threads, and a node gets the same split as in a task.
 
-References:
-    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
-        High Performance Graphics 2010.
+References: choi-2010.
 """
 
 import warp as wp

@@ -20,11 +20,7 @@ Here data moves with the nodes: the straddlers' events are not moved to the chil
 the parts. These are sorted, and merged into each list from the back, by one thread per list (`clipped_events` does the same
 within a task). The kernels are in `clipped_event_chunks`.
 
-References:
-    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
-        High Performance Graphics 2010.
+References: wald-havran-2006; choi-2010.
 """
 
 import numpy as np

@@ -23,10 +23,7 @@ triangles are classified by their boxes, in chunks of a node's list of triangles
 is the same for any number of threads, chunks and tasks, also if triangles are clipped, in large nodes (`event_levels`)
 and in tasks (`clipped_events`).
 
-References:
-    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
-        High Performance Graphics 2010.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
+References: choi-2010; rahikainen-2013 (section 4.2).
 """
 
 from wrt.builders.classics.kdtree.nested.clipped_event_chunks import merge_lists

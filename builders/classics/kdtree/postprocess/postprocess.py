@@ -11,10 +11,7 @@ off: at most six cuts, one per face of the box of the leaf's triangles.
 
 **Complexity.** O(references).
 
-References:
-    V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
-    V. Havran, J. Bittner: On improving kd-trees for ray shooting. WSCG 2002.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.1).
+References: havran-2001; havran-bittner-2002; rahikainen-2013 (section 4.1).
 """
 
 from dataclasses import dataclass, replace

@@ -14,8 +14,7 @@ miss; and n is never -0, so n minus a zero of either sign is the same.
 
 **Limits.** It saves time where most triangles are aligned (notebooks/records/2026-11-23-axis-variants.md).
 
-References:
-    M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures. GraphiCon 2007.
+References: shevtsov-2007-triangle.
 """
 
 from dataclasses import dataclass, replace

@@ -10,10 +10,7 @@ All but `selects` then read coordinates of the ray by number, from memory. The a
 
 The survey (Rahikainen 2013) does not print Waechter's shifts; 1 << k is 1, 2, 4, whose two lowest bits are 1, 2, 0.
 
-References:
-    I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
-    C. Waechter: Realtime ray tracing. Diploma thesis, Ulm University, 2004.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
+References: wald-2004; waechter-2004; rahikainen-2013.
 """
 
 from dataclasses import replace

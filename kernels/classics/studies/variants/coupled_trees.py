@@ -14,10 +14,7 @@ here a packet or a part of one walks one tree from the root.
 **Limits.** Two trees take the memory and the building time of both, and both keep their own records of triangles. Figures:
 notebooks/records/2026-11-23-coupled-trees.md.
 
-References:
-    G. Cadet, B. Lecussan: Coupled use of BSP and BVH trees in order to exploit ray bundle performance. IEEE Symposium on
-        Interactive Ray Tracing, 2007.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 3.2).
+References: cadet-lecussan-2007; rahikainen-2013 (section 3.2).
 """
 
 from functools import cache

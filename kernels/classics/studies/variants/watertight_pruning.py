@@ -34,9 +34,7 @@ limits, and those without area, have no finite e. A NaN fails no comparison, and
 **Limits.** e grows with the distance from the scene's centre in lengths of the triangle, and towards grazing rays. Where it is
 large, pruning costs time and cuts off nothing.
 
-References:
-    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
-    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
+References: pichler-2018; woop-2013.
 """
 
 import warp as wp

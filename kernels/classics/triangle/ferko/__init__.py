@@ -26,9 +26,7 @@ triangles themselves, widened by rounding, and are tested last; the box step rej
 the distance from it, as with all transformations. The test is not watertight: the rows of neighbours round independently. It
 may report hits beside needles and triangles seen edge-on (not `accurate`).
 
-References:
-    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018. (After an unpublished outline by
-        A. Ferko and M. Ferko, 2015.)
+References: pichler-2018 (After an unpublished outline by A. Ferko and M. Ferko, 2015.).
 """
 
 from dataclasses import replace

@@ -23,8 +23,7 @@ square that the algorithm has. The test for acute triangles (see `similarity`) c
 that does not contain them; the order of three comparisons comes out the same. Heron's formula and two auxiliary triangles
 compute what half of base times height gives. We keep the operation counts of the weights (below 1, above 1, left 5, right 6).
 
-References:
-    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
+References: pichler-2018.
 """
 
 from functools import cache

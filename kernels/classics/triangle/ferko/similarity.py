@@ -14,8 +14,7 @@ rotations must exclude, because they would divide by zero, do not arise.
 triangle is acute if C' lies outside the circle over the longest edge, (x - 1/2)^2 + y^2 > 1/4. The print tests y > 1/2, which
 classifies the acute triangle with C' = (0.9, 0.4) as obtuse.
 
-References:
-    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
+References: pichler-2018.
 """
 
 from typing import Any

@@ -6,10 +6,7 @@ singular for a plane through the origin, and then uses Baldwin and Weber's free 
 `wrt.kernels.triangle.support.axis_projection`. The difference from Baldwin and Weber's test is that u is compared before v is
 computed.
 
-References:
-    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
-    D. Baldwin, M. Weber: Fast ray-triangle intersections by coordinate transformation.
-        Journal of Computer Graphics Techniques 5(3), 2016.
+References: pichler-2018; baldwin-weber-2016.
 """
 
 from typing import Any

@@ -21,12 +21,7 @@ found until then.
 together, and after one that the last occluder alone has occluded, against that
 (`wrt.kernels.traversal.packet.core.joined_packets`).
 
-References:
-    I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
-    A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
-    I. Wald, S. Boulos, P. Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies. ACM Transactions on
-        Graphics 26(1), 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.2).
+References: wald-2001; reshetov-2005; wald-2007-deformable; rahikainen-2013 (section 3.2).
 """
 
 from functools import cache

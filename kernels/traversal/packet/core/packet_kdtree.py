@@ -19,12 +19,7 @@ whose rays have diverged is abandoned after `MAX_STEPS_PER_RAY` steps per ray, a
 (`wrt.kernels.traversal.packet.core.packet_splitting`). Shadow rays to a point light gain little, because neighbours start on
 different surfaces. Figures: notebooks/records/2026-11-21-kdtree-packets.md.
 
-References:
-    I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
-    A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
-    S. Boulos, I. Wald, P. Shirley: Geometric and arithmetic culling methods for entire ray packets. Technical report
-        UUCS-06-010, University of Utah, 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapters 3 and 5).
+References: wald-2001; reshetov-2005; boulos-2006; rahikainen-2013 (chapters 3 and 5).
 """
 
 from functools import cache

@@ -5,9 +5,7 @@ A ray comes from the front if the product of its direction and the triangle's no
 the ends, and the sum of the three is not greater than the sum of any ray: rounding is monotone. Where it is not negative, no
 ray comes from the front. The other triangles are tested, and each hit by itself.
 
-References:
-    C. Benthin, I. Wald: Efficient ray traced soft shadows using multi-frusta tracing. High Performance Graphics 2009.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 2.3).
+References: benthin-wald-2009; rahikainen-2013 (section 2.3).
 """
 
 from functools import cache

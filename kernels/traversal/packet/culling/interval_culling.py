@@ -10,10 +10,7 @@ with positive direction, no sooner than by the fastest of them, with the least 1
 all origins and rays with negative direction. Packets along the two lines of a picture where a component changes its sign need
 this bound; without it they visit a large part of all nodes (notebooks/records/2026-11-21-packets.md).
 
-References:
-    S. Boulos, I. Wald, P. Shirley: Geometric and arithmetic culling methods for entire ray packets. Technical report
-        UUCS-06-010, University of Utah, 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
+References: boulos-2006; rahikainen-2013 (section 3.3).
 """
 
 from functools import cache

@@ -8,11 +8,7 @@ skipped; if few do, they are listed and tested one by one (`wrt.kernels.traversa
 first half of `transient_frustum`. The other half, a frustum around these rays, saves less than it costs where pairs of rays and
 triangles are filtered (notebooks/records/2026-11-23-edge-functions.md).
 
-References:
-    A. Reshetov: Faster ray packets - triangle intersection through vertex culling. IEEE Symposium on Interactive Ray Tracing
-        2007.
-    I. Wald, S. Boulos, P. Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies. ACM Transactions on
-        Graphics 26(1), 2007 (rays against boxes until one meets).
+References: reshetov-2007; wald-2007-deformable (rays against boxes until one meets).
 """
 
 from functools import cache

@@ -6,10 +6,7 @@ The first factor there has the sign of y01 - y00, and the bracket identifies the
 must be outside by the margin of `inverse_frustum`: the error of the line, plus the distance at which an `accurate` triangle
 test may find a hit beside a triangle.
 
-References:
-    A. Reshetov: Faster ray packets - triangle intersection through vertex culling. IEEE Symposium on Interactive Ray Tracing
-        2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3, equations 3.2 and 3.3).
+References: reshetov-2007; rahikainen-2013 (section 3.3, equations 3.2 and 3.3).
 """
 
 from functools import cache

@@ -15,10 +15,7 @@ origins differ (notebooks/records/2026-11-21-packets.md).
 the two planes are those of the widened box, which contains all hits on the leaf's triangles. Nodes are culled by
 `interval_culling`, and so is a packet without a main axis.
 
-References:
-    A. Reshetov: Faster ray packets - triangle intersection through vertex culling. IEEE Symposium on Interactive Ray Tracing
-        2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
+References: reshetov-2007; rahikainen-2013 (section 3.3).
 """
 
 from functools import cache

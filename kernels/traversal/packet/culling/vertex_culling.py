@@ -13,10 +13,7 @@ last place of the ray's reach; o is widened by the slack of `wrt.kernels.simd.bo
 covers every other test that is accurate to within the slack. Triangles that begin behind the farthest of the best hits, or end
 before the rays begin, are culled too. Packets with different main axes are not culled.
 
-References:
-    A. Reshetov: Faster ray packets - triangle intersection through vertex culling. IEEE Symposium on Interactive Ray Tracing
-        2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
+References: reshetov-2007; rahikainen-2013 (section 3.3).
 """
 
 from functools import cache

@@ -20,11 +20,7 @@ less than S / 512: the plane of the triangle must be `CLOSEST` S within the rays
 if it promises that (`PacketForm.certain`). NaN and infinite numbers are found on the way, and no triangle covers a zero
 direction.
 
-References:
-    K. Dmitriev, V. Havran, H.-P. Seidel: Faster ray tracing with SIMD shaft culling. Research report MPI-I-2004-4-006,
-        Max-Planck-Institut für Informatik, 2004.
-    K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
-        precomputation and early termination. IPSJ Transactions on Advanced Computing Systems 1(1), 2008.
+References: dmitriev-2004; komatsu-2008.
 """
 
 from functools import cache

@@ -23,10 +23,7 @@ order in u:
 The sum is less than e = 16 d (h + d). `TINY` is for products that underflow; packets whose coordinates are so large that
 products might overflow are not tested this way (`LARGEST`).
 
-References:
-    K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
-        precomputation and early termination. IPSJ Online Transactions 1, 2008.
-    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
+References: komatsu-2008; woop-2013.
 """
 
 WIDEST = 4.0

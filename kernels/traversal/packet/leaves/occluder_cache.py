@@ -17,9 +17,7 @@ hit.
 The effect depends on the size of the occluders: large in scenes of large triangles, none on fine meshes
 (notebooks/records/2026-11-22-leaf-rays.md).
 
-References:
-    E. A. Haines, D. P. Greenberg: The light buffer: a shadow-testing accelerator. IEEE Computer Graphics and Applications 6(9),
-        1986.
+References: haines-greenberg-1986.
 """
 
 from functools import cache

@@ -17,9 +17,7 @@ boxes, and planes of the boxes less the origin. Bits are those of `packet_block`
 
 Figures: notebooks/records/2026-11-25-packet-pairs.md.
 
-References:
-    I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001 (packets of
-        rays against one triangle, which this departs from).
+References: wald-2001 (packets of rays against one triangle, which this departs from).
 """
 
 from wrt.kernels.traversal.packet.leaves.edge_functions import GUARDS

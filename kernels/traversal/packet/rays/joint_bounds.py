@@ -13,8 +13,7 @@ origins that are not relative to the scene's centre, so they are widened by `END
 
 This is the tile of Reshetov et al. (2005), without a search below the root.
 
-References:
-    A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
+References: reshetov-2005.
 """
 
 from functools import cache
