@@ -2,6 +2,7 @@
 
 import shutil
 import sys
+import textwrap
 from pathlib import Path
 
 import wrt
@@ -48,7 +49,7 @@ def gather_pages() -> None:
         target.mkdir()
         for path in (path for pattern in patterns for path in sorted(source.glob(pattern))):
             shutil.copyfile(path, target / path.name)
-    rows = [f"`{key}`\n: {work}\n" for key, work in REFERENCES.items()]
+    rows = [f"`{key}`\n" + "\n  ".join(textwrap.wrap(f": {work}", 120)) + "\n" for key, work in REFERENCES.items()]
     text = "# References\n\nWhat docstrings cite, by key (`wrt.references`).\n\n" + "\n".join(rows)
     (HERE / "references.md").write_text(text, encoding="utf-8")
 
