@@ -30,7 +30,6 @@ wp.init()
 import wrt  # noqa: E402
 from wrt import scenes  # noqa: E402
 from wrt.builders.bvh import BVH_BUILDERS  # noqa: E402
-from wrt.builders.core.late_import import Classic  # noqa: E402
 from wrt.builders.kdtree import KDTREE_BUILDERS  # noqa: E402
 from wrt.kernels.compilation.cores import available_cores  # noqa: E402
 from wrt.kernels.on_demand import OnDemand  # noqa: E402
@@ -58,7 +57,7 @@ CLASSICS = {
     *(name for name, way in TRAVERSALS.items() if any(isinstance(make, OnDemand) for make in way.kernels.values())),
     *(name for name, one in CULLINGS.items() if any(isinstance(value, OnDemand) for value in vars(one).values())),
     *(name for name, one in MAILBOXES.items() if isinstance(one.filter, OnDemand)),
-    *(name for table in (KDTREE_BUILDERS, BVH_BUILDERS) for name, one in table.items() if isinstance(one.build, Classic)),
+    *(name for table in (KDTREE_BUILDERS, BVH_BUILDERS) for name, one in table.items() if isinstance(one.build, OnDemand)),
 } - {"none"}
 """Algorithms of kernels/classics and builders/classics. "none" is a key of several tables."""
 

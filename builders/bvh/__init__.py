@@ -17,7 +17,7 @@ import warp as wp
 
 from wrt.builders.bvh import binned_bvh as binned
 from wrt.builders.bvh.bvh_config import BvhConfig
-from wrt.builders.core.late_import import Classic
+from wrt.builders.core.late_import import classic
 from wrt.builders.tree import Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
 
@@ -51,8 +51,8 @@ BVH_BUILDERS: dict[str, BvhBuilder] = {
         BvhBuilder(
             "sweep",
             "Wald, Boulos, Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies (2007)",
-            Classic("bvh.sweep_bvh"),
-            Classic("bvh.sweep_bvh", "kernels"),
+            classic("bvh.sweep_bvh"),
+            classic("bvh.sweep_bvh", "kernels"),
         ),
     )
 }

@@ -1,23 +1,18 @@
 """Imports of `wrt.builders.classics` on demand: `import wrt`, "auto" and the default builders do not load these modules."""
 
-from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
-from typing import Any
+
+from wrt.kernels.on_demand import OnDemand
+
+CLASSICS = "wrt.builders.classics"
 
 
 def classic_module(name: str) -> ModuleType:
-    """A module of `wrt.builders.classics`, such as "kdtree.naive"."""
-    return import_module(f"wrt.builders.classics.{name}")
+    """A module of the classics, such as "kdtree.naive"."""
+    return import_module(f"{CLASSICS}.{name}")
 
 
-@dataclass(frozen=True)
-class Classic:
-    """A function of a module of `wrt.builders.classics`, which is imported when the function is called."""
-
-    module: str
-    function: str = "build"
-
-    def __call__(self, *arguments: Any) -> Any:
-        """Calls the function."""
-        return getattr(classic_module(self.module), self.function)(*arguments)
+def classic(module: str, function: str = "build") -> OnDemand:
+    """A function of a module of the classics, which is imported when the function is called."""
+    return OnDemand(module, function, CLASSICS)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.builders.core.late_import import Classic
+from wrt.builders.core.late_import import classic
 from wrt.builders.kdtree import binned, in_place
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.lazy import lazy_kdtree as lazy
@@ -67,7 +67,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
         KdTreeBuilder("in_place", f"{CHOI}, in-place", in_place.build, clips=True, least_cost=True),
-        KdTreeBuilder("nested", f"{CHOI}, nested", Classic("kdtree.nested.nested"), clips=True, least_cost=True),
+        KdTreeBuilder("nested", f"{CHOI}, nested", classic("kdtree.nested.nested"), clips=True, least_cost=True),
         KdTreeBuilder(
             "binned",
             "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)",
@@ -80,14 +80,14 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
         KdTreeBuilder(
             "streaming",
             "Popov, Guenther, Seidel, Slusallek: Experiences with streaming construction of SAH KD-trees (2006)",
-            Classic("kdtree.streaming"),
+            classic("kdtree.streaming"),
             clips=True,
             least_cost=True,
         ),
         KdTreeBuilder(
             "adaptive_sampling",
             "Hunt, Mark, Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic (2006)",
-            Classic("kdtree.adaptive_sampling"),
+            classic("kdtree.adaptive_sampling"),
             clips=True,
             least_cost=True,
             any_cost=True,
@@ -103,12 +103,12 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             start=lazy.start,
         ),
         KdTreeBuilder(
-            "sweep", f"{WALD_HAVRAN}, O(N log N)", Classic("kdtree.sweep"), clips=True, least_cost=True, cuts_early=True
+            "sweep", f"{WALD_HAVRAN}, O(N log N)", classic("kdtree.sweep"), clips=True, least_cost=True, cuts_early=True
         ),
         KdTreeBuilder(
             "sorting_sweep",
             f"{WALD_HAVRAN}, O(N log^2 N)",
-            Classic("kdtree.sorting_sweep"),
+            classic("kdtree.sorting_sweep"),
             clips=True,
             least_cost=True,
             any_cost=True,
@@ -117,7 +117,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
         KdTreeBuilder(
             "naive",
             f"{WALD_HAVRAN}, O(N^2)",
-            Classic("kdtree.naive"),
+            classic("kdtree.naive"),
             max_triangles=5000,
             clips=True,
             least_cost=True,
@@ -127,12 +127,12 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
         KdTreeBuilder(
             "between_medians",
             "MacDonald, Booth: Heuristics for ray tracing using space subdivision (1990)",
-            Classic("kdtree.between_medians"),
+            classic("kdtree.between_medians"),
             clips=True,
             cuts_early=True,
         ),
-        KdTreeBuilder("spatial_median", FUSSELL, Classic("kdtree.medians", "build_spatial"), clips=True, cuts_early=True),
-        KdTreeBuilder("object_median", FUSSELL, Classic("kdtree.medians", "build_object"), clips=True, cuts_early=True),
+        KdTreeBuilder("spatial_median", FUSSELL, classic("kdtree.medians", "build_spatial"), clips=True, cuts_early=True),
+        KdTreeBuilder("object_median", FUSSELL, classic("kdtree.medians", "build_object"), clips=True, cuts_early=True),
     )
 }
 
@@ -140,7 +140,7 @@ NATIVE = "depth_first"
 """The order in which builders write nodes; in that order a left child needs no index, and nodes are not in pairs."""
 
 LAYOUTS: dict[str, Callable] = {
-    name: Classic("kdtree.node_layouts", f"place_{name}")
+    name: classic("kdtree.node_layouts", f"place_{name}")
     for name in ("random", "breadth_first", NATIVE, "subtrees", "pages", "van_emde_boas")
 }
 """Name -> (unpacked tree) -> (nodes,) position of each inner node's left child, an even number from 2 on; the root is at 0."""

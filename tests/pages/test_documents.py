@@ -10,8 +10,8 @@ import pytest
 
 from studies.known_rays import area_pictures, ray_distribution
 from studies.triangles import komatsu_packets, komatsu_tables, pichler_tables
-from wrt.builders.core.late_import import Classic
 from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.kernels.on_demand import OnDemand
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -80,7 +80,7 @@ def test_what_the_tables_have_is_not_said_to_be_missing():
     """Every builder, culling and mailbox of the survey is named; of what is missing, no table has an entry."""
     for name in KDTREE_BUILDERS.keys() - BUILDERS - {"lazy"}:
         build = KDTREE_BUILDERS[name].build
-        module = f"classics.{build.module}" if isinstance(build, Classic) else f"kdtree.{name}"
+        module = f"classics.{build.module}" if isinstance(build, OnDemand) else f"kdtree.{name}"
         assert f"wrt.builders.{module}`" in PAGE, name
     for name in CULLINGS.keys() - {"none"}:
         assert name in PAGE.replace("interval_culling", "interval").replace("inverse_frustum", "frustum"), name

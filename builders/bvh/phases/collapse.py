@@ -35,7 +35,7 @@ from wrt.builders.bvh.phases.bin_heuristic import Heuristic
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, half_area_of_both
 from wrt.builders.bvh.phases.large_boxes import are_flat, holds_large_part, is_flat, is_large_area
-from wrt.builders.core.late_import import Classic
+from wrt.builders.core.late_import import classic
 from wrt.builders.cost import leaf_cost
 from wrt.builders.tree import BuildStats, Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
@@ -388,6 +388,6 @@ def improved(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, p
     """The wide tree of a binary tree, after reinsertion if the configuration asks for it, as the last phases of a build."""
     if config.reinsertion:
         with phase("reinsertion"):
-            binary = Classic("bvh.reinsertion", "reinsert")(binary, triangles.count, config, phase.stats)
+            binary = classic("bvh.reinsertion", "reinsert")(binary, triangles.count, config, phase.stats)
     with phase("collapse"):
         return collapse(binary, triangles, config, phase.stats)
