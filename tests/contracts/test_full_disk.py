@@ -103,7 +103,7 @@ def figure(path):
 
 def fans(path):
     from wrt.builders.triangle_fans import TriangleFans
-    from wrt.fans.fan_files import save_fans
+    from wrt.classics.fan_files import save_fans
 
     count = 500
     numbers = np.arange(count, dtype=np.int32)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import wrt
-from wrt.imaging.lights import device_lights
+from wrt.lights import device_lights
 from wrt.scenes.shapes import boxes, plane
 
 CAMERA = wrt.PinholeCamera(24, 24, position=(2, -6, 4), look_at=(0, 0, 0.5))

@@ -50,7 +50,7 @@ def test_methods_that_are_missing(scene):
 
 
 def test_all_methods_of_the_peer_are_here_or_explained(open3d, scene):
-    from wrt.adapters.open3d_rays import MISSING
+    from wrt.compat.open3d_rays import MISSING
 
     theirs = {name for name in dir(open3d.t.geometry.RaycastingScene) if not name.startswith("_")}
     assert theirs <= {*dir(scene), *MISSING}

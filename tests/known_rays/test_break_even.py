@@ -7,7 +7,7 @@ import pytest
 from conftest import SCENES
 
 import wrt
-from wrt.known_rays.break_even import AREA_LOOKUP_COST, break_even_share
+from wrt.known_rays.area_break_even import AREA_LOOKUP_COST, break_even_share
 
 
 def test_share():

@@ -56,14 +56,14 @@ MUTATIONS = [
     ),
     # -- adapters ------------------------------------------------------------------------------------------------------
     Mutation(
-        path="wrt/adapters/trimesh_rays.py",
+        path="wrt/compat/trimesh_rays.py",
         old="key = hash(self.mesh)",
         new="key = id(self.mesh)",
         tests="tests/interfaces/test_trimesh_rays.py::test_follows_the_mesh",
         promise="the shape of trimesh follows its mesh",
     ),
     Mutation(
-        path="wrt/adapters/trimesh_rays.py",
+        path="wrt/compat/trimesh_rays.py",
         old="index_ray = np.flatnonzero(hits.is_hit)",
         new="index_ray = np.arange(len(origins))",
         tests="tests/interfaces/test_trimesh_rays.py::test_first_hits_and_bounds",

@@ -18,8 +18,8 @@ import pytest
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.partitioned.part_loading import PartLoader
-from wrt.partitioned.partition_files import LIST, RECORDS, RELATIVE, part_path
+from wrt.disk.part_loading import PartLoader
+from wrt.disk.partition_files import LIST, RECORDS, RELATIVE, part_path
 from wrt.scene.archives import CHECKSUM, array_places, checksum, read_archive, write_archive
 from wrt.scene.storage import pack_tree, unpack_tree
 
@@ -195,7 +195,7 @@ def test_contents_are_compared_where_they_are_mapped(folder, rays, monkeypatch):
     path = part_path(folder, 0)
     places = array_places(path)
     moved = {**places, "faces.0": places["faces.0"]._replace(offset=places["faces.0"].offset + 12)}
-    monkeypatch.setattr("wrt.partitioned.part_loading.array_places", lambda file: moved)
+    monkeypatch.setattr("wrt.disk.part_loading.array_places", lambda file: moved)
     refused(folder, rays, r"faces\.0 is not in the file as it was read")
     moved["faces.0"] = places["faces.0"]._replace(offset=os.stat(path).st_size - 8)
     refused(folder, rays, r"faces\.0 is not in the file as it was read")

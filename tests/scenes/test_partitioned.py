@@ -12,10 +12,10 @@ import pytest
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
+from wrt.disk import partitioned_scene, ray_job
+from wrt.disk.cycling import PAIRS_PER_RAY, cycle
+from wrt.disk.partition_files import LIST, MAPPED, RECORDS, RELATIVE, part_path
 from wrt.execution import executor, triangle_records
-from wrt.partitioned import partitioned_scene, ray_job
-from wrt.partitioned.cycling import PAIRS_PER_RAY, cycle
-from wrt.partitioned.partition_files import LIST, MAPPED, RECORDS, RELATIVE, part_path
 from wrt.revisions import TREE_REVISION
 from wrt.scene.archives import array_places, checksum, read_archive, write_archive
 
@@ -91,7 +91,7 @@ def test_blocks_and_threads_do_not_show(folder, whole, rays, monkeypatch):
     """Few rays in a block, few pairs in a list, and another number of threads."""
     expected = whole.intersect(*rays)
     monkeypatch.setattr(partitioned_scene, "BLOCK", 1000)
-    monkeypatch.setattr("wrt.partitioned.cycling.MAX_PAIRS", 2000)
+    monkeypatch.setattr("wrt.disk.cycling.MAX_PAIRS", 2000)
     for mode, threads in (("cycle", 1), ("cycle", 3), ("forward", 3)):
         some = wrt.PartitionedScene(folder, num_threads=threads, device="cpu")
         assert_same_hits(some.intersect(*rays, mode=mode), expected)
@@ -157,7 +157,7 @@ def test_a_cycle_keeps_parts_for_the_next_one(folder, rays):
 def test_a_cycle_refuses_what_is_too_much_for_a_block(folder, monkeypatch):
     """It must do nothing then: the block is cut, and its halves are traced."""
     job = type("Job", (), {})()
-    monkeypatch.setattr("wrt.partitioned.cycling.list_pairs", lambda job: None)
+    monkeypatch.setattr("wrt.disk.cycling.list_pairs", lambda job: None)
     assert cycle(job) is False
 
 

@@ -8,8 +8,8 @@ from conftest import mixed_rays
 
 import wrt
 from wrt.builders.triangle_fans import build_fans
-from wrt.fans.fan_arrays import closest_by_fans
-from wrt.fans.fan_files import load_fans, save_fans
+from wrt.classics.fan_arrays import closest_by_fans
+from wrt.classics.fan_files import load_fans, save_fans
 from wrt.kernels.compilation import module_compiler
 from wrt.kernels.traversal.fan_brute_force import FAN_FORMS, NORMALS, PLANES
 

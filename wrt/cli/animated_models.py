@@ -53,8 +53,8 @@ class Models:
         if fuzzy and not (self.moving and len(self.meshes) == 1):
             raise click.UsageError("--fuzzy is for the frames of a single mesh: give one folder, or --animate and its files")
         from wrt.accelerators.accelerator import resolve_accelerator
-        from wrt.scene.fuzzy_scene import FuzzyScene
-        from wrt.scene.grouped_scene import GroupedScene
+        from wrt.moving.fuzzy_scene import FuzzyScene
+        from wrt.moving.grouped_scene import GroupedScene
 
         accelerator = None if given["accelerator"] == "auto" else resolve_accelerator(given["accelerator"])
         options = {"device": given["device"], "num_threads": given["threads"]}

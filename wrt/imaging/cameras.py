@@ -18,7 +18,7 @@ import warp as wp
 
 from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.shading.pixel_rays import View, orthographic_origins, pinhole_directions
-from wrt.kernels.validation import as_float, as_int, as_numbers
+from wrt.kernels.validation import as_float, as_int, as_point
 from wrt.meshes.up_axis import default_up
 from wrt.rays.rays import Rays
 
@@ -38,13 +38,13 @@ class _Camera:
     """
 
     def __init__(self, width: int, height: int, position: Any, look_at: Any, up: Any) -> None:
-        self.width = check_whole("width", width, 1)
-        self.height = check_whole("height", height, 1)
+        self.width = as_int("width", width, 1)
+        self.height = as_int("height", height, 1)
         if self.width * self.height > _MAX_PIXELS:
             raise ValueError(f"width x height is {self.width * self.height}; an image has at most {_MAX_PIXELS} pixels")
-        self.position = check_point("position", position)
-        self.look_at = check_point("look_at", look_at)
-        self.forward, self.right, self.up = _frame(self.look_at - self.position, check_point("up", up))
+        self.position = as_point("position", position)
+        self.look_at = as_point("look_at", look_at)
+        self.forward, self.right, self.up = _frame(self.look_at - self.position, as_point("up", up))
 
     def rays(self, sample: int = 0, samples: int = 1, seed: int = 0) -> Rays:
         """One ray per pixel, on the CPU: a `wrt.Rays` of shape (height, width).
@@ -152,10 +152,10 @@ class PinholeCamera(_Camera):
         """
         if not 0.0 <= (margin := as_float("margin", margin)) < 1.0:
             raise ValueError(f"margin is {margin}; it must be in [0, 1)")
-        up = check_point("up", default_up(geometry) if up is None else up)
-        towards = _default_view(up) if towards is None else check_point("towards", towards)
+        up = as_point("up", default_up(geometry) if up is None else up)
+        towards = _default_view(up) if towards is None else as_point("towards", towards)
         forward, right, upward = _frame(towards, up)
-        height, width = check_whole("height", height, 1), check_whole("width", width, 1)
+        height, width = as_int("height", height, 1), as_int("width", width, 1)
         points, center = _corners(geometry)
         tangent = np.tan(np.radians(check_fov(fov)) / 2) * (1.0 - margin)
         position = _fit(points, (right, upward, forward), (tangent * width / height, tangent))
@@ -221,9 +221,9 @@ class OrthographicCamera(_Camera):
 
 def pixel_offset(sample: int, samples: int, seed: int) -> tuple[float, float]:
     """Position of ray `sample` of `samples` within every pixel: x, y in [0, 1) from the top left corner."""
-    samples = check_whole("samples", samples, 1)
-    sample = check_whole("sample", sample, 0)
-    seed = check_whole("seed", seed, 0)
+    samples = as_int("samples", samples, 1)
+    sample = as_int("sample", sample, 0)
+    seed = as_int("seed", seed, 0)
     if sample >= samples:
         raise ValueError(f"sample is {sample}, but a pixel has {samples} samples: choose from 0 to {samples - 1}")
     if samples == 1:
@@ -307,21 +307,6 @@ def _fit(points: np.ndarray, axes: tuple[np.ndarray, ...], tangents: tuple[float
 
 
 # -- checks ------------------------------------------------------------------------------------------------------------
-
-
-def check_whole(name: str, value: Any, minimum: int) -> int:
-    """Returns a whole number of at least `minimum`; raises an error that names the argument otherwise."""
-    return as_int(name, value, minimum)
-
-
-def check_point(name: str, value: Any) -> np.ndarray:
-    """Returns (3,) finite float64; raises a TypeError or ValueError that names the argument otherwise."""
-    point = as_numbers(name, value, finite=False)
-    if point.shape != (3,):
-        raise ValueError(f"{name} must be three numbers x, y, z, not an array of shape {point.shape}")
-    if not np.isfinite(point).all():
-        raise ValueError(f"{name} is {_text(point)}; its three numbers must be finite")
-    return point
 
 
 def check_fov(fov: Any) -> float:

@@ -20,12 +20,12 @@ import warp as wp
 
 from wrt.execution.expected_kernels import picture_rays, query_kernels
 from wrt.imaging.ambient_rays import AmbientRays, expected_rays
-from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_point, check_whole, pixel_offset
+from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import expect, launch, refuse_capture, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.kernels.shading.pixel_rays import pinhole_directions
-from wrt.kernels.validation import as_bool, as_float, as_numbers
+from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_point
 from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.state.query_kinds import AUTO
@@ -111,22 +111,22 @@ class AmbientRendering:
                 f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)"
             )
         self.camera, self.done = camera, 0
-        self.samples = check_whole("samples", samples, 1)
-        self._scene, self._seed = scene, check_whole("seed", seed, 0)
+        self.samples = as_int("samples", samples, 1)
+        self._scene, self._seed = scene, as_int("seed", seed, 0)
         self._settings = _Settings(
-            light=default_light(camera) if light is None else check_point("light", light),
+            light=default_light(camera) if light is None else as_point("light", light),
             lighting=_lighting(light_color, ambient_color, background),
             shadows=shadows,
-            ambient_samples=check_whole("ambient_samples", ambient_samples, 0),
+            ambient_samples=as_int("ambient_samples", ambient_samples, 0),
             ambient_distance=_check_distance(ambient_distance),
-            ambient_radius=check_whole("ambient_radius", ambient_radius, 0),
+            ambient_radius=as_int("ambient_radius", ambient_radius, 0),
             seed=(self._seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
             query={"traversal": traversal, "triangle_test": triangle_test},
         )
         if self._settings.ambient_radius > MAX_RADIUS:
             raise ValueError(f"ambient_radius is {ambient_radius}; it must be at most {MAX_RADIUS}")
         self.pixels = camera.width * camera.height
-        tiles = -(-self.pixels // check_whole("tile_pixels", TILE_PIXELS if tile_pixels is None else tile_pixels, 1))
+        tiles = -(-self.pixels // as_int("tile_pixels", TILE_PIXELS if tile_pixels is None else tile_pixels, 1))
         self._tile = -(-self.pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each
         with use_threads(scene.num_threads):
             expect(_kernels(scene, camera, self._tile, self._settings, smooth), scene.device)
@@ -151,7 +151,7 @@ class AmbientRendering:
             TypeError, ValueError: `samples` is not a whole number of at least 1.
         """
         refuse_capture("rendering", self._scene.device)
-        goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
+        goal = self.samples if samples is None else min(self.samples, self.done + as_int("samples", samples, 1))
         with use_threads(self._scene.num_threads):
             while self.done < goal:
                 kept = wp.clone(self._film) if self.done else None

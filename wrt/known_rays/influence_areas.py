@@ -34,8 +34,7 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
-from wrt.imaging.cameras import check_whole
-from wrt.kernels.validation import as_float, as_numbers, as_real_array
+from wrt.kernels.validation import as_float, as_int, as_numbers, as_real_array
 from wrt.rays.rays import Rays
 
 SAMPLES = 2000
@@ -136,8 +135,8 @@ class InfluenceAreas(Sequence):
             raise ValueError(f"tolerance is {tolerance}; it must be above 0 and below 45 degrees")
         if not 0.0 < least_share <= 1.0:
             raise ValueError(f"least_share is {least_share}; it must be above 0 and at most 1")
-        rng = np.random.default_rng(check_whole("seed", seed, 0))
-        lines = sample_lines(origins, directions, check_whole("samples", samples, 20), rng)
+        rng = np.random.default_rng(as_int("seed", seed, 0))
+        lines = sample_lines(origins, directions, as_int("samples", samples, 20), rng)
         box = _check_bounds(bounds, lines.origins)
         least = max(MIN_MEMBERS, int(np.ceil(least_share * len(lines))))
         found = find_distributions(lines, float(np.sin(np.radians(tolerance))), least, rng)

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.imaging.cameras import PinholeCamera, check_point
+from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.integrators import INTEGRATORS
-from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers
+from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_point
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.up_axis import default_up
 from wrt.scene.scene import Scene
@@ -367,7 +367,7 @@ def view(
     block, open_browser = None if block is None else as_bool("block", block), as_bool("open_browser", open_browser)
     if animate is not None and frames < 1:
         raise ValueError(f"frames is {frames}; an animation needs the number of its frames")
-    up = tuple(map(float, check_point("up", default_up(scene) if up is None else up)))
+    up = tuple(map(float, as_point("up", default_up(scene) if up is None else up)))
     camera = PinholeCamera.framing(scene, 800, 600, up=up) if camera is None else camera
     first, options = first_wish(camera, integrator, samples), dict(options or {})
     for name in options:

@@ -17,7 +17,7 @@ import numpy as np
 
 from wrt.accelerators.accelerator import Accelerator, resolve_accelerator
 from wrt.kernels.runtime.launch import check_num_threads
-from wrt.scene.fuzzy_scene import FuzzyScene
+from wrt.moving.fuzzy_scene import FuzzyScene
 from wrt.scene.scene import Scene
 
 __all__ = ["SharedScene"]

@@ -40,7 +40,7 @@ from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.execution.area_trees import CHUNK
 from wrt.kernels.influence.area_assignment import assign_rays
 from wrt.kernels.runtime.launch import launch
-from wrt.known_rays.break_even import break_even
+from wrt.known_rays.area_break_even import break_even
 from wrt.known_rays.tree_analysis import TreeAnalysis, analyse
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays

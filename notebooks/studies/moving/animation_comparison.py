@@ -21,9 +21,9 @@ from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.skeleton import Skeleton
-from wrt.scene.fuzzy_scene import FuzzyScene
-from wrt.scene.grouped_scene import GroupedScene
-from wrt.scene.moving.skinned_scene import SkinnedScene
+from wrt.moving.fuzzy_scene import FuzzyScene
+from wrt.moving.grouped_scene import GroupedScene
+from wrt.moving.skinned_scene import SkinnedScene
 from wrt.scene.scene import Scene
 from wrt.scenes.animations import Animation, walking_figure, waving_cloth
 

@@ -1,7 +1,7 @@
 """Triangle fans against triangles one by one, all of them for every ray, and in trees: does sharing vertices pay?
 
-`compare` times brute force over fans (`wrt.fans.fan_arrays.closest_by_fans`) beside brute force by Moeller and Trumbore's test,
-from which the fans' is derived, with and without precomputed edges, beside the plane's rows and Havel and Herout's test.
+`compare` times brute force over fans (`wrt.classics.fan_arrays.closest_by_fans`) beside brute force by Moeller and Trumbore's
+test, from which the fans' is derived, with and without precomputed edges, beside the plane's rows and Havel and Herout's test.
 `compare_trees` times trees with leaves of fans (`wrt.FanScene`) beside those of triangles. `compare_files` reads files of both.
 """
 
@@ -19,10 +19,10 @@ from studies.triangles.pichler_tables import SCENES
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.core.workloads import WorkloadMaker
 from wrt.builders.triangle_fans import TriangleFans
+from wrt.classics.fan_arrays import closest_by_fans, fans_of, on_device
+from wrt.classics.fan_files import load_fans, save_fans
+from wrt.classics.fan_scene import FanScene
 from wrt.execution.traversal_launch import kernel_and_inputs, no_work
-from wrt.fans.fan_arrays import closest_by_fans, fans_of, on_device
-from wrt.fans.fan_files import load_fans, save_fans
-from wrt.fans.fan_scene import FanScene
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.fan_brute_force import EDGES, NORMALS, PLANES, VERTICES, VERTICES_NORMALS, FanSet
 from wrt.kernels.traversal.leaf import Counters

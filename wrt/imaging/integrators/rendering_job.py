@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_whole
+from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
 from wrt.imaging.image_files import save_exr, save_image
 from wrt.imaging.integrators.device_materials import scene_materials, shaded_mesh, tiled_materials
 from wrt.imaging.integrators.ray_tracer import RayTracer
@@ -17,15 +17,15 @@ from wrt.imaging.integrators.render_settings import FRESNEL, INTEGRATORS, Render
 from wrt.imaging.integrators.saved_samples import NOT_IN_SAMPLES, fingerprint, read_samples, write_samples
 from wrt.imaging.integrators.scene_motion import Motion
 from wrt.imaging.integrators.wavefront import SQUARE, Wave, pixel_samples, square_order
-from wrt.imaging.lights.device_lights import check_lights, device_lights
-from wrt.imaging.lights.sky_image import Sky
 from wrt.imaging.rendering import Camera, check_types, default_light
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.shading.wavefront import picture, ray_queue
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS, CameraModel
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.shading.wavefront.scene_light import LitScene
-from wrt.kernels.validation import as_float
+from wrt.kernels.validation import as_float, as_int
+from wrt.lights.device_lights import check_lights, device_lights
+from wrt.lights.sky_image import Sky
 from wrt.materials.material import Material
 from wrt.memory import empty
 from wrt.scene.scene import Scene
@@ -165,7 +165,7 @@ class Rendering:
             TypeError, ValueError: `samples` is not a whole number of at least 1.
         """
         refuse_capture("rendering", self._scene.device)
-        goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
+        goal = self.samples if samples is None else min(self.samples, self.done + as_int("samples", samples, 1))
         with use_threads(self._scene.num_threads):
             while self.done < goal:
                 count = min(self._pass, goal - self.done)
@@ -385,7 +385,7 @@ def camera_model(camera: Camera, settings: RenderSettings, scene: Scene, samples
 
 def _default_lights(camera: Camera, scene: Scene) -> tuple[Any, ...]:
     """A sky, and a point light above and to the left of the camera."""
-    from wrt.imaging.lights.light_sources import PointLight
+    from wrt.lights.light_sources import PointLight
     from wrt.meshes.up_axis import default_up
 
     position = default_light(camera)

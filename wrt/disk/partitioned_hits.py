@@ -14,7 +14,7 @@ from wrt.query.hits import Hits
 from wrt.query.pickled_hits import reduce_hits
 
 if TYPE_CHECKING:
-    from wrt.partitioned.partition_files import PartList
+    from wrt.disk.partition_files import PartList
     from wrt.planning.plan import Plan
     from wrt.rays.rays import ResultForm
     from wrt.state.device_hits import DeviceHits

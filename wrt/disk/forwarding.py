@@ -22,7 +22,7 @@ from wrt.kernels.traversal.queued.next_queue import RayQueue, gather_numbers, ma
 from wrt.memory import empty
 
 if TYPE_CHECKING:
-    from wrt.partitioned.ray_job import RayJob
+    from wrt.disk.ray_job import RayJob
 
 HANDLING_BYTES = 1 << 20
 """What a queue costs beside loading its part, in bytes that could be read meanwhile."""

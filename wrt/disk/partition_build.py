@@ -1,7 +1,7 @@
 """Building a partitioned scene out of core: one mesh, or one part, is in memory at a time.
 
 **Phases.** *Read*: each mesh is checked and copied to the disk; bounds are joined. *Count*: triangles are counted by the cells
-of a grid (`wrt.partitioned.spatial_parts`). *Distribute*: the triangles of each mesh are appended to the files of their parts,
+of a grid (`wrt.disk.spatial_parts`). *Distribute*: the triangles of each mesh are appended to the files of their parts,
 with the vertices that they use and the numbers that they have in the whole scene. *Build*: each part gets its tree, relative
 to the centre of the whole scene, and its triangle records, and is saved.
 
@@ -23,13 +23,7 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.triangle_boxes import triangle_boxes
-from wrt.kernels.runtime.launch import as_device
-from wrt.kernels.simd.lanes import native_width
-from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.support.block_packing import pack_blocks
-from wrt.meshes.mesh import TriangleMesh
-from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT, as_meshes, members_of, place_meshes
-from wrt.partitioned.partition_files import (
+from wrt.disk.partition_files import (
     MAPPED,
     MAX_TRIANGLES,
     MOST_PARTS,
@@ -40,7 +34,13 @@ from wrt.partitioned.partition_files import (
     part_path,
     write_list,
 )
-from wrt.partitioned.spatial_parts import Division, Grid, divide
+from wrt.disk.spatial_parts import Division, Grid, divide
+from wrt.kernels.runtime.launch import as_device
+from wrt.kernels.simd.lanes import native_width
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.block_packing import pack_blocks
+from wrt.meshes.mesh import TriangleMesh
+from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT, as_meshes, members_of, place_meshes
 from wrt.planning.planner import default_test
 from wrt.scene.archives import write_archive
 from wrt.scene.mesh_state import MeshState

@@ -28,7 +28,7 @@ from wrt.kernels.validation import as_int, as_numbers, as_real_array
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import find_center, moved_mesh, place_meshes
 from wrt.meshes.skeleton import Skeleton, skinned
-from wrt.scene.fuzzy_scene import FrameTrees, FuzzyState, as_maps, check_kdtree, cluster_rows, join_parts, triangle_corners
+from wrt.moving.fuzzy_scene import FrameTrees, FuzzyState, as_maps, check_kdtree, cluster_rows, join_parts, triangle_corners
 from wrt.scene.scene import Scene
 from wrt.state.query_kinds import AUTO
 from wrt.state.scene_settings import as_settings

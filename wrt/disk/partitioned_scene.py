@@ -12,6 +12,14 @@ import warp as wp
 
 from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders.triangle_boxes import boxes_of
+from wrt.disk.cycling import cycle
+from wrt.disk.forwarding import forward
+from wrt.disk.part_cache import PartCache
+from wrt.disk.part_query_checks import check_test, check_traversal
+from wrt.disk.partition_build import build_parts
+from wrt.disk.partition_files import PartList, read_list
+from wrt.disk.partitioned_hits import PartitionedHits
+from wrt.disk.ray_job import RayJob, UpperTree
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout import bvh_nodes
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
@@ -19,14 +27,6 @@ from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.validation import as_bool, as_int
 from wrt.memory import empty
-from wrt.partitioned.cycling import cycle
-from wrt.partitioned.forwarding import forward
-from wrt.partitioned.part_cache import PartCache
-from wrt.partitioned.part_query_checks import check_test, check_traversal
-from wrt.partitioned.partition_build import build_parts
-from wrt.partitioned.partition_files import PartList, read_list
-from wrt.partitioned.partitioned_hits import PartitionedHits
-from wrt.partitioned.ray_job import RayJob, UpperTree
 from wrt.planning.plan import stack_levels
 from wrt.planning.planner import DEFAULT_TEST
 from wrt.query.all_hits import part_of

@@ -45,7 +45,7 @@ def load_fans(path: str | Path) -> TriangleMesh:
     """
     with np.load(path, allow_pickle=False) as file:
         if set(file.files) != {"vertices", "rims"}:
-            raise ValueError(f"{path} does not hold fans; wrt.fans.fan_files.save_fans writes such files")
+            raise ValueError(f"{path} does not hold fans; wrt.classics.fan_files.save_fans writes such files")
         vertices, rims = file["vertices"], file["rims"].astype(np.int64)
     if not (
         rims.ndim == 1

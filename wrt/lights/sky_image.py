@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from wrt.imaging.lights.light_sources import unit
 from wrt.kernels.validation import as_float, as_real_array
+from wrt.lights.light_sources import unit
 from wrt.materials.material import as_color
 
 __all__ = ["Sky"]

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.imaging.lights.light_sources import AreaLight, DirectionalLight, PointLight, SpotLight
-from wrt.imaging.lights.sky_image import Sky
 from wrt.kernels.shading.emitters import light_table
 from wrt.kernels.shading.emitters.environment import Environment
+from wrt.lights.light_sources import AreaLight, DirectionalLight, PointLight, SpotLight
+from wrt.lights.sky_image import Sky
 from wrt.scene.scene import Scene
 
 __all__ = ["Light", "check_lights", "device_lights", "samples_sky"]

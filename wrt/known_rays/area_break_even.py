@@ -28,9 +28,9 @@ import warp as wp
 
 from wrt.execution.area_trees import assign, with_range
 from wrt.execution.batch import trace_batch
-from wrt.imaging.cameras import check_whole
 from wrt.kernels.query.ordering.ray_order import sort_rays
 from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.validation import as_int
 from wrt.memory import empty
 from wrt.planning.plan import Plan, plan_for_query
 from wrt.planning.planner import make_plan
@@ -179,7 +179,7 @@ def break_even(
     with use_threads(scene.num_threads):
         buffers = to_device(as_rays(origins, directions, t_min, t_max), scene.device, scene.center)
         plan = plan_for_query(make_plan(scene.state, buffers, "single", AUTO, query), query)
-        count = min(check_whole("samples", samples, 1), buffers.count)
+        count = min(as_int("samples", samples, 1), buffers.count)
         rays = select_rays(buffers.batch, np.arange(count) * buffers.count // max(count, 1), scene.device)
         return count_break_even(scene.state, plan, rays, query)
 

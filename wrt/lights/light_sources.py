@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.imaging.cameras import check_point
-from wrt.kernels.validation import as_bool, as_float
+from wrt.kernels.validation import as_bool, as_float, as_point
 from wrt.materials.material import Color, as_color
 from wrt.meshes.placement import MAX_COORDINATE
 
@@ -25,7 +24,7 @@ def unit(name: str, value: Any) -> np.ndarray:
     Raises:
         ValueError: not three finite numbers, or zero.
     """
-    vector = check_point(name, value)
+    vector = as_point(name, value)
     length = np.linalg.norm(vector)
     if length == 0.0:
         raise ValueError(f"{name} is zero; give a direction of any length")
@@ -38,7 +37,7 @@ def place(name: str, value: Any) -> np.ndarray:
     Raises:
         ValueError: not three finite numbers, or one beyond `MAX_COORDINATE`.
     """
-    point = check_point(name, value)
+    point = as_point(name, value)
     if np.abs(point).max() > MAX_COORDINATE:
         raise ValueError(f"{name} is {point.tolist()}; coordinates go up to {MAX_COORDINATE:.3g}: scale the scene down")
     return point
@@ -81,7 +80,7 @@ class SpotLight(PointLight):
         self, position: Any, look_at: Any, intensity: Any = 1.0, *, angle: float = 30.0, inner: float | None = None
     ) -> None:
         super().__init__(position, intensity)
-        self.direction = unit("look_at - position", check_point("look_at", look_at) - self.position)
+        self.direction = unit("look_at - position", as_point("look_at", look_at) - self.position)
         angle = as_float("angle", angle)
         if not 0.0 < angle < 90.0:
             raise ValueError(f"angle is {angle}; half the angle of a spot light's cone must be between 0 and 90 degrees")

@@ -13,7 +13,7 @@ import warp as wp
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders import tree as common
 from wrt.builders.triangle_fans import TriangleFans
-from wrt.fans.fan_arrays import fan_boxes, fans_of, on_device
+from wrt.classics.fan_arrays import fan_boxes, fans_of, on_device
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.traversal.fan_brute_force import FAN_FORMS, NORMALS, VERTICES, VERTICES_NORMALS, FanSet
@@ -121,7 +121,7 @@ class FanState(MeshState):
             "fans answer closest-hit and any-hit queries; for contains, count, intersect_all and visible "
             "use wrt.Scene(scene.meshes)"
         ),
-        "save": "trees of fans cannot be saved; save the fans (wrt.fans.fan_files), or the meshes",
+        "save": "trees of fans cannot be saved; save the fans (wrt.classics.fan_files), or the meshes",
         "pickle": "trees of fans cannot be pickled; pickle the meshes",
         "handle": "kernels need the handle of a tree of triangles; use wrt.Scene(scene.meshes).handle()",
     }

@@ -26,9 +26,9 @@ from wrt.rays.ray_buffers import RayBuffers
 from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
+    from wrt.disk.part_cache import PartCache
     from wrt.kernels.layout.bvh_nodes import WideNodes
     from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
-    from wrt.partitioned.part_cache import PartCache
     from wrt.planning.plan import ChosenPlan, Plan
     from wrt.state.query_kinds import Query
     from wrt.state.scene_state import SceneState

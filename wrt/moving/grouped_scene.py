@@ -31,8 +31,8 @@ import warp as wp
 
 from wrt.kernels.runtime.launch import refuse_capture, run_tasks, use_threads
 from wrt.meshes.placement import as_meshes, check_index, moved_mesh, nested, place_meshes
+from wrt.moving.group_trees import TREE, GroupLayout
 from wrt.scene.mesh_state import MeshState
-from wrt.scene.moving.group_trees import TREE, GroupLayout
 from wrt.scene.scene import Scene
 from wrt.scene.updates import MovedTriangles, UpdatePolicy, UpdateReport, as_policy, can_move, move_tree, typical_motion
 from wrt.state.query_kinds import AUTO
@@ -58,7 +58,7 @@ class GroupedScene(Scene):
         accelerator: of the groups' trees, a `wrt.Bvh` or `wrt.KdTree`.
         accelerators: other descriptions for some groups, by mesh index; of the same kind and width.
             `wrt.KdTree(max_depth=0)` is a single leaf, whose triangles are tested one by one.
-        top: with kd-trees, what lies above those of groups: "tree" or "list" (`wrt.scene.moving.group_trees.TOPS`).
+        top: with kd-trees, what lies above those of groups: "tree" or "list" (`wrt.moving.group_trees.TOPS`).
 
     Attributes:
         group_updates: dict of `UpdateReport` by mesh index, for the meshes that the last update moved.

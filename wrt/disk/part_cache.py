@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wrt.partitioned.part_loading import Part, PartLoader
-from wrt.partitioned.partition_files import PartList
+from wrt.disk.part_loading import Part, PartLoader
+from wrt.disk.partition_files import PartList
 from wrt.state.scene_settings import Settings
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ order of the elements, and all elements. From then on the file is mapped and its
 has not changed since (size, time of change, inode); a file that has changed is checked again. Whoever writes into a mapped file
 changes what kernels read.
 
-A mapped part is neither copied nor computed: its triangle records are in the file as well (`wrt.partitioned.partition_build`).
+A mapped part is neither copied nor computed: its triangle records are in the file as well (`wrt.disk.partition_build`).
 Those of another triangle test are made when a query needs them, and so are all on a GPU, which makes them faster than they can
 be copied to it.
 
@@ -32,6 +32,7 @@ import warp as wp
 
 from wrt.builders.tree import Bvh
 from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.disk.partition_files import RECORDS, RELATIVE, PartList, label_of, part_path
 from wrt.kernels.layout.mesh_placement import shifted
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import as_device
@@ -39,7 +40,6 @@ from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 from wrt.memory import empty, keep_alive
-from wrt.partitioned.partition_files import RECORDS, RELATIVE, PartList, label_of, part_path
 from wrt.scene.archives import ALIGNED, ArrayPlace, array_places, read_archive
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.storage import UNREADABLE, parse_scene, tree_key

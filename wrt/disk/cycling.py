@@ -4,7 +4,7 @@ Pairs of a ray and a part whose box it meets are listed once, sorted by part (`w
 in memory come first, before they are dropped; then the part that its rays enter earliest, on average. So near parts shorten
 the rays, and a part that no ray reaches any more is not loaded.
 
-Compared with forwarding (`wrt.partitioned.forwarding`), parts are loaded less often, and some rays are traced in parts behind
+Compared with forwarding (`wrt.disk.forwarding`), parts are loaded less often, and some rays are traced in parts behind
 their hits.
 """
 
@@ -23,8 +23,8 @@ from wrt.kernels.traversal.queued.queue_lists import QueuePairs, make_list_live,
 from wrt.memory import empty, new_rays
 
 if TYPE_CHECKING:
+    from wrt.disk.ray_job import RayJob
     from wrt.kernels.layout.ray_batch import RayBatch
-    from wrt.partitioned.ray_job import RayJob
 
 MIN_CHUNK = 1 << 12
 """Rays that are worth a row of counts."""
