@@ -1,8 +1,10 @@
 """Queries of more rays than memory holds, block by block.
 
-rays = wrt.batches.GeneratedRays(count, make)                   # rays that a function makes, rows by rows
-blocks = scene.occluded_blocks(rays, block_rays=1 << 22)        # a `Blocks`
-histogram = wrt.batches.Histogram(edges)                        # a `Reduction`, for reduce=
+    rays = wrt.batches.GeneratedRays(make, 10**9)               # rays that a function makes, some rows at a time
+    blocks = scene.intersect_blocks(rays, reduce={"t": wrt.batches.Histogram(edges)})
+    blocks.result()["t"]                                        # of `Blocks`
+
+Workers in other processes and on other machines are in `wrt.cluster`.
 """
 
 from __future__ import annotations

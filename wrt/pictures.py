@@ -1,9 +1,11 @@
 """Pictures beyond `wrt.render` and `wrt.view`: samples in steps, settings of integrators, trees as drawings.
 
-picture = wrt.pictures.Rendering(scene, camera, integrator="path", lights=lights, samples=256)
-for _ in range(16):
-    picture.advance(16)
-wrt.save_image("view.png", picture.image())
+    picture = wrt.pictures.Rendering(scene, camera, integrator="path", lights=lights, samples=256)
+    while picture.done < picture.samples:
+        picture.advance(16)
+        wrt.save_image("preview.png", picture.image())
+
+`AmbientRendering` and `Viewer` are what `wrt.render` and `wrt.view` return.
 """
 
 from __future__ import annotations

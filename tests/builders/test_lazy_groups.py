@@ -225,7 +225,7 @@ def graph_of_three_levels() -> trimesh.Scene:
 def test_graphs():
     """The meshes of a trimesh.Scene as its graph nests them, at their places; both scenes of it hit the same."""
     graph = graph_of_three_levels()
-    (nested,) = [wrt.nested_meshes(graph)]
+    (nested,) = [wrt.moving.nested_meshes(graph)]
     ((house_mesh, roof, (bush, tree)),) = nested
     np.testing.assert_allclose(house_mesh.bounds, [[9.5, 1.5, -0.5], [10.5, 2.5, 0.5]])
     np.testing.assert_allclose(roof.bounds, [[9.5, 1.5, 1.5], [10.5, 2.5, 2.5]])
@@ -243,6 +243,6 @@ def test_graphs():
 
 def test_what_is_no_graph():
     with pytest.raises(TypeError, match=r"scene must be a trimesh.Scene, not TriangleMesh; pass meshes to wrt.Scene"):
-        wrt.nested_meshes(APART[0])
+        wrt.moving.nested_meshes(APART[0])
     with pytest.raises(ValueError, match=r"no triangles in the trimesh.Scene"):
-        wrt.nested_meshes(trimesh.Scene())
+        wrt.moving.nested_meshes(trimesh.Scene())

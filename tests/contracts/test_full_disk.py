@@ -66,7 +66,7 @@ def analysis(method):
     def write(path):
         rows = [{"box": number, "cost": number / 7.0} for number in range(1000)]
 
-        class Analysis(wrt.TreeAnalysis):
+        class Analysis(wrt.known_rays.TreeAnalysis):
             def __init__(self):
                 pass
 
@@ -82,7 +82,7 @@ def analysis(method):
 
 
 def octree(path):
-    class Analysis(wrt.OctreeAnalysis):
+    class Analysis(wrt.known_rays.OctreeAnalysis):
         def __init__(self):
             pass
 

@@ -202,6 +202,8 @@ def fingerprint(value: Any) -> Any:
         return {key: fingerprint(one) for key, one in value.items()}
     if isinstance(value, (list, tuple)):
         return [fingerprint(one) for one in value]
-    if isinstance(value, (wrt.PinholeCamera, wrt.OrthographicCamera, wrt.PointLight, wrt.DirectionalLight, wrt.Sky)):
+    if isinstance(
+        value, (wrt.PinholeCamera, wrt.OrthographicCamera, wrt.lights.PointLight, wrt.lights.DirectionalLight, wrt.lights.Sky)
+    ):
         return fingerprint(vars(value))
     return type(value).__name__, value if isinstance(value, (bool, int, str)) else repr(value)

@@ -29,7 +29,9 @@ def upright_areas(count: int) -> list:
     """Rooms: areas along the axes, whose boxes are their regions."""
     rng = np.random.default_rng(3)
     return [
-        wrt.PlaneInfluenceArea(position=rng.uniform(LOW, HIGH), direction=(0, 0, -1), up=(0, 1, 0), width=w, height=h, depth=d)
+        wrt.known_rays.PlaneInfluenceArea(
+            position=rng.uniform(LOW, HIGH), direction=(0, 0, -1), up=(0, 1, 0), width=w, height=h, depth=d
+        )
         for w, h, d in rng.uniform(0.1, 0.8, (count, 3))
     ]
 
@@ -108,8 +110,10 @@ def test_slices_and_bounds(monkeypatch):
 def test_cells_as_tables_and_boxes(tmp_path):
     """Every leaf lists what a look-up in its middle finds; leaves fill the root."""
     mesh = SCENES["teapot"]()
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh), top_level="kdtree", depth=3, local=wrt.Bvh()), device="cpu")
-    found, top = wrt.analyse_octree(scene), scene.area_trees.top
+    scene = wrt.Scene(
+        mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh), top_level="kdtree", depth=3, local=wrt.Bvh()), device="cpu"
+    )
+    found, top = wrt.known_rays.analyse_octree(scene), scene.area_trees.top
     volume = np.prod(found.high - found.low, axis=1)
     assert volume[found.is_leaf].sum() == pytest.approx(volume[0])
     assert found.level.max() <= 9 < len(found.level)

@@ -30,11 +30,15 @@ def random_areas(count: int, low: np.ndarray, high: np.ndarray, seed: int = 0) -
         if number % 2:
             width, height, depth = size * rng.uniform(0.1, 0.8, 3)
             areas.append(
-                wrt.PlaneInfluenceArea(position=position, direction=direction, width=width, height=height, depth=depth)
+                wrt.known_rays.PlaneInfluenceArea(
+                    position=position, direction=direction, width=width, height=height, depth=depth
+                )
             )
         else:
             fov, far = rng.uniform(10, 140, 2), size * rng.uniform(0.2, 1)
-            areas.append(wrt.PointInfluenceArea(position=position, direction=direction, fov=fov, near=0.1 * far, far=far))
+            areas.append(
+                wrt.known_rays.PointInfluenceArea(position=position, direction=direction, fov=fov, near=0.1 * far, far=far)
+            )
     return areas
 
 
@@ -43,20 +47,20 @@ def areas_of(mesh) -> list:
     low, high = mesh.bounds
     center, size = (low + high) / 2, high - low
     extent = float(size.max())
-    sun = wrt.PlaneInfluenceArea(
+    sun = wrt.known_rays.PlaneInfluenceArea(
         position=center + size * (0.25, 0, 1),
         direction=(0, 0, -1),
         width=size[0] / 2,
         height=extent,
         depth=1.2 * size[2],
     )
-    lamp = wrt.PointInfluenceArea(
+    lamp = wrt.known_rays.PointInfluenceArea(
         position=center + extent * np.array([-1, 0.1, 1]), direction=(1, 0, -1), fov=(40, 70), near=0.1 * extent, far=np.inf
     )
-    inner = wrt.PointInfluenceArea(
+    inner = wrt.known_rays.PointInfluenceArea(
         position=center, direction=(0.2, 1, 0.1), fov=(120, 90), near=1e-3 * extent, far=0.4 * extent
     )
-    nowhere = wrt.PointInfluenceArea(position=high + 9 * extent, direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
+    nowhere = wrt.known_rays.PointInfluenceArea(position=high + 9 * extent, direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
     return [sun, lamp, nowhere, inner]
 
 
@@ -150,7 +154,9 @@ def test_areas_of_rays(device, top_level):
     """The first area in whose region a ray starts, and along whose rays it runs, by NumPy in float64."""
     mesh = SCENES["teapot"]()
     areas = areas_of(mesh)
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, tolerance=2.0, top_level=top_level, local=wrt.Bvh()), device=device)
+    scene = wrt.Scene(
+        mesh, wrt.known_rays.RayAwareBvh(areas=areas, tolerance=2.0, top_level=top_level, local=wrt.Bvh()), device=device
+    )
     assert scene.area_trees.areas == (areas[0], areas[1], areas[3])
     assert all(0 < count <= mesh.triangle_count for count in scene.area_trees.triangles)
     assert scene.area_trees.bytes > sum(local.tree.bytes for local in scene.area_trees.scenes) > 0
@@ -201,7 +207,7 @@ def test_every_hit_is_brute_forces(device, name):
     expected = plain.intersect(origins, directions, t_min, t_max, traversal="brute")
     dark = plain.occluded(origins, directions, t_min, t_max, traversal="brute")
     for top_level in ("octree", "kdtree", "array"):
-        scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh), top_level=top_level), device=device)
+        scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh), top_level=top_level), device=device)
         for traversal in ("single", "auto"):
             hits = scene.intersect(origins, directions, t_min, t_max, traversal=traversal)
             assert_same_hits(hits, expected)
@@ -220,14 +226,14 @@ def test_a_picture_within_one_area_stays_one(device):
     eye = low + (high - low) * [0.5, -1.0, 0.6]
     camera = wrt.PinholeCamera(32, 24, position=eye, look_at=(low + high) / 2)
     whole, half = (
-        wrt.PointInfluenceArea(position=eye, direction=(low + high) / 2 - eye, fov=(90, 90), near=0.01, far=far)
+        wrt.known_rays.PointInfluenceArea(position=eye, direction=(low + high) / 2 - eye, fov=(90, 90), near=0.01, far=far)
         for far in (np.inf, 1.15 * float(high[1] - low[1]))
     )
     plain = wrt.Scene(mesh, "bvh", device=device)
     rays = camera.rays()
     expected = plain.intersect(rays, traversal="packet")
     for area, complete in ((whole, True), (half, False)):
-        scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[area]), device=device)
+        scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[area]), device=device)
         cuts = assign(scene, to_device(rays, scene.device, scene.center).batch)
         assert (cuts.area.numpy() == 0).all()
         assert np.isinf(cuts.rest.numpy()).all() == complete
@@ -253,7 +259,7 @@ def test_trees_have_what_rays_of_their_regions_can_meet():
     """Far from the origin, where coordinates are rounded by much, regions are widened by as much, and so is what they hold."""
     near = SCENES["grid"]()
     mesh = wrt.TriangleMesh(near.vertices.astype(np.float64) + np.array([3e4, -7e4, 100.0]), near.faces)
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=random_areas(6, *mesh.bounds), local=wrt.Bvh()), device="cpu")
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=random_areas(6, *mesh.bounds), local=wrt.Bvh()), device="cpu")
     low, high = (f(mesh.vertices[mesh.faces], axis=1) - scene.center for f in (np.min, np.max))
     structs = [region_struct(row) for row in scene.area_trees.top.struct.regions.numpy()]
     met = classify_boxes(structs, low, high) != DISJOINT
@@ -278,10 +284,10 @@ def test_rays_among_those_of_an_only_area(share):
     """Few rays without an area stay where they are and miss in its tree; many are taken apart. Either way hits are right."""
     mesh = SCENES["random_triangles"]()
     low, high = mesh.bounds
-    sun = wrt.PlaneInfluenceArea(
+    sun = wrt.known_rays.PlaneInfluenceArea(
         position=[*(low + high)[:2] / 2, high[2] + 1], direction=(0, 0, -1), width=9, height=9, depth=9
     )
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[sun], local=wrt.Bvh()), device="cpu")
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[sun], local=wrt.Bvh()), device="cpu")
     whole, local = scene.tree, scene.area_trees.scenes[0].tree
     for name in ("bounds", "child", "primitive"):  # the area has all triangles: its tree is the scene's
         np.testing.assert_array_equal(getattr(local, name).numpy(), getattr(whole, name).numpy())
@@ -299,7 +305,7 @@ def test_rays_among_those_of_an_only_area(share):
 
 def test_areas_without_triangles_are_left_out():
     mesh = SCENES["teapot"]()
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)[2:3]), device="cpu")
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)[2:3]), device="cpu")
     assert scene.area_trees is None
     assert_same_hits(scene.intersect(*mixed_rays(mesh, 100)), wrt.Scene(mesh, device="cpu").intersect(*mixed_rays(mesh, 100)))
 
@@ -316,16 +322,16 @@ def test_areas_without_triangles_are_left_out():
     ],
 )
 def test_bad_options(options, error, message):
-    area = wrt.PointInfluenceArea(position=(0, 0, 0), direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
+    area = wrt.known_rays.PointInfluenceArea(position=(0, 0, 0), direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
     with pytest.raises(error, match=message):
-        wrt.RayAwareBvh(**{"areas": [area], **options})
+        wrt.known_rays.RayAwareBvh(**{"areas": [area], **options})
 
 
 @pytest.mark.parametrize("count", [300, 4000])
 def test_given_areas(device, count):
     """Areas that come with the rays, right and wrong ones, of all triangles and of some, change no hit."""
     mesh = SCENES["teapot"]()
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)), device=device)
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)), device=device)
     trees = scene.area_trees
     assert trees.numbers == (0, 1, 3), "no triangle is in the third"
     assert trees.triangles[1] == mesh.triangle_count > trees.triangles[0] > trees.triangles[2]
@@ -346,7 +352,7 @@ def test_given_areas(device, count):
 def test_given_areas_are_used(device):
     """Work is that of the area's tree: for a ray that begins outside of its area, that of the scene's."""
     mesh = SCENES["teapot"]()
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)), device=device)
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)), device=device)
     rays = affine_rays(mesh, 2000)
     work = {}
     for areas in (None, -1, 0, 1):
@@ -364,7 +370,7 @@ def test_given_areas_are_used(device):
 
 def test_given_areas_are_checked(device):
     mesh = SCENES["teapot"]()
-    scene, rays = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)), device=device), mixed_rays(mesh, 40)
+    scene, rays = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)), device=device), mixed_rays(mesh, 40)
     with pytest.raises(ValueError, match=r"wrt\.RayAwareBvh"):
         wrt.Scene(mesh, device=device).occluded(*rays, areas=0)
     with pytest.raises(ValueError, match="from -1 to 3"):
@@ -373,6 +379,6 @@ def test_given_areas_are_checked(device):
         scene.intersect(*rays, areas=0.0)
     with pytest.raises(ValueError, match="does not broadcast"):
         scene.intersect(*rays, areas=np.zeros(3, dtype=int))
-    away = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[areas_of(mesh)[2]]), device=device)
+    away = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[areas_of(mesh)[2]]), device=device)
     assert away.area_trees is None
     assert_same_hits(away.intersect(*rays, areas=0), scene.intersect(*rays))

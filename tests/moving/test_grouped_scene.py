@@ -22,7 +22,7 @@ def groups(count: int) -> list[wrt.TriangleMesh]:
     return [*balls, FEW, snapped_soup(200, 3)][-count:]
 
 
-def assert_as_one_tree(scene: wrt.GroupedScene) -> None:
+def assert_as_one_tree(scene: wrt.moving.GroupedScene) -> None:
     """By single rays, which walk the tree as it is."""
     plain = wrt.Scene(scene.meshes, device="cpu")
     rays = mixed_rays(scene.flattened(), 1500)
@@ -36,7 +36,7 @@ def assert_as_one_tree(scene: wrt.GroupedScene) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 20])
 def test_as_one_tree(count):
-    scene = wrt.GroupedScene(groups(count), device="cpu")
+    scene = wrt.moving.GroupedScene(groups(count), device="cpu")
     assert_as_one_tree(scene)
     last = count - 1
     scene.update(last, vertices=scene.meshes[last].vertices + np.array([0.1, 0.0, 0.2]))
@@ -48,7 +48,7 @@ def test_as_one_tree(count):
 
 def test_only_what_moved_is_touched():
     """Unless the scene's centre moves: then boxes are fitted again, and nodes stay."""
-    scene = wrt.GroupedScene(groups(6), device="cpu")
+    scene = wrt.moving.GroupedScene(groups(6), device="cpu")
     trees = scene.state.trees
     scene.move({1: scene.meshes[1].vertices * 0.9, 2: np.random.default_rng(0).permutation(scene.meshes[2].vertices)})
     assert {number: report.action for number, report in scene.group_updates.items()} == {1: "kept", 2: "built"}
@@ -62,22 +62,22 @@ def test_only_what_moved_is_touched():
 
 
 def test_bad_input():
-    scene = wrt.GroupedScene(groups(3), device="cpu")
+    scene = wrt.moving.GroupedScene(groups(3), device="cpu")
     before = scene.tree
     with pytest.raises(ValueError, match="mesh indices go from 0 to 2"):
         scene.move({3: FEW.vertices})
     with pytest.raises(ValueError, match="2 points, but the mesh has 3"):
         scene.move({0: BALL.vertices, 1: np.zeros((2, 3))})
-    area = wrt.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=1)
+    area = wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=1)
     with pytest.raises(TypeError, match=r"must be a wrt\.Bvh or a wrt\.KdTree"):
-        wrt.GroupedScene(groups(3), wrt.ProjectedBvh(areas=area))
+        wrt.moving.GroupedScene(groups(3), wrt.known_rays.ProjectedBvh(areas=area))
     with pytest.raises(ValueError, match="not stored in a folder"):
-        wrt.GroupedScene(groups(3), cache=".")
+        wrt.moving.GroupedScene(groups(3), cache=".")
     assert scene.tree is before
 
 
 def test_pickled_and_saved(tmp_path):
-    scene = wrt.GroupedScene(groups(3), device="cpu")
+    scene = wrt.moving.GroupedScene(groups(3), device="cpu")
     scene.update(0, vertices=1.5 * scene.meshes[0].vertices)
     again = pickle.loads(pickle.dumps(scene))
     again.move({1: 2.0 * FEW.vertices})
@@ -93,7 +93,7 @@ def test_a_deep_group(tmp_path):
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 1]]) * 2.0 ** np.arange(-86, 34)[:, None, None]  # as far as scenes go
     chain = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(360).reshape(-1, 3))
     across = wrt.TriangleMesh(-corners[-1], [[0, 1, 2]])  # the scene's centre is where the chain begins
-    scene = wrt.GroupedScene([chain, across], wrt.Bvh(width=2, max_leaf_triangles=1, bins=2), device="cpu")
+    scene = wrt.moving.GroupedScene([chain, across], wrt.Bvh(width=2, max_leaf_triangles=1, bins=2), device="cpu")
     assert scene.state.trees[0].depth == MAX_WIDE_DEPTH
     assert scene.tree.depth <= MAX_WIDE_DEPTH
     scene.move({1: across.vertices[::-1]})

@@ -104,7 +104,7 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/cli/catalogue.py",
-        old='"wrt.SkinnedScene": "Günther',
+        old='"wrt.moving.SkinnedScene": "Günther',
         new='"wrt.SkinnedScenes": "Günther',
         tests="tests/pages/test_algorithms.py::test_the_command_lists_what_the_page_lists",
         promise="the table of algorithms has a row for every entry, and `wrt list` lists it",

@@ -392,6 +392,6 @@ def test_pickles_and_files(tmp_path):
     assert len(loaded.parts) == 1
     for mask in (None, 1, 2):
         assert_same_hits(loaded.intersect(*down, mask=mask), scene.intersect(*down, mask=mask))
-    area = wrt.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=9)
+    area = wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=9)
     with pytest.raises(ValueError, match="influence areas"):
-        wrt.Scene([wrt.Instance(mesh)], wrt.RayAwareBvh(areas=[area]))
+        wrt.Scene([wrt.Instance(mesh)], wrt.known_rays.RayAwareBvh(areas=[area]))

@@ -35,7 +35,7 @@ DEFAULT_TREES = {
 class FanScene(Scene):
     """Meshes as triangle fans, in a tree whose leaves list fans.
 
-        scene = wrt.FanScene(mesh, "bvh")
+        scene = wrt.classics.FanScene(mesh, "bvh")
         hits = scene.intersect(origins, directions)  # of the triangles, as by wrt.Scene
 
     Hits are bit for bit those of brute force over the fans. They are those of single triangles but for rays within rounding of

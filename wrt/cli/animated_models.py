@@ -41,8 +41,8 @@ class Models:
         return max(map(len, self.moving.values()), default=0)
 
     def scene(self, given: Mapping[str, Any], fuzzy: bool) -> Scene:
-        """The scene of the first frame: a `wrt.FuzzyScene` if asked for, else a `wrt.GroupedScene` if one of several meshes
-        moves, else a `wrt.Scene`.
+        """The scene of the first frame: a `wrt.moving.FuzzyScene` if asked for, else a `wrt.moving.GroupedScene` if one of
+        several meshes moves, else a `wrt.Scene`.
 
         Args:
             given: the options of the command.
@@ -64,7 +64,7 @@ class Models:
             return GroupedScene(self.meshes, accelerator or "auto", **options)
 
     def animation(self, fuzzy: bool) -> Callable[[Any, int], None] | None:
-        """What moves the scene of `scene` to a frame; None if nothing moves, and for a `wrt.FuzzyScene`, which knows how."""
+        """What moves the scene of `scene` to a frame; None if nothing moves, and for a `FuzzyScene`, which knows how."""
         if not self.moving or fuzzy:
             return None
         if len(self.meshes) == 1:

@@ -191,7 +191,7 @@ def _by_integrator(
 
 
 def _lights(scene: Scene, camera: PinholeCamera, light: Any, sky: float | None) -> list[Any] | None:
-    """Lights by the options; None for those of `wrt.Rendering`."""
+    """Lights by the options; None for those of `wrt.pictures.Rendering`."""
     import numpy as np
 
     from wrt.lights.light_sources import PointLight

@@ -32,7 +32,7 @@ class RayMeshIntersector:
     """Ray queries of one mesh, with the methods of `trimesh.ray.ray_triangle.RayMeshIntersector` and its Embree
     counterpart.
 
-    `mesh.ray = wrt.RayMeshIntersector(mesh)` makes the mesh, and trimesh's functions that use its rays, use this one. As
+    `mesh.ray = wrt.compat.RayMeshIntersector(mesh)` makes the mesh, and trimesh's functions that use its rays, use this one. As
     with trimesh's intersectors, it follows changes of the mesh, pickles without its tree, and a copy of it refers to the
     same mesh. `mesh.copy()` makes a new mesh with trimesh's own intersector. To give all meshes this intersector,
     primitives included, replace the class that trimesh uses, such as `trimesh.ray.ray_pyembree.RayMeshIntersector`.

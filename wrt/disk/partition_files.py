@@ -113,7 +113,7 @@ def read_list(folder: Path) -> PartList:
     path = folder / LIST
     if not path.is_file():
         raise FileNotFoundError(
-            f"no partitioned scene in '{folder}': there is no file '{LIST}'; make one with wrt.PartitionedScene.build"
+            f"no partitioned scene in '{folder}': there is no file '{LIST}'; make one with wrt.disk.PartitionedScene.build"
         )
     try:
         arrays = read_archive(path)

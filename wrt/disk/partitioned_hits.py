@@ -30,6 +30,9 @@ class PartitionedHits(Hits):
         corners: (3 N,) vec3, the corners of the triangle of each hit, relative to the scene's centre.
         plan: how rays were traced in the first part.
         num_threads: of the scene.
+
+    Attributes:
+        t, uv, primitive_id, geometry_id, instance_id, is_hit, position, normal, counters: as in `wrt.Hits`.
     """
 
     def __init__(

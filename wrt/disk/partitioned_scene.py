@@ -83,8 +83,8 @@ class QueryTraffic(NamedTuple):
 class PartitionedScene:
     """A scene whose triangles need not fit in memory: parts by space, on disk, loaded as rays need them.
 
-        scene = wrt.PartitionedScene.build(paths_of_tiles, "city", memory="2 GB")
-        scene = wrt.PartitionedScene("city", memory="2 GB")      # later, and in other processes
+        scene = wrt.disk.PartitionedScene.build(paths_of_tiles, "city", memory="2 GB")
+        scene = wrt.disk.PartitionedScene("city", memory="2 GB")      # later, and in other processes
         hits = scene.intersect(origins, directions)
 
     Answers equal those of one `wrt.Scene` with the same meshes, bit for bit, whatever the parts, the budget and the mode. A

@@ -1,6 +1,6 @@
 """Break-even analysis of influence areas: whether their trees pay for a batch of rays, by counted work.
 
-    print(wrt.break_even(scene, rays.origins, rays.directions))
+    print(wrt.known_rays.break_even(scene, rays.origins, rays.directions))
 
 A ray of an area costs C_local in the area's tree. The area settles a share s of its rays: those that hit before they leave
 the area, or end there. Each of the others costs another C_miss in the whole scene's tree. Without areas, each ray costs
@@ -164,7 +164,7 @@ def break_even(
     """Whether the influence areas of a scene pay for such rays, by the counted work of evenly spaced samples.
 
     Args:
-        scene: built with a `wrt.RayAwareBvh`.
+        scene: built with a `wrt.known_rays.RayAwareBvh`.
         origins, directions, t_min, t_max: as in `Scene.intersect`.
         query: "closest" or "any".
         samples: largest number of rays traced.
@@ -174,7 +174,9 @@ def break_even(
         ValueError: as `Scene.intersect`; the scene has no influence areas; an unknown query.
     """
     if scene.area_trees is None:
-        raise ValueError("the scene has no influence areas with triangles; make it with accelerator=wrt.RayAwareBvh(areas=...)")
+        raise ValueError(
+            "the scene has no influence areas with triangles; make it with accelerator=wrt.known_rays.RayAwareBvh(areas=...)"
+        )
     lookup(dict.fromkeys((CLOSEST, ANY)), query, "query")
     with use_threads(scene.num_threads):
         buffers = to_device(as_rays(origins, directions, t_min, t_max), scene.device, scene.center)

@@ -1,9 +1,9 @@
 """Detection of influence areas: which share of a batch of rays is parallel, or passes through common points, and where.
 
     rays = ...                                    # of a renderer, a sensor, a simulation
-    found = wrt.InfluenceAreas.from_rays(rays.origins, rays.directions, bounds=scene.bounds)
+    found = wrt.known_rays.InfluenceAreas.from_rays(rays.origins, rays.directions, bounds=scene.bounds)
     print(found)                                  # each distribution and its share of the rays
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=found))
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=found))
 
 **Problem.** Falcone's method expects the influence areas as input, but the source of a batch of rays is often unknown.
 
@@ -324,7 +324,7 @@ def cluster(points: np.ndarray, distance: float, least: int, metric: str = "eucl
         from sklearn.cluster import DBSCAN
     except ImportError as error:
         raise ImportError(
-            "wrt.InfluenceAreas.from_rays clusters rays with scikit-learn, which is not installed; "
+            "wrt.known_rays.InfluenceAreas.from_rays clusters rays with scikit-learn, which is not installed; "
             "install it with: pip install scikit-learn"
         ) from error
     return DBSCAN(eps=distance, min_samples=least, metric=metric).fit_predict(points)

@@ -43,11 +43,11 @@ def check_lights(lights: Any) -> tuple[Light, ...]:
     listed = (lights,) if isinstance(lights, Light) else lights
     if not isinstance(listed, Sequence) or not all(isinstance(light, Light) for light in listed):
         raise TypeError(
-            "lights must be a sequence of wrt.PointLight, SpotLight, DirectionalLight, AreaLight and Sky, or one of them, "
-            f"not {lights!r}"
+            "lights must be a sequence of wrt.lights.PointLight, SpotLight, DirectionalLight, AreaLight and Sky, or one of "
+            f"them, not {lights!r}"
         )
     if sum(isinstance(light, Sky) for light in listed) > 1:
-        raise ValueError("lights has more than one wrt.Sky; add their images instead")
+        raise ValueError("lights has more than one wrt.lights.Sky; add their images instead")
     return tuple(listed)
 
 

@@ -20,9 +20,9 @@ MAX_CELLS = (512, 1024)
 class Sky:
     """Light from all directions, seen where no surface is.
 
-        wrt.Sky(0.5)                                 # the same everywhere
-        wrt.Sky.gradient((0.9, 0.9, 0.9), (0.2, 0.4, 0.9))
-        wrt.Sky.image(array, up=(0, 1, 0))
+        wrt.lights.Sky(0.5)                                 # the same everywhere
+        wrt.lights.Sky.gradient((0.9, 0.9, 0.9), (0.2, 0.4, 0.9))
+        wrt.lights.Sky.image(array, up=(0, 1, 0))
 
     Args:
         radiance: linear: a number or (3,), each >= 0.

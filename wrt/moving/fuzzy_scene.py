@@ -37,7 +37,7 @@ BEST_REST, REST_CANDIDATES = "best", 8
 class FuzzyScene(Scene):
     """A mesh whose motion is known: one tree, built once, for all frames.
 
-        scene = wrt.FuzzyScene(frames, faces)
+        scene = wrt.moving.FuzzyScene(frames, faces)
         for number in range(len(frames)):
             scene.show(number)
             image = wrt.render(scene, camera)

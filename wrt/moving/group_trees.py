@@ -54,7 +54,7 @@ class GroupLayout:
         """The layout that a caller wants; count: number of meshes in `geometry`.
 
         Raises:
-            TypeError, ValueError: as `wrt.GroupedScene`.
+            TypeError, ValueError: as `wrt.moving.GroupedScene`.
         """
         lookup(TOPS, top, "top")
         chosen = [settings.accelerator] * count

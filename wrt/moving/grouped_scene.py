@@ -7,8 +7,8 @@ frame updates the trees of the groups that moved, independently of each other an
 **What we changed.** Rays are not transformed. Bounding volume hierarchies, whose upper levels may overlap as groups do, are
 joined into one, so that packets and streams walk it like any other. kd-trees are joined by links
 (`wrt.kernels.traversal.two_level.linked_kdtrees`), for single rays. Hits are the same bit for bit. A group that moved keeps its
-nodes as long as `wrt.UpdatePolicy` accepts their cost. If the scene's centre moves, to which positions are relative, the boxes
-of groups at rest are refitted, and the planes of their kd-trees are shifted; their nodes stay.
+nodes as long as `wrt.moving.UpdatePolicy` accepts their cost. If the scene's centre moves, to which positions are relative, the
+boxes of groups at rest are refitted, and the planes of their kd-trees are shifted; their nodes stay.
 
 **Lists.** kd-trees may also be in a list that every ray goes through. Two groups, what rests and what moves, are then the two
 trees of Bikker (2007). Trees of a single leaf are the moving objects of Parker et al. (1999), which rays test one by one.
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 class GroupedScene(Scene):
     """A scene whose meshes are groups: each has its own tree, and moving one leaves the trees of the others as they are.
 
-        scene = wrt.GroupedScene([building, curtain, [torso, [left_arm, left_hand], [right_arm, right_hand]]])
+        scene = wrt.moving.GroupedScene([building, curtain, [torso, [left_arm, left_hand], [right_arm, right_hand]]])
         scene.move({1: curtain_vertices, 4: hand_vertices})
 
     Groups may consist of groups, as nested sequences; each level gets an upper tree. Queries and hits are those of a
@@ -100,7 +100,7 @@ class GroupedScene(Scene):
 
         Args:
             vertices: new vertices (V, 3) by mesh index.
-            rebuild: "auto", "always", "never", or a `wrt.UpdatePolicy`.
+            rebuild: "auto", "always", "never", or a `wrt.moving.UpdatePolicy`.
         """
         refuse_capture("an update", self.device)
         policy, meshes, changed = as_policy(rebuild), self.meshes, {}
@@ -175,7 +175,7 @@ class LinkedState(GroupedState):
     refused: ClassVar[dict[str, str]] = {
         "statistics": "a scene of groups has several kd-trees; use wrt.Scene(scene.meshes, 'kdtree').statistics()",
         "float64 vertices": "precise=True and gradients need a scene with a single tree; use wrt.Scene(scene.meshes)",
-        "save": "linked kd-trees cannot be saved; save the meshes, or a wrt.GroupedScene with BVHs",
+        "save": "linked kd-trees cannot be saved; save the meshes, or a wrt.moving.GroupedScene with BVHs",
         "handle": "kernels need the handle of a single tree; use wrt.Scene(scene.meshes).handle()",
     }
 

@@ -41,8 +41,8 @@ MARGIN = 0.05
 class SkinnedScene(Scene):
     """A skin over bones: one tree for all poses that the limits of joints allow.
 
-        skeleton = wrt.Skeleton(parents, joints, limits)
-        scene = wrt.SkinnedScene(vertices, faces, weights, skeleton)
+        skeleton = wrt.moving.Skeleton(parents, joints, limits)
+        scene = wrt.moving.SkinnedScene(vertices, faces, weights, skeleton)
         scene.pose(skeleton.maps(angles))
         image = wrt.render(scene, camera)
 
@@ -99,7 +99,7 @@ class SkinnedScene(Scene):
         """Shows a pose: later queries see the skin as it is in it.
 
         Args:
-            maps: (B, 4, 4) maps of the bones from the rest pose, as `wrt.Skeleton.maps` makes them.
+            maps: (B, 4, 4) maps of the bones from the rest pose, as `wrt.moving.Skeleton.maps` makes them.
 
         Raises:
             ValueError: a wrong shape, or maps that `wrt.Instance` refuses.

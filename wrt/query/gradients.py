@@ -46,7 +46,7 @@ def differentiable_hits(
 
         hits = scene.intersect(origins, directions)  # not on the tape
         with wp.Tape() as tape:
-            found = wrt.differentiable_hits(scene, hits, origins, directions, vertices)
+            found = wrt.device.differentiable_hits(scene, hits, origins, directions, vertices)
             wp.launch(loss_of, dim=found.t.shape, inputs=[found.t, measured, loss])
         tape.backward(loss)
         origins.grad, directions.grad, vertices.grad

@@ -228,7 +228,7 @@ class InstancedState(SceneState):
         """The state of other instances, on these nodes. Meshes that are here already keep their trees.
 
         Raises:
-            ValueError: as `wrt.InstancedScene`.
+            ValueError: as `wrt.moving.InstancedScene`.
         """
         known = {}
         for given, state, points in zip(self.given, self.mesh_states, self.covers.each, strict=True):
@@ -247,7 +247,7 @@ class InstancedState(SceneState):
 
 
 def build_instanced_state(geometry: Any, settings: Settings, cache: Any) -> InstancedState:
-    """The state of a scene of instances; arguments and errors as of `wrt.Scene` and `wrt.InstancedScene`."""
+    """The state of a scene of instances; arguments and errors as of `wrt.Scene` and `wrt.moving.InstancedScene`."""
     if isinstance(settings.accelerator, RayAwareBvh):
         raise ValueError("influence areas need a scene of one level; use wrt.Scene(scene.flattened(), accelerator)")
     if isinstance(settings.accelerator, ProjectedBvh) and settings.accelerator.spatial_splits > 0.0:

@@ -44,8 +44,8 @@ class Scene(Queries, Members):
     Args:
         geometry: a `TriangleMesh`, a trimesh.Trimesh or trimesh.Scene, a `wrt.Instance`, or a sequence of such. Each mesh of a
             sequence is a geometry of its own (`Hits.geometry_id`), in one tree with the others. With an instance or a
-            trimesh.Scene in it, the scene has two levels (`wrt.InstancedScene`): each node of the graph that holds triangles is
-            an instance, and `move` moves nodes by name.
+            trimesh.Scene in it, the scene has two levels (`wrt.moving.InstancedScene`): each node of the graph that holds
+            triangles is an instance, and `move` moves nodes by name.
         accelerator: "auto", "bvh", "kdtree", or a description such as `wrt.KdTree(builder="in_place")`.
         triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`: the test of queries that name no
             other. Only the default one counts crossings exactly; `count`, `intersect_all` and `contains` always use it.
@@ -109,8 +109,8 @@ class Scene(Queries, Members):
 
         The tree keeps its nodes, which is faster than a build: a BVH is refitted, the leaves of a kd-tree are filled again. The
         further triangles move, the slower queries become. So the tree is rebuilt, in parts or as a whole, once its cost is too
-        high (`wrt.UpdatePolicy`); `last_update` reports what was done. Trees that are lazy, that clip triangles or that are
-        made for influence areas are always rebuilt.
+        high (`wrt.moving.UpdatePolicy`); `last_update` reports what was done. Trees that are lazy, that clip triangles or that
+        are made for influence areas are always rebuilt.
 
         Args:
             index: index of the mesh (`Hits.geometry_id`); in a scene of instances, index of the instance, or several indices
@@ -119,7 +119,7 @@ class Scene(Queries, Members):
             transform: transform of the instance, (4, 4), or (N, 4, 4) for N instances, as in `wrt.Instance`; or a Warp array of
                 such matrices, or of (N,) `wp.transform`.
             mask, environment: of the instance, or of all instances in `index`.
-            rebuild: for `vertices`: "auto", "always", "never", or a `wrt.UpdatePolicy`.
+            rebuild: for `vertices`: "auto", "always", "never", or a `wrt.moving.UpdatePolicy`.
 
         Raises:
             TypeError: a value has a wrong type, or no value was given.

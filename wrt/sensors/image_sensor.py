@@ -122,7 +122,7 @@ class Camera:
             mask, environment: as of `wrt.Scene.intersect`, one number, or one for each of many cameras.
             traversal: as of `wrt.Scene.intersect`.
             albedo: whether to make the image of the surfaces' own colours.
-            materials: those of the colours, as of `wrt.Rendering`: None for those of the meshes.
+            materials: those of the colours, as of `wrt.pictures.Rendering`: None for those of the meshes.
             flow: seconds from this image to another one, after it or before, for the optical flow between them; None for no
                 flow. Trajectories must cover its exposure, too.
             to_warp: whether images are Warp arrays on the scene's device instead of NumPy arrays.
@@ -180,9 +180,9 @@ class Camera:
         settings: Any = None,
         **options: Any,
     ) -> Rendering:
-        """A picture in colour, by the integrators of `wrt.Rendering`, all samples of which are made.
+        """A picture in colour, by the integrators of `wrt.pictures.Rendering`, all samples of which are made.
 
-            picture = camera.render(scene, pose, samples=64, lights=[wrt.Sky(1.0)])
+            picture = camera.render(scene, pose, samples=64, lights=[wrt.lights.Sky(1.0)])
             wrt.save_image("view.png", picture.image())
 
         Rays through a pixel are spread by the pixel filter. Pixels without a ray are black. With a rolling shutter each row is
@@ -190,13 +190,13 @@ class Camera:
 
         Args:
             scene, pose, time, motions: as of `capture`; one pose or trajectory.
-            integrator, lights, materials, settings, options: as of `wrt.Rendering`.
+            integrator, lights, materials, settings, options: as of `wrt.pictures.Rendering`.
 
         Returns:
-            A `wrt.Rendering`: `image()` for display, `linear`, `noise` and `layers`.
+            A `wrt.pictures.Rendering`: `image()` for display, `linear`, `noise` and `layers`.
 
         Raises:
-            TypeError, ValueError: as `capture` and `wrt.Rendering`; many poses.
+            TypeError, ValueError: as `capture` and `wrt.pictures.Rendering`; many poses.
         """
         from wrt.sensors.camera_layers import render
 
@@ -208,7 +208,13 @@ class Camera:
         return render(scene, self, path, time, motions, **options).advance()
 
     def beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
-        """The rays of all pixels in the optical frame, for kernels."""
+        """The rays of all pixels in the optical frame, for kernels.
+
+        Args:
+            device: where they are read.
+            order: in which they are traced, the numbers of pixels; None for row by row.
+            time: exposure of the first row, in seconds.
+        """
         from wrt.kernels.sensors.lidar_beams import Beams
 
         beams = Beams()

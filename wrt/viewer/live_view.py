@@ -347,7 +347,7 @@ def view(
         samples: of each pixel, at rest.
         options: of each integrator, as of `wrt.render`: `{"ambient": {"light": (0, 0, 9)}}`.
         animate: animate(scene, frame) moves the scene to a frame: the viewer can then play. None for `show` of a
-            `wrt.FuzzyScene`, and no animation of others.
+            `wrt.moving.FuzzyScene`, and no animation of others.
         frames: number of frames of the animation.
         open_browser: whether to open a browser of this computer.
 

@@ -189,7 +189,7 @@ class SharedScene:
             ValueError: there is no animation, or `rate` is not above 0.
         """
         if self.frames == 0:
-            raise ValueError("there is no animation; give animate= and frames=, or a wrt.FuzzyScene")
+            raise ValueError("there is no animation; give animate= and frames=, or a wrt.moving.FuzzyScene")
         if not rate > 0.0:
             raise ValueError(f"rate is {rate}; it must be above 0")
         with self._switching:

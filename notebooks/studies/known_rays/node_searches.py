@@ -141,7 +141,8 @@ class AxisOrders:
     Args:
         mesh: whose tree has the nodes, those of the default build.
         area: of the rays.
-        order: "longest", by the sides of a node's box, or "facing", by the rays at its centre (`wrt.ProjectedBvh`'s `axes`).
+        order: "longest", by the sides of a node's box, or "facing", by the rays at its centre (`wrt.known_rays.ProjectedBvh`'s
+            `axes`).
         repeats: how often `run` orders the axes of all nodes.
     """
 

@@ -288,7 +288,7 @@ def axis_tries(scene: Scene) -> tuple[float, float]:
     """Axes tried a node of the binary tree, and share of the nodes whose choice fell back on the longest side.
 
     Args:
-        scene: built with a `wrt.ProjectedBvh`; its tree is built again.
+        scene: built with a `wrt.known_rays.ProjectedBvh`; its tree is built again.
     """
     triangles = triangle_boxes(scene.device_mesh.vertices, scene.device_mesh.faces, scene.center)
     builder = ProjectedBuilder(triangles, scene.accelerator.config(scene.tree.width))

@@ -93,7 +93,7 @@ def by_two_levels(stage: Stage) -> Show:
 
 
 def by_groups(accelerator: str, **options: Any) -> Callable[[Stage], Show]:
-    """The same, put together to one tree; options: of `wrt.GroupedScene`."""
+    """The same, put together to one tree; options: of `wrt.moving.GroupedScene`."""
 
     def start(stage: Stage) -> Show:
         scene = GroupedScene(stage.meshes(0), accelerator, device="cpu", **options)

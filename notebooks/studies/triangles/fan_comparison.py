@@ -2,7 +2,8 @@
 
 `compare` times brute force over fans (`wrt.classics.fan_arrays.closest_by_fans`) beside brute force by Moeller and Trumbore's
 test, from which the fans' is derived, with and without precomputed edges, beside the plane's rows and Havel and Herout's test.
-`compare_trees` times trees with leaves of fans (`wrt.FanScene`) beside those of triangles. `compare_files` reads files of both.
+`compare_trees` times trees with leaves of fans (`wrt.classics.FanScene`) beside those of triangles. `compare_files` reads files
+of both.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ DEFAULT_SKY = ((0.79, 0.81, 0.83), (0.48, 0.59, 0.73), (0.2, 0.2, 0.2))
 class Rendering:
     """A picture to which samples are added.
 
-        rendering = wrt.Rendering(scene, camera, integrator="path", samples=256, lights=[wrt.Sky(1.0)])
+        rendering = wrt.pictures.Rendering(scene, camera, integrator="path", samples=256, lights=[wrt.lights.Sky(1.0)])
         rendering.advance(16)
         preview = rendering.image()
         rendering.advance()                     # the other 240
@@ -54,11 +54,12 @@ class Rendering:
         scene: the scene. Later updates of it do not show.
         camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
         integrator: "whitted", "distribution" or "path".
-        lights: lights and sky: `wrt.PointLight`, `wrt.SpotLight`, `wrt.DirectionalLight`, `wrt.AreaLight`, `wrt.Sky`; None: a
-            sky, and a point light above and to the left of the camera, unless a material emits.
+        lights: lights and sky: `wrt.lights.PointLight`, `wrt.lights.SpotLight`, `wrt.lights.DirectionalLight`,
+            `wrt.lights.AreaLight`, `wrt.lights.Sky`; None: a sky, and a point light above and to the left of the camera, unless
+            a material emits.
         materials: a `wrt.Material` for all triangles or one for each mesh; None: those of the meshes.
-        motion: what moves while the shutter is open, a `wrt.Motion`.
-        settings: a `wrt.RenderSettings`.
+        motion: what moves while the shutter is open, a `wrt.moving.Motion`.
+        settings: a `wrt.pictures.RenderSettings`.
         options: fields of the settings, which replace those of `settings`.
 
     Attributes:
@@ -91,7 +92,7 @@ class Rendering:
             raise ValueError(f"unknown integrator {integrator!r}; choose from {', '.join(INTEGRATORS[1:])}")
         settings = RenderSettings() if settings is None else settings
         if not isinstance(settings, RenderSettings):
-            raise TypeError(f"settings must be a wrt.RenderSettings, not {type(settings).__name__}")
+            raise TypeError(f"settings must be a wrt.pictures.RenderSettings, not {type(settings).__name__}")
         self.settings = settings = settings.with_options(integrator, options)
         self.integrator, self.camera = integrator, camera
         self.samples, self.done = settings.samples_of(integrator), 0

@@ -41,7 +41,7 @@ def draw_tree(
 ) -> tuple[Axes, Axes | None]:
     """Draws the boxes of a tree's nodes, projected to a plane, and the expected cost of each level. Needs matplotlib.
 
-        wrt.draw_tree(scene, depth=3, plane="xz")[0].figure.savefig("tree.png")
+        wrt.pictures.draw_tree(scene, depth=3, plane="xz")[0].figure.savefig("tree.png")
 
     Boxes of one level have one colour; leaves are filled. Dots behind them are vertices of the meshes. Beside them stands, for
     each level of the whole tree, how many nodes a ray that meets the root's box is expected to visit, and how many blocks of
