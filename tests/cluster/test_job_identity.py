@@ -224,7 +224,7 @@ def test_frames_are_scenes_of_their_own(rays, tmp_path):
     groups = wrt.moving.GroupedScene([mesh, mesh], device="cpu")
     for name, scene, change, back in (
         ("fuzzy", fuzzy, lambda: fuzzy.show(1), lambda: fuzzy.show(0)),
-        ("groups", groups, lambda: groups.move({1: frames[1]}), lambda: groups.move({1: frames[0]})),
+        ("groups", groups, lambda: groups.update({1: frames[1]}), lambda: groups.update({1: frames[0]})),
     ):
         before = scene_hash(scene)
         job = wrt.cluster.Job(tmp_path / name, scene.occluded_blocks(*rays, memory=MEMORY))

@@ -72,7 +72,7 @@ def test_nested_bvhs():
     plain = wrt.Scene(scene.meshes, device="cpu")
     rays = mixed_rays(scene.flattened(), 1000)
     assert_same_hits(scene.intersect(*rays), plain.intersect(*rays, traversal="single"))
-    scene.move({3: scene.meshes[3].vertices * 1.5})
+    scene.update({3: scene.meshes[3].vertices * 1.5})
     moved = wrt.Scene(scene.meshes, device="cpu")
     assert_same_hits(scene.intersect(*rays), moved.intersect(*rays, traversal="single"))
     ids = scene.tree.primitive.numpy()

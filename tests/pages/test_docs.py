@@ -81,7 +81,7 @@ def in_class_docstring(owner: type, attribute: str) -> bool:
 
 def test_some_names_are_public():
     assert {"Scene", "Scene.intersect", "Scene.load", "Scene.intersect_blocks", "Hits.t"} <= NAMES.keys()
-    assert {"batches.Blocks.write", "moving.GroupedScene.move", "lights.Sky.gradient", "device.launch"} <= NAMES.keys()
+    assert {"batches.Blocks.write", "moving.GroupedScene.group_updates", "lights.Sky.gradient", "device.launch"} <= NAMES.keys()
     assert set(dir(wrt)) == set(wrt.__all__)
 
 

@@ -160,7 +160,7 @@ def test_groups_move(mesh):
     """Of a `wrt.moving.GroupedScene`; another tree of it can be shown."""
     scene = wrt.moving.GroupedScene([mesh, wrt.TriangleMesh(np.add(mesh.vertices, (9.0, 0.0, 0.0)), mesh.faces)], device="cpu")
     vertices = np.asarray(mesh.vertices)
-    shared = SharedScene(scene, lambda scene, frame: scene.move({1: np.add(vertices, (9.0 + frame, 0.0, 0.0))}), 4)
+    shared = SharedScene(scene, lambda scene, frame: scene.update({1: np.add(vertices, (9.0 + frame, 0.0, 0.0))}), 4)
     shared.show_frame(3)
     np.testing.assert_allclose(shared.current[1].bounds[1], np.add(mesh.bounds[1], (12.0, 0.0, 0.0)), atol=1e-4)
     shared.rebuild("kdtree")

@@ -69,7 +69,7 @@ class Models:
             return None
         if len(self.meshes) == 1:
             return lambda scene, frame: scene.update(0, vertices=self.moving[0][frame])
-        return lambda scene, frame: scene.move({i: frames[frame % len(frames)] for i, frames in self.moving.items()})
+        return lambda scene, frame: scene.update({i: frames[frame % len(frames)] for i, frames in self.moving.items()})
 
 
 def load_models(models: tuple[Path, ...], given: Mapping[str, Any], animate: bool) -> Models:

@@ -21,6 +21,7 @@ References: kang-2013; bikker-2007; parker-1999; rahikainen-2013 (an overview of
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -29,12 +30,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import refuse_capture, run_tasks, use_threads
-from wrt.meshes.placement import as_meshes, check_index, moved_mesh, nested, place_meshes
+from wrt.kernels.runtime.launch import run_tasks, use_threads
+from wrt.meshes.placement import as_meshes, nested, place_meshes
 from wrt.moving.group_trees import TREE, GroupLayout
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.scene import Scene
-from wrt.scene.updates import MovedTriangles, UpdatePolicy, UpdateReport, as_policy, can_move, move_tree, typical_motion
+from wrt.scene.updates import MovedTriangles, UpdatePolicy, UpdateReport, can_move, move_tree, typical_motion
 from wrt.state.query_kinds import AUTO
 from wrt.state.scene_settings import as_settings
 from wrt.state.scene_state import Settings, new_mark
@@ -49,7 +50,7 @@ class GroupedScene(Scene):
     """A scene whose meshes are groups: each has its own tree, and moving one leaves the trees of the others as they are.
 
         scene = wrt.moving.GroupedScene([building, curtain, [torso, [left_arm, left_hand], [right_arm, right_hand]]])
-        scene.move({1: curtain_vertices, 4: hand_vertices})
+        scene.update({1: curtain_vertices, 4: hand_vertices})
 
     Groups may consist of groups, as nested sequences; each level gets an upper tree. Queries and hits are those of a
     `wrt.Scene`; with kd-trees, rays are traced one at a time. Arguments as in `wrt.Scene`, without `cache`, and:
@@ -95,19 +96,33 @@ class GroupedScene(Scene):
         """What the last update did to the tree of each mesh that it moved, by the index of the mesh."""
         return self.state.reports
 
-    def move(self, vertices: Mapping[int, Any], *, rebuild: str | UpdatePolicy = "auto") -> None:
-        """Moves several groups at once; errors as in `update`.
+    def move(
+        self, nodes: Mapping[Any, Any] | None = None, *, vertices: Mapping[int, Any] | None = None, rebuild: Any = "auto"
+    ) -> None:
+        """As `Scene.move`, which a scene of groups refuses: its meshes hang on no nodes. `update` moves them.
+
+        The old meaning still works, with a `DeprecationWarning`: new vertices by the index of the mesh.
 
         Args:
-            vertices: new vertices (V, 3) by mesh index.
-            rebuild: "auto", "always", "never", or a `wrt.moving.UpdatePolicy`.
+            nodes: as in `Scene.move`.
+            vertices: deprecated, as `index` of `update`.
+            rebuild: deprecated, as in `update`.
+
+        Raises:
+            ValueError: the scene has no nodes.
         """
-        refuse_capture("an update", self.device)
-        policy, meshes, changed = as_policy(rebuild), self.meshes, {}
-        for index, points in vertices.items():
-            number = check_index(index, len(meshes), "mesh")
-            changed[number] = moved_mesh(meshes[number], points)
-        self.state = self.state.moved(changed, policy)
+        old = nodes if vertices is None else vertices
+        if not isinstance(old, Mapping) or any(isinstance(name, str) for name in old):
+            super().move(old if nodes is None else nodes)
+            return
+        warnings.warn(
+            "wrt.moving.GroupedScene.move(vertices) is now update(vertices), as in wrt.Scene; the old name goes with the next "
+            "release",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        if old:
+            self.update(old, rebuild=rebuild)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles hold the groups; unpickling rebuilds their trees."""

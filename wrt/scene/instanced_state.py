@@ -154,6 +154,11 @@ class InstancedState(SceneState):
         environment: int | None = None,
     ) -> InstancedState:
         """The state after instances, or the vertices of a mesh, have moved; as `wrt.Scene.update`."""
+        if isinstance(index, Mapping):
+            raise ValueError(
+                "index is a mapping, which is for scenes of meshes; with instances, update the vertices of one mesh at a time: "
+                "update(index, vertices=points)"
+            )
         if vertices is None and transform is None and mask is None and environment is None:
             raise TypeError("there is nothing to update; pass vertices, transform, mask or environment")
         chosen = self.chosen(index)

@@ -103,6 +103,7 @@ class Scene(Queries, Members):
         """Moves the vertices of a mesh, whose triangles stay the same, or moves instances.
 
             scene.update(0, vertices=points)                    # mesh 0
+            scene.update({1: points, 4: others})                # meshes 1 and 4, in one step
             scene.update(3, transform=matrix)                   # instance 3
             scene.update(range(100), transform=matrices)        # many at once, which takes a few microseconds each
             scene.update(3, vertices=points)                    # of instances: the mesh of instance 3, in all its instances
@@ -113,8 +114,8 @@ class Scene(Queries, Members):
         are made for influence areas are always rebuilt.
 
         Args:
-            index: index of the mesh (`Hits.geometry_id`); in a scene of instances, index of the instance, or several indices
-                for `transform`, `mask` and `environment`.
+            index: index of the mesh (`Hits.geometry_id`), or a mapping from such indices to their vertices; in a scene of
+                instances, index of the instance, or several indices for `transform`, `mask` and `environment`.
             vertices: (V, 3), as many as the mesh has; for an instance, in the mesh's own space.
             transform: transform of the instance, (4, 4), or (N, 4, 4) for N instances, as in `wrt.Instance`; or a Warp array of
                 such matrices, or of (N,) `wp.transform`.
@@ -122,10 +123,10 @@ class Scene(Queries, Members):
             rebuild: for `vertices`: "auto", "always", "never", or a `wrt.moving.UpdatePolicy`.
 
         Raises:
-            TypeError: a value has a wrong type, or no value was given.
-            ValueError: no such mesh or instance, a wrong number of vertices, vertices that are NaN or infinite, triangles that
-                spread too far (as for the class), a transform or a mask in a scene without instances, one that `wrt.Instance`
-                refuses, or an unknown name. The scene is then unchanged.
+            TypeError: a value has a wrong type, or no value was given; a mapping that is empty, or `vertices` beside one.
+            ValueError: no such mesh or instance, a mapping in a scene of instances, a wrong number of vertices, vertices that
+                are NaN or infinite, triangles that spread too far (as for the class), a transform or a mask in a scene
+                without instances, one that `wrt.Instance` refuses, or an unknown name. The scene is then unchanged.
         """
         refuse_capture("an update", self.device)
         self.state = self.state.updated(index, vertices, transform, mask, as_policy(rebuild), environment)

@@ -99,7 +99,7 @@ def by_groups(accelerator: str, **options: Any) -> Callable[[Stage], Show]:
         scene = GroupedScene(stage.meshes(0), accelerator, device="cpu", **options)
 
         def show(frame: int) -> Scene:
-            scene.move({1: stage.animation.frames[frame]})
+            scene.update({1: stage.animation.frames[frame]})
             return scene
 
         return show

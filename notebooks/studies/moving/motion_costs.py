@@ -119,7 +119,7 @@ def group_updates(
 
             def run() -> None:
                 frame = next(frames)
-                scene.move({1 + k: place.frames[frame] for k, place in enumerate(places[:number])}, rebuild=rebuild)
+                scene.update({1 + k: place.frames[frame] for k, place in enumerate(places[:number])}, rebuild=rebuild)
 
             return run
 
