@@ -53,5 +53,5 @@ def tree_hashes(
                 continue
             for count in threads:
                 scene = wrt.Scene(mesh, description, device="cpu", num_threads=count)
-                scene.complete()
+                scene.state.complete()
                 yield f"{scene_name} {name}", f"{count} threads", tree_hash(scene.tree)

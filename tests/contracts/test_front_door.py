@@ -138,3 +138,38 @@ def test_tables_name_submodules_by_their_package():
         assert "Sky" not in vars(module)
     finally:
         del sys.modules[module.__name__]
+
+
+INTERNALS = (
+    "area_trees",
+    "complete",
+    "depth",
+    "device_mesh",
+    "exact_vertices",
+    "lazy_tree",
+    "parts",
+    "record_bytes",
+    "width",
+)
+
+
+def test_scenes_show_what_users_call():
+    """Not what only wrt's own code needs: that is in `state`."""
+    shown = {name for name in dir(wrt.Scene) if not name.startswith("_")}
+    assert len(shown) <= 40
+    assert {"intersect", "update", "save", "load", "tree", "bounds", "statistics"} <= shown
+    assert not shown & {*INTERNALS, "of_state"}
+
+
+@pytest.mark.parametrize("name", INTERNALS)
+def test_old_members_of_scenes_warn(name):
+    scene = wrt.Scene(wrt.scenes.build("teapot", level=1), "bvh", device="cpu")
+    with pytest.warns(
+        DeprecationWarning, match=rf"^wrt\.Scene\.{name} is now scene\.state\.{name}; the old name goes"
+    ) as caught:
+        old = getattr(scene, name)
+    assert [warning.filename for warning in caught] == [__file__]
+    new = getattr(scene.state, name)
+    assert old == new or old is new
+    with pytest.raises(AttributeError, match="'Scene' object has no attribute 'nothing'"):
+        _ = scene.nothing

@@ -64,7 +64,7 @@ def test_one_copy_is_shared():
     mesh = wrt.TriangleMesh(TEAPOT.vertices, TEAPOT.faces)
     assert np.shares_memory(mesh.faces, TEAPOT.faces)
     scene = wrt.Scene(mesh, device="cpu")
-    assert np.shares_memory(scene.device_mesh.faces.numpy(), TEAPOT.faces)
+    assert np.shares_memory(scene.state.device_mesh.faces.numpy(), TEAPOT.faces)
     scene.update(0, vertices=mesh.vertices + 1)
     assert np.shares_memory(scene.meshes[0].faces, TEAPOT.faces)
 

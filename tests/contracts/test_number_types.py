@@ -48,7 +48,8 @@ CALLS = list(public_calls.calls())
 
 def public_callables() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Qualified names and all functions, classes and methods of the public modules, each once."""
-    for module in (wrt, wrt.sensors, wrt.cluster, wrt.device, wrt.scenes):
+    doors = [value for name in wrt.__all__ if inspect.ismodule(value := getattr(wrt, name))]
+    for module in (wrt, *doors):
         for name in module.__all__:
             value = getattr(module, name)
             if inspect.isclass(value):

@@ -99,7 +99,7 @@ mesh = wrt.scenes.build("teapot", level=2)
 for accelerator in ("auto", "bvh", "kdtree"):
     wrt.Scene(mesh, accelerator, device="cpu").QUERY(np.ones((8, 3), np.float32) * 9, -np.ones((8, 3), np.float32))
 before = classics()
-wrt.Scene(mesh, wrt.KdTree(builder="naive"), device="cpu").complete()
+wrt.Scene(mesh, wrt.KdTree(builder="naive"), device="cpu").state.complete()
 print(before, "wrt.builders.classics.kdtree.naive" in classics())
 """
     result = subprocess.run([sys.executable, "-c", code.replace("QUERY", query)], capture_output=True, text=True, check=True)

@@ -222,7 +222,7 @@ def test_bad_input(scene):
         (TypeError, "no option 'sample_lights'", {"integrator": "whitted", "sample_lights": False}),
         (TypeError, "'ambient' has no lights", {"lights": [wrt.lights.Sky()]}),
         (TypeError, "lights must be", {"integrator": "path", "lights": [1]}),
-        (ValueError, r"more than one wrt\.Sky", {"integrator": "path", "lights": [wrt.lights.Sky(), wrt.lights.Sky()]}),
+        (ValueError, r"more than one wrt\.lights\.Sky", {"integrator": "path", "lights": [wrt.lights.Sky(), wrt.lights.Sky()]}),
         (ValueError, "materials has 1 entries", {"integrator": "path", "materials": [GLASS]}),
         (TypeError, "materials must be", {"integrator": "path", "materials": "glass"}),
         (ValueError, "unknown sampler", {"integrator": "path", "sampler": "blue"}),

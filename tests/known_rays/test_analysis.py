@@ -153,8 +153,8 @@ def test_trees_of_areas():
     parts = [rays_of(area, 2000) for area in areas]
     rays = wrt.Rays(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
     found = wrt.known_rays.analyse_areas(scene, rays, statistics={"volume": volume})
-    assert len(found) == len(scene.area_trees) == 2
-    for analysis, state, area in zip(found, scene.area_trees.scenes, areas, strict=True):
+    assert len(found) == len(scene.state.area_trees) == 2
+    for analysis, state, area in zip(found, scene.state.area_trees.scenes, areas, strict=True):
         assert analysis.bytes == state.tree.bytes
         assert analysis.statistics["volume"][0] > 0.0
         assert 0 < analysis.passing.rays <= 4000
@@ -193,7 +193,7 @@ def test_octree_cell_by_cell(tmp_path):
     areas = [stretched(area, low, high) for area in areas]
     nowhere = replace(areas[0], position=high + 50.0 * (high - low))
     scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[nowhere, *areas], top_level="octree", depth=3))
-    found, top = wrt.known_rays.analyse_octree(scene), scene.area_trees.top
+    found, top = wrt.known_rays.analyse_octree(scene), scene.state.area_trees.top
     assert len(found.level) == top.cells
     assert 0 not in {number for one in found.areas if one for number in one}, "no triangle is in the first area"
     volume = (found.high - found.low).prod(axis=1)
@@ -204,7 +204,7 @@ def test_octree_cell_by_cell(tmp_path):
     leaves = np.flatnonzero(found.is_leaf)
     listed = top.candidates(0.5 * (found.low + found.high)[leaves])
     for leaf, row in zip(leaves, listed, strict=True):
-        assert found.areas[leaf] == tuple(scene.area_trees.numbers[place] for place in np.flatnonzero(row))
+        assert found.areas[leaf] == tuple(scene.state.area_trees.numbers[place] for place in np.flatnonzero(row))
     assert [row["cells"] for row in found.levels] == np.bincount(found.level).tolist()
     rectangles, counts = found.cut(2, float(found.low[0, 2] + 0.4 * (found.high - found.low)[0, 2]))
     area = (rectangles[:, 1] - rectangles[:, 0]).prod(axis=1)

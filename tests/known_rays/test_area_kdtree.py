@@ -113,12 +113,12 @@ def test_cells_as_tables_and_boxes(tmp_path):
     scene = wrt.Scene(
         mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh), top_level="kdtree", depth=3, local=wrt.Bvh()), device="cpu"
     )
-    found, top = wrt.known_rays.analyse_octree(scene), scene.area_trees.top
+    found, top = wrt.known_rays.analyse_octree(scene), scene.state.area_trees.top
     volume = np.prod(found.high - found.low, axis=1)
     assert volume[found.is_leaf].sum() == pytest.approx(volume[0])
     assert found.level.max() <= 9 < len(found.level)
     middle = (found.low + found.high)[found.is_leaf] / 2
-    numbers = np.array(scene.area_trees.numbers)
+    numbers = np.array(scene.state.area_trees.numbers)
     expected = [tuple(numbers[row]) for row in top.candidates(middle)]
     assert expected == [one for one in found.areas if one is not None]
     inner = np.arange(1, len(found.level))

@@ -108,7 +108,7 @@ def test_shadow_rays_of_a_scene():
     assert [type(area) for area in found] == [wrt.known_rays.PlaneInfluenceArea, wrt.known_rays.PointInfluenceArea]
     scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=found, local=wrt.Bvh()), device="cpu")
     batch = wrt.Rays(origins, directions)
-    cuts = assign(scene, to_device(batch, scene.device, scene.center).batch)
+    cuts = assign(scene.state, to_device(batch, scene.device, scene.center).batch)
     assert (cuts.area.numpy() < 2).mean() > 0.97
     assert np.isinf(cuts.rest.numpy()).mean() > 0.8
     assert_same_hits(scene.intersect(batch), plain.intersect(batch))

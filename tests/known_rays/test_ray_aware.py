@@ -16,6 +16,7 @@ from wrt.kernels.influence.region_tests import DISJOINT
 from wrt.kernels.influence.region_tests import Region as RegionStruct
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
+from wrt.scene.scene import scene_of_state
 
 MESHES = ("teapot", "random_triangles", "grid", "degenerate")
 
@@ -157,19 +158,19 @@ def test_areas_of_rays(device, top_level):
     scene = wrt.Scene(
         mesh, wrt.known_rays.RayAwareBvh(areas=areas, tolerance=2.0, top_level=top_level, local=wrt.Bvh()), device=device
     )
-    assert scene.area_trees.areas == (areas[0], areas[1], areas[3])
-    assert all(0 < count <= mesh.triangle_count for count in scene.area_trees.triangles)
-    assert scene.area_trees.bytes > sum(local.tree.bytes for local in scene.area_trees.scenes) > 0
+    assert scene.state.area_trees.areas == (areas[0], areas[1], areas[3])
+    assert all(0 < count <= mesh.triangle_count for count in scene.state.area_trees.triangles)
+    assert scene.state.area_trees.bytes > sum(local.tree.bytes for local in scene.state.area_trees.scenes) > 0
     origins, directions = (np.concatenate(pair) for pair in zip(affine_rays(mesh, 3000), mixed_rays(mesh, 3000), strict=True))
     with np.errstate(all="ignore"):
         directions[::7] += np.float32(0.05) * np.abs(directions[::7]).max(axis=1, keepdims=True)  # some beyond the tolerance
-    found = assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy()
-    regions = [region_of(area, *mesh.bounds) for area in scene.area_trees.areas]
+    found = assign(scene.state, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy()
+    regions = [region_of(area, *mesh.bounds) for area in scene.state.area_trees.areas]
     inside = contain_points(regions, origins)
     expected, clear = np.full(len(origins), len(regions)), np.ones(len(origins), dtype=bool)
     with np.errstate(all="ignore"):
         for number in reversed(range(len(regions))):
-            area = scene.area_trees.areas[number]
+            area = scene.state.area_trees.areas[number]
             line = np.array(area.direction) if number == 0 else origins - np.array(area.position)
             cosine = (
                 np.abs((line * directions).sum(axis=1)) / np.linalg.norm(line, axis=-1) / np.linalg.norm(directions, axis=1)
@@ -212,7 +213,7 @@ def test_every_hit_is_brute_forces(device, name):
             hits = scene.intersect(origins, directions, t_min, t_max, traversal=traversal)
             assert_same_hits(hits, expected)
             np.testing.assert_array_equal(scene.occluded(origins, directions, t_min, t_max, traversal=traversal), dark)
-    in_area = assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy() < 3
+    in_area = assign(scene.state, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy() < 3
     assert 0.15 < in_area.mean() < 0.95
     assert expected.is_hit[in_area].mean() > 0.1
     np.testing.assert_array_equal(scene.count(origins, directions), plain.count(origins, directions))
@@ -234,12 +235,12 @@ def test_a_picture_within_one_area_stays_one(device):
     expected = plain.intersect(rays, traversal="packet")
     for area, complete in ((whole, True), (half, False)):
         scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[area]), device=device)
-        cuts = assign(scene, to_device(rays, scene.device, scene.center).batch)
+        cuts = assign(scene.state, to_device(rays, scene.device, scene.center).batch)
         assert (cuts.area.numpy() == 0).all()
         assert np.isinf(cuts.rest.numpy()).all() == complete
         hits = scene.intersect(rays, traversal="packet", counters=True)
         assert hits.plan.reorder == "tiles"
-        local = wrt.Scene.of_state(scene.area_trees.scenes[0])
+        local = scene_of_state(scene.state.area_trees.scenes[0])
         assert (local.tree.low, local.tree.high) == (scene.tree.low, scene.tree.high)  # or rounding would show
         assert_same_hits(hits, expected)
         area_alone = local.intersect(
@@ -261,9 +262,9 @@ def test_trees_have_what_rays_of_their_regions_can_meet():
     mesh = wrt.TriangleMesh(near.vertices.astype(np.float64) + np.array([3e4, -7e4, 100.0]), near.faces)
     scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=random_areas(6, *mesh.bounds), local=wrt.Bvh()), device="cpu")
     low, high = (f(mesh.vertices[mesh.faces], axis=1) - scene.center for f in (np.min, np.max))
-    structs = [region_struct(row) for row in scene.area_trees.top.struct.regions.numpy()]
+    structs = [region_struct(row) for row in scene.state.area_trees.top.struct.regions.numpy()]
     met = classify_boxes(structs, low, high) != DISJOINT
-    for number, local in enumerate(scene.area_trees.scenes):
+    for number, local in enumerate(scene.state.area_trees.scenes):
         assert set(np.flatnonzero(met[:, number])) <= set(local.tree.primitive.numpy().tolist())
     assert 0.05 < met.mean() < 0.95
     plain = wrt.Scene(mesh, "bvh", device="cpu")
@@ -288,14 +289,17 @@ def test_rays_among_those_of_an_only_area(share):
         position=[*(low + high)[:2] / 2, high[2] + 1], direction=(0, 0, -1), width=9, height=9, depth=9
     )
     scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[sun], local=wrt.Bvh()), device="cpu")
-    whole, local = scene.tree, scene.area_trees.scenes[0].tree
+    whole, local = scene.tree, scene.state.area_trees.scenes[0].tree
     for name in ("bounds", "child", "primitive"):  # the area has all triangles: its tree is the scene's
         np.testing.assert_array_equal(getattr(local, name).numpy(), getattr(whole, name).numpy())
     rng = np.random.default_rng(0)
     origins = rng.uniform(low, high, (2000, 3))
     directions = np.where(rng.random((2000, 1)) < share, rng.normal(size=(2000, 3)), [0, 0, -1.0])
     assert (
-        abs(assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).unassigned / 2000 - share)
+        abs(
+            assign(scene.state, to_device(Rays(origins, directions), scene.device, scene.center).batch).unassigned / 2000
+            - share
+        )
         < 0.05
     )
     plain = wrt.Scene(mesh, "bvh", device="cpu")
@@ -306,7 +310,7 @@ def test_rays_among_those_of_an_only_area(share):
 def test_areas_without_triangles_are_left_out():
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)[2:3]), device="cpu")
-    assert scene.area_trees is None
+    assert scene.state.area_trees is None
     assert_same_hits(scene.intersect(*mixed_rays(mesh, 100)), wrt.Scene(mesh, device="cpu").intersect(*mixed_rays(mesh, 100)))
 
 
@@ -332,7 +336,7 @@ def test_given_areas(device, count):
     """Areas that come with the rays, right and wrong ones, of all triangles and of some, change no hit."""
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)), device=device)
-    trees = scene.area_trees
+    trees = scene.state.area_trees
     assert trees.numbers == (0, 1, 3), "no triangle is in the third"
     assert trees.triangles[1] == mesh.triangle_count > trees.triangles[0] > trees.triangles[2]
     rays = affine_rays(mesh, count)
@@ -360,7 +364,7 @@ def test_given_areas_are_used(device):
         work[areas] = hits.counters["nodes"].astype(int)
     whole = wrt.Scene(mesh, device=device).intersect(*rays, traversal="single", counters=True).counters["nodes"].astype(int)
     np.testing.assert_array_equal(work[-1], whole)
-    local = wrt.Scene.of_state(scene.area_trees.scenes[1])
+    local = scene_of_state(scene.state.area_trees.scenes[1])
     np.testing.assert_array_equal(work[1], local.intersect(*rays, traversal="single", counters=True).counters["nodes"])
     outside = ~contain_points([region_of(areas_of(mesh)[0], *mesh.bounds)], rays[0].astype(np.float64))[:, 0]
     assert 200 < outside.sum() < 1800
@@ -371,7 +375,7 @@ def test_given_areas_are_used(device):
 def test_given_areas_are_checked(device):
     mesh = SCENES["teapot"]()
     scene, rays = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)), device=device), mixed_rays(mesh, 40)
-    with pytest.raises(ValueError, match=r"wrt\.RayAwareBvh"):
+    with pytest.raises(ValueError, match=r"wrt\.known_rays\.RayAwareBvh"):
         wrt.Scene(mesh, device=device).occluded(*rays, areas=0)
     with pytest.raises(ValueError, match="from -1 to 3"):
         scene.intersect(*rays, areas=4)
@@ -380,5 +384,5 @@ def test_given_areas_are_checked(device):
     with pytest.raises(ValueError, match="does not broadcast"):
         scene.intersect(*rays, areas=np.zeros(3, dtype=int))
     away = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[areas_of(mesh)[2]]), device=device)
-    assert away.area_trees is None
+    assert away.state.area_trees is None
     assert_same_hits(away.intersect(*rays, areas=0), scene.intersect(*rays))

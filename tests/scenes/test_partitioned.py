@@ -222,7 +222,7 @@ def test_damaged_parts_are_refused(tmp_path, rays):
     (path / LIST).write_bytes(text[:200] + b"x" + text[201:])
     with pytest.raises(ValueError, match="not the list of a partitioned scene"):
         wrt.disk.PartitionedScene(path)
-    with pytest.raises(FileNotFoundError, match=r"wrt\.PartitionedScene\.build"):
+    with pytest.raises(FileNotFoundError, match=r"wrt\.disk\.PartitionedScene\.build"):
         wrt.disk.PartitionedScene(tmp_path / "nothing")
 
 

@@ -223,7 +223,7 @@ def test_refill_knows_when_to_stop():
     scene = wrt.Scene(BALL, "kdtree", device="cpu")
     host = wp.get_device("cpu")
     wide = wp.array(BALL.vertices[np.random.default_rng(0).permutation(BALL.vertex_count)].astype(np.float32), dtype=wp.vec3)
-    boxes = triangle_boxes(wide.to(host), scene.device_mesh.faces)
+    boxes = triangle_boxes(wide.to(host), scene.state.device_mesh.faces)
     assert refilling.refill(scene.tree, boxes, np.zeros(3), scene.triangle_count) is None
     filled = refilling.refill(scene.tree, boxes, np.zeros(3), 1 << 30)
     sizes = unpack(filled).triangles
@@ -234,7 +234,7 @@ def test_bad_input():
     scene = wrt.Scene(BALL, device="cpu")
     with pytest.raises(ValueError, match="rebuild 'often' is unknown; choose from auto, always, never"):
         scene.update(0, vertices=BALL.vertices, rebuild="often")
-    with pytest.raises(TypeError, match=r"wrt\.UpdatePolicy, not bool"):
+    with pytest.raises(TypeError, match=r"wrt\.moving\.UpdatePolicy, not bool"):
         scene.update(0, vertices=BALL.vertices, rebuild=True)
     with pytest.raises(ValueError, match=r"tolerance is 0\.5; it must be at least 1"):
         wrt.moving.UpdatePolicy(tolerance=0.5)

@@ -121,11 +121,11 @@ def test_files_of_fans(tmp_path):
     """The same triangles, M + 2 vertices each in place of 3 M."""
     mesh = MESHES["teapot"]()
     scene = wrt.classics.FanScene(mesh, device="cpu")
-    positions = np.unique(scene.device_mesh.vertices.numpy(), axis=0)
+    positions = np.unique(scene.state.device_mesh.vertices.numpy(), axis=0)
     save_fans(tmp_path / "fans.npz", scene.fans, positions)
     loaded = load_fans(tmp_path / "fans.npz")
     assert loaded.vertex_count == mesh.triangle_count + 2 * len(scene.fans)
-    corners = np.sort(scene.device_mesh.vertices.numpy()[scene.device_mesh.faces.numpy()].reshape(-1, 9), axis=1)
+    corners = np.sort(scene.state.device_mesh.vertices.numpy()[scene.state.device_mesh.faces.numpy()].reshape(-1, 9), axis=1)
     found = np.sort(loaded.vertices[loaded.faces].reshape(-1, 9), axis=1)
     np.testing.assert_array_equal(found, corners[scene.fans.primitive])
     np.savez(tmp_path / "other.npz", vertices=np.eye(3))

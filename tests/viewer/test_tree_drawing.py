@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import wrt
+from wrt.scene.scene import scene_of_state
 from wrt.viewer.trees.tree_levels import tree_boxes
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -64,7 +65,7 @@ def test_trees_instances_and_given_axes():
     scene = wrt.Scene([wrt.Instance(MESH, np.eye(4)), wrt.Instance(MESH, np.diag([2.0, 2.0, 2.0, 1.0]))], device="cpu")
     assert wrt.pictures.draw_tree(scene, axes=own) == tuple(own)
     assert sum(len(low) for low, _ in drawn(own[0])) == len(tree_boxes(scene.tree).low)
-    part = wrt.Scene.of_state(scene.parts[0])
+    part = scene_of_state(scene.state.parts[0])
     main, side = wrt.pictures.draw_tree(part.tree, depth=0, axes=figure.add_subplot())
     assert side is None
     assert "relative to the scene's centre" in main.get_xlabel()

@@ -191,7 +191,7 @@ def locate(
         wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=wp.vec3d, device=device, copy=False)
         for values in (mesh.vertices, origins, directions)
     ]
-    vertices, faces = vectors[0], scene.device_mesh.faces
+    vertices, faces = vectors[0], scene.state.device_mesh.faces
     numbers = [wp.array(np.ascontiguousarray(ids, np.int32), dtype=int, device=device, copy=False) for ids in (ray, primitive)]
     weights = wp.array(np.ascontiguousarray(uv), dtype=wp.vec2, device=device, copy=False)
     with use_threads(scene.num_threads):

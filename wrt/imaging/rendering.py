@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -28,6 +28,9 @@ from wrt.kernels.shading.pixel_rays import pinhole_directions
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_point
 from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from wrt.state.scene_state import SceneState
 from wrt.state.query_kinds import AUTO
 
 __all__ = ["AmbientRendering", "corner_normals", "default_light", "render"]
@@ -237,16 +240,16 @@ def corner_normals(scene: Scene, crease_angle: float) -> wp.array:
     Cached for each crease angle, in degrees, until the scene changes.
     """
     mesh, made = _corner_normals.get(scene, (None, {}))
-    if mesh is not scene.device_mesh:
+    if mesh is not scene.state.device_mesh:
         made = {}
-        _corner_normals[scene] = scene.device_mesh, made
+        _corner_normals[scene] = scene.state.device_mesh, made
     if crease_angle not in made:
-        parts = [_smooth_normals(part, crease_angle) for part in scene.parts]
+        parts = [_smooth_normals(part, crease_angle) for part in scene.state.parts]
         made[crease_angle] = parts[0] if len(parts) == 1 else _joined(parts)
     return made[crease_angle]
 
 
-def _smooth_normals(scene: Scene, crease_angle: float) -> wp.array:
+def _smooth_normals(scene: SceneState, crease_angle: float) -> wp.array:
     mesh, device = scene.device_mesh, scene.device
     count = mesh.faces.shape[0]
     flat = wp.empty(count, dtype=wp.vec3, device=device)
@@ -327,11 +330,11 @@ def _ambient_rays(scene: Scene, tile: int, width: int, settings: _Settings) -> A
 
 def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surface.Appearance:
     look = surface.Appearance()
-    look.mesh = scene.device_mesh
+    look.mesh = scene.state.device_mesh
     look.smooth = crease_angle is not None
     if crease_angle is not None:
         look.corner_normals = corner_normals(scene, crease_angle)
-    colors = _colors("albedo", albedo, (1, sum(part.triangle_count for part in scene.parts)), 1.0)
+    colors = _colors("albedo", albedo, (1, sum(part.triangle_count for part in scene.state.parts)), 1.0)
     look.albedo = wp.array(colors, dtype=wp.vec3, device=scene.device)
     look.albedo_stride = 0 if len(colors) == 1 else 1
     return look
@@ -384,7 +387,7 @@ def _colors(name: str, value: Any, counts: tuple[int, ...], maximum: float) -> n
     return colors
 
 
-def _vertex_corners(scene: Scene) -> normals.VertexCorners:
+def _vertex_corners(scene: SceneState) -> normals.VertexCorners:
     """The triangle corners that meet at each point; different meshes of a scene share no points."""
     vertex, vertices = [], 0
     for mesh in scene.meshes:

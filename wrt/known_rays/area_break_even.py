@@ -173,7 +173,7 @@ def break_even(
         TypeError: as `Scene.intersect`.
         ValueError: as `Scene.intersect`; the scene has no influence areas; an unknown query.
     """
-    if scene.area_trees is None:
+    if scene.state.area_trees is None:
         raise ValueError(
             "the scene has no influence areas with triangles; make it with accelerator=wrt.known_rays.RayAwareBvh(areas=...)"
         )

@@ -111,11 +111,11 @@ def analyse_octree(scene: Scene) -> OctreeAnalysis:
     Raises:
         ValueError: the scene has no influence areas with triangles.
     """
-    if scene.area_trees is None:
+    if scene.state.area_trees is None:
         raise ValueError(
             "the scene has no influence areas with triangles; make it with accelerator=wrt.known_rays.RayAwareBvh(areas=...)"
         )
-    return measure_cells(scene.area_trees.top, scene.area_trees.numbers)
+    return measure_cells(scene.state.area_trees.top, scene.state.area_trees.numbers)
 
 
 def measure_cells(top: TopLevel, numbers: tuple[int, ...]) -> OctreeAnalysis:

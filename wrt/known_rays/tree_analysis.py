@@ -243,11 +243,11 @@ def analyse_areas(
     Raises:
         TypeError, ValueError: as `analyse`; the scene has no influence areas.
     """
-    if scene.area_trees is None:
+    if scene.state.area_trees is None:
         raise ValueError(
             "the scene has no influence areas with triangles; make it with accelerator=wrt.known_rays.RayAwareBvh(areas=...)"
         )
-    trees, costs = scene.area_trees, _check(rays, box_cost, triangle_cost)
+    trees, costs = scene.state.area_trees, _check(rays, box_cost, triangle_cost)
     parts = [None] * len(trees) if rays is None else _rays_by_area(scene, rays)
     return tuple(
         _measure(state, scene.num_threads, area, part, costs, statistics or {})
@@ -327,7 +327,7 @@ def _rays_by_area(scene: Scene, rays: Rays) -> list[Rays | None]:
         cuts = assign(scene.state, buffers.batch)
     area, cut = cuts.area.numpy(), cuts.cut.numpy()
     origins, directions, t_min, _ = _flat(rays)
-    chosen = [np.flatnonzero(area == number) for number in range(len(scene.area_trees))]
+    chosen = [np.flatnonzero(area == number) for number in range(len(scene.state.area_trees))]
     return [Rays(origins[i], directions[i], t_min[i], cut[i]) if len(i) else None for i in chosen]
 
 

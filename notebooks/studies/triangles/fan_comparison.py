@@ -66,7 +66,7 @@ def compare(scenes: Sequence[str] = ("teapot", "stadium"), *, size: int = 24, ro
         mesh = SCENES[name]()
         scene = Scene(mesh, "bvh", num_threads=1, device="cpu")
         rays = next(WorkloadMaker(mesh, size=size).make(("far",))).rays
-        fans = fans_of(scene)
+        fans = fans_of(scene.state)
         timings = timed(ways(scene, fans, rays), rounds)
         for way, timing in timings.items():
             row = {"scene": name, "triangles": scene.triangle_count, "fans": len(fans), "way": way}
@@ -82,7 +82,7 @@ def ways(scene: Scene, fans: TriangleFans, rays: Rays) -> dict[str, Callable[[],
         return lambda: scene.intersect(rays, traversal="brute", triangle_test=test).t
 
     def by_fans(form: str) -> Callable[[], np.ndarray]:
-        made = on_device(scene, fans, form not in (VERTICES, VERTICES_NORMALS))
+        made = on_device(scene.state, fans, form not in (VERTICES, VERTICES_NORMALS))
         return lambda: closest_by_fans(scene, made, rays, form)[0]
 
     runs = {test: by_test(test) for test in TESTS}
@@ -154,8 +154,10 @@ def compare_files(folder: Path, scenes: Sequence[str] = ("teapot", "stadium"), *
     for name in scenes:
         mesh = SCENES[name]()
         scene = FanScene(mesh, device="cpu")
-        save_fans(folder / "fans.npz", scene.fans, np.unique(scene.device_mesh.vertices.numpy(), axis=0))
-        np.savez(folder / "triangles.npz", vertices=scene.device_mesh.vertices.numpy()[scene.device_mesh.faces.numpy()])
+        save_fans(folder / "fans.npz", scene.fans, np.unique(scene.state.device_mesh.vertices.numpy(), axis=0))
+        np.savez(
+            folder / "triangles.npz", vertices=scene.state.device_mesh.vertices.numpy()[scene.state.device_mesh.faces.numpy()]
+        )
         timings = timed({"fan": lambda: load_fans(folder / "fans.npz"), "triangle": lambda: load_triangles(folder)}, rounds)
         row = {"scene": name, "triangles": mesh.triangle_count, "fans": len(scene.fans)}
         for kind, timing in timings.items():
