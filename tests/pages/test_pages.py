@@ -210,7 +210,7 @@ def check_known_rays(names):
 
 
 def check_auto(names):
-    expected = "stream" if names["scene"].width == 16 else "interleaved"  # for incoherent rays
+    expected = "stream" if names["scene"].state.width == 16 else "interleaved"  # for incoherent rays
     assert (names["plan"].traversal, names["hits"].plan.traversal) == (expected, "stream")
     assert names["same"].plan.culling == "interval"
 
@@ -230,6 +230,12 @@ def check_live_view(names):
         assert names["viewer"].url.startswith("http://127.0.0.1:")
 
 
+def check_cameras(names: dict) -> None:
+    assert names["hits"].is_hit.any()
+    assert (names["images"].instance_id >= 0).any()
+    assert 36.0 < names["camera"].fov < 39.0  # 50 degrees are along the longer side
+
+
 CHECKS = {
     "start.md": check_start,
     "guides/queries.md": check_queries,
@@ -247,6 +253,7 @@ CHECKS = {
     "guides/gradients.md": check_gradients,
     "guides/exact.md": check_exact,
     "guides/known_rays.md": check_known_rays,
+    "guides/cameras.md": check_cameras,
     "guides/rendering.md": check_rendering,
     "guides/live_view.md": check_live_view,
     "guides/gpu.md": lambda names: np.testing.assert_array_equal(names["found"].t.numpy(), names["hits"].t.ravel()),

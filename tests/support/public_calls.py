@@ -9,7 +9,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -428,10 +428,21 @@ def found_areas(lines: tuple[np.ndarray, np.ndarray], options: dict[str, Any]) -
         return repr(wrt.known_rays.InfluenceAreas.from_rays(*lines, **options))
 
 
+def ambient(**options: Any) -> wrt.pictures.AmbientRendering:
+    return wrt.pictures.AmbientRendering(scene(), pinhole(), **options)
+
+
 def picture_calls() -> Iterator[Call]:
     yield Call("PinholeCamera", wrt.PinholeCamera, {"width": 4, "height": 3, "fov": 32.0, **POSE})
     yield Call("OrthographicCamera", wrt.OrthographicCamera, {"width": 4, "height": 3, "view_height": 2.0, **POSE})
     options = {"width": 4, "height": 3, "fov": 32.0, "margin": 0.25, "towards": (0.0, 1.0, 0.0), "up": (0.0, 0.0, 1.0)}
+    for kind in ("from_opencv", "from_opengl"):
+        at_pose = partial(getattr(wrt.PinholeCamera, kind), pose=np.eye(4))
+        yield Call(f"_Camera.{kind}", at_pose, {"width": 4, "height": 3})
+    blender = partial(wrt.PinholeCamera.from_blender, matrix_world=np.eye(4))
+    yield Call("PinholeCamera.from_blender", blender, {"width": 4, "height": 3, "angle": 0.5})
+    blender = partial(wrt.OrthographicCamera.from_blender, matrix_world=np.eye(4))
+    yield Call("OrthographicCamera.from_blender", blender, {"width": 4, "height": 3, "ortho_scale": 2.0})
     yield Call("PinholeCamera.framing", lambda **o: wrt.PinholeCamera.framing(mesh(), **o), options)
     yield Call("_Camera.rays", lambda **o: pinhole().rays(**o), {"sample": 1, "samples": 2, "seed": 1})
     light = {"position": (0.0, 0.0, 9.0), "intensity": (2.0, 2.0, 2.0)}
@@ -462,6 +473,9 @@ def picture_calls() -> Iterator[Call]:
     options = {"samples": 1, "ambient_samples": 1, "ambient_distance": 4.0, "crease_angle": 32.0, "seed": 1, "tile_pixels": 12}
     options |= {"light": (0.0, 0.0, 9.0), "shadows": True, "smooth": True, "albedo": 0.5, "ambient_color": 0.5}
     yield Call("render", lambda **o: wrt.render(scene(), pinhole(), **o), options)
+    options = options | {"ambient_radius": 1}
+    yield Call("AmbientRendering", lambda **o: ambient(**o).advance().image(), options)
+    yield Call("AmbientRendering.advance", lambda **o: ambient().advance(**o).done, {"samples": 1})
     options = {"position": (0.0, 1.0, 9.0), "resolution": 4, "cull_backfaces": False, "max_bytes": 1 << 20}
     yield Call("LightBuffer", lambda **o: wrt.lights.LightBuffer(scene(), **o).bytes, options)
     flat = {"corner": (0.0, 0.0, 9.0), "edge_u": (1.0, 0.0, 0.0), "edge_v": (0.0, 1.0, 0.0)}
@@ -548,7 +562,7 @@ def built_in(made: wrt.TriangleMesh) -> tuple[np.ndarray, np.ndarray]:
 FOR_THE_LIBRARY = {
     "answers and reports": (
         "AreaLight CameraImages JobStatus LidarScan OctreeAnalysis Plan TreeAnalysis Verification InfluenceAreas BuiltinScene "
-        "Blocks Viewer"
+        "Blocks Viewer PartitionedHits QueryTraffic"
     ),
     "what trees and scenes ask of descriptions": (
         "Bvh.build Bvh.config Bvh.kernels KdTree.build KdTree.config KdTree.config_for KdTree.start ProjectedBvh.build "

@@ -35,8 +35,9 @@ _HOME = {
     "POINT_TYPE": "wrt.sensors.lidar_scan",
     "Trajectory": "wrt.sensors.trajectory",
     "deskew": "wrt.sensors.trajectory",
-    "look_at": "wrt.sensors.image_sensor",
-    "pose_from_extrinsics": "wrt.sensors.image_sensor",
+    "look_at": "wrt.sensors.camera_poses",
+    "pose_from_extrinsics": "wrt.sensors.camera_poses",
+    "pose_from_opengl": "wrt.sensors.camera_poses",
     "write_bag": "wrt.sensors.files.bag_files",
     "write_points": "wrt.sensors.files.point_files",
 }
