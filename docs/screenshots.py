@@ -116,8 +116,8 @@ def areas(browser: Browser) -> None:
     """The octree over two influence areas."""
     mesh, name = scenes.build("teapot", level=8, ground=False), "octree of areas"
     view = {"direction": (0.0, 0.2, -1.0), "fov": (40.0, 30.0), "near": 0.2, "far": 9.0}
-    lamps = [wrt.PointInfluenceArea(position=(x, -1.0, 7.0), **view) for x in (-4.0, 3.0)]
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=lamps, top_level="octree", depth=4))
+    lamps = [wrt.known_rays.PointInfluenceArea(position=(x, -1.0, 7.0), **view) for x in (-4.0, 3.0)]
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=lamps, top_level="octree", depth=4))
     view = {"fov": 40.0, "position": (7.0, -26.0, 8.0), "look_at": (5.0, 0.0, 2.0), "up": (0.0, 0.0, 1.0)}
     shot = Shot(browser, scene, view, samples=2)
     shot.open("Picture", "Tree")

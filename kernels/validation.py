@@ -27,6 +27,7 @@ __all__ = [
     "as_float",
     "as_int",
     "as_numbers",
+    "as_point",
     "as_real_array",
     "convert_fields",
     "host_array",
@@ -119,6 +120,26 @@ def as_numbers(name: str, values: Any, shape: tuple[int | None, ...] | None = No
     if finite and not np.isfinite(array).all():
         raise ValueError(f"{name} holds NaN or infinite numbers; all must be finite")
     return array
+
+
+def as_point(name: str, value: Any) -> np.ndarray:
+    """A point or a direction, (3,) float64.
+
+    Args:
+        name: of the argument.
+        value: what was passed.
+
+    Raises:
+        TypeError: not numbers.
+        ValueError: another shape, NaN or infinite.
+    """
+    point = as_numbers(name, value, finite=False)
+    if point.shape != (3,):
+        raise ValueError(f"{name} must be three numbers x, y, z, not an array of shape {point.shape}")
+    if not np.isfinite(point).all():
+        text = ", ".join(f"{x:g}" for x in point)
+        raise ValueError(f"{name} is ({text}); its three numbers must be finite")
+    return point
 
 
 def as_real_array(name: str, values: Any) -> np.ndarray:

@@ -74,7 +74,7 @@ def trees(triangles: int) -> dict[str, wrt.KdTree | wrt.Bvh]:
 
 def traversals(scene: wrt.Scene, query: str) -> list[str]:
     """Those that answer a query on the scene's tree."""
-    kind, lazy = scene.accelerator.kind, scene.lazy_tree is not None
+    kind, lazy = scene.accelerator.kind, scene.state.lazy_tree is not None
     able = {n: way for n, way in TRAVERSALS.items() if kind in way.trees and way.supports(query, kind)}
     return [n for n, way in able.items() if not (lazy and way.wide) and not way.needs_shared_origin]
 

@@ -58,7 +58,7 @@ class Tally:
         return float(np.mean(sizes[-part:]) / np.mean(sizes[part : 2 * part] or sizes[:1]) - 1.0)
 
 
-def settle(viewer: wrt.Viewer) -> dict[str, int]:
+def settle(viewer: wrt.pictures.Viewer) -> dict[str, int]:
     """Waits until nothing of browsers is there; what still is after `SETTLED` seconds."""
     end = time.monotonic() + SETTLED
     while (left := left_over(viewer)) and time.monotonic() < end:

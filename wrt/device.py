@@ -1,4 +1,4 @@
-"""Ray queries inside your own Warp kernels, on the CPU and on CUDA.
+"""For programs in Warp: ray queries inside your own kernels, on the CPU and on CUDA, and hits with gradients.
 
     import warp as wp
     import wrt
@@ -34,6 +34,9 @@ calls them must be made by `kernel`, or by `wp.kernel` with the same options: wi
 not have, and without fused multiply-add, which would change hits and let rays slip between triangles. Other kernels are
 refused. A kernel is compiled once for each kind, width and depth (in steps of eight levels) of tree that it is launched
 with. Results are the same on every device.
+
+Two more functions for programs in Warp: `differentiable_hits` gives hits with gradients for a `wp.Tape`, and `show_compiling`
+shows the progress of compiling.
 """
 
 from __future__ import annotations
@@ -65,12 +68,18 @@ from wrt.kernels.query.device_functions import (
 )
 from wrt.kernels.runtime import launch as launching
 from wrt.kernels.validation import as_int
+from wrt.lazy_names import lazy_names
 from wrt.meshes.instance import EVERY, MAX_MASK, check_environment, check_mask
 from wrt.planning.plan import Plan, stack_levels
 from wrt.tapes import takes_gradients, tape_records
 
 if TYPE_CHECKING:
     from wrt.state.scene_state import SceneState
+
+_HOME = {
+    "differentiable_hits": "wrt.query.gradients",
+    "show_compiling": "wrt.kernels.compilation.compile_progress",
+}
 
 __all__ = [
     "Hit",
@@ -87,7 +96,10 @@ __all__ = [
     "position",
     "seeing",
     "spawn",
+    *_HOME,
 ]
+
+__getattr__, __dir__ = lazy_names(__name__, _HOME)
 
 SceneHandle = Any
 """Type of a kernel parameter that takes a scene's handle. (Scenes with different kinds of tree have different handle types.)"""
@@ -146,7 +158,7 @@ def launch(
             raise ValueError(
                 f"kernel {kernel.key!r} is compiled without gradients, and inside a wp.Tape some of its arrays require them; "
                 "launch it before the tape, or pass wp.clone(array, requires_grad=False); to differentiate hits, call "
-                "wrt.differentiable_hits inside the tape"
+                "wrt.device.differentiable_hits inside the tape"
             )
     check_devices(kernel, inputs, target)
     if kernel.is_generic:

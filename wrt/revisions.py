@@ -9,10 +9,11 @@ from __future__ import annotations
 
 TREE_REVISION = {"bvh": 1, "kdtree": 1}
 """For each family of builders: raised when a builder makes another tree of the same triangles and description. Stored trees
-of another revision (`wrt.Scene.save`, `cache=`, pickles, `wrt.PartitionedScene`) are built again."""
+of another revision (`wrt.Scene.save`, `cache=`, pickles, `wrt.disk.PartitionedScene`) are built again."""
 
 ANSWER_REVISION = 1
 """Raised when a query gives other hits. Jobs (`wrt.cluster.Job`) and saved samples of another revision are refused."""
 
 SAMPLE_REVISION = 1
-"""Raised when an integrator makes other samples. Saved ones (`wrt.Rendering.save_samples`) of another revision are refused."""
+"""Raised when an integrator makes other samples. Saved ones (`wrt.pictures.Rendering.save_samples`) of another revision are
+refused."""

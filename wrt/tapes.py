@@ -36,5 +36,5 @@ def refuse_tape(query: str, arrays: Iterable[Any]) -> None:
     if tape_records() and any(isinstance(values, wp.array) and values.requires_grad for values in arrays):
         raise ValueError(
             f"{query} has no gradients, and inside a wp.Tape these rays require them; call it before the tape, or with "
-            "wp.clone(array, requires_grad=False), and pass its hits to wrt.differentiable_hits inside the tape"
+            "wp.clone(array, requires_grad=False), and pass its hits to wrt.device.differentiable_hits inside the tape"
         )

@@ -221,7 +221,7 @@ def build_octree(
             if held > MAX_BYTES:
                 raise ValueError(
                     f"the {cuts.name} over {count} influence areas takes more than {MAX_BYTES >> 20} MB at level {level + 1} "
-                    f"of {depth}; pass depth={level // cuts.steps} to wrt.RayAwareBvh, or top_level='array'"
+                    f"of {depth}; pass depth={level // cuts.steps} to wrt.known_rays.RayAwareBvh, or top_level='array'"
                 )
         cells = Cells.joined(parts)
     return np.concatenate(levels), lists.lists

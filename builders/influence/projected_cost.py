@@ -117,11 +117,15 @@ def check_areas(areas: Sequence[InfluenceArea]) -> tuple[InfluenceArea, ...]:
         return (areas,)
     areas = tuple(areas)
     if not areas:
-        raise ValueError("areas is empty; pass at least one wrt.PlaneInfluenceArea or wrt.PointInfluenceArea")
+        raise ValueError(
+            "areas is empty; pass at least one wrt.known_rays.PlaneInfluenceArea or wrt.known_rays.PointInfluenceArea"
+        )
     for area in areas:
         if not isinstance(area, PlaneInfluenceArea | PointInfluenceArea):
             kind = type(area).__name__
-            raise TypeError(f"areas must hold wrt.PlaneInfluenceArea and wrt.PointInfluenceArea, not {kind}")
+            raise TypeError(
+                f"areas must hold wrt.known_rays.PlaneInfluenceArea and wrt.known_rays.PointInfluenceArea, not {kind}"
+            )
     return areas
 
 

@@ -91,7 +91,7 @@ class Traversal:
             a tree; else for what parts can answer (`AnswerKind.merge`).
         two_level_on_cuda: whether it does so on CUDA too.
         node_orders: whether it can walk the nodes of a kd-tree in another order (`wrt.KdTree(layout=...)`).
-        own_spaces: whether it supports scenes whose trees have their own coordinate spaces (`wrt.FuzzyScene`).
+        own_spaces: whether it supports scenes whose trees have their own coordinate spaces (`wrt.moving.FuzzyScene`).
         shared_leaves: whether `shared_leaves` of the config applies: it reports crossings once where a triangle is in several
             leaves of a BVH.
         long_items: whether an item may be several times as many rays (`RayBatch.run`).

@@ -16,7 +16,7 @@ from .digests import digest
 from .hit_bits import SCENE_NAMES
 
 
-def builds(mesh: wrt.TriangleMesh) -> Iterator[tuple[str, wrt.KdTree | wrt.Bvh | wrt.ProjectedBvh]]:
+def builds(mesh: wrt.TriangleMesh) -> Iterator[tuple[str, wrt.KdTree | wrt.Bvh | wrt.known_rays.ProjectedBvh]]:
     """A name and a description for every builder, with and without what it can do beside."""
     for name, builder in KDTREE_BUILDERS.items():
         yield f"kdtree {name}", wrt.KdTree(builder=name)
@@ -29,9 +29,11 @@ def builds(mesh: wrt.TriangleMesh) -> Iterator[tuple[str, wrt.KdTree | wrt.Bvh |
     yield "bvh binned reinsertion", wrt.Bvh(reinsertion=2)
     yield "bvh binned subset", wrt.Bvh(subset=0.25)
     low, high = mesh.bounds
-    area = wrt.PointInfluenceArea(position=2.0 * high - low, direction=low - high, fov=(40.0, 30.0), near=0.1, far=math.inf)
+    area = wrt.known_rays.PointInfluenceArea(
+        position=2.0 * high - low, direction=low - high, fov=(40.0, 30.0), near=0.1, far=math.inf
+    )
     for name, options in {"pah": {}, "facing": {"axes": "facing"}, "spatial": {"spatial_splits": 0.5}}.items():
-        yield f"bvh projected {name}", wrt.ProjectedBvh(areas=(area,), **options)
+        yield f"bvh projected {name}", wrt.known_rays.ProjectedBvh(areas=(area,), **options)
 
 
 def tree_hash(tree: trees.KdTree | trees.Bvh) -> str:
@@ -51,5 +53,5 @@ def tree_hashes(
                 continue
             for count in threads:
                 scene = wrt.Scene(mesh, description, device="cpu", num_threads=count)
-                scene.complete()
+                scene.state.complete()
                 yield f"{scene_name} {name}", f"{count} threads", tree_hash(scene.tree)

@@ -93,7 +93,7 @@ def test_hits(name):
     for _ in range(2):
         rays = rays_at(scene.meshes, 300, seed=1)
         if name not in ("one mesh", "in one place"):
-            assert scene.lazy_tree.current.unbuilt > 1
+            assert scene.state.lazy_tree.current.unbuilt > 1
         brute = scene.intersect(*rays, traversal="brute")
         np.testing.assert_array_equal(scene.occluded(*rays, traversal="single"), brute.is_hit)
         assert_brute(scene, *rays)
@@ -119,8 +119,8 @@ def test_the_whole_tree(name):
     trees = []
     for threads in (1, 3):
         scene = lazy_scene(GEOMETRIES[name], GROUPS, num_threads=threads)
-        scene.complete()
-        assert scene.lazy_tree.current.unbuilt == 0
+        scene.state.complete()
+        assert scene.state.lazy_tree.current.unbuilt == 0
         trees.append(scene.tree)
     for field in ("nodes", "primitive"):
         np.testing.assert_array_equal(*(getattr(tree, field).numpy() for tree in trees))
@@ -132,7 +132,7 @@ def test_only_groups_that_rays_reach_are_opened():
     """A row of blocks, and a ray at one part of the last: blocks in between stay closed, and no triangle of theirs is read."""
     geometry = [block(np.array([0.0, 40.0 * number, 0.0]), 100 * number) for number in range(6)]
     scene = lazy_scene(geometry, GROUPS)
-    tree = scene.lazy_tree
+    tree = scene.state.lazy_tree
     assert tree.opened == {tree.groups.root}
     assert tree.sorted_triangles == 0
     target = scene.meshes[-1]
@@ -188,14 +188,14 @@ def test_a_cell_between_the_members_of_a_group(monkeypatch):
     monkeypatch.setattr(lazy_kdtree, "OPENED", 3)
     first, second, third, fourth = (part(np.array([12.0 * number, 0, 0]), number, 200) for number in range(4))
     scene = lazy_scene([[first, fourth], second, third], GROUPS)
-    tree = scene.lazy_tree
+    tree = scene.state.lazy_tree
     assert tree.opened == {tree.groups.root}
     assert not scene.intersect([18.0, -5, 0.5], [0, 1.0, 0], traversal="single").is_hit  # builds that cell alone
     assert (tree.cells["clusters"][1:] == 0).any()
     origins = np.array([[18.0, -5, 0.5], [12.5, -5, 0.5], [36.5, -5, 0.5], [18.0, -5, 0.3]])
     hits, brute = (scene.intersect(origins, [[0, 1.0, 0]], traversal=name) for name in ("single", "brute"))
     np.testing.assert_array_equal(hits.t, brute.t)
-    scene.complete()
+    scene.state.complete()
     assert tree.current.unbuilt == 0
 
 
@@ -204,7 +204,7 @@ def test_pickle():
     scene = lazy_scene(GEOMETRIES["three levels"], GROUPS)
     copy = pickle.loads(pickle.dumps(scene))
     assert copy.state.hierarchy == scene.state.hierarchy == hierarchy_of(GEOMETRIES["three levels"])
-    assert len(copy.lazy_tree.groups.members) == len(scene.lazy_tree.groups.members) == 1 + 5 + 15
+    assert len(copy.lazy_tree.groups.members) == len(scene.state.lazy_tree.groups.members) == 1 + 5 + 15
     assert lazy_scene(GEOMETRIES["three levels"], MESHES).state.hierarchy is None
 
 
@@ -225,7 +225,7 @@ def graph_of_three_levels() -> trimesh.Scene:
 def test_graphs():
     """The meshes of a trimesh.Scene as its graph nests them, at their places; both scenes of it hit the same."""
     graph = graph_of_three_levels()
-    (nested,) = [wrt.nested_meshes(graph)]
+    (nested,) = [wrt.moving.nested_meshes(graph)]
     ((house_mesh, roof, (bush, tree)),) = nested
     np.testing.assert_allclose(house_mesh.bounds, [[9.5, 1.5, -0.5], [10.5, 2.5, 0.5]])
     np.testing.assert_allclose(roof.bounds, [[9.5, 1.5, 1.5], [10.5, 2.5, 2.5]])
@@ -243,6 +243,6 @@ def test_graphs():
 
 def test_what_is_no_graph():
     with pytest.raises(TypeError, match=r"scene must be a trimesh.Scene, not TriangleMesh; pass meshes to wrt.Scene"):
-        wrt.nested_meshes(APART[0])
+        wrt.moving.nested_meshes(APART[0])
     with pytest.raises(ValueError, match=r"no triangles in the trimesh.Scene"):
-        wrt.nested_meshes(trimesh.Scene())
+        wrt.moving.nested_meshes(trimesh.Scene())

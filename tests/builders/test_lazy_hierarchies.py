@@ -66,7 +66,7 @@ def test_hits(hierarchy, apart):
     rays = random_rays(wrt.TriangleMesh.concatenate(meshes), 300, seed=1)
     scene = lazy_scene(meshes, hierarchy)
     for frame in range(3):
-        assert scene.lazy_tree.current.unbuilt > 1
+        assert scene.state.lazy_tree.current.unbuilt > 1
         assert_brute(scene, *rays)
         scene.update(5, vertices=scene.meshes[5].vertices + 0.1 * (frame + 1))
 
@@ -91,7 +91,7 @@ def test_meshes_are_not_sorted(sorts):
     meshes = several(8, 60.0)
     scene = lazy_scene(meshes, MESHES)
     assert sorts == []
-    tree = scene.lazy_tree
+    tree = scene.state.lazy_tree
     assert tree.current.unbuilt == len(meshes)
     last = meshes[-1]
     corner = last.vertices[last.faces[0]].mean(axis=0)
@@ -115,7 +115,7 @@ def test_meshes_that_overlap_are_sorted(sorts):
 def test_boxes_of_meshes_contain_their_triangles():
     """Rounded like vertices: far from the origin, where float32 is coarse, no triangle is outside the box of its mesh."""
     far = [wrt.TriangleMesh(m.vertices.astype(np.float64) + 1e6 / 3, m.faces) for m in several(4, 3.0)]
-    tree = lazy_scene(far, MESHES).lazy_tree
+    tree = lazy_scene(far, MESHES).state.lazy_tree
     clusters, boxes = tree.presort, tree.triangles.boxes
     assert clusters.are_meshes
     for number, (begin, end) in enumerate(zip(clusters.first, clusters.first[1:], strict=False)):
@@ -130,9 +130,9 @@ def test_the_previous_frame_is_not_sorted(sorts):
     scene, rng = lazy_scene(mesh, PREVIOUS), np.random.default_rng(2)
     assert sorts == [mesh.triangle_count]
     for _ in range(3):
-        order = scene.lazy_tree.presort.order
+        order = scene.state.lazy_tree.presort.order
         scene.update(0, vertices=scene.meshes[0].vertices + rng.normal(size=mesh.vertices.shape) * 1e-4)
-        assert scene.lazy_tree.presort.order is order
+        assert scene.state.lazy_tree.presort.order is order
         assert sorts == [mesh.triangle_count]
     assert_brute(scene, *random_rays(mesh, 200, seed=6))
     sorts.clear()
@@ -144,7 +144,7 @@ def test_the_previous_frame_is_not_sorted(sorts):
 def test_clusters_at_rest_have_the_boxes_of_the_sort():
     """Nothing moves: the same boxes; cores lie within the cells of the grid, so they do not overlap."""
     mesh = scenes.build("random_triangles", count=3000, size=0.05, seed=4)
-    tree = lazy_scene(mesh, PREVIOUS).lazy_tree
+    tree = lazy_scene(mesh, PREVIOUS).state.lazy_tree
     old = tree.presort
     new = given_clusters.moved_clusters(old, tree.triangles)
     for name in ("low", "high"):

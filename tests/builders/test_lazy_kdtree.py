@@ -76,7 +76,7 @@ def test_only_what_is_asked_for_is_built(small_cells):
     """A view of a corner: packets, tiles and a part of the rays that goes ahead; the rest of the scene keeps waiting."""
     mesh = scenes.build("random_triangles", count=5000, size=0.05, seed=4)
     scene, whole = lazy_scene(mesh), wrt.Scene(mesh, wrt.KdTree(builder="binned"), device="cpu")
-    before = scene.lazy_tree.current
+    before = scene.state.lazy_tree.current
     assert before.unbuilt > 20
     assert len(before.tree.primitive) == 0
     rays = a_side(mesh)
@@ -85,10 +85,10 @@ def test_only_what_is_asked_for_is_built(small_cells):
     assert 0.02 < expected.is_hit.mean() < 0.98
     for name in ("t", "primitive_id", "uv"):
         np.testing.assert_array_equal(getattr(hits, name), getattr(expected, name))
-    after = scene.lazy_tree.current
+    after = scene.state.lazy_tree.current
     assert 0 < len(after.tree.primitive) < 0.4 * len(whole.tree.primitive)
     again = scene.intersect(*rays)
-    assert scene.lazy_tree.current is after
+    assert scene.state.lazy_tree.current is after
     np.testing.assert_array_equal(again.t, expected.t)
     counted = scene.intersect(*rays, traversal="single", counters=True)
     np.testing.assert_array_equal(counted.t, expected.t)
@@ -102,10 +102,10 @@ def test_rays_that_miss_ask_for_nothing(small_cells):
     scene = lazy_scene(mesh)
     origins = np.array([[0, 0, np.nan], [0, 0, np.inf], [0, 0, 0], [100, 100, 100]])
     directions = np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0], [1, 0, 0.0]])
-    unbuilt = scene.lazy_tree.current.unbuilt
+    unbuilt = scene.state.lazy_tree.current.unbuilt
     assert not scene.intersect(origins, directions).is_hit.any()
     assert not scene.occluded(origins, directions).any()
-    assert scene.lazy_tree.current.unbuilt == unbuilt > 0
+    assert scene.state.lazy_tree.current.unbuilt == unbuilt > 0
 
 
 @pytest.mark.parametrize("large", [60, 1000])
@@ -143,17 +143,17 @@ def test_threads_may_ask_at_a_time(small_cells):
     for thread in threads:
         thread.join()
     np.testing.assert_array_equal(found, expected)
-    assert scene.lazy_tree.current.unbuilt > 0
-    ids = scene.lazy_tree.current.tree.primitive.numpy()
+    assert scene.state.lazy_tree.current.unbuilt > 0
+    ids = scene.state.lazy_tree.current.tree.primitive.numpy()
     assert 0 < np.unique(ids[ids >= 0]).size < mesh.triangle_count
 
 
 def test_kernels_of_others_get_the_whole_tree(small_cells):
     """What walks a tree without asking for more gets all of it."""
     scene = lazy_scene(SCENES["teapot"]())
-    assert scene.lazy_tree.current.unbuilt > 0
+    assert scene.state.lazy_tree.current.unbuilt > 0
     scene.handle()
-    assert scene.lazy_tree.current.unbuilt == 0
+    assert scene.state.lazy_tree.current.unbuilt == 0
     ids = scene.tree.primitive.numpy()
     assert np.unique(ids[ids >= 0]).size == scene.triangle_count
 

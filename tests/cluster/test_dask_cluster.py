@@ -106,9 +106,9 @@ def test_same_bits(scene, rays, executor):
     shaded = scene.occluded_blocks(rays[0][:50, None], rays[1][:60], memory=MEMORY, reduce="sum", axis=1, executor=executor)
     np.testing.assert_array_equal(shaded.result(), scene.occluded(rays[0][:50, None], rays[1][:60]).sum(axis=1))
     t = scene.intersect_blocks(
-        wrt.GeneratedRays(by_number, COUNT), t_max=9.0, memory=MEMORY, executor=executor, reduce={"t": "sum"}
+        wrt.batches.GeneratedRays(by_number, COUNT), t_max=9.0, memory=MEMORY, executor=executor, reduce={"t": "sum"}
     )
-    here = scene.intersect_blocks(wrt.GeneratedRays(by_number, COUNT), t_max=9.0, reduce={"t": "sum"})
+    here = scene.intersect_blocks(wrt.batches.GeneratedRays(by_number, COUNT), t_max=9.0, reduce={"t": "sum"})
     assert t.result() == here.result()
 
 
@@ -133,7 +133,7 @@ def test_the_scene_is_sent_where_no_folder_is_shared(scene, rays, client, execut
 
 
 def test_a_worker_that_is_killed(scene, client, executor, tmp_path):
-    generated = wrt.GeneratedRays(Once(tmp_path / "mark", die), COUNT)
+    generated = wrt.batches.GeneratedRays(Once(tmp_path / "mark", die), COUNT)
     found = scene.count_blocks(generated, memory=MEMORY, executor=executor).result()
     np.testing.assert_array_equal(found, scene.count(*by_number(0, COUNT)))
     assert not (tmp_path / "mark").exists()
@@ -142,7 +142,7 @@ def test_a_worker_that_is_killed(scene, client, executor, tmp_path):
 
 def test_a_worker_that_is_out_of_memory(scene, client, executor, tmp_path):
     """Its nanny ends it; the block goes to another one."""
-    generated = wrt.GeneratedRays(Once(tmp_path / "mark", fill_memory), COUNT)
+    generated = wrt.batches.GeneratedRays(Once(tmp_path / "mark", fill_memory), COUNT)
     found = scene.count_blocks(generated, memory=MEMORY, executor=executor).result()
     np.testing.assert_array_equal(found, scene.count(*by_number(0, COUNT)))
     assert not (tmp_path / "mark").exists()
@@ -159,7 +159,7 @@ def test_a_block_that_kills_every_worker(scene, client, executor, tmp_path):
 
     workers = wrt.cluster.Workers(executor, retries=0)
     with pytest.raises(RuntimeError, match="lower `memory`"):
-        scene.count_blocks(wrt.GeneratedRays(deadly, COUNT), memory=MEMORY, executor=workers).result()
+        scene.count_blocks(wrt.batches.GeneratedRays(deadly, COUNT), memory=MEMORY, executor=workers).result()
     wait_for_workers(client)
 
 
@@ -182,7 +182,7 @@ from distributed import Client
 from test_dask_cluster import COUNT, MEMORY, Slow
 scene = wrt.Scene.load({scene!r}, device="cpu")
 with Client({address!r}) as client:
-    blocks = scene.occluded_blocks(wrt.GeneratedRays(Slow(), COUNT), memory=MEMORY, executor=client.get_executor())
+    blocks = scene.occluded_blocks(wrt.batches.GeneratedRays(Slow(), COUNT), memory=MEMORY, executor=client.get_executor())
     wrt.cluster.Job({folder!r}, blocks).run()
 """
 
@@ -201,7 +201,7 @@ def test_a_client_that_is_killed_and_another_one(scene, client, executor, tmp_pa
             assert monotonic() < end
             sleep(0.01)
         job = wrt.cluster.Job(
-            folder.path, scene.occluded_blocks(wrt.GeneratedRays(Slow(), COUNT), memory=MEMORY, executor=executor)
+            folder.path, scene.occluded_blocks(wrt.batches.GeneratedRays(Slow(), COUNT), memory=MEMORY, executor=executor)
         )
         with pytest.raises(RuntimeError, match=f"being run by process {other.pid} on"):
             job.run()

@@ -128,7 +128,7 @@ def by_number(first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def test_generated_rays(scene, executor):
     expected = scene.count(*by_number(0, COUNT))
-    generated = wrt.GeneratedRays(by_number, COUNT)
+    generated = wrt.batches.GeneratedRays(by_number, COUNT)
     for who in (None, executor):
         found = scene.count_blocks(generated, memory=MEMORY, executor=who)
         assert found.shape == (COUNT,)
@@ -140,16 +140,16 @@ def test_generated_rays(scene, executor):
 
 def test_generated_rays_are_checked(scene):
     with pytest.raises(ValueError, match=r"function\(0, 5\) returned rays of shape \(3000,\)"):
-        scene.count_blocks(wrt.GeneratedRays(lambda first, count: by_number(0, COUNT), 5)).result()
+        scene.count_blocks(wrt.batches.GeneratedRays(lambda first, count: by_number(0, COUNT), 5)).result()
     with pytest.raises(TypeError, match=r"function\(0, 5\) must be"):
-        scene.count_blocks(wrt.GeneratedRays(lambda first, count: 3, 5)).result()
+        scene.count_blocks(wrt.batches.GeneratedRays(lambda first, count: 3, 5)).result()
     with pytest.raises(TypeError, match="function"):
-        wrt.GeneratedRays("rays", 5)
+        wrt.batches.GeneratedRays("rays", 5)
     for shape in (-1, (), (3, -1)):
         with pytest.raises(ValueError, match="shape"):
-            wrt.GeneratedRays(by_number, shape)
+            wrt.batches.GeneratedRays(by_number, shape)
     with pytest.raises(TypeError, match="not both"):
-        scene.count_blocks(wrt.GeneratedRays(by_number, 5), np.ones((5, 3)))
+        scene.count_blocks(wrt.batches.GeneratedRays(by_number, 5), np.ones((5, 3)))
 
 
 def test_iterators_and_memory(scene, rays, executor):
@@ -229,10 +229,10 @@ def marks(folder: Path, number: int) -> list[str]:
 def test_a_worker_that_is_killed(scene, tmp_path):
     """Its blocks are computed by others, which the pool starts; a block that kills each worker ends the batch."""
     with wrt.cluster.ProcessPool(2, threads=1) as pool:
-        dying = wrt.GeneratedRays(DiesOnce(marks(tmp_path, 1)), COUNT)
+        dying = wrt.batches.GeneratedRays(DiesOnce(marks(tmp_path, 1)), COUNT)
         found = scene.count_blocks(dying, memory=MEMORY, executor=pool).result()
         np.testing.assert_array_equal(found, scene.count(*by_number(0, COUNT)))
-        again = wrt.GeneratedRays(DiesOnce(marks(tmp_path, 3)), COUNT)
+        again = wrt.batches.GeneratedRays(DiesOnce(marks(tmp_path, 3)), COUNT)
         workers = wrt.cluster.Workers(pool, retries=1)
         with pytest.raises(RuntimeError, match="died"):
             scene.count_blocks(again, memory=MEMORY, executor=workers).result()
@@ -240,7 +240,7 @@ def test_a_worker_that_is_killed(scene, tmp_path):
 
 def test_a_pool_that_does_not_replace_processes(scene, tmp_path):
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        dying = wrt.GeneratedRays(DiesOnce(marks(tmp_path, 1)), COUNT)
+        dying = wrt.batches.GeneratedRays(DiesOnce(marks(tmp_path, 1)), COUNT)
         with pytest.raises(RuntimeError, match="ProcessPool"):
             scene.count_blocks(dying, memory="10 MB", executor=pool).result()
 

@@ -61,7 +61,7 @@ def test_a_scene_that_is_updated_meanwhile(scene, rays, tmp_path, threads):
 
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         options = {"memory": MEMORY, "executor": pool if threads else None}
-        job = wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(wrt.GeneratedRays(updating, COUNT), **options))
+        job = wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(wrt.batches.GeneratedRays(updating, COUNT), **options))
         with pytest.raises(ValueError, match="the scene has changed since the job"):
             job.run()
     scene.update(0, vertices=before)
@@ -149,7 +149,7 @@ def test_generated_rays_that_changed(scene, rays, tmp_path):
             table[1::2] += 1.0
         return table[first : first + count], rays[1][first : first + count]
 
-    blocks = scene.occluded_blocks(wrt.GeneratedRays(lines, COUNT), memory=MEMORY)
+    blocks = scene.occluded_blocks(wrt.batches.GeneratedRays(lines, COUNT), memory=MEMORY)
     job = wrt.cluster.Job(tmp_path / "job", blocks).run(most=3)
     table[1777] += 1.0
     with pytest.raises(ValueError, match="the rays have changed since the job"):
@@ -178,7 +178,7 @@ def test_large_batches_are_compared_in_pieces(scene, rays, tmp_path, monkeypatch
         def lines(first: int, count: int, table=table):
             return table[first : first + count], rays[1][first : first + count]
 
-        given = (table, rays[1]) if name == "arrays" else (wrt.GeneratedRays(lines, COUNT),)
+        given = (table, rays[1]) if name == "arrays" else (wrt.batches.GeneratedRays(lines, COUNT),)
         job = wrt.cluster.Job(tmp_path / name, scene.occluded_blocks(*given, memory=MEMORY))
         for row in (0, COUNT - 1, slice(None)):
             table[row] += 1.0
@@ -220,11 +220,11 @@ def test_frames_are_scenes_of_their_own(rays, tmp_path):
     """Scenes of groups and of frames change by other calls than `update`."""
     mesh = wrt.scenes.build("teapot", level=2)
     frames = np.stack([mesh.vertices, mesh.vertices * np.float32(1.5)])
-    fuzzy = wrt.FuzzyScene(frames, mesh.faces, clusters=1, device="cpu")
-    groups = wrt.GroupedScene([mesh, mesh], device="cpu")
+    fuzzy = wrt.moving.FuzzyScene(frames, mesh.faces, clusters=1, device="cpu")
+    groups = wrt.moving.GroupedScene([mesh, mesh], device="cpu")
     for name, scene, change, back in (
         ("fuzzy", fuzzy, lambda: fuzzy.show(1), lambda: fuzzy.show(0)),
-        ("groups", groups, lambda: groups.move({1: frames[1]}), lambda: groups.move({1: frames[0]})),
+        ("groups", groups, lambda: groups.update({1: frames[1]}), lambda: groups.update({1: frames[0]})),
     ):
         before = scene_hash(scene)
         job = wrt.cluster.Job(tmp_path / name, scene.occluded_blocks(*rays, memory=MEMORY))
@@ -352,9 +352,9 @@ def test_the_code_that_makes_rays_is_part_of_a_job(scene, rays, tmp_path):
             return None
         return rays[0][first : first + count], rays[1][first : first + count]
 
-    wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(wrt.GeneratedRays(lines, COUNT)))
+    wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(wrt.batches.GeneratedRays(lines, COUNT)))
     with pytest.raises(ValueError, match="begun with other rays"):
-        wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(wrt.GeneratedRays(others, COUNT)))
+        wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(wrt.batches.GeneratedRays(others, COUNT)))
     assert code_of(functools.partial(lines, 0)) == code_of(lines) != code_of(others)
     assert code_of(Least(1.0).part) == code_of(Least(2.0).part) != code_of(Greatest(1.0).part)
     assert code_of(Least(1.0)) == code_of(Least(2.0)) != code_of(Greatest(1.0))
@@ -371,13 +371,17 @@ def test_answers_of_another_revision_are_refused(scene, rays, tmp_path, monkeypa
 
 def test_a_worker_with_other_things_is_refused(scene, rays, tmp_path, monkeypatch):
     """A worker may have read another file of the scene, or imported another version of the function."""
-    generated = wrt.GeneratedRays(lambda first, count: (rays[0][first : first + count], rays[1][first : first + count]), COUNT)
-    turned = wrt.GeneratedRays(lambda first, count: (rays[0][first : first + count], -rays[1][first : first + count]), COUNT)
+    generated = wrt.batches.GeneratedRays(
+        lambda first, count: (rays[0][first : first + count], rays[1][first : first + count]), COUNT
+    )
+    turned = wrt.batches.GeneratedRays(
+        lambda first, count: (rays[0][first : first + count], -rays[1][first : first + count]), COUNT
+    )
     job = wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(generated, memory=MEMORY))
     hash = ray_hashes.generated_hash(generated)
     examine = job_blocks.ExamineBlock(str(tmp_path / "job"), job.manifest, None, hash, "another process")
 
-    def run(scene: wrt.Scene, source: wrt.GeneratedRays) -> None:
+    def run(scene: wrt.Scene, source: wrt.batches.GeneratedRays) -> None:
         BlockWork(scene, job.blocks.work.query, source, {}, 1, examine=examine).run(slice(0, ROWS), {})
 
     moved = wrt.Scene(wrt.TriangleMesh(scene.meshes[0].vertices * np.float32(2), scene.meshes[0].faces), device="cpu")

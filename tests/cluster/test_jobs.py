@@ -64,7 +64,7 @@ def noted(rays, tmp_path) -> Noted:
 
 def test_a_job_is_computed_once(scene, rays, noted, tmp_path):
     """In any number of runs, and with another bound on memory, which blocks keep to that they began with."""
-    generated = wrt.GeneratedRays(noted, COUNT)
+    generated = wrt.batches.GeneratedRays(noted, COUNT)
     job = wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(generated, memory=MEMORY))
     with pytest.raises(RuntimeError, match=r"12 blocks .* call run"):
         job.result()
@@ -86,7 +86,7 @@ def test_a_job_is_computed_once(scene, rays, noted, tmp_path):
 
 def test_reductions_and_attributes(scene, rays, tmp_path):
     """States of merged reductions are kept by block; of hits, the attributes that were asked for."""
-    reduce = {"t": "sum", "uv": "max", "is_hit": "mean", "primitive_id": wrt.cluster.Histogram([-1, 0, 10_000])}
+    reduce = {"t": "sum", "uv": "max", "is_hit": "mean", "primitive_id": wrt.batches.Histogram([-1, 0, 10_000])}
     blocks = scene.intersect_blocks(*rays, t_max=9.0, memory=MEMORY, reduce=reduce)
     expected = scene.intersect_blocks(*rays, t_max=9.0, reduce=reduce).result()
     for _ in range(2):
@@ -124,7 +124,7 @@ def test_states_are_stored_without_pickles():
 
 def test_a_damaged_chunk_is_computed_again(scene, noted, tmp_path):
     """Whatever happened to it: cut short, of another job, another block, or gone."""
-    blocks = scene.occluded_blocks(wrt.GeneratedRays(noted, COUNT), memory=MEMORY)
+    blocks = scene.occluded_blocks(wrt.batches.GeneratedRays(noted, COUNT), memory=MEMORY)
     job = wrt.cluster.Job(tmp_path / "job", blocks).run()
     expected = job.result()
     other = wrt.cluster.Job(tmp_path / "other", blocks).run()
@@ -213,7 +213,7 @@ from test_jobs import Noted
 if __name__ == "__main__":
     scene = wrt.Scene.load({scene!r}, device="cpu")
     rays = np.load({rays!r})
-    generated = wrt.GeneratedRays(Noted({asked!r}, (rays[0], rays[1]), 0.1), rays.shape[1])
+    generated = wrt.batches.GeneratedRays(Noted({asked!r}, (rays[0], rays[1]), 0.1), rays.shape[1])
     with wrt.cluster.ProcessPool(2, threads=1) as pool:
         wrt.cluster.Job({folder!r}, scene.occluded_blocks(generated, memory={memory}, executor=pool)).run()
 """
@@ -256,7 +256,7 @@ def test_a_client_that_is_killed(scene, rays, tmp_path):
     (folder.path / "chunks" / "0000" / ".0000011.npz.half").write_bytes(b"half")
     noted = Noted(str(tmp_path / "asked"), rays)
     before = len(noted.asked)
-    job = wrt.cluster.Job(folder.path, scene.occluded_blocks(wrt.GeneratedRays(noted, COUNT), memory=MEMORY))
+    job = wrt.cluster.Job(folder.path, scene.occluded_blocks(wrt.batches.GeneratedRays(noted, COUNT), memory=MEMORY))
     assert job.status.done == len(done)
     np.testing.assert_array_equal(job.run().result(), scene.occluded(*rays))
     assert sorted(noted.asked[before:]) == [ROWS * number for number in range(COUNT // ROWS) if number not in done]

@@ -82,11 +82,11 @@ def test_same_bits(scene, executor):
 
 def test_a_worker_that_is_killed(scene, executor, tmp_path):
     """Its block is submitted again: the error by which Ray says so was not known."""
-    generated = wrt.GeneratedRays(DyingOnce(tmp_path / "mark"), COUNT)
+    generated = wrt.batches.GeneratedRays(DyingOnce(tmp_path / "mark"), COUNT)
     found = scene.count_blocks(generated, memory=MEMORY, executor=executor).result()
     np.testing.assert_array_equal(found, scene.count(*around(0, COUNT)))
     assert not (tmp_path / "mark").exists()
-    generated = wrt.GeneratedRays(DyingOnce(tmp_path / "mark"), COUNT)
+    generated = wrt.batches.GeneratedRays(DyingOnce(tmp_path / "mark"), COUNT)
     once = wrt.cluster.Workers(executor, retries=0)
     with pytest.raises(Exception, match="died"):
         scene.count_blocks(generated, memory=MEMORY, executor=once).result()

@@ -124,7 +124,7 @@ def test_closest_hits(scene, rays):
     """Several attributes, each reduced in its own way; vectors keep their components."""
     hits = scene.intersect(*rays)
     edges = np.linspace(0.0, 4.0, 9)
-    wanted = {"t": "min", "is_hit": "mean", "uv": "sum", "primitive_id": wrt.cluster.Histogram([-1, 0, 100, 10_000])}
+    wanted = {"t": "min", "is_hit": "mean", "uv": "sum", "primitive_id": wrt.batches.Histogram([-1, 0, 100, 10_000])}
     results = [
         scene.intersect_blocks(*rays, memory=memory, reduce=wanted, axis=axis).result()
         for axis in (1, 0)
@@ -140,7 +140,7 @@ def test_closest_hits(scene, rays):
         np.testing.assert_allclose(some[0]["uv"], hits.uv.sum(axis=axis, dtype=np.float64), rtol=1e-14)
         expected = [np.histogram(row, [-1, 0, 100, 10_000])[0] for row in np.moveaxis(hits.primitive_id, axis, -1)]
         np.testing.assert_array_equal(some[0]["primitive_id"], expected)
-    counted = scene.intersect_blocks(*rays, reduce={"t": wrt.cluster.Histogram(edges)}).result()["t"]
+    counted = scene.intersect_blocks(*rays, reduce={"t": wrt.batches.Histogram(edges)}).result()["t"]
     np.testing.assert_array_equal(counted, np.histogram(hits.t[np.isfinite(hits.t)], edges)[0])
 
 
@@ -209,7 +209,7 @@ def test_refused(scene, rays):
     with pytest.raises(ValueError, match="axis needs reduce"):
         scene.occluded_blocks(*rays, axis=1)
     with pytest.raises(ValueError, match="increasing"):
-        wrt.cluster.Histogram([1.0, 1.0])
+        wrt.batches.Histogram([1.0, 1.0])
     with pytest.raises(ValueError, match="result"):
         iter(scene.occluded_blocks(*rays, reduce="sum"))
     with pytest.raises(ValueError, match="result"):

@@ -72,14 +72,14 @@ TAKERS: dict[str, tuple[str, Callable[[wrt.Scene, Any], Any], Any]] = {
     "values": ("vertex_values", lambda scene, x: scene.intersect(ORIGINS, DIRECTIONS).interpolate(x), MESH.vertices[:, 0]),
     "blocks": ("origins", lambda scene, x: scene.occluded_blocks(x, DIRECTIONS).result(), ORIGINS),
     "spawn": ("directions", lambda scene, x: scene.intersect(ORIGINS, DIRECTIONS).spawn(x), DIRECTIONS),
-    "position": ("position", lambda scene, x: wrt.PointLight(x), ORIGINS[0]),
+    "position": ("position", lambda scene, x: wrt.lights.PointLight(x), ORIGINS[0]),
     "color": ("color", lambda scene, x: wrt.Material(color=x), np.array([0.5, 0.5, 0.5])),
     "fov": ("fov", lambda scene, x: wrt.PinholeCamera(2, 2, fov=x, position=(0, -9, 0), look_at=(0, 0, 0)), np.array(45.0)),
     "pose": ("pose", lambda scene, x: wrt.sensors.Camera(2, 2, LENS).capture(scene, x), np.eye(4)),
     "pixels": ("pixels", lambda scene, x: LENS.unproject(x), np.array([1.0, 2.0])),
     "image": ("image", lambda scene, x: wrt.Texture(x), np.ones((2, 2, 3))),
-    "rays": ("rays", lambda scene, x: wrt.RaycastingScene(device="cpu").cast_rays(x), np.ones((2, 6))),
-    "ray_origins": ("ray_origins", lambda scene, x: wrt.RayMeshIntersector(MESH).intersects_any(x, DIRECTIONS), ORIGINS),
+    "rays": ("rays", lambda scene, x: wrt.compat.RaycastingScene(device="cpu").cast_rays(x), np.ones((2, 6))),
+    "ray_origins": ("ray_origins", lambda scene, x: wrt.compat.RayMeshIntersector(MESH).intersects_any(x, DIRECTIONS), ORIGINS),
 }
 """The name of an argument that takes an array, a call with it, and an array that it takes."""
 
@@ -192,7 +192,7 @@ def test_arrays_that_mean_something_else(scene, form):
         "points": lambda: scene.contains(bad),
         "points_b": lambda: scene.visible(ORIGINS, bad),
         "vertices": lambda: wrt.TriangleMesh(bad, [[0, 1, 2]]),
-        "position": lambda: wrt.PointLight(bad),
+        "position": lambda: wrt.lights.PointLight(bad),
         "positions": lambda: wrt.sensors.Trajectory([0, 1, 2], bad),
     }
     for name, call in calls.items():

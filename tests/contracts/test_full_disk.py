@@ -66,7 +66,7 @@ def analysis(method):
     def write(path):
         rows = [{"box": number, "cost": number / 7.0} for number in range(1000)]
 
-        class Analysis(wrt.TreeAnalysis):
+        class Analysis(wrt.known_rays.TreeAnalysis):
             def __init__(self):
                 pass
 
@@ -82,7 +82,7 @@ def analysis(method):
 
 
 def octree(path):
-    class Analysis(wrt.OctreeAnalysis):
+    class Analysis(wrt.known_rays.OctreeAnalysis):
         def __init__(self):
             pass
 
@@ -103,7 +103,7 @@ def figure(path):
 
 def fans(path):
     from wrt.builders.triangle_fans import TriangleFans
-    from wrt.fans.fan_files import save_fans
+    from wrt.classics.fan_files import save_fans
 
     count = 500
     numbers = np.arange(count, dtype=np.int32)

@@ -43,7 +43,7 @@ REFUSED = {
     "Scene": lambda scene: wrt.Scene(MESH, device="cpu"),
     "instances made": lambda scene: wrt.Scene([wrt.Instance(MESH)], device="cpu"),
     "show": lambda scene: public_calls.fuzzy().show(1),
-    "LightBuffer": lambda scene: wrt.LightBuffer(scene, (0, 0, 9)),
+    "LightBuffer": lambda scene: wrt.lights.LightBuffer(scene, (0, 0, 9)),
     "rays of a camera": lambda scene: public_calls.pinhole().rays(),
     "rays of a caster": lambda scene: CircularCapCaster(**public_calls.AIM, angle=20).rays(4),
     "trajectory": lambda scene: public_calls.trajectory().at([0.5]),

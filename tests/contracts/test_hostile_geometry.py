@@ -83,7 +83,7 @@ def answers(scene: wrt.Scene) -> bytes:
         lambda: wrt.Scene(cube(), "bvh", device="cpu"),
         lambda: wrt.Scene([cube(), cube(place=2.0)], "kdtree", device="cpu"),
         lambda: wrt.Scene(cube(), wrt.KdTree(builder="lazy"), device="cpu"),
-        lambda: wrt.GroupedScene([cube(), cube(place=2.0)], device="cpu"),
+        lambda: wrt.moving.GroupedScene([cube(), cube(place=2.0)], device="cpu"),
         lambda: wrt.Scene([wrt.Instance(cube())], device="cpu"),
     ],
 )
@@ -119,7 +119,7 @@ def test_instances_beyond_float32():
 def test_frames_beyond_float32():
     frames = np.stack([np.asarray(CUBE.vertices), spoiled(1e39)])
     with pytest.raises(ValueError, match="vertex 5"):
-        wrt.FuzzyScene(frames, CUBE.faces, device="cpu")
+        wrt.moving.FuzzyScene(frames, CUBE.faces, device="cpu")
 
 
 @pytest.mark.parametrize("tree", TREES)
@@ -198,9 +198,9 @@ def test_unused_vertices_of_other_scenes(tmp_path):
     frames = np.stack([mesh.vertices, mesh.vertices + 0.25])
     wrt.Scene(mesh, device="cpu").save(tmp_path / "scene.npz")
     scenes = [
-        wrt.GroupedScene([mesh, mesh], device="cpu"),
+        wrt.moving.GroupedScene([mesh, mesh], device="cpu"),
         wrt.Scene([wrt.Instance(mesh), wrt.Instance(mesh)], device="cpu"),
-        wrt.FuzzyScene(frames, mesh.faces, clusters=2, device="cpu"),
+        wrt.moving.FuzzyScene(frames, mesh.faces, clusters=2, device="cpu"),
         wrt.Scene.load(tmp_path / "scene.npz", device="cpu"),
     ]
     for scene in scenes:

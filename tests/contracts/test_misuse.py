@@ -64,7 +64,7 @@ def test_one_copy_is_shared():
     mesh = wrt.TriangleMesh(TEAPOT.vertices, TEAPOT.faces)
     assert np.shares_memory(mesh.faces, TEAPOT.faces)
     scene = wrt.Scene(mesh, device="cpu")
-    assert np.shares_memory(scene.device_mesh.faces.numpy(), TEAPOT.faces)
+    assert np.shares_memory(scene.state.device_mesh.faces.numpy(), TEAPOT.faces)
     scene.update(0, vertices=mesh.vertices + 1)
     assert np.shares_memory(scene.meshes[0].faces, TEAPOT.faces)
 
@@ -79,7 +79,7 @@ def test_hits_of_another_scene_are_refused(scene):
     with pytest.raises(ValueError, match="hits of another scene"):
         scene.occluded(*rays(), skip=foreign)
     with pytest.raises(ValueError, match="hits belong to another scene"):
-        wrt.differentiable_hits(scene, foreign, *rays())
+        wrt.device.differentiable_hits(scene, foreign, *rays())
     twin = wrt.Scene(TEAPOT, "kdtree", device="cpu")
     scene.occluded(*rays(), skip=twin.intersect(*rays()))  # the same triangles in the same places
     own = twin.intersect(*rays())
@@ -247,7 +247,7 @@ def test_blocks_of_rays_that_do_not_broadcast(scene):
 def test_lists_that_contain_themselves(scene):
     endless: list = []
     endless.append(endless)
-    for kind in (wrt.Scene, wrt.GroupedScene, wrt.InstancedScene):
+    for kind in (wrt.Scene, wrt.moving.GroupedScene, wrt.moving.InstancedScene):
         with pytest.raises(ValueError, match="contains itself"):
             kind(endless)
     with pytest.raises(TypeError, match="origins is not an array"):

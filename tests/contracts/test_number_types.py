@@ -48,7 +48,8 @@ CALLS = list(public_calls.calls())
 
 def public_callables() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Qualified names and all functions, classes and methods of the public modules, each once."""
-    for module in (wrt, wrt.sensors, wrt.cluster, wrt.device, wrt.scenes):
+    doors = [value for name in wrt.__all__ if inspect.ismodule(value := getattr(wrt, name))]
+    for module in (wrt, *doors):
         for name in module.__all__:
             value = getattr(module, name)
             if inspect.isclass(value):
@@ -202,6 +203,8 @@ def fingerprint(value: Any) -> Any:
         return {key: fingerprint(one) for key, one in value.items()}
     if isinstance(value, (list, tuple)):
         return [fingerprint(one) for one in value]
-    if isinstance(value, (wrt.PinholeCamera, wrt.OrthographicCamera, wrt.PointLight, wrt.DirectionalLight, wrt.Sky)):
+    if isinstance(
+        value, (wrt.PinholeCamera, wrt.OrthographicCamera, wrt.lights.PointLight, wrt.lights.DirectionalLight, wrt.lights.Sky)
+    ):
         return fingerprint(vars(value))
     return type(value).__name__, value if isinstance(value, (bool, int, str)) else repr(value)

@@ -29,8 +29,8 @@ def test_the_cpu_by_any_name(name):
     """Open3D's "CPU:0" was accepted by its stand-in, whose first query then failed."""
     assert as_device(name) is wp.get_device("cpu")
     assert wrt.Scene(MESH, device=name).device.is_cpu
-    assert wrt.RaycastingScene(device=name).cast_rays(np.ones((2, 6))) is not None
-    assert wrt.RayMeshIntersector(MESH, device=name).scene.device.is_cpu
+    assert wrt.compat.RaycastingScene(device=name).cast_rays(np.ones((2, 6))) is not None
+    assert wrt.compat.RayMeshIntersector(MESH, device=name).scene.device.is_cpu
 
 
 @pytest.mark.parametrize(
@@ -40,9 +40,9 @@ def test_devices_that_are_not_there(name):
     """The constructor says so, with the names of those that are."""
     for make in (
         lambda: wrt.Scene(MESH, device=name),
-        lambda: wrt.RaycastingScene(device=name),
-        lambda: wrt.RayMeshIntersector(MESH, device=name),
-        lambda: wrt.FuzzyScene(MESH.vertices[None], MESH.faces, device=name),
+        lambda: wrt.compat.RaycastingScene(device=name),
+        lambda: wrt.compat.RayMeshIntersector(MESH, device=name),
+        lambda: wrt.moving.FuzzyScene(MESH.vertices[None], MESH.faces, device=name),
     ):
         with pytest.raises((TypeError, ValueError), match=r"device .*does not exist.*cpu"):
             make()

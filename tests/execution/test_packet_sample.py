@@ -66,7 +66,7 @@ def test_an_instance_shares_as_its_mesh_does(scene, teapot):
     """One placement, turned: the upper tree adds one node and one leaf to each ray's steps, all of them shared."""
     turn = np.eye(4)
     turn[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
-    placed = wrt.InstancedScene([wrt.Instance(teapot, turn)], device="cpu")
+    placed = wrt.moving.InstancedScene([wrt.Instance(teapot, turn)], device="cpu")
     origins, directions = equal_rays(scene)
     alone = sample(scene, origins, directions)
     both = sample(placed, origins @ turn[:3, :3].T, directions @ turn[:3, :3].T)

@@ -137,7 +137,7 @@ def test_trees_live_on_when_the_work_space_is_used_again():
 
 def test_work_space_keeps_nothing_of_a_scene():
     scene = wrt.Scene(soup(6000), "bvh", device="cpu", num_threads=2)
-    gone = [weakref.ref(array) for array in (scene.tree.bounds, scene.tree.primitive, scene.device_mesh.vertices)]
+    gone = [weakref.ref(array) for array in (scene.tree.bounds, scene.tree.primitive, scene.state.device_mesh.vertices)]
     assert workspace._kept
     del scene
     gc.collect()
@@ -180,7 +180,7 @@ def test_the_known_box_of_a_scene_is_that_of_its_triangles(dtype):
         parts = [wrt.TriangleMesh(vertices, rng.integers(0, 899, (50, 3))) for _ in range(2)]
         for geometry in (parts[0], parts):
             tree = wrt.Scene(geometry, "bvh", device="cpu").tree
-            placed = wrt.Scene(geometry, "bvh", device="cpu").device_mesh
+            placed = wrt.Scene(geometry, "bvh", device="cpu").state.device_mesh
             used = placed.vertices.numpy()[placed.faces.numpy().ravel()]
             np.testing.assert_array_equal(np.array(tree.low, np.float32), used.min(axis=0))
             np.testing.assert_array_equal(np.array(tree.high, np.float32), used.max(axis=0))

@@ -102,8 +102,8 @@ def accelerator_of(options: dict) -> Accelerator:
     if options["builder"] == "projected":
         eye, way, fov = options.pop("eye"), options.pop("way"), options.pop("fov")
         del options["builder"]
-        area = wrt.PointInfluenceArea(position=eye, direction=way, fov=(fov, fov), near=0.01, far=100.0)
-        return wrt.ProjectedBvh(areas=(area,), **options)
+        area = wrt.known_rays.PointInfluenceArea(position=eye, direction=way, fov=(fov, fov), near=0.01, far=100.0)
+        return wrt.known_rays.ProjectedBvh(areas=(area,), **options)
     return wrt.Bvh(**options) if "bins" in options else wrt.KdTree(**options)
 
 

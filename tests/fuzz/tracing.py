@@ -106,7 +106,7 @@ def make_scene(meshes: list[wrt.TriangleMesh], options: dict[str, Any], arrays: 
     """The scene that the options describe."""
     tree = (wrt.Bvh if options["kind"] == "bvh" else wrt.KdTree)(**options["tree"])
     if options["form"] == "grouped" and options["kind"] == "bvh":
-        return wrt.GroupedScene(meshes, tree, device="cpu")
+        return wrt.moving.GroupedScene(meshes, tree, device="cpu")
     if options["form"] == "instances":
         return wrt.Scene([wrt.Instance(meshes[0]), *(wrt.Instance(m, arrays["transform"]) for m in meshes)], tree, device="cpu")
     return wrt.Scene(meshes, tree, device="cpu")

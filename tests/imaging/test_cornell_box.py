@@ -16,7 +16,7 @@ LUMINANCE = [0.2126, 0.7152, 0.0722]
 def rendering(**options):
     scene = wrt.Scene(wrt.scenes.build("cornell_box", cells=1), device="cpu")
     camera = wrt.PinholeCamera(64, 64, **wrt.scenes.BUILTIN_SCENES["cornell_box"].camera)
-    return wrt.Rendering(scene, camera, integrator="path", depth=6, **options).advance()
+    return wrt.pictures.Rendering(scene, camera, integrator="path", depth=6, **options).advance()
 
 
 def relative_mse(picture):
@@ -46,7 +46,7 @@ def test_division_does_not_show():
     """The box of small triangles is the same box: the picture differs by rounding only, but for a few paths."""
     scene = wrt.Scene(wrt.scenes.build("cornell_box", cells=3), device="cpu")
     camera = wrt.PinholeCamera(64, 64, **wrt.scenes.BUILTIN_SCENES["cornell_box"].camera)
-    fine = wrt.Rendering(scene, camera, integrator="path", depth=6, samples=256).advance().linear
+    fine = wrt.pictures.Rendering(scene, camera, integrator="path", depth=6, samples=256).advance().linear
     assert scene.triangle_count == 36 * 9
     assert relative_mse(fine) < 0.004
     np.testing.assert_allclose(fine.mean(axis=(0, 1)), REFERENCE.mean(axis=(0, 1)), rtol=5e-3)
@@ -57,7 +57,7 @@ def test_whitted_has_no_light_between_walls():
     direct = rendering(samples=64, seed=1)
     scene = wrt.Scene(wrt.scenes.build("cornell_box", cells=1), device="cpu")
     camera = wrt.PinholeCamera(64, 64, **wrt.scenes.BUILTIN_SCENES["cornell_box"].camera)
-    only = wrt.Rendering(scene, camera, integrator="distribution", samples=64).advance().linear
-    short = wrt.Rendering(scene, camera, integrator="path", depth=2, samples=64).advance().linear
+    only = wrt.pictures.Rendering(scene, camera, integrator="distribution", samples=64).advance().linear
+    short = wrt.pictures.Rendering(scene, camera, integrator="path", depth=2, samples=64).advance().linear
     np.testing.assert_allclose(only.mean(axis=(0, 1)), short.mean(axis=(0, 1)), rtol=0.02)
     assert only.mean() < 0.8 * direct.linear.mean()

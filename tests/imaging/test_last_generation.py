@@ -14,17 +14,17 @@ CAMERA = wrt.PinholeCamera(48, 32, fov=55, position=(0, -3.0, 1.6), look_at=(0, 
 
 SKIES = {
     "dark": [],
-    "even": [wrt.Sky((0.5, 0.8, 1.0))],
-    "gradient": [wrt.Sky.gradient(0.8, (0.2, 0.4, 0.9), 0.2)],
+    "even": [wrt.lights.Sky((0.5, 0.8, 1.0))],
+    "gradient": [wrt.lights.Sky.gradient(0.8, (0.2, 0.4, 0.9), 0.2)],
 }
 
 LIGHTS = {
     "none": [],
-    "point": [wrt.PointLight((0.5, -1.0, 2.0), 4.0)],
-    "sphere": [wrt.AreaLight.sphere((0.2, 0.0, 1.5), 0.4, 8.0)],
-    "rectangle": [wrt.AreaLight.rectangle((-1, -1, 1.2), (2, 0, 0), (0, 2, 0), 5.0, two_sided=True)],
-    "triangle": [wrt.AreaLight.triangle((-1, -1, 1.2), (1, -1, 1.2), (-1, 1, 1.2), 5.0)],
-    "in a body": [wrt.AreaLight.sphere((-0.5, 0.2, 0.5), 0.2, 8.0)],
+    "point": [wrt.lights.PointLight((0.5, -1.0, 2.0), 4.0)],
+    "sphere": [wrt.lights.AreaLight.sphere((0.2, 0.0, 1.5), 0.4, 8.0)],
+    "rectangle": [wrt.lights.AreaLight.rectangle((-1, -1, 1.2), (2, 0, 0), (0, 2, 0), 5.0, two_sided=True)],
+    "triangle": [wrt.lights.AreaLight.triangle((-1, -1, 1.2), (1, -1, 1.2), (-1, 1, 1.2), 5.0)],
+    "in a body": [wrt.lights.AreaLight.sphere((-0.5, 0.2, 0.5), 0.2, 8.0)],
 }
 
 
@@ -52,10 +52,10 @@ def scene(request):
 @pytest.mark.parametrize("sky", SKIES)
 def test_closest_hits_and_any_hit_make_the_same_picture(scene, sky, light, depth, monkeypatch):
     options = {"lights": SKIES[sky] + LIGHTS[light], "integrator": "path", "samples": 4, "depth": depth}
-    in_tiles = wrt.Rendering(scene, CAMERA, **options).advance()
+    in_tiles = wrt.pictures.Rendering(scene, CAMERA, **options).advance()
     assert in_tiles._wave.develops_in_tiles(4)
     monkeypatch.setattr(Wave, "follow_in_tiles", lambda *_: False)
-    by_generations = wrt.Rendering(scene, CAMERA, **options).advance()
+    by_generations = wrt.pictures.Rendering(scene, CAMERA, **options).advance()
     np.testing.assert_array_equal(in_tiles.linear, by_generations.linear)
     np.testing.assert_array_equal(in_tiles.noise, by_generations.noise)
     assert in_tiles.rays == by_generations.rays
@@ -67,7 +67,7 @@ def test_closest_hits_and_any_hit_make_the_same_picture(scene, sky, light, depth
 def test_few_rays_of_the_last_generation_need_closest_hits(emits, sky, light, most):
     """Those that may meet a light or an emissive triangle."""
     options = {"lights": SKIES[sky] + LIGHTS[light], "integrator": "path", "samples": 16, "depth": 3, "roulette": False}
-    rendering = wrt.Rendering(bodies(emits, 1), CAMERA, **options).advance()
+    rendering = wrt.pictures.Rendering(bodies(emits, 1), CAMERA, **options).advance()
     chain = rendering._wave._chain._chain
     last = chain.items.sum(axis=1)[-3:]  # closest hits, their step, development
     parted = chain.items.sum(axis=1)[-6 if sky == "even" else -4]
@@ -82,12 +82,12 @@ def test_samples_are_developed_once(samples, monkeypatch):
     """Tiles develop waves whose number of samples divides them, also after a wave of another number."""
     options = {"lights": SKIES["even"] + LIGHTS["sphere"], "integrator": "path", "samples": 8, "depth": 3, "max_radiance": 2.0}
     scene = bodies(True, 1)
-    in_steps = wrt.Rendering(scene, CAMERA, **options)
+    in_steps = wrt.pictures.Rendering(scene, CAMERA, **options)
     for count in samples:
         in_steps.advance(count)
     assert in_steps.done == 8
     monkeypatch.setattr(Wave, "follow_in_tiles", lambda *_: False)
-    at_once = wrt.Rendering(scene, CAMERA, **options).advance()
+    at_once = wrt.pictures.Rendering(scene, CAMERA, **options).advance()
     np.testing.assert_array_equal(in_steps.linear, at_once.linear)
     np.testing.assert_array_equal(in_steps.noise, at_once.noise)
 
@@ -96,14 +96,18 @@ def test_records_of_triangles_are_those_of_the_scene_as_it_is():
     """They are kept with their scene until it changes, and made anew for other normals."""
     scene = bodies(True, 2)
     options = {"lights": SKIES["even"], "integrator": "path", "samples": 2, "depth": 3}
-    before = {smooth: wrt.Rendering(scene, CAMERA, smooth=smooth, **options).advance().linear for smooth in (True, False)}
+    before = {
+        smooth: wrt.pictures.Rendering(scene, CAMERA, smooth=smooth, **options).advance().linear for smooth in (True, False)
+    }
     assert np.abs(before[True] - before[False]).max() > 0.01
     for smooth in (True, False):
-        np.testing.assert_array_equal(wrt.Rendering(scene, CAMERA, smooth=smooth, **options).advance().linear, before[smooth])
+        np.testing.assert_array_equal(
+            wrt.pictures.Rendering(scene, CAMERA, smooth=smooth, **options).advance().linear, before[smooth]
+        )
     moved = scene.meshes[2].vertices + np.array((0.0, 0.0, 0.3))
     scene.update(2, vertices=moved)
-    made = wrt.Rendering(scene, CAMERA, smooth=False, **options).advance().linear
+    made = wrt.pictures.Rendering(scene, CAMERA, smooth=False, **options).advance().linear
     other = bodies(True, 2)
     other.update(2, vertices=moved)
-    np.testing.assert_array_equal(made, wrt.Rendering(other, CAMERA, smooth=False, **options).advance().linear)
+    np.testing.assert_array_equal(made, wrt.pictures.Rendering(other, CAMERA, smooth=False, **options).advance().linear)
     assert np.abs(made - before[False]).max() > 0.01

@@ -26,7 +26,7 @@ def sphere(subdivisions=3, radius=1.0, center=(0, 0, 0)):
 
 
 def linear(scene, camera, **options):
-    return wrt.Rendering(scene, camera, **options).advance().linear
+    return wrt.pictures.Rendering(scene, camera, **options).advance().linear
 
 
 # -- energy ------------------------------------------------------------------------------------------------------------
@@ -50,7 +50,7 @@ def test_white_furnace(device, material):
     bodies = [sphere(2, 1.0, (0, 0, 1.2)), sphere(2, 0.6, (1.3, 0.2, 0.8)), boxes((-3, -3, -0.5), (3, 3, 0.0))]
     scene = wrt.Scene([wrt.TriangleMesh.concatenate(bodies)], device=device)
     camera = wrt.PinholeCamera(48, 48, fov=40, position=(1, -7, 4), look_at=(0.3, 0, 0.8))
-    options = {"lights": [wrt.Sky(1.0)], "materials": material, "smooth": False, "depth": 500}
+    options = {"lights": [wrt.lights.Sky(1.0)], "materials": material, "smooth": False, "depth": 500}
     found = linear(scene, camera, integrator="path", samples=64, **options)
     assert abs(found.mean() - 1.0) < 1e-3
     only_scattering = linear(scene, camera, integrator="path", samples=4, sample_lights=False, roulette=False, **options)
@@ -60,7 +60,7 @@ def test_white_furnace(device, material):
 def test_smooth_normals_lose_little():
     """Directions that a smooth normal sends into the triangle are lost: less than a per cent for a sphere of 1280 triangles."""
     camera = wrt.PinholeCamera.framing(sphere(3), 32, 32)
-    found = linear(wrt.Scene(sphere(3)), camera, integrator="path", samples=64, lights=[wrt.Sky(1.0)], materials=WHITE)
+    found = linear(wrt.Scene(sphere(3)), camera, integrator="path", samples=64, lights=[wrt.lights.Sky(1.0)], materials=WHITE)
     assert 0.985 < found.mean() < 1.002
 
 
@@ -70,7 +70,7 @@ def test_glossy_surfaces_add_no_energy():
     for metallic in (0.0, 1.0):
         for roughness in (0.1, 0.5, 1.0):
             material = wrt.Material("glossy", color=1.0, metallic=metallic, roughness=roughness)
-            options = {"lights": [wrt.Sky(1.0)], "materials": material, "smooth": False}
+            options = {"lights": [wrt.lights.Sky(1.0)], "materials": material, "smooth": False}
             found = linear(scene, camera, integrator="path", samples=64, depth=40, **options)
             assert 0.4 < found.mean() < 1.001
 
@@ -84,13 +84,13 @@ def test_both_ways_to_find_light_agree():
     shaded = [mesh.with_materials(ground) for mesh in scene.meshes]
     image = np.zeros((16, 32, 3), np.float32)
     image[3, 20:23] = 30.0
-    standing = wrt.AreaLight.triangle((-2, 0, 2), (-2, 2, 2), (-2, 1, 3), 5.0, two_sided=True)
+    standing = wrt.lights.AreaLight.triangle((-2, 0, 2), (-2, 2, 2), (-2, 1, 3), 5.0, two_sided=True)
     for lights, bodies in (
-        ([wrt.AreaLight.rectangle((-1, -1, 3), (0, 2, 0), (2, 0, 0), 4.0)], shaded),
-        ([wrt.AreaLight.sphere((1, 0, 3), 0.8, 6.0), standing], shaded),
+        ([wrt.lights.AreaLight.rectangle((-1, -1, 3), (0, 2, 0), (2, 0, 0), 4.0)], shaded),
+        ([wrt.lights.AreaLight.sphere((1, 0, 3), 0.8, 6.0), standing], shaded),
         ([], [*shaded, lamp]),
-        ([wrt.Sky.image(image)], shaded),
-        ([wrt.Sky.gradient(0.3, 2.0)], shaded),
+        ([wrt.lights.Sky.image(image)], shaded),
+        ([wrt.lights.Sky.gradient(0.3, 2.0)], shaded),
     ):  # fmt: skip
         room = wrt.Scene(bodies)
         found = [
@@ -122,20 +122,20 @@ def parallel_rectangle(a, b, height):
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("integrator", ["path", "distribution"])
 def test_area_lights_by_form_factors(device, integrator):
-    lamp = wrt.AreaLight.rectangle((0, 0, 2), (0, 3, 0), (1.5, 0, 0), 5.0)
+    lamp = wrt.lights.AreaLight.rectangle((0, 0, 2), (0, 3, 0), (1.5, 0, 0), 5.0)
     expected = np.pi * 5.0 * parallel_rectangle(1.5, 3.0, 2.0)
     np.testing.assert_allclose(received([lamp], device, integrator=integrator), expected, rtol=2e-3)
-    ball = wrt.AreaLight.sphere((2.0, 0.0, 3.0), 1.2, 3.0)  # wholly above the horizon: pi L sin^2 cos
+    ball = wrt.lights.AreaLight.sphere((2.0, 0.0, 3.0), 1.2, 3.0)  # wholly above the horizon: pi L sin^2 cos
     distance = np.hypot(2, 3)
     expected = np.pi * 3.0 * (1.2 / distance) ** 2 * 3 / distance
     np.testing.assert_allclose(received([ball], device, integrator=integrator), expected, rtol=2e-3)
     halves = [
-        wrt.AreaLight.triangle((0, 0, 2), (0, 3, 2), (1.5, 0, 2), 5.0),
-        wrt.AreaLight.triangle((1.5, 3, 2), (1.5, 0, 2), (0, 3, 2), 5.0),
+        wrt.lights.AreaLight.triangle((0, 0, 2), (0, 3, 2), (1.5, 0, 2), 5.0),
+        wrt.lights.AreaLight.triangle((1.5, 3, 2), (1.5, 0, 2), (0, 3, 2), 5.0),
     ]
     expected = np.pi * 5.0 * parallel_rectangle(1.5, 3.0, 2.0)
     np.testing.assert_allclose(received(halves, device, integrator=integrator), expected, rtol=4e-3)
-    assert received([wrt.AreaLight.rectangle((0, 0, 2), (1.5, 0, 0), (0, 3, 0), 5.0)], device, 4) == 0.0  # its back
+    assert received([wrt.lights.AreaLight.rectangle((0, 0, 2), (1.5, 0, 0), (0, 3, 0), 5.0)], device, 4) == 0.0  # its back
 
 
 def test_emissive_triangles_light_like_lamps():
@@ -161,13 +161,13 @@ def test_lamps_at_points(integrator):
     height, across = 3.0, 2.0
     distance = np.hypot(height, across)
     expected = 10.0 / distance**2 * height / distance
-    lamp = wrt.PointLight((across, 0, height), 10.0)
+    lamp = wrt.lights.PointLight((across, 0, height), 10.0)
     np.testing.assert_allclose(received([lamp], samples=4, integrator=integrator), expected, rtol=1e-3)
-    sun = wrt.DirectionalLight((1, 0, -2), 7.0)
+    sun = wrt.lights.DirectionalLight((1, 0, -2), 7.0)
     np.testing.assert_allclose(received([sun], samples=4, integrator=integrator), 7.0 * 2 / np.sqrt(5), rtol=1e-5)
-    inside = wrt.SpotLight((across, 0, height), (0, 0, 0), 10.0, angle=20)
+    inside = wrt.lights.SpotLight((across, 0, height), (0, 0, 0), 10.0, angle=20)
     np.testing.assert_allclose(received([inside], samples=4, integrator=integrator), expected, rtol=1e-3)
-    outside = wrt.SpotLight((across, 0, height), (across, 0, 0), 10.0, angle=30)
+    outside = wrt.lights.SpotLight((across, 0, height), (across, 0, 0), 10.0, angle=30)
     assert received([outside], samples=4, integrator=integrator) == 0.0
     two = [lamp, sun]
     np.testing.assert_allclose(
@@ -182,7 +182,7 @@ def test_skies_by_quadrature(up):
     image = rng.random((24, 48, 3)).astype(np.float32)
     image[6, 30] = 400.0
     upward = np.array(up) / np.linalg.norm(up)
-    for sky in (wrt.Sky.image(image, up=up), wrt.Sky.gradient(0.4, 3.0, 0.1, up=up), wrt.Sky(0.7)):
+    for sky in (wrt.lights.Sky.image(image, up=up), wrt.lights.Sky.gradient(0.4, 3.0, 0.1, up=up), wrt.lights.Sky(0.7)):
         height = 1.0 - (np.arange(1000) + 0.5) / 1000
         angle = 2 * np.pi * (np.arange(2000) + 0.5) / 2000
         h, a = (grid.ravel() for grid in np.meshgrid(height, angle, indexing="ij"))
@@ -221,7 +221,7 @@ def slab_radiance(index, absorption, thickness):
 def test_a_slab_of_coloured_glass(device):
     scene = wrt.Scene(boxes((-5, -5, 0), (5, 5, 0.7)), device=device)
     glass = wrt.Material("dielectric", color=1.0, index=1.6, absorption=(0.0, 0.5, 2.0))
-    options = {"lights": [wrt.Sky(1.0)], "materials": glass, "depth": 30}
+    options = {"lights": [wrt.lights.Sky(1.0)], "materials": glass, "depth": 30}
     expected = [slab_radiance(1.6, a, 0.7) for a in (0.0, 0.5, 2.0)]
     found = linear(scene, from_above(1.0), integrator="whitted", threshold=0.0, **options)
     np.testing.assert_allclose(found.reshape(-1, 3), np.tile(expected, (64, 1)), rtol=1e-4)
@@ -255,7 +255,7 @@ def test_nested_dielectrics_by_priority():
     glass = wrt.Material("dielectric", color=1.0, index=1.6, absorption=0.4, priority=2)
     water = wrt.Material("dielectric", color=1.0, index=1.33, absorption=0.9, priority=1)
     scene = wrt.Scene([boxes((-5, -5, 0), (5, 5, 1)), boxes((-5, -5, 0.8), (5, 5, 2))])
-    options = {"lights": [wrt.Sky(1.0)], "materials": [glass, water], "depth": 24}  # more changes no digit
+    options = {"lights": [wrt.lights.Sky(1.0)], "materials": [glass, water], "depth": 24}  # more changes no digit
     found = linear(scene, from_above(1.0), integrator="whitted", threshold=0.0, **options)
     expected = stack_radiance([1.33, 1.6], [1.0, 1.0], [0.9, 0.4])
     np.testing.assert_allclose(found, expected, rtol=2e-4)
@@ -282,11 +282,11 @@ def test_adaptive_depth():
     """Fewer rays, with an error below the threshold times the number of rays that end; with roulette, the mean is kept."""
     scene = wrt.Scene([sphere(3, 1.0), sphere(3, 0.7, (1.5, 0.4, 0.3)), plane((-5, -5), (5, 5), z=-1.0)])
     glass = wrt.Material("dielectric", color=1.0, index=1.5)
-    options = {"lights": [wrt.Sky.gradient(0.5, 1.0)], "materials": [glass, glass, wrt.Material()], "depth": 12}
+    options = {"lights": [wrt.lights.Sky.gradient(0.5, 1.0)], "materials": [glass, glass, wrt.Material()], "depth": 12}
     camera = wrt.PinholeCamera(48, 48, position=(0, -6, 2), look_at=(0.4, 0, 0))
 
     def made(**more):
-        rendering = wrt.Rendering(scene, camera, integrator="whitted", samples=16, **options, **more).advance()
+        rendering = wrt.pictures.Rendering(scene, camera, integrator="whitted", samples=16, **options, **more).advance()
         return rendering.linear.mean(), rendering.rays
 
     full, cut, lucky = made(threshold=0.0), made(threshold=0.05, roulette=False), made(threshold=0.05, roulette=True)
@@ -322,7 +322,7 @@ def test_a_moving_square_is_a_trapezoid():
     lamp = plane((-1, -1), (1, 1)).with_materials(wrt.Material(color=0.0, emission=1.0))
     camera = from_above(8.0, 64)
     shift = np.array([2.0, 0.0, 0.0])
-    motion = wrt.Motion(vertices={0: (lamp.vertices - shift / 2, lamp.vertices + shift / 2)})
+    motion = wrt.moving.Motion(vertices={0: (lamp.vertices - shift / 2, lamp.vertices + shift / 2)})
     scene = wrt.Scene(lamp)
     before = scene.bounds.copy()
     found = linear(scene, camera, integrator="distribution", samples=64, depth=1, motion=motion)[32, :, 0]
@@ -333,7 +333,9 @@ def test_a_moving_square_is_a_trapezoid():
     keys = [np.eye(4), np.eye(4)]
     keys[0][:3, 3], keys[1][:3, 3] = -shift / 2, shift / 2
     placed = wrt.Scene(wrt.Instance(lamp))
-    again = linear(placed, camera, integrator="path", samples=64, depth=1, motion=wrt.Motion(transforms={0: tuple(keys)}))
+    again = linear(
+        placed, camera, integrator="path", samples=64, depth=1, motion=wrt.moving.Motion(transforms={0: tuple(keys)})
+    )
     np.testing.assert_allclose(again[32, :, 0], found, atol=0.02)
 
 
@@ -359,7 +361,7 @@ def test_sixteen_jittered_rays_beat_sixteen_random_ones():
     """Penumbrae with 16 rays a pixel (Cook 1984): errors of the samplers against 1024 rays, in order of what theory says."""
     scene = wrt.Scene([plane((-4, -4), (4, 4)), sphere(3, 0.7, (0, 0, 1.2))])
     camera = from_above(6.0, 32, 8.0)
-    lamp = [wrt.AreaLight.rectangle((-1, -1, 4), (0, 2, 0), (2, 0, 0), 5.0)]
+    lamp = [wrt.lights.AreaLight.rectangle((-1, -1, 4), (0, 2, 0), (2, 0, 0), 5.0)]
     options = {"integrator": "distribution", "lights": lamp, "depth": 2}
     reference = linear(scene, camera, samples=1024, **options)
     errors = {

@@ -21,7 +21,7 @@ RED, BLUE = wrt.Material(color=(0.9, 0.1, 0.1)), wrt.Material("glossy", color=(0
 def albedo(scene, size=4.0, pixels=32, **options):
     """Colours seen from straight above, (pixels, pixels, 3); row 0 is at the largest y."""
     camera = wrt.OrthographicCamera(pixels, pixels, view_height=size, position=(0, 0, 9), look_at=(0, 0, 0), up=(0, 1, 0))
-    return wrt.Rendering(scene, camera, integrator="path", samples=1, **options).advance().layers["albedo"]
+    return wrt.pictures.Rendering(scene, camera, integrator="path", samples=1, **options).advance().layers["albedo"]
 
 
 def checked():

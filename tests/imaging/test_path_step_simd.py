@@ -15,20 +15,20 @@ from wrt.scenes.shapes import plane
 
 CORNERS = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
 
-SPOT = [wrt.SpotLight((0, 0, 3), (0, 0, -1), 9.0)]
+SPOT = [wrt.lights.SpotLight((0, 0, 3), (0, 0, -1), 9.0)]
 
 LIGHTS = {
-    "point": lambda: [wrt.PointLight((0.5, -1.0, 2.0), 4.0)],
-    "directional": lambda: [wrt.DirectionalLight((0.3, 0.2, -1.0), 2.0)],
-    "rectangle": lambda: [wrt.AreaLight.rectangle((-1, -1, 2), (1, 0, 0), (0, 1, 0), 5.0, two_sided=True)],
-    "triangle": lambda: [wrt.AreaLight.triangle((-1, -1, 2), (-1, 1, 2), (1, -1, 2), 5.0, two_sided=True)],
-    "sphere": lambda: [wrt.AreaLight.sphere((0.2, -1.0, 1.5), 0.4, 8.0)],
-    "one color": lambda: [wrt.Sky((0.5, 0.8, 1.0))],
-    "gradient": lambda: [wrt.Sky.gradient(0.8, (0.2, 0.4, 0.9), 0.2)],
+    "point": lambda: [wrt.lights.PointLight((0.5, -1.0, 2.0), 4.0)],
+    "directional": lambda: [wrt.lights.DirectionalLight((0.3, 0.2, -1.0), 2.0)],
+    "rectangle": lambda: [wrt.lights.AreaLight.rectangle((-1, -1, 2), (1, 0, 0), (0, 1, 0), 5.0, two_sided=True)],
+    "triangle": lambda: [wrt.lights.AreaLight.triangle((-1, -1, 2), (-1, 1, 2), (1, -1, 2), 5.0, two_sided=True)],
+    "sphere": lambda: [wrt.lights.AreaLight.sphere((0.2, -1.0, 1.5), 0.4, 8.0)],
+    "one color": lambda: [wrt.lights.Sky((0.5, 0.8, 1.0))],
+    "gradient": lambda: [wrt.lights.Sky.gradient(0.8, (0.2, 0.4, 0.9), 0.2)],
     "many": lambda: (
-        [light for name in list(LIGHTS)[:6] for light in LIGHTS[name]()] + [wrt.SpotLight((0, 0, 3), (0, 0, -1), 9.0)]
+        [light for name in list(LIGHTS)[:6] for light in LIGHTS[name]()] + [wrt.lights.SpotLight((0, 0, 3), (0, 0, -1), 9.0)]
     ),
-    "too many": lambda: [wrt.PointLight((x, -1.0, 2.0), 0.5) for x in range(9)],
+    "too many": lambda: [wrt.lights.PointLight((x, -1.0, 2.0), 0.5) for x in range(9)],
     "emissive triangles": lambda: [],
 }
 
@@ -66,9 +66,9 @@ def test_lanes_and_scalar_steps_make_the_same_picture(light, sampler, monkeypatc
     scene = matte_room(emits=light == "emissive triangles")
     camera = wrt.PinholeCamera(37, 23, fov=60, position=(0, -2.5, 1.8), look_at=(0, 0, 0.2), up=(0, 0, 1))
     options = {"lights": LIGHTS[light](), "integrator": "path", "samples": 2, "depth": 5, "sampler": sampler}
-    in_lanes = wrt.Rendering(scene, camera, **options).advance().linear
+    in_lanes = wrt.pictures.Rendering(scene, camera, **options).advance().linear
     monkeypatch.setattr(wavefront, "GROUP", 1)
-    one_by_one = wrt.Rendering(scene, camera, **options).advance().linear
+    one_by_one = wrt.pictures.Rendering(scene, camera, **options).advance().linear
     assert in_lanes.mean() > 0.01
     np.testing.assert_array_equal(in_lanes, one_by_one)
 
@@ -78,10 +78,10 @@ def test_lanes_near_edges(monkeypatch):
     camera = wrt.PinholeCamera(37, 23, fov=60, position=(0, -2.5, 1.8), look_at=(0, 0, 0.2), up=(0, 0, 1))
     options = {"lights": LIGHTS["sphere"](), "integrator": "path", "samples": 2, "depth": 5, "sampler": "sobol"}
     scene = matte_room(emits=False, reach=1e4)
-    in_lanes = wrt.Rendering(scene, camera, **options).advance().linear
+    in_lanes = wrt.pictures.Rendering(scene, camera, **options).advance().linear
     monkeypatch.setattr(wavefront, "GROUP", 1)
-    np.testing.assert_array_equal(in_lanes, wrt.Rendering(scene, camera, **options).advance().linear)
-    near = wrt.Rendering(matte_room(emits=False), camera, **options).advance().linear
+    np.testing.assert_array_equal(in_lanes, wrt.pictures.Rendering(scene, camera, **options).advance().linear)
+    near = wrt.pictures.Rendering(matte_room(emits=False), camera, **options).advance().linear
     assert (in_lanes != near).mean() > 0.1
 
 

@@ -12,7 +12,7 @@ from wrt.imaging.integrators.wavefront import Wave
 from wrt.scenes.shapes import boxes, plane
 
 CAMERA = wrt.PinholeCamera(48, 40, position=(0.3, -6, 2.5), look_at=(0.3, 0, 0.6))
-LIGHTS = [wrt.PointLight((3, -2, 4), 50.0), wrt.DirectionalLight((0.3, 0.5, -1.0), 0.4)]
+LIGHTS = [wrt.lights.PointLight((3, -2, 4), 50.0), wrt.lights.DirectionalLight((0.3, 0.5, -1.0), 0.4)]
 
 
 def ball(material, x, subdivisions=3):
@@ -34,8 +34,8 @@ def scene():
 
 
 def made(scene, integrator, sky, **options):
-    lights = [*LIGHTS, wrt.Sky(0.6) if sky == "even" else wrt.Sky.gradient(0.4, 0.8)]
-    return wrt.Rendering(scene, CAMERA, integrator=integrator, **({"samples": 3, "lights": lights} | options))
+    lights = [*LIGHTS, wrt.lights.Sky(0.6) if sky == "even" else wrt.lights.Sky.gradient(0.4, 0.8)]
+    return wrt.pictures.Rendering(scene, CAMERA, integrator=integrator, **({"samples": 3, "lights": lights} | options))
 
 
 def check_equal(in_tiles, by_generations):
@@ -70,7 +70,14 @@ def test_trees_that_find_no_place_are_divided(scene, integrator, monkeypatch):
     assert in_parts._wave._chain.min_samples_together < 256
     check_equal(in_parts, reference)
     monkeypatch.setattr(tree_chain, "ROOM", 64)
-    many = [*LIGHTS, *LIGHTS, *LIGHTS, *LIGHTS, *LIGHTS, wrt.Sky(0.6)]  # a vector of rays may have more shadow rays than places
+    many = [
+        *LIGHTS,
+        *LIGHTS,
+        *LIGHTS,
+        *LIGHTS,
+        *LIGHTS,
+        wrt.lights.Sky(0.6),
+    ]  # a vector of rays may have more shadow rays than places
     too_small = made(scene, integrator, "even", lights=many).advance()
     assert too_small._wave._chain is None
     monkeypatch.setattr(Wave, "follow_in_tiles", lambda *_: False)
@@ -83,7 +90,7 @@ def test_the_last_rays_among_mirrors_and_glass_need_any_hit(scene, sky, monkeypa
     bare = wrt.Scene(scene.meshes[:3], device="cpu")
     in_tiles = made(bare, "whitted", sky, depth=3).advance()
     assert in_tiles._wave._chain.ends_by_any_hit
-    light = [wrt.AreaLight.sphere((-1, -3, 3), 0.7, 8.0), wrt.Sky(0.3)]
+    light = [wrt.lights.AreaLight.sphere((-1, -3, 3), 0.7, 8.0), wrt.lights.Sky(0.3)]
     by_light = made(bare, "whitted", sky, depth=3, lights=light).advance()
     assert not by_light._wave._chain.ends_by_any_hit
     floor = made(scene, "whitted", sky, depth=3).advance()

@@ -1,4 +1,4 @@
-"""`wrt.Rendering` and `wrt.render`: the same picture by any way to make it, layers, interruption, and bad input."""
+"""`wrt.pictures.Rendering` and `wrt.render`: the same picture by any way to make it, layers, interruption, and bad input."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ from wrt.scenes.shapes import boxes, plane
 
 DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
 GLASS = wrt.Material("dielectric", index=1.5, absorption=(0.1, 0.5, 0.9))
-LIGHTS = [wrt.AreaLight.sphere((-3, -3, 5), 0.7, 8.0), wrt.Sky.gradient(0.4, 0.8), wrt.PointLight((3, -2, 4), 5.0)]
+LIGHTS = [
+    wrt.lights.AreaLight.sphere((-3, -3, 5), 0.7, 8.0),
+    wrt.lights.Sky.gradient(0.4, 0.8),
+    wrt.lights.PointLight((3, -2, 4), 5.0),
+]
 CAMERA = wrt.PinholeCamera(40, 30, position=(0.3, -6, 2.5), look_at=(0.3, 0, 0.6))
 INTEGRATORS = ("whitted", "distribution", "path")
 
@@ -33,7 +37,7 @@ def scene():
 
 
 def made(scene, integrator, **options):
-    return wrt.Rendering(scene, CAMERA, integrator=integrator, **({"samples": 6, "lights": LIGHTS} | options))
+    return wrt.pictures.Rendering(scene, CAMERA, integrator=integrator, **({"samples": 6, "lights": LIGHTS} | options))
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
@@ -56,7 +60,7 @@ def test_threads_waves_and_steps_do_not_show(scene, integrator, sampler):
 
 
 @pytest.mark.parametrize("sample_lights", [True, False])
-@pytest.mark.parametrize("lights", [LIGHTS, LIGHTS[1:], [wrt.Sky(1.0)]])
+@pytest.mark.parametrize("lights", [LIGHTS, LIGHTS[1:], [wrt.lights.Sky(1.0)]])
 def test_tiles_of_paths_do_not_show(scene, sample_lights, lights, monkeypatch):
     """Tile by tile or generation by generation: the same picture and as many rays. Tiles once read the origin of all camera
     rays where the first tile had written that of its next ray."""
@@ -107,8 +111,8 @@ def test_a_far_scene_is_as_sharp_as_a_near_one():
     pictures = []
     for scene, offset in ((near, 0.0), (far, shift)):
         camera = wrt.PinholeCamera(40, 30, position=offset + CAMERA.position, look_at=offset + CAMERA.look_at)
-        lights = [wrt.PointLight(offset + np.array([-3, -3, 5]), 60.0), wrt.Sky(0.3)]
-        pictures.append(wrt.Rendering(scene, camera, integrator="path", lights=lights, samples=8).advance().linear)
+        lights = [wrt.lights.PointLight(offset + np.array([-3, -3, 5]), 60.0), wrt.lights.Sky(0.3)]
+        pictures.append(wrt.pictures.Rendering(scene, camera, integrator="path", lights=lights, samples=8).advance().linear)
     assert np.median(np.abs(pictures[0] - pictures[1])) < 1e-4
     np.testing.assert_allclose(pictures[0].mean(), pictures[1].mean(), rtol=0.01)
 
@@ -178,7 +182,7 @@ def test_tone_mappings(scene):
 def test_render_is_the_same_in_one_call(scene):
     image = wrt.render(scene, CAMERA, integrator="path", samples=6, lights=LIGHTS)
     np.testing.assert_array_equal(image, made(scene, "path").advance().image())
-    settings = wrt.RenderSettings(samples=6, depth=3)
+    settings = wrt.pictures.RenderSettings(samples=6, depth=3)
     image = wrt.render(scene, CAMERA, integrator="path", settings=settings, lights=LIGHTS, depth=8)
     np.testing.assert_array_equal(image, made(scene, "path").advance().image())
     assert wrt.render(scene, CAMERA).shape == (30, 40, 3)
@@ -200,7 +204,7 @@ def test_bad_rays_and_degenerate_triangles_do_no_harm(integrator):
         scene = wrt.Scene(mesh)
         for material in (GLASS, wrt.Material("glossy", roughness=0.0), wrt.Material("mirror")):
             image = (
-                wrt.Rendering(
+                wrt.pictures.Rendering(
                     scene, wrt.PinholeCamera.framing(scene, 24, 24), integrator=integrator, materials=material, samples=4
                 )
                 .advance()
@@ -216,9 +220,9 @@ def test_bad_input(scene):
         (ValueError, "unknown integrator", {"integrator": "photon"}),
         (TypeError, "no option 'ambient_samples'", {"integrator": "path", "ambient_samples": 4}),
         (TypeError, "no option 'sample_lights'", {"integrator": "whitted", "sample_lights": False}),
-        (TypeError, "'ambient' has no lights", {"lights": [wrt.Sky()]}),
+        (TypeError, "'ambient' has no lights", {"lights": [wrt.lights.Sky()]}),
         (TypeError, "lights must be", {"integrator": "path", "lights": [1]}),
-        (ValueError, r"more than one wrt\.Sky", {"integrator": "path", "lights": [wrt.Sky(), wrt.Sky()]}),
+        (ValueError, r"more than one wrt\.lights\.Sky", {"integrator": "path", "lights": [wrt.lights.Sky(), wrt.lights.Sky()]}),
         (ValueError, "materials has 1 entries", {"integrator": "path", "materials": [GLASS]}),
         (TypeError, "materials must be", {"integrator": "path", "materials": "glass"}),
         (ValueError, "unknown sampler", {"integrator": "path", "sampler": "blue"}),
@@ -235,23 +239,23 @@ def test_bad_input(scene):
     with pytest.raises(TypeError, match=r"wrt\.Scene"):
         wrt.render("scene", camera, integrator="path")
     with pytest.raises(ValueError, match="no samples yet"):
-        _ = wrt.Rendering(scene, camera).linear
+        _ = wrt.pictures.Rendering(scene, camera).linear
     for call in (
-        lambda: wrt.Sky(-1.0),
-        lambda: wrt.Sky.image(np.zeros((4, 4))),
-        lambda: wrt.AreaLight.rectangle((0, 0, 0), (1, 0, 0), (2, 0, 0)),
-        lambda: wrt.AreaLight.sphere((0, 0, 0), 0.0),
-        lambda: wrt.SpotLight((0, 0, 0), (0, 0, 1), angle=90),
-        lambda: wrt.DirectionalLight((0, 0, 0)),
-        lambda: wrt.PointLight((0, 0, np.nan)),
-        lambda: wrt.PointLight((0, 0, 1e39)),
-        lambda: wrt.AreaLight.sphere((0, 1e39, 0), 1.0),
+        lambda: wrt.lights.Sky(-1.0),
+        lambda: wrt.lights.Sky.image(np.zeros((4, 4))),
+        lambda: wrt.lights.AreaLight.rectangle((0, 0, 0), (1, 0, 0), (2, 0, 0)),
+        lambda: wrt.lights.AreaLight.sphere((0, 0, 0), 0.0),
+        lambda: wrt.lights.SpotLight((0, 0, 0), (0, 0, 1), angle=90),
+        lambda: wrt.lights.DirectionalLight((0, 0, 0)),
+        lambda: wrt.lights.PointLight((0, 0, np.nan)),
+        lambda: wrt.lights.PointLight((0, 0, 1e39)),
+        lambda: wrt.lights.AreaLight.sphere((0, 1e39, 0), 1.0),
         lambda: wrt.Material("plastic"),
         lambda: wrt.Material(color=1.5),
         lambda: wrt.Material(roughness=2.0),
         lambda: wrt.Material("dielectric", index=0.0),
         lambda: wrt.Texture(np.full((2, 2), 1.5)),
-        lambda: wrt.Motion(vertices={0: (np.zeros((3, 3)),)}),
+        lambda: wrt.moving.Motion(vertices={0: (np.zeros((3, 3)),)}),
     ):
         with pytest.raises(ValueError):  # noqa: PT011 - each names its own argument
             call()

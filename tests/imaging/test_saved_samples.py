@@ -17,7 +17,7 @@ VIEW = wrt.scenes.BUILTIN_SCENES["cornell_box"].camera
 
 def rendering(mesh=BOX, size=16, **options):
     camera = wrt.PinholeCamera(size, size, **VIEW)
-    return wrt.Rendering(wrt.Scene(mesh, device="cpu"), camera, **{"samples": 6, "depth": 3, **options})
+    return wrt.pictures.Rendering(wrt.Scene(mesh, device="cpu"), camera, **{"samples": 6, "depth": 3, **options})
 
 
 def test_continued_is_the_same(tmp_path):
@@ -44,7 +44,7 @@ PAINTED = BOX.with_materials(wrt.Material(color=0.4, emission=1.0))
         {"samples": 8},
         {"depth": 4},
         {"integrator": "distribution"},
-        {"lights": [wrt.PointLight((0, 2, 3), 1.0)]},
+        {"lights": [wrt.lights.PointLight((0, 2, 3), 1.0)]},
         {"materials": wrt.Material(emission=0.5)},
         {"size": 15},
     ],
@@ -63,10 +63,10 @@ def test_other_cameras_and_motions_are_refused(tmp_path):
     path, scene = tmp_path / "a.npz", wrt.Scene(BOX, device="cpu")
     rendering().advance(1).save_samples(path)
     camera = wrt.PinholeCamera(16, 16, **{**VIEW, "fov": 39.4})
-    motion = wrt.Motion(vertices={0: (BOX.vertices, BOX.vertices + np.array((0.1, 0, 0)))})
+    motion = wrt.moving.Motion(vertices={0: (BOX.vertices, BOX.vertices + np.array((0.1, 0, 0)))})
     for given in (camera, None), (wrt.PinholeCamera(16, 16, **VIEW), motion):
         with pytest.raises(ValueError, match="another picture"):
-            wrt.Rendering(scene, given[0], samples=6, depth=3, motion=given[1]).load_samples(path)
+            wrt.pictures.Rendering(scene, given[0], samples=6, depth=3, motion=given[1]).load_samples(path)
 
 
 @pytest.mark.parametrize("revisions", [(2, 1), (1, 2)])

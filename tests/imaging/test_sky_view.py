@@ -36,8 +36,10 @@ def from_above(width, pixels):
 def test_a_street(integrator):
     """Hottel's crossed strings: the floor of a long street sees the sky by sqrt(1 + (H/W)^2) - H/W."""
     for length, width, height in ((100.0, 1.0, 0.9), (1000.0, 1.0, 1.5)):
-        options = {"lights": [wrt.Sky(1.0)], "smooth": False, "depth": 2, "samples": 64}
-        found = wrt.Rendering(street(length, width, height), from_above(width, 32), integrator=integrator, **options).advance()
+        options = {"lights": [wrt.lights.Sky(1.0)], "smooth": False, "depth": 2, "samples": 64}
+        found = wrt.pictures.Rendering(
+            street(length, width, height), from_above(width, 32), integrator=integrator, **options
+        ).advance()
         expected = np.hypot(1, height / width) - height / width
         assert abs(found.linear.mean() - expected) < 0.008, (found.linear.mean(), expected)
 
@@ -48,8 +50,8 @@ def test_a_slope(integrator):
     tilt = np.sqrt(0.5)
     slope = quad((-50, -tilt, -tilt), (50, -tilt, -tilt), (50, tilt, tilt), (-50, tilt, tilt), WHITE)
     ground = quad((-1e4, -1e4, -2), (1e4, -1e4, -2), (1e4, 1e4, -2), (-1e4, 1e4, -2), BLACK)
-    options = {"lights": [wrt.Sky(1.0)], "smooth": False, "depth": 2, "samples": 64}
-    found = wrt.Rendering(wrt.Scene([slope, ground]), from_above(1.0, 32), integrator=integrator, **options).advance()
+    options = {"lights": [wrt.lights.Sky(1.0)], "smooth": False, "depth": 2, "samples": 64}
+    found = wrt.pictures.Rendering(wrt.Scene([slope, ground]), from_above(1.0, 32), integrator=integrator, **options).advance()
     assert abs(found.linear.mean() - (1 + tilt) / 2) < 0.008
 
 
@@ -64,6 +66,6 @@ def test_no_light_gets_into_a_closed_wedge(degrees):
     middle = np.radians(degrees / 2)
     aim = np.array([np.cos(middle), 0, np.sin(middle)])
     camera = wrt.PinholeCamera(64, 64, fov=2, position=tuple(0.5 * aim), look_at=(0, 0.02, 0), up=(0, 0, 1))
-    options = {"lights": [wrt.Sky(1000.0)], "smooth": False, "depth": 8, "samples": 32, "roulette": False}
-    found = wrt.Rendering(wrt.Scene([*sides, *ends]), camera, integrator="path", **options).advance()
+    options = {"lights": [wrt.lights.Sky(1000.0)], "smooth": False, "depth": 8, "samples": 32, "roulette": False}
+    found = wrt.pictures.Rendering(wrt.Scene([*sides, *ends]), camera, integrator="path", **options).advance()
     assert found.linear.max() == 0.0

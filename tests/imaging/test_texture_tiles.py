@@ -37,7 +37,9 @@ def scene():
 
 
 def rendering(scene, **options):
-    return wrt.Rendering(scene, CAMERA, samples=2, depth=4, lights=[wrt.Sky(1.0), wrt.PointLight((1, -1, 2), 3.0)], **options)
+    return wrt.pictures.Rendering(
+        scene, CAMERA, samples=2, depth=4, lights=[wrt.lights.Sky(1.0), wrt.lights.PointLight((1, -1, 2), 3.0)], **options
+    )
 
 
 @pytest.mark.parametrize("integrator", ["path", "whitted"])
@@ -71,10 +73,10 @@ def test_only_tiles_that_are_seen_are_loaded():
     """A camera above one corner of an image of 256 tiles: the others are never read."""
     mesh = textured(plane((-8, -8), (8, 8)), wrt.Texture(image(1024, 1024, 3)))
     camera = wrt.OrthographicCamera(16, 16, view_height=1.0, position=(-7, -7, 5), look_at=(-7, -7, 0), up=(0, 1, 0))
-    options = {"integrator": "path", "samples": 3, "depth": 2, "lights": [wrt.Sky(1.0)]}
-    tiled = wrt.Rendering(wrt.Scene(mesh), camera, texture_memory=1 << 20, **options).advance()
+    options = {"integrator": "path", "samples": 3, "depth": 2, "lights": [wrt.lights.Sky(1.0)]}
+    tiled = wrt.pictures.Rendering(wrt.Scene(mesh), camera, texture_memory=1 << 20, **options).advance()
     assert 1 <= tiled.tile_loads <= 9
-    np.testing.assert_array_equal(tiled.linear, wrt.Rendering(wrt.Scene(mesh), camera, **options).advance().linear)
+    np.testing.assert_array_equal(tiled.linear, wrt.pictures.Rendering(wrt.Scene(mesh), camera, **options).advance().linear)
 
 
 def test_images_in_mapped_files(tmp_path):

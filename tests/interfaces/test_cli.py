@@ -130,8 +130,8 @@ def test_list_shows_every_table():
 def test_list_finds_words():
     """In names, papers, authors and years, whatever their capitals and accents; all of several words."""
     for words, name in (
-        (["gunther"], "wrt.FuzzyScene"),
-        (["GÜNTHER", "skinned"], "wrt.SkinnedScene"),
+        (["gunther"], "wrt.moving.FuzzyScene"),
+        (["GÜNTHER", "skinned"], "wrt.moving.SkinnedScene"),
         (["2013", "woop"], "woop"),
     ):
         tables = json.loads(run("list", *words, "--json").stdout)
@@ -140,7 +140,7 @@ def test_list_finds_words():
         for title, row in rows:
             text = catalogue.plain(" ".join([title, *map(str, row.values())]))
             assert all(catalogue.plain(word) in text for word in words)
-    assert "wrt.FuzzyScene" in run("list", "lloyd").stdout
+    assert "wrt.moving.FuzzyScene" in run("list", "lloyd").stdout
     assert {row["name"] for row in json.loads(run("list", "schedules", "--json").stdout)["schedules"]} == set(SCHEDULES)
     result = run("list", "woop", "nobody")
     assert result.exit_code == 1

@@ -52,7 +52,7 @@ def test_scenes_are_read(built, name, kind, t):
 
 def test_partitioned_scenes_are_read(built, tmp_path):
     shutil.copytree(FILES / "parts", tmp_path / "parts")
-    hits = wrt.PartitionedScene(tmp_path / "parts", device="cpu").intersect(*rays())
+    hits = wrt.disk.PartitionedScene(tmp_path / "parts", device="cpu").intersect(*rays())
     assert built
     assert set(built) == {Bvh}
     np.testing.assert_allclose(hits.t, 5 / 3, rtol=1e-6)
@@ -61,7 +61,7 @@ def test_partitioned_scenes_are_read(built, tmp_path):
 
 def test_samples_are_refused():
     camera = wrt.PinholeCamera(4, 3, position=(3, 3, 3), look_at=(0.3, 0.3, 0.3))
-    rendering = wrt.Rendering(scene(), camera, samples=4)
+    rendering = wrt.pictures.Rendering(scene(), camera, samples=4)
     with pytest.raises(ValueError, match=r"of another version of wrt.* \(revisions none, .*render from the start"):
         rendering.load_samples(FILES / "samples.npz")
     assert rendering.done == 0

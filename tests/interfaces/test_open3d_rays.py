@@ -1,4 +1,4 @@
-"""`wrt.RaycastingScene` in the place of Open3D's: the same keys, shapes, types and answers."""
+"""`wrt.compat.RaycastingScene` in the place of Open3D's: the same keys, shapes, types and answers."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ PARTS = [(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)) for me
 
 
 @pytest.fixture(scope="module")
-def scene() -> wrt.RaycastingScene:
-    ours = wrt.RaycastingScene()
+def scene() -> wrt.compat.RaycastingScene:
+    ours = wrt.compat.RaycastingScene()
     assert [ours.add_triangles(*part) for part in PARTS] == [0, 1]
     return ours
 
@@ -50,7 +50,7 @@ def test_methods_that_are_missing(scene):
 
 
 def test_all_methods_of_the_peer_are_here_or_explained(open3d, scene):
-    from wrt.adapters.open3d_rays import MISSING
+    from wrt.compat.open3d_rays import MISSING
 
     theirs = {name for name in dir(open3d.t.geometry.RaycastingScene) if not name.startswith("_")}
     assert theirs <= {*dir(scene), *MISSING}
@@ -84,11 +84,11 @@ def test_cast_rays(scene, theirs, shape):
     for name in ("t_hit", "primitive_uvs", "primitive_normals"):
         np.testing.assert_allclose(got[name], expected[name], atol=2e-4)
     if shape == (400,):
-        assert {0, 1, wrt.RaycastingScene.INVALID_ID} == set(got["geometry_ids"].tolist())
+        assert {0, 1, wrt.compat.RaycastingScene.INVALID_ID} == set(got["geometry_ids"].tolist())
 
 
 def test_invalid_id(open3d):
-    assert open3d.t.geometry.RaycastingScene.INVALID_ID == wrt.RaycastingScene.INVALID_ID
+    assert open3d.t.geometry.RaycastingScene.INVALID_ID == wrt.compat.RaycastingScene.INVALID_ID
 
 
 def test_occlusions_and_counts(scene, theirs):
@@ -134,21 +134,21 @@ def test_create_rays_pinhole(open3d):
     peer = open3d.t.geometry.RaycastingScene.create_rays_pinhole
     view = {"fov_deg": 50.0, "center": [0.1, 0.2, 0.3], "eye": [1.0, 2.0, -3.0], "up": [0.1, 1.0, 0.2]}
     sizes = {"width_px": 7, "height_px": 5}
-    got = wrt.RaycastingScene.create_rays_pinhole(**view, **sizes)
+    got = wrt.compat.RaycastingScene.create_rays_pinhole(**view, **sizes)
     expected = peer(**view, **sizes).numpy()
     np.testing.assert_allclose(got, expected, atol=1e-6)
     assert got.dtype == expected.dtype
     intrinsic = np.array([[50.0, 0.5, 3.0], [0.0, 60.0, 2.0], [0.0, 0.0, 1.0]])
     extrinsic = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.2]))
     extrinsic[:3, 3] = [1.0, -2.0, 3.0]
-    got = wrt.RaycastingScene.create_rays_pinhole(intrinsic, extrinsic, 7, 5)
+    got = wrt.compat.RaycastingScene.create_rays_pinhole(intrinsic, extrinsic, 7, 5)
     expected = peer(open3d.core.Tensor(intrinsic), open3d.core.Tensor(extrinsic), 7, 5).numpy()
     np.testing.assert_allclose(got, expected, atol=1e-6)
 
 
 def test_pictures():
     """The middle of a picture sees what the camera looks at, without Open3D too."""
-    scene = wrt.RaycastingScene()
+    scene = wrt.compat.RaycastingScene()
     scene.add_triangles(SPHERE)
     rays = scene.create_rays_pinhole(fov_deg=40, center=[0, 0, 0], eye=[0, -4, 0], up=[0, 0, 1], width_px=21, height_px=11)
     t = scene.cast_rays(rays)["t_hit"]
@@ -160,7 +160,7 @@ def test_pictures():
 def test_meshes_of_every_kind(open3d):
     vertices, faces = PARTS[0]
     tensors = open3d.t.geometry.TriangleMesh(open3d.core.Tensor(vertices), open3d.core.Tensor(faces))
-    scene = wrt.RaycastingScene()
+    scene = wrt.compat.RaycastingScene()
     ids = [scene.add_triangles(mesh) for mesh in (tensors, SPHERE, wrt.TriangleMesh(vertices, faces))]
     ids.append(scene.add_triangles(tensors.vertex.positions, triangle_indices=tensors.triangle.indices))
     ids.append(scene.add_triangles(mesh=SPHERE))
@@ -170,7 +170,7 @@ def test_meshes_of_every_kind(open3d):
 
 
 def test_geometry_is_added_between_queries(scene):
-    own = wrt.RaycastingScene(nthreads=1)
+    own = wrt.compat.RaycastingScene(nthreads=1)
     rays = some_rays(300)
     own.add_triangles(*PARTS[0])
     before = own.cast_rays(rays)
@@ -185,7 +185,7 @@ def test_geometry_is_added_between_queries(scene):
 
 
 def test_an_empty_scene(open3d):
-    ours, peer, rays = wrt.RaycastingScene(), open3d.t.geometry.RaycastingScene(), some_rays(3, 4)
+    ours, peer, rays = wrt.compat.RaycastingScene(), open3d.t.geometry.RaycastingScene(), some_rays(3, 4)
     for name in ("cast_rays", "list_intersections"):
         got, expected = getattr(ours, name)(rays), getattr(peer, name)(rays)
         assert_same_kind(got, expected)
@@ -198,7 +198,7 @@ def test_an_empty_scene(open3d):
 
 def test_arrays_are_copied():
     vertices, faces = PARTS[0][0].copy(), PARTS[0][1]
-    scene = wrt.RaycastingScene()
+    scene = wrt.compat.RaycastingScene()
     scene.add_triangles(vertices, faces)
     vertices += 100.0
     assert scene.test_occlusions([[0, 0, -3, 0, 0, 1]]).tolist() == [True]

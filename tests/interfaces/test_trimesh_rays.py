@@ -1,4 +1,5 @@
-"""`wrt.RayMeshIntersector` in the place of trimesh's: the same types, the same answers where those are right, and beyond."""
+"""`wrt.compat.RayMeshIntersector` in the place of trimesh's: the same types, the same answers where those are right, and
+beyond."""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ def rays_around(mesh: trimesh.Trimesh, count: int, seed: int = 0) -> tuple[np.nd
 def swapped(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """A copy whose rays are answered by wrt."""
     mesh = mesh.copy()
-    mesh.ray = wrt.RayMeshIntersector(mesh)
+    mesh.ray = wrt.compat.RayMeshIntersector(mesh)
     return mesh
 
 
@@ -45,7 +46,7 @@ def swapped(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 def test_same_answers_as_trimesh(body):
     pytest.importorskip("rtree")
     mesh = BODIES[body]
-    ours, theirs = wrt.RayMeshIntersector(mesh), ray_triangle.RayMeshIntersector(mesh)
+    ours, theirs = wrt.compat.RayMeshIntersector(mesh), ray_triangle.RayMeshIntersector(mesh)
     origins, directions = rays_around(mesh, 200)
     for locations in (False, True):
         got = ours.intersects_id(origins, directions, return_locations=locations)
@@ -72,7 +73,7 @@ def test_same_answers_as_trimesh(body):
 def test_rows_come_ray_by_ray_nearest_first():
     mesh = BODIES["torus"]
     origins, directions = rays_around(mesh, 500)
-    points, index_ray, _ = wrt.RayMeshIntersector(mesh).intersects_location(origins, directions)
+    points, index_ray, _ = wrt.compat.RayMeshIntersector(mesh).intersects_location(origins, directions)
     distance = np.linalg.norm(points - origins[index_ray], axis=1)
     same = index_ray[1:] == index_ray[:-1]
     assert (np.diff(index_ray) >= 0).all()
@@ -82,7 +83,7 @@ def test_rows_come_ray_by_ray_nearest_first():
 
 def test_first_hits_and_bounds():
     mesh = BODIES["torus"]
-    ray = wrt.RayMeshIntersector(mesh)
+    ray = wrt.compat.RayMeshIntersector(mesh)
     origins, directions = rays_around(mesh, 500)
     first = ray.intersects_first(origins, directions)
     index_tri, index_ray = ray.intersects_id(origins, directions, multiple_hits=False)
@@ -108,7 +109,7 @@ def test_empty_answers():
         (BODIES["box"], np.zeros((0, 3)), np.zeros((0, 3))),
         (trimesh.Trimesh(), away, sky),
     ):
-        ray = wrt.RayMeshIntersector(mesh)
+        ray = wrt.compat.RayMeshIntersector(mesh)
         for several in (True, False):
             index_tri, index_ray, points = ray.intersects_id(origins, directions, multiple_hits=several, return_locations=True)
             assert index_tri.shape == index_ray.shape == (0,)
@@ -125,7 +126,7 @@ def test_empty_answers():
 def test_rays_at_vertices_and_edges(body):
     """From outside, a ray at a vertex of a closed mesh hits it, and crosses it an even number of times."""
     mesh = BODIES[body]
-    ray = wrt.RayMeshIntersector(mesh)
+    ray = wrt.compat.RayMeshIntersector(mesh)
     targets = np.concatenate([mesh.vertices, mesh.vertices[mesh.edges_unique].mean(axis=1)])
     center = mesh.bounds.mean(axis=0)
     origins = center + (targets - center) * 3.0
@@ -143,7 +144,7 @@ def test_rays_at_vertices_and_edges(body):
 def test_every_hit_of_a_box():
     """Grids of axis-parallel rays through a box, two hits each, on the planes of its faces."""
     mesh = BODIES["box"]
-    ray = wrt.RayMeshIntersector(mesh)
+    ray = wrt.compat.RayMeshIntersector(mesh)
     steps = np.linspace(-0.5, 0.5, 9)[1:-1]
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     for axis in range(3):
@@ -204,13 +205,13 @@ def test_pickles_and_copies():
     origins, directions = rays_around(mesh, 50)
     expected = mesh.ray.intersects_first(origins, directions)
     thawed = pickle.loads(pickle.dumps(mesh))
-    assert isinstance(thawed.ray, wrt.RayMeshIntersector)
+    assert isinstance(thawed.ray, wrt.compat.RayMeshIntersector)
     assert thawed.ray.mesh is thawed
     np.testing.assert_array_equal(thawed.ray.intersects_first(origins, directions), expected)
     for twin in (copy.copy(mesh.ray), copy.deepcopy(mesh.ray)):
         assert twin.mesh is mesh
         np.testing.assert_array_equal(twin.intersects_first(origins, directions), expected)
-    options = wrt.RayMeshIntersector(mesh, accelerator="kdtree", num_threads=1)
+    options = wrt.compat.RayMeshIntersector(mesh, accelerator="kdtree", num_threads=1)
     twin = pickle.loads(pickle.dumps(options))
     assert twin.scene.accelerator.kind == "kdtree"
     assert twin.scene.num_threads == 1
@@ -221,7 +222,7 @@ def test_far_from_the_origin():
     mesh = BODIES["sphere"].copy()
     mesh.apply_translation([1e7, -1e7, 1e7])
     origins, directions = rays_around(mesh, 300)
-    points, index_ray, index_tri = wrt.RayMeshIntersector(mesh).intersects_location(origins, directions)
+    points, index_ray, index_tri = wrt.compat.RayMeshIntersector(mesh).intersects_location(origins, directions)
     assert len(index_ray) > 300
     to_plane = np.einsum("ij,ij->i", points - mesh.triangles[index_tri, 0], mesh.face_normals[index_tri])
     np.testing.assert_allclose(to_plane, 0.0, atol=1e-8)
@@ -234,14 +235,14 @@ def test_grazing_locations():
     mesh = BODIES["box"]
     origins = np.array([[-3.0, 0.1, 0.5 + 1e-6]])
     directions = np.array([[1.0, 0.0, -3.3e-7]])
-    points, _, index_tri = wrt.RayMeshIntersector(mesh).intersects_location(origins, directions)
+    points, _, index_tri = wrt.compat.RayMeshIntersector(mesh).intersects_location(origins, directions)
     assert len(points)
     low, high = mesh.triangles[index_tri].min(axis=1), mesh.triangles[index_tri].max(axis=1)
     assert ((points >= low - 1e-5) & (points <= high + 1e-5)).all()
 
 
 def test_bad_rays_miss():
-    ray = wrt.RayMeshIntersector(BODIES["box"])
+    ray = wrt.compat.RayMeshIntersector(BODIES["box"])
     origins = np.array([[0, 0, -2.0], [np.nan, 0, -2], [0, 0, -2]])
     directions = np.array([[0, 0, 1.0], [0, 0, 1], [0, 0, 0]])
     assert (ray.intersects_first(origins, directions) >= 0).tolist() == [True, False, False]
@@ -249,9 +250,9 @@ def test_bad_rays_miss():
 
 
 def test_bad_arguments():
-    ray = wrt.RayMeshIntersector(BODIES["box"])
+    ray = wrt.compat.RayMeshIntersector(BODIES["box"])
     with pytest.raises(TypeError, match=r"trimesh\.Trimesh"):
-        wrt.RayMeshIntersector("box.ply")
+        wrt.compat.RayMeshIntersector("box.ply")
     with pytest.raises(ValueError, match="same shape"):
         ray.intersects_first(np.zeros((2, 3)), np.ones((3, 3)))
     with pytest.raises(ValueError, match="ray_origins must have shape"):
@@ -269,10 +270,10 @@ def test_bad_arguments():
 def test_in_the_place_of_the_class(primitive, monkeypatch):
     """trimesh makes the intersector of a primitive before it has faces, which was a TypeError."""
     module = importlib.import_module("trimesh.ray.ray_pyembree") if trimesh.ray.has_embree else ray_triangle
-    monkeypatch.setattr(module, "RayMeshIntersector", wrt.RayMeshIntersector)
+    monkeypatch.setattr(module, "RayMeshIntersector", wrt.compat.RayMeshIntersector)
     mesh = primitive()
-    assert isinstance(mesh.ray, wrt.RayMeshIntersector)
-    plain = wrt.RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
+    assert isinstance(mesh.ray, wrt.compat.RayMeshIntersector)
+    plain = wrt.compat.RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
     rays = rays_around(mesh, 100)
     np.testing.assert_array_equal(mesh.ray.intersects_first(*rays), plain.intersects_first(*rays))
     assert mesh.contains([mesh.center_mass]).all()
@@ -280,4 +281,4 @@ def test_in_the_place_of_the_class(primitive, monkeypatch):
 
 def test_no_mesh_is_refused():
     with pytest.raises(TypeError, match=r"must be a trimesh\.Trimesh, not Scene"):
-        wrt.RayMeshIntersector(trimesh.Scene())
+        wrt.compat.RayMeshIntersector(trimesh.Scene())

@@ -27,8 +27,8 @@ def test_expected_cost_is_what_is_counted(name, width, kind):
     mesh = SCENES[name]()
     area = area_of(mesh, kind)
     rays = wrt.Rays(*rays_of(area, 60_000))
-    for tree in (wrt.Bvh(width=width), wrt.ProjectedBvh(areas=area, width=width)):
-        found = wrt.analyse(wrt.Scene(mesh, tree), area, rays)
+    for tree in (wrt.Bvh(width=width), wrt.known_rays.ProjectedBvh(areas=area, width=width)):
+        found = wrt.known_rays.analyse(wrt.Scene(mesh, tree), area, rays)
         assert found.passing.rays > 1000
         assert found.error <= 0.02
         assert found.expected_boxes == pytest.approx(found.passing.boxes, rel=0.03)
@@ -49,7 +49,7 @@ def test_surface_areas_expect_lines_in_all_directions():
     radius = np.linalg.norm(np.ptp(mesh.bounds, axis=0)) / 2
     rays = wrt.Rays(mesh.bounds.mean(axis=0) + radius * (aside - 2 * directions), directions)
     scene = wrt.Scene(mesh, wrt.Bvh(width=8))
-    found = wrt.analyse(scene, rays=rays, box_cost=1 / 8, triangle_cost=0.0)
+    found = wrt.known_rays.analyse(scene, rays=rays, box_cost=1 / 8, triangle_cost=0.0)
     assert found.error <= 0.02
 
 
@@ -59,8 +59,8 @@ def test_boxes_and_overlaps(kind, width):
     """Every row, worked out again with the polygon library: areas, parents, levels, what pictures of siblings share."""
     mesh = wrt.scenes.build("random_triangles", count=120, size=0.3, seed=8)
     area = area_of(mesh, kind)
-    scene = wrt.Scene(mesh, wrt.ProjectedBvh(areas=area, width=width))
-    boxes = wrt.analyse(scene, area).boxes
+    scene = wrt.Scene(mesh, wrt.known_rays.ProjectedBvh(areas=area, width=width))
+    boxes = wrt.known_rays.analyse(scene, area).boxes
     half = window(area)
     frame = shapely.box(-half[0], -half[1], half[0], half[1])
     shown = [picture(area, a, b).intersection(frame) for a, b in zip(boxes.low, boxes.high, strict=True)]
@@ -88,7 +88,7 @@ def test_boxes_and_overlaps(kind, width):
 def test_costs_add_up():
     mesh = SCENES["teapot"]()
     area = area_of(mesh, "point")
-    found = wrt.analyse(wrt.Scene(mesh, wrt.Bvh(width=4)), area, box_cost=0.5, triangle_cost=2.0)
+    found = wrt.known_rays.analyse(wrt.Scene(mesh, wrt.Bvh(width=4)), area, box_cost=0.5, triangle_cost=2.0)
     assert found.expected_cost == pytest.approx(0.5 * found.expected_boxes + 2.0 * found.expected_triangles)
     assert found.expected_cost == pytest.approx(sum(level["expected cost"] for level in found.levels))
     assert (found.passing, found.error, found.hit_share) == (None, None, None)
@@ -97,8 +97,8 @@ def test_costs_add_up():
 def test_an_area_that_sees_nothing():
     """Every box is as likely as the root, and no siblings overlap."""
     mesh = SCENES["teapot"]()
-    away = wrt.PlaneInfluenceArea(position=(0, 0, 1e3), direction=(0, 0, 1), width=1, height=1, depth=1)
-    found = wrt.analyse(wrt.Scene(mesh), away)
+    away = wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 1e3), direction=(0, 0, 1), width=1, height=1, depth=1)
+    found = wrt.known_rays.analyse(wrt.Scene(mesh), away)
     assert (found.boxes.hit_probability == 1.0).all()
     assert found.summary()["sibling overlap"] is None
 
@@ -107,7 +107,9 @@ def test_files(tmp_path):
     """What is written is what is told, in JSON and in CSV."""
     mesh = SCENES["teapot"]()
     area = area_of(mesh, "plane")
-    found = wrt.analyse(wrt.Scene(mesh, wrt.ProjectedBvh(areas=area, width=8)), area, wrt.Rays(*rays_of(area, 500)))
+    found = wrt.known_rays.analyse(
+        wrt.Scene(mesh, wrt.known_rays.ProjectedBvh(areas=area, width=8)), area, wrt.Rays(*rays_of(area, 500))
+    )
     found.save_json(tmp_path / "tree.json")
     read = json.loads((tmp_path / "tree.json").read_text())
     assert read == found.to_dict()
@@ -130,7 +132,7 @@ def volume(boxes) -> np.ndarray:
 def test_statistics_of_ones_own(tmp_path):
     """They stand in rows, levels and files beside the others."""
     scene = wrt.Scene(SCENES["teapot"](), wrt.Bvh(width=4))
-    found = wrt.analyse(scene, statistics={"volume": volume, "level twice": lambda boxes: 2 * boxes.level})
+    found = wrt.known_rays.analyse(scene, statistics={"volume": volume, "level twice": lambda boxes: 2 * boxes.level})
     np.testing.assert_array_equal(found.statistics["volume"], volume(found.boxes))
     assert [row["level twice"] for row in found.rows()] == [2 * row["level"] for row in found.rows()]
     assert found.levels[0]["volume"] == found.rows()[0]["volume"]
@@ -138,49 +140,49 @@ def test_statistics_of_ones_own(tmp_path):
     found.save_csv(tmp_path / "tree.csv")
     assert (tmp_path / "tree.csv").read_text().splitlines()[0].endswith(",volume,level twice")
     with pytest.raises(ValueError, match="choose another name"):
-        wrt.analyse(scene, statistics={"cost": volume})
+        wrt.known_rays.analyse(scene, statistics={"cost": volume})
     with pytest.raises(ValueError, match=r"statistics\['all'\] returned the shape \(\); it must return"):
-        wrt.analyse(scene, statistics={"all": lambda boxes: boxes.cost.sum()})
+        wrt.known_rays.analyse(scene, statistics={"all": lambda boxes: boxes.cost.sum()})
 
 
 def test_trees_of_areas():
     """Each area's tree is measured for the area's rays; the work is that which the break-even analysis counts."""
     mesh = SCENES["atrium"]()
     areas = [area_of(mesh, "plane"), area_of(mesh, "point")]
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas))
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas))
     parts = [rays_of(area, 2000) for area in areas]
     rays = wrt.Rays(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-    found = wrt.analyse_areas(scene, rays, statistics={"volume": volume})
-    assert len(found) == len(scene.area_trees) == 2
-    for analysis, state, area in zip(found, scene.area_trees.scenes, areas, strict=True):
+    found = wrt.known_rays.analyse_areas(scene, rays, statistics={"volume": volume})
+    assert len(found) == len(scene.state.area_trees) == 2
+    for analysis, state, area in zip(found, scene.state.area_trees.scenes, areas, strict=True):
         assert analysis.bytes == state.tree.bytes
         assert analysis.statistics["volume"][0] > 0.0
         assert 0 < analysis.passing.rays <= 4000
         assert analysis.stopping.cost <= analysis.passing.cost
-        alone = wrt.analyse(wrt.Scene(mesh, wrt.ProjectedBvh(areas=area)), area)
+        alone = wrt.known_rays.analyse(wrt.Scene(mesh, wrt.known_rays.ProjectedBvh(areas=area)), area)
         assert analysis.boxes.hit_probability[0] == alone.boxes.hit_probability[0] == 1.0
     assert sum(round(a.passing.rays / a.passing.share) for a in found) <= 4000
-    assert all(a.passing is None and a.expected_cost > 0.0 for a in wrt.analyse_areas(scene))
+    assert all(a.passing is None and a.expected_cost > 0.0 for a in wrt.known_rays.analyse_areas(scene))
     with pytest.raises(ValueError, match="no influence areas"):
-        wrt.analyse_areas(wrt.Scene(mesh))
+        wrt.known_rays.analyse_areas(wrt.Scene(mesh))
     with pytest.raises(TypeError, match=r"rays must be a wrt\.Rays"):
-        wrt.analyse_areas(scene, rays=(0, 0, 0))
+        wrt.known_rays.analyse_areas(scene, rays=(0, 0, 0))
 
 
 def test_bad_input():
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh)
     with pytest.raises(ValueError, match="scene has a kdtree"):
-        wrt.analyse(SimpleNamespace(tree=None, accelerator=wrt.KdTree()))
+        wrt.known_rays.analyse(SimpleNamespace(tree=None, accelerator=wrt.KdTree()))
     with pytest.raises(TypeError, match=r"rays must be a wrt\.Rays, not tuple"):
-        wrt.analyse(scene, rays=((0, 0, 0), (0, 0, 1)))
+        wrt.known_rays.analyse(scene, rays=((0, 0, 0), (0, 0, 1)))
     with pytest.raises(TypeError, match=r"area must be .* not str"):
-        wrt.analyse(scene, "sun")
+        wrt.known_rays.analyse(scene, "sun")
     with pytest.raises(ValueError, match="rays is empty"):
-        wrt.analyse(scene, rays=wrt.Rays(np.zeros((0, 3)), np.zeros((0, 3))))
+        wrt.known_rays.analyse(scene, rays=wrt.Rays(np.zeros((0, 3)), np.zeros((0, 3))))
     for name in ("box_cost", "triangle_cost"):
         with pytest.raises(ValueError, match=f"{name} is -1"):
-            wrt.analyse(scene, **{name: -1})
+            wrt.known_rays.analyse(scene, **{name: -1})
 
 
 def test_octree_cell_by_cell(tmp_path):
@@ -190,8 +192,8 @@ def test_octree_cell_by_cell(tmp_path):
     low, high = mesh.bounds
     areas = [stretched(area, low, high) for area in areas]
     nowhere = replace(areas[0], position=high + 50.0 * (high - low))
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[nowhere, *areas], top_level="octree", depth=3))
-    found, top = wrt.analyse_octree(scene), scene.area_trees.top
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[nowhere, *areas], top_level="octree", depth=3))
+    found, top = wrt.known_rays.analyse_octree(scene), scene.state.area_trees.top
     assert len(found.level) == top.cells
     assert 0 not in {number for one in found.areas if one for number in one}, "no triangle is in the first area"
     volume = (found.high - found.low).prod(axis=1)
@@ -202,7 +204,7 @@ def test_octree_cell_by_cell(tmp_path):
     leaves = np.flatnonzero(found.is_leaf)
     listed = top.candidates(0.5 * (found.low + found.high)[leaves])
     for leaf, row in zip(leaves, listed, strict=True):
-        assert found.areas[leaf] == tuple(scene.area_trees.numbers[place] for place in np.flatnonzero(row))
+        assert found.areas[leaf] == tuple(scene.state.area_trees.numbers[place] for place in np.flatnonzero(row))
     assert [row["cells"] for row in found.levels] == np.bincount(found.level).tolist()
     rectangles, counts = found.cut(2, float(found.low[0, 2] + 0.4 * (found.high - found.low)[0, 2]))
     area = (rectangles[:, 1] - rectangles[:, 0]).prod(axis=1)
@@ -212,9 +214,9 @@ def test_octree_cell_by_cell(tmp_path):
     written = json.loads((tmp_path / "octree.json").read_text())
     assert written == found.to_dict()
     assert len(written["cells"]) == top.cells
-    array = wrt.analyse_octree(wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, top_level="array")))
+    array = wrt.known_rays.analyse_octree(wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas, top_level="array")))
     assert array.areas == (tuple(range(9)),)
     with pytest.raises(ValueError, match="axis is 3"):
         found.cut(3, 0.0)
     with pytest.raises(ValueError, match="no influence areas"):
-        wrt.analyse_octree(wrt.Scene(mesh))
+        wrt.known_rays.analyse_octree(wrt.Scene(mesh))

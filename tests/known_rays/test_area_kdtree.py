@@ -29,7 +29,9 @@ def upright_areas(count: int) -> list:
     """Rooms: areas along the axes, whose boxes are their regions."""
     rng = np.random.default_rng(3)
     return [
-        wrt.PlaneInfluenceArea(position=rng.uniform(LOW, HIGH), direction=(0, 0, -1), up=(0, 1, 0), width=w, height=h, depth=d)
+        wrt.known_rays.PlaneInfluenceArea(
+            position=rng.uniform(LOW, HIGH), direction=(0, 0, -1), up=(0, 1, 0), width=w, height=h, depth=d
+        )
         for w, h, d in rng.uniform(0.1, 0.8, (count, 3))
     ]
 
@@ -108,13 +110,15 @@ def test_slices_and_bounds(monkeypatch):
 def test_cells_as_tables_and_boxes(tmp_path):
     """Every leaf lists what a look-up in its middle finds; leaves fill the root."""
     mesh = SCENES["teapot"]()
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh), top_level="kdtree", depth=3, local=wrt.Bvh()), device="cpu")
-    found, top = wrt.analyse_octree(scene), scene.area_trees.top
+    scene = wrt.Scene(
+        mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh), top_level="kdtree", depth=3, local=wrt.Bvh()), device="cpu"
+    )
+    found, top = wrt.known_rays.analyse_octree(scene), scene.state.area_trees.top
     volume = np.prod(found.high - found.low, axis=1)
     assert volume[found.is_leaf].sum() == pytest.approx(volume[0])
     assert found.level.max() <= 9 < len(found.level)
     middle = (found.low + found.high)[found.is_leaf] / 2
-    numbers = np.array(scene.area_trees.numbers)
+    numbers = np.array(scene.state.area_trees.numbers)
     expected = [tuple(numbers[row]) for row in top.candidates(middle)]
     assert expected == [one for one in found.areas if one is not None]
     inner = np.arange(1, len(found.level))

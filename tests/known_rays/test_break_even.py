@@ -7,7 +7,7 @@ import pytest
 from conftest import SCENES
 
 import wrt
-from wrt.known_rays.break_even import AREA_LOOKUP_COST, break_even_share
+from wrt.known_rays.area_break_even import AREA_LOOKUP_COST, break_even_share
 
 
 def test_share():
@@ -26,15 +26,15 @@ def test_share():
 def test_break_even_of_an_area():
     """A sun over half of the scene, by the counters of queries; no area; a lamp that no ray runs to."""
     mesh = SCENES["random_triangles"]()
-    sun = wrt.PlaneInfluenceArea(position=(0.5, 0.5, 2), direction=(0, 0, -1), width=3, height=3, depth=1.5)
-    lamp = wrt.PointInfluenceArea(position=(0.5, 3, 0.5), direction=(0, -1, 0), fov=(30, 30), near=0.1, far=9)
-    areas = wrt.RayAwareBvh(areas=[sun, lamp], local=wrt.Bvh())
+    sun = wrt.known_rays.PlaneInfluenceArea(position=(0.5, 0.5, 2), direction=(0, 0, -1), width=3, height=3, depth=1.5)
+    lamp = wrt.known_rays.PointInfluenceArea(position=(0.5, 3, 0.5), direction=(0, -1, 0), fov=(30, 30), near=0.1, far=9)
+    areas = wrt.known_rays.RayAwareBvh(areas=[sun, lamp], local=wrt.Bvh())
     scene, plain = (wrt.Scene(mesh, accelerator, device="cpu") for accelerator in (areas, "bvh"))
-    down = wrt.PlaneCaster(position=(0.5, 0.5, 1.9), direction=(0, 0, -1), width=1, height=1).rays(600)
+    down = wrt.known_rays.PlaneCaster(position=(0.5, 0.5, 1.9), direction=(0, 0, -1), width=1, height=1).rays(600)
     rng = np.random.default_rng(0)
     origins = np.concatenate([down.origins, rng.uniform(0, 1, (200, 3))])
     directions = np.concatenate([down.directions, rng.normal(size=(200, 3))])
-    report = wrt.break_even(scene, origins, directions)
+    report = wrt.known_rays.break_even(scene, origins, directions)
     (area,) = report.areas
     assert (area.area, area.share, report.unassigned_share, report.rays) == (sun, 0.75, 0.25, 800)
     hits = plain.intersect(down, traversal="single", counters=True)
@@ -58,7 +58,7 @@ def test_break_even_of_an_area():
 def test_scenes_without_areas():
     mesh = SCENES["random_triangles"]()
     with pytest.raises(ValueError, match="no influence areas with triangles"):
-        wrt.break_even(wrt.Scene(mesh, device="cpu"), [0, 0, 0], [0, 0, 1])
+        wrt.known_rays.break_even(wrt.Scene(mesh, device="cpu"), [0, 0, 0], [0, 0, 1])
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_scenes_without_areas():
     [({"query": "all"}, ValueError, "query 'all' is unknown"), ({"samples": 0}, ValueError, "samples is 0")],
 )
 def test_bad_arguments(options, error, message):
-    sun = wrt.PlaneInfluenceArea(position=(0.5, 0.5, 2), direction=(0, 0, -1), width=3, height=3, depth=1.5)
-    scene = wrt.Scene(SCENES["random_triangles"](), wrt.RayAwareBvh(areas=[sun], local=wrt.Bvh()), device="cpu")
+    sun = wrt.known_rays.PlaneInfluenceArea(position=(0.5, 0.5, 2), direction=(0, 0, -1), width=3, height=3, depth=1.5)
+    scene = wrt.Scene(SCENES["random_triangles"](), wrt.known_rays.RayAwareBvh(areas=[sun], local=wrt.Bvh()), device="cpu")
     with pytest.raises(error, match=message):
-        wrt.break_even(scene, [0, 0, 0], [0, 0, 1], **options)
+        wrt.known_rays.break_even(scene, [0, 0, 0], [0, 0, 1], **options)

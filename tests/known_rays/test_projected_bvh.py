@@ -37,12 +37,18 @@ def area_of(mesh: wrt.TriangleMesh, kind: str):
     if kind.startswith("plane"):
         direction = np.array((0.0, 0.0, -1.0) if kind.endswith("axis") else (0.4, -0.5, -0.8))
         start = middle - direction * size
-        return wrt.PlaneInfluenceArea(position=start, direction=direction, width=0.6 * size, height=0.7 * size, depth=3 * size)
+        return wrt.known_rays.PlaneInfluenceArea(
+            position=start, direction=direction, width=0.6 * size, height=0.7 * size, depth=3 * size
+        )
     if kind == "point":
         start = middle + size * np.array([0.3, -0.9, 0.5])
-        return wrt.PointInfluenceArea(position=start, direction=middle - start, fov=(50, 40), near=0.1 * size, far=3 * size)
+        return wrt.known_rays.PointInfluenceArea(
+            position=start, direction=middle - start, fov=(50, 40), near=0.1 * size, far=3 * size
+        )
     direction = (1.0, 0.2, -0.3)
-    return wrt.PointInfluenceArea(position=middle, direction=direction, fov=(120, 100), near=0.02 * size, far=3 * size)
+    return wrt.known_rays.PointInfluenceArea(
+        position=middle, direction=direction, fov=(120, 100), near=0.02 * size, far=3 * size
+    )
 
 
 def rays_of(area, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +56,7 @@ def rays_of(area, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     right, up, forward = area.frame
     half = np.array(window(area))
     across = np.random.default_rng(seed).uniform(-half, half, (count, 2)) @ np.array([right, up])
-    if isinstance(area, wrt.PointInfluenceArea):
+    if isinstance(area, wrt.known_rays.PointInfluenceArea):
         return np.array(area.position) + area.near * (across + forward), across + forward
     return np.array(area.position) + across, np.broadcast_to(forward, (count, 3)).copy()
 
@@ -90,7 +96,7 @@ def scene_and_rays(name: str):
 def test_every_ray_has_its_hit(name, options, kind):
     """Rays of the area, of others, and of no area at all: the same hits as brute force, to the bit."""
     mesh, rays, expected = scene_and_rays(name)
-    scene = wrt.Scene(mesh, wrt.ProjectedBvh(areas=area_of(mesh, kind), width=8, **options))
+    scene = wrt.Scene(mesh, wrt.known_rays.ProjectedBvh(areas=area_of(mesh, kind), width=8, **options))
     assert_same_hits(scene.intersect(*rays, traversal="single", counters=True), expected)
 
 
@@ -98,11 +104,15 @@ def test_far_from_the_origin():
     """Areas are told where they are relative to the scene's centre: a scene far away has the same tree."""
     mesh, away = SCENES["teapot"](), np.array([4096.0, -8192.0, 16384.0])
     area = area_of(mesh, "point")
-    moved = wrt.PointInfluenceArea(position=area.position + away, direction=area.direction, fov=area.fov, near=0.5, far=100.0)
-    there = wrt.Scene(wrt.TriangleMesh(mesh.vertices + away, mesh.faces), wrt.ProjectedBvh(areas=moved, width=8))
-    area = wrt.PointInfluenceArea(position=area.position, direction=area.direction, fov=area.fov, near=0.5, far=100.0)
+    moved = wrt.known_rays.PointInfluenceArea(
+        position=area.position + away, direction=area.direction, fov=area.fov, near=0.5, far=100.0
+    )
+    there = wrt.Scene(wrt.TriangleMesh(mesh.vertices + away, mesh.faces), wrt.known_rays.ProjectedBvh(areas=moved, width=8))
+    area = wrt.known_rays.PointInfluenceArea(
+        position=area.position, direction=area.direction, fov=area.fov, near=0.5, far=100.0
+    )
     back = wrt.TriangleMesh(there.meshes[0].vertices.astype(np.float64) - away, mesh.faces)
-    assert_same_tree(there.tree, wrt.Scene(back, wrt.ProjectedBvh(areas=area, width=8)).tree)
+    assert_same_tree(there.tree, wrt.Scene(back, wrt.known_rays.ProjectedBvh(areas=area, width=8)).tree)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +141,7 @@ def test_tiny_and_flat_meshes(count):
     flat, line, point = corners.copy(), corners.copy(), np.full_like(corners, 0.5)
     flat[:, :, 1] = 0.25
     line[:, :, :2] = 0.75
-    area = wrt.PlaneInfluenceArea(position=(0.5, 0.5, -1), direction=(0, 0, 1), width=1, height=1, depth=3)
+    area = wrt.known_rays.PlaneInfluenceArea(position=(0.5, 0.5, -1), direction=(0, 0, 1), width=1, height=1, depth=3)
     for shaped in (corners, flat, line, point, corners * 1e37, -corners):
         tree, config = build(mesh_of(shaped), [area], others=0.0)
         check(tree, mesh_of(shaped).vertices, mesh_of(shaped).faces, config.bvh)
@@ -175,7 +185,7 @@ class Reference:
         if order == "all":
             return np.ones(3)
         along = np.abs(self.area.frame[2])
-        if isinstance(self.area, wrt.PointInfluenceArea):
+        if isinstance(self.area, wrt.known_rays.PointInfluenceArea):
             along = np.abs((low.astype(np.float64) + high) / 2 - self.area.position)
         return 1 - along / along.sum()
 
@@ -253,7 +263,7 @@ def test_planes_are_those_of_the_published_algorithm(axes, kind, monkeypatch):
 def test_no_rays_known_is_the_surface_area_tree():
     """With all rays in all directions, and all axes, the tree is as good as that of `wrt.Bvh`, costs by costs."""
     mesh = SCENES["wood"]()
-    trees = wrt.Bvh(width=8), wrt.ProjectedBvh(areas=area_of(mesh, "plane"), others=1.0, width=8)
+    trees = wrt.Bvh(width=8), wrt.known_rays.ProjectedBvh(areas=area_of(mesh, "plane"), others=1.0, width=8)
     costs = [wrt.Scene(mesh, tree).statistics().tree.sah_cost for tree in trees]
     assert costs[1] == pytest.approx(costs[0], rel=0.01)
 
@@ -270,11 +280,13 @@ def test_known_rays_do_less_work():
     rng = np.random.default_rng(4)
     start = rng.uniform(0, 1, (3000, 1, 3)) * [4, 4, 1]
     mesh = mesh_of(start + np.array([[0, 0, 0], [0.03, 0.01, 0], [0, 0.03, 3.0]]) + rng.normal(0, 0.01, (3000, 3, 3)))
-    along = wrt.PlaneInfluenceArea(position=(2, 2, -3), direction=(0, 0, 1), width=4, height=4, depth=9)
-    across = wrt.PlaneInfluenceArea(position=(-3, 2, 2), direction=(1, 0, 0), width=4, height=4, depth=9, up=(0, 0, 1))
-    trees = {"sah": wrt.ProjectedBvh(areas=along, width=8, cost="sah"), "default": wrt.Bvh(width=8)}
-    trees |= {name: wrt.ProjectedBvh(areas=a, width=8) for name, a in (("along", along), ("across", across))}
-    trees["both"] = wrt.ProjectedBvh(areas=[along, across], width=8)
+    along = wrt.known_rays.PlaneInfluenceArea(position=(2, 2, -3), direction=(0, 0, 1), width=4, height=4, depth=9)
+    across = wrt.known_rays.PlaneInfluenceArea(
+        position=(-3, 2, 2), direction=(1, 0, 0), width=4, height=4, depth=9, up=(0, 0, 1)
+    )
+    trees = {"sah": wrt.known_rays.ProjectedBvh(areas=along, width=8, cost="sah"), "default": wrt.Bvh(width=8)}
+    trees |= {name: wrt.known_rays.ProjectedBvh(areas=a, width=8) for name, a in (("along", along), ("across", across))}
+    trees["both"] = wrt.known_rays.ProjectedBvh(areas=[along, across], width=8)
     scenes = {name: wrt.Scene(mesh, tree) for name, tree in trees.items()}
     found = {name: [work(scene, rays_of(a, 2000)) for a in (along, across)] for name, scene in scenes.items()}
     assert found["along"][0] < 0.9 * found["sah"][0]
@@ -301,7 +313,7 @@ def test_shares_weigh_the_areas():
 def test_an_area_that_sees_nothing_counts_for_nothing():
     mesh = SCENES["wood"]()
     one = area_of(mesh, "plane")
-    away = wrt.PlaneInfluenceArea(position=(0, 0, 1e3), direction=(0, 0, 1), width=1, height=1, depth=1)
+    away = wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 1e3), direction=(0, 0, 1), width=1, height=1, depth=1)
     assert_same_tree(build(mesh, [one, away])[0], build(mesh, [one])[0])
     assert_same_tree(build(mesh, [away])[0], build(mesh, [one], others=1.0)[0])
 
@@ -314,8 +326,8 @@ def test_early_leaves(rule):
     """Rarely met nodes become leaves as soon as they have few enough triangles."""
     mesh = SCENES["random_triangles"]()
     options = {"areas": area_of(mesh, "plane"), "width": 2, "triangle_cost": 1.2, "max_leaf_triangles": 40}
-    plain = unpack(wrt.Scene(mesh, wrt.ProjectedBvh(**options)).tree)
-    early = unpack(wrt.Scene(mesh, wrt.ProjectedBvh(**options, **rule)).tree)
+    plain = unpack(wrt.Scene(mesh, wrt.known_rays.ProjectedBvh(**options)).tree)
+    early = unpack(wrt.Scene(mesh, wrt.known_rays.ProjectedBvh(**options, **rule)).tree)
     assert early.triangles.sum() == plain.triangles.sum() == mesh.triangle_count
     assert early.is_leaf.sum() < 0.8 * plain.is_leaf.sum()
 
@@ -335,7 +347,7 @@ def test_depths():
     ("change", "error", "message"),
     [
         ({"areas": ()}, ValueError, "areas is empty"),
-        ({"areas": ("sun",)}, TypeError, "areas must hold wrt.PlaneInfluenceArea"),
+        ({"areas": ("sun",)}, TypeError, "areas must hold wrt.known_rays.PlaneInfluenceArea"),
         ({"shares": (1.0, 2.0)}, ValueError, "shares is .* 1 numbers above 0"),
         ({"shares": (0.0,)}, ValueError, "shares"),
         ({"others": 1.5}, ValueError, "others is 1.5"),
@@ -352,9 +364,9 @@ def test_depths():
     ],
 )
 def test_bad_descriptions(change, error, message):
-    area = wrt.PlaneInfluenceArea(position=(0, 0, 0), direction=(0, 0, 1), width=1, height=1, depth=1)
+    area = wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 0), direction=(0, 0, 1), width=1, height=1, depth=1)
     with pytest.raises(error, match=message):
-        wrt.ProjectedBvh(**{"areas": (area,)} | change)
+        wrt.known_rays.ProjectedBvh(**{"areas": (area,)} | change)
 
 
 @pytest.mark.parametrize(
@@ -367,7 +379,7 @@ def test_bad_axis_choices(change):
 
 def test_the_published_description():
     mesh = SCENES["teapot"]()
-    scene = wrt.Scene(mesh, wrt.ProjectedBvh.published(area_of(mesh, "plane"), aware_depth=20))
+    scene = wrt.Scene(mesh, wrt.known_rays.ProjectedBvh.published(area_of(mesh, "plane"), aware_depth=20))
     assert scene.tree.width == 2
     assert unpack(scene.tree).triangles.max() <= 2
     assert scene.accelerator.aware_depth == 20

@@ -16,6 +16,7 @@ from wrt.kernels.influence.region_tests import DISJOINT
 from wrt.kernels.influence.region_tests import Region as RegionStruct
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
+from wrt.scene.scene import scene_of_state
 
 MESHES = ("teapot", "random_triangles", "grid", "degenerate")
 
@@ -30,11 +31,15 @@ def random_areas(count: int, low: np.ndarray, high: np.ndarray, seed: int = 0) -
         if number % 2:
             width, height, depth = size * rng.uniform(0.1, 0.8, 3)
             areas.append(
-                wrt.PlaneInfluenceArea(position=position, direction=direction, width=width, height=height, depth=depth)
+                wrt.known_rays.PlaneInfluenceArea(
+                    position=position, direction=direction, width=width, height=height, depth=depth
+                )
             )
         else:
             fov, far = rng.uniform(10, 140, 2), size * rng.uniform(0.2, 1)
-            areas.append(wrt.PointInfluenceArea(position=position, direction=direction, fov=fov, near=0.1 * far, far=far))
+            areas.append(
+                wrt.known_rays.PointInfluenceArea(position=position, direction=direction, fov=fov, near=0.1 * far, far=far)
+            )
     return areas
 
 
@@ -43,20 +48,20 @@ def areas_of(mesh) -> list:
     low, high = mesh.bounds
     center, size = (low + high) / 2, high - low
     extent = float(size.max())
-    sun = wrt.PlaneInfluenceArea(
+    sun = wrt.known_rays.PlaneInfluenceArea(
         position=center + size * (0.25, 0, 1),
         direction=(0, 0, -1),
         width=size[0] / 2,
         height=extent,
         depth=1.2 * size[2],
     )
-    lamp = wrt.PointInfluenceArea(
+    lamp = wrt.known_rays.PointInfluenceArea(
         position=center + extent * np.array([-1, 0.1, 1]), direction=(1, 0, -1), fov=(40, 70), near=0.1 * extent, far=np.inf
     )
-    inner = wrt.PointInfluenceArea(
+    inner = wrt.known_rays.PointInfluenceArea(
         position=center, direction=(0.2, 1, 0.1), fov=(120, 90), near=1e-3 * extent, far=0.4 * extent
     )
-    nowhere = wrt.PointInfluenceArea(position=high + 9 * extent, direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
+    nowhere = wrt.known_rays.PointInfluenceArea(position=high + 9 * extent, direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
     return [sun, lamp, nowhere, inner]
 
 
@@ -150,20 +155,22 @@ def test_areas_of_rays(device, top_level):
     """The first area in whose region a ray starts, and along whose rays it runs, by NumPy in float64."""
     mesh = SCENES["teapot"]()
     areas = areas_of(mesh)
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, tolerance=2.0, top_level=top_level, local=wrt.Bvh()), device=device)
-    assert scene.area_trees.areas == (areas[0], areas[1], areas[3])
-    assert all(0 < count <= mesh.triangle_count for count in scene.area_trees.triangles)
-    assert scene.area_trees.bytes > sum(local.tree.bytes for local in scene.area_trees.scenes) > 0
+    scene = wrt.Scene(
+        mesh, wrt.known_rays.RayAwareBvh(areas=areas, tolerance=2.0, top_level=top_level, local=wrt.Bvh()), device=device
+    )
+    assert scene.state.area_trees.areas == (areas[0], areas[1], areas[3])
+    assert all(0 < count <= mesh.triangle_count for count in scene.state.area_trees.triangles)
+    assert scene.state.area_trees.bytes > sum(local.tree.bytes for local in scene.state.area_trees.scenes) > 0
     origins, directions = (np.concatenate(pair) for pair in zip(affine_rays(mesh, 3000), mixed_rays(mesh, 3000), strict=True))
     with np.errstate(all="ignore"):
         directions[::7] += np.float32(0.05) * np.abs(directions[::7]).max(axis=1, keepdims=True)  # some beyond the tolerance
-    found = assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy()
-    regions = [region_of(area, *mesh.bounds) for area in scene.area_trees.areas]
+    found = assign(scene.state, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy()
+    regions = [region_of(area, *mesh.bounds) for area in scene.state.area_trees.areas]
     inside = contain_points(regions, origins)
     expected, clear = np.full(len(origins), len(regions)), np.ones(len(origins), dtype=bool)
     with np.errstate(all="ignore"):
         for number in reversed(range(len(regions))):
-            area = scene.area_trees.areas[number]
+            area = scene.state.area_trees.areas[number]
             line = np.array(area.direction) if number == 0 else origins - np.array(area.position)
             cosine = (
                 np.abs((line * directions).sum(axis=1)) / np.linalg.norm(line, axis=-1) / np.linalg.norm(directions, axis=1)
@@ -201,12 +208,12 @@ def test_every_hit_is_brute_forces(device, name):
     expected = plain.intersect(origins, directions, t_min, t_max, traversal="brute")
     dark = plain.occluded(origins, directions, t_min, t_max, traversal="brute")
     for top_level in ("octree", "kdtree", "array"):
-        scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh), top_level=top_level), device=device)
+        scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh), top_level=top_level), device=device)
         for traversal in ("single", "auto"):
             hits = scene.intersect(origins, directions, t_min, t_max, traversal=traversal)
             assert_same_hits(hits, expected)
             np.testing.assert_array_equal(scene.occluded(origins, directions, t_min, t_max, traversal=traversal), dark)
-    in_area = assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy() < 3
+    in_area = assign(scene.state, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy() < 3
     assert 0.15 < in_area.mean() < 0.95
     assert expected.is_hit[in_area].mean() > 0.1
     np.testing.assert_array_equal(scene.count(origins, directions), plain.count(origins, directions))
@@ -220,20 +227,20 @@ def test_a_picture_within_one_area_stays_one(device):
     eye = low + (high - low) * [0.5, -1.0, 0.6]
     camera = wrt.PinholeCamera(32, 24, position=eye, look_at=(low + high) / 2)
     whole, half = (
-        wrt.PointInfluenceArea(position=eye, direction=(low + high) / 2 - eye, fov=(90, 90), near=0.01, far=far)
+        wrt.known_rays.PointInfluenceArea(position=eye, direction=(low + high) / 2 - eye, fov=(90, 90), near=0.01, far=far)
         for far in (np.inf, 1.15 * float(high[1] - low[1]))
     )
     plain = wrt.Scene(mesh, "bvh", device=device)
     rays = camera.rays()
     expected = plain.intersect(rays, traversal="packet")
     for area, complete in ((whole, True), (half, False)):
-        scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[area]), device=device)
-        cuts = assign(scene, to_device(rays, scene.device, scene.center).batch)
+        scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[area]), device=device)
+        cuts = assign(scene.state, to_device(rays, scene.device, scene.center).batch)
         assert (cuts.area.numpy() == 0).all()
         assert np.isinf(cuts.rest.numpy()).all() == complete
         hits = scene.intersect(rays, traversal="packet", counters=True)
         assert hits.plan.reorder == "tiles"
-        local = wrt.Scene.of_state(scene.area_trees.scenes[0])
+        local = scene_of_state(scene.state.area_trees.scenes[0])
         assert (local.tree.low, local.tree.high) == (scene.tree.low, scene.tree.high)  # or rounding would show
         assert_same_hits(hits, expected)
         area_alone = local.intersect(
@@ -253,11 +260,11 @@ def test_trees_have_what_rays_of_their_regions_can_meet():
     """Far from the origin, where coordinates are rounded by much, regions are widened by as much, and so is what they hold."""
     near = SCENES["grid"]()
     mesh = wrt.TriangleMesh(near.vertices.astype(np.float64) + np.array([3e4, -7e4, 100.0]), near.faces)
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=random_areas(6, *mesh.bounds), local=wrt.Bvh()), device="cpu")
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=random_areas(6, *mesh.bounds), local=wrt.Bvh()), device="cpu")
     low, high = (f(mesh.vertices[mesh.faces], axis=1) - scene.center for f in (np.min, np.max))
-    structs = [region_struct(row) for row in scene.area_trees.top.struct.regions.numpy()]
+    structs = [region_struct(row) for row in scene.state.area_trees.top.struct.regions.numpy()]
     met = classify_boxes(structs, low, high) != DISJOINT
-    for number, local in enumerate(scene.area_trees.scenes):
+    for number, local in enumerate(scene.state.area_trees.scenes):
         assert set(np.flatnonzero(met[:, number])) <= set(local.tree.primitive.numpy().tolist())
     assert 0.05 < met.mean() < 0.95
     plain = wrt.Scene(mesh, "bvh", device="cpu")
@@ -278,18 +285,21 @@ def test_rays_among_those_of_an_only_area(share):
     """Few rays without an area stay where they are and miss in its tree; many are taken apart. Either way hits are right."""
     mesh = SCENES["random_triangles"]()
     low, high = mesh.bounds
-    sun = wrt.PlaneInfluenceArea(
+    sun = wrt.known_rays.PlaneInfluenceArea(
         position=[*(low + high)[:2] / 2, high[2] + 1], direction=(0, 0, -1), width=9, height=9, depth=9
     )
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[sun], local=wrt.Bvh()), device="cpu")
-    whole, local = scene.tree, scene.area_trees.scenes[0].tree
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[sun], local=wrt.Bvh()), device="cpu")
+    whole, local = scene.tree, scene.state.area_trees.scenes[0].tree
     for name in ("bounds", "child", "primitive"):  # the area has all triangles: its tree is the scene's
         np.testing.assert_array_equal(getattr(local, name).numpy(), getattr(whole, name).numpy())
     rng = np.random.default_rng(0)
     origins = rng.uniform(low, high, (2000, 3))
     directions = np.where(rng.random((2000, 1)) < share, rng.normal(size=(2000, 3)), [0, 0, -1.0])
     assert (
-        abs(assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).unassigned / 2000 - share)
+        abs(
+            assign(scene.state, to_device(Rays(origins, directions), scene.device, scene.center).batch).unassigned / 2000
+            - share
+        )
         < 0.05
     )
     plain = wrt.Scene(mesh, "bvh", device="cpu")
@@ -299,8 +309,8 @@ def test_rays_among_those_of_an_only_area(share):
 
 def test_areas_without_triangles_are_left_out():
     mesh = SCENES["teapot"]()
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)[2:3]), device="cpu")
-    assert scene.area_trees is None
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)[2:3]), device="cpu")
+    assert scene.state.area_trees is None
     assert_same_hits(scene.intersect(*mixed_rays(mesh, 100)), wrt.Scene(mesh, device="cpu").intersect(*mixed_rays(mesh, 100)))
 
 
@@ -316,17 +326,17 @@ def test_areas_without_triangles_are_left_out():
     ],
 )
 def test_bad_options(options, error, message):
-    area = wrt.PointInfluenceArea(position=(0, 0, 0), direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
+    area = wrt.known_rays.PointInfluenceArea(position=(0, 0, 0), direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
     with pytest.raises(error, match=message):
-        wrt.RayAwareBvh(**{"areas": [area], **options})
+        wrt.known_rays.RayAwareBvh(**{"areas": [area], **options})
 
 
 @pytest.mark.parametrize("count", [300, 4000])
 def test_given_areas(device, count):
     """Areas that come with the rays, right and wrong ones, of all triangles and of some, change no hit."""
     mesh = SCENES["teapot"]()
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)), device=device)
-    trees = scene.area_trees
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)), device=device)
+    trees = scene.state.area_trees
     assert trees.numbers == (0, 1, 3), "no triangle is in the third"
     assert trees.triangles[1] == mesh.triangle_count > trees.triangles[0] > trees.triangles[2]
     rays = affine_rays(mesh, count)
@@ -346,7 +356,7 @@ def test_given_areas(device, count):
 def test_given_areas_are_used(device):
     """Work is that of the area's tree: for a ray that begins outside of its area, that of the scene's."""
     mesh = SCENES["teapot"]()
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)), device=device)
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)), device=device)
     rays = affine_rays(mesh, 2000)
     work = {}
     for areas in (None, -1, 0, 1):
@@ -354,7 +364,7 @@ def test_given_areas_are_used(device):
         work[areas] = hits.counters["nodes"].astype(int)
     whole = wrt.Scene(mesh, device=device).intersect(*rays, traversal="single", counters=True).counters["nodes"].astype(int)
     np.testing.assert_array_equal(work[-1], whole)
-    local = wrt.Scene.of_state(scene.area_trees.scenes[1])
+    local = scene_of_state(scene.state.area_trees.scenes[1])
     np.testing.assert_array_equal(work[1], local.intersect(*rays, traversal="single", counters=True).counters["nodes"])
     outside = ~contain_points([region_of(areas_of(mesh)[0], *mesh.bounds)], rays[0].astype(np.float64))[:, 0]
     assert 200 < outside.sum() < 1800
@@ -364,8 +374,8 @@ def test_given_areas_are_used(device):
 
 def test_given_areas_are_checked(device):
     mesh = SCENES["teapot"]()
-    scene, rays = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)), device=device), mixed_rays(mesh, 40)
-    with pytest.raises(ValueError, match=r"wrt\.RayAwareBvh"):
+    scene, rays = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas_of(mesh)), device=device), mixed_rays(mesh, 40)
+    with pytest.raises(ValueError, match=r"wrt\.known_rays\.RayAwareBvh"):
         wrt.Scene(mesh, device=device).occluded(*rays, areas=0)
     with pytest.raises(ValueError, match="from -1 to 3"):
         scene.intersect(*rays, areas=4)
@@ -373,6 +383,6 @@ def test_given_areas_are_checked(device):
         scene.intersect(*rays, areas=0.0)
     with pytest.raises(ValueError, match="does not broadcast"):
         scene.intersect(*rays, areas=np.zeros(3, dtype=int))
-    away = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[areas_of(mesh)[2]]), device=device)
-    assert away.area_trees is None
+    away = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[areas_of(mesh)[2]]), device=device)
+    assert away.state.area_trees is None
     assert_same_hits(away.intersect(*rays, areas=0), scene.intersect(*rays))

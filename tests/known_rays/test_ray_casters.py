@@ -27,7 +27,7 @@ def assert_even(*coordinates: np.ndarray) -> None:
 
 
 def test_plane():
-    rays = wrt.PlaneCaster(**AIM, width=4, height=0.5).rays(COUNT, seed=3)
+    rays = wrt.known_rays.PlaneCaster(**AIM, width=4, height=0.5).rays(COUNT, seed=3)
     origins, directions = seen(rays)
     assert (rays.origins.dtype, rays.directions.dtype, rays.shape) == (np.float64, np.float32, (COUNT,))
     assert np.abs(origins[:, 2]).max() < 1e-10
@@ -38,8 +38,8 @@ def test_plane():
 @pytest.mark.parametrize("angle", [1e-3, 20, 150, 180])
 def test_circular_cap(angle):
     """The share of the cap within a circle is that of the rises; angles about the axis are even too."""
-    cap = wrt.CircularCapCaster(**AIM, angle=angle).rays(COUNT)
-    spread = wrt.PlaneCaster(**AIM, width=2, height=1, tolerance=min(angle, 90)).rays(COUNT)
+    cap = wrt.known_rays.CircularCapCaster(**AIM, angle=angle).rays(COUNT)
+    spread = wrt.known_rays.PlaneCaster(**AIM, width=2, height=1, tolerance=min(angle, 90)).rays(COUNT)
     assert cap.origins.shape == (1, 3)
     for rays, widest in ((cap, angle), (spread, min(angle, 90))):
         origins, (x, y, z) = seen(rays)[0], seen(rays)[1].T
@@ -55,7 +55,7 @@ def test_circular_cap(angle):
 @pytest.mark.parametrize("fov", [(60, 40), (170, 5), (1e-2, 1e-2)])
 def test_square_cap(fov):
     """Against the solid angles of the cells of the window, by van Oosterom and Strackee's formula in float64."""
-    rays = wrt.SquareCapCaster(**AIM, fov=fov).rays(COUNT, seed=9)
+    rays = wrt.known_rays.SquareCapCaster(**AIM, fov=fov).rays(COUNT, seed=9)
     directions = seen(rays)[1]
     window = directions[:, :2] / directions[:, 2:] / np.tan(np.radians(fov) / 2)
     assert np.abs(window).max() < 1 + 1e-3
@@ -78,7 +78,7 @@ def solid_angle(a, b, c):
 
 def test_seeds():
     """The same seed gives the same rays, of a shorter batch too; another one gives others."""
-    caster = wrt.SquareCapCaster(**AIM, fov=(30, 30))
+    caster = wrt.known_rays.SquareCapCaster(**AIM, fov=(30, 30))
     rays = caster.rays(100, seed=5).directions
     np.testing.assert_array_equal(rays[:60], caster.rays(60, seed=5).directions)
     assert (rays != caster.rays(100, seed=6).directions).any(axis=1).all()
@@ -86,12 +86,14 @@ def test_seeds():
 
 
 def test_casters_of_areas():
-    plane = wrt.PlaneInfluenceArea(position=(1, 2, 3), direction=(0, 1, 1), width=2, height=1, depth=3, up=(1, 1, 0))
-    point = wrt.PointInfluenceArea(position=(1, 2, 3), direction=(0, 1, 1), fov=(50, 20), near=1, far=3)
-    assert wrt.PlaneCaster.of(plane, 2.0) == wrt.PlaneCaster(
+    plane = wrt.known_rays.PlaneInfluenceArea(position=(1, 2, 3), direction=(0, 1, 1), width=2, height=1, depth=3, up=(1, 1, 0))
+    point = wrt.known_rays.PointInfluenceArea(position=(1, 2, 3), direction=(0, 1, 1), fov=(50, 20), near=1, far=3)
+    assert wrt.known_rays.PlaneCaster.of(plane, 2.0) == wrt.known_rays.PlaneCaster(
         position=(1, 2, 3), direction=(0, 1, 1), width=2, height=1, up=(1, 1, 0), tolerance=2.0
     )
-    assert wrt.SquareCapCaster.of(point) == wrt.SquareCapCaster(position=(1, 2, 3), direction=(0, 1, 1), fov=(50, 20))
+    assert wrt.known_rays.SquareCapCaster.of(point) == wrt.known_rays.SquareCapCaster(
+        position=(1, 2, 3), direction=(0, 1, 1), fov=(50, 20)
+    )
 
 
 def test_shadow_rays():
@@ -104,8 +106,8 @@ def test_shadow_rays():
     assert 0.1 < hits.is_hit.mean() < 0.9
     light = np.array([2.0, -3.0, 2.5])
     for rays, towards in (
-        (wrt.point_shadow_rays(hits, light), light - hits.position),
-        (wrt.directional_shadow_rays(hits, -light), np.broadcast_to(light, hits.position.shape)),
+        (wrt.known_rays.point_shadow_rays(hits, light), light - hits.position),
+        (wrt.known_rays.directional_shadow_rays(hits, -light), np.broadcast_to(light, hits.position.shape)),
     ):
         assert rays.shape == (16, 24)
         facing = (towards * hits.normal).sum(axis=-1)
@@ -113,7 +115,7 @@ def test_shadow_rays():
         np.testing.assert_array_equal(scene.occluded(rays)[clear], facing[clear] < 0)
         assert not scene.occluded(rays)[~hits.is_hit].any()
         assert np.isnan(np.asarray(rays.origins)[~hits.is_hit]).all()
-    rays = wrt.point_shadow_rays(hits, light)
+    rays = wrt.known_rays.point_shadow_rays(hits, light)
     np.testing.assert_allclose((rays.origins + rays.directions)[hits.is_hit], np.broadcast_to(light, (hits.is_hit.sum(), 3)))
 
 
@@ -133,15 +135,15 @@ def icosahedron() -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(
     ("make", "error", "message"),
     [
-        (lambda: wrt.PlaneCaster(**AIM, width=0, height=1), ValueError, "width is 0"),
-        (lambda: wrt.PlaneCaster(**AIM, width=1, height=1, tolerance=91), ValueError, "tolerance is 91"),
-        (lambda: wrt.CircularCapCaster(**AIM, angle=np.nan), ValueError, "angle is nan"),
-        (lambda: wrt.SquareCapCaster(**AIM, fov=(30, 180)), ValueError, "fov is"),
-        (lambda: wrt.SquareCapCaster(**{**AIM, "up": (2, -4, 1.4)}, fov=(30, 30)), ValueError, "up is"),
-        (lambda: wrt.SquareCapCaster(**{**AIM, "position": (0, 0)}, fov=(30, 30)), ValueError, "position must be 3"),
-        (lambda: wrt.SquareCapCaster(**AIM, fov=(30, 30)).rays(-1), ValueError, "count"),
-        (lambda: wrt.SquareCapCaster(**AIM, fov=(30, 30)).rays(1.5), TypeError, "count"),
-        (lambda: wrt.SquareCapCaster(**AIM, fov=(30, 30)).rays(1, seed=1 << 32), ValueError, "seed"),
+        (lambda: wrt.known_rays.PlaneCaster(**AIM, width=0, height=1), ValueError, "width is 0"),
+        (lambda: wrt.known_rays.PlaneCaster(**AIM, width=1, height=1, tolerance=91), ValueError, "tolerance is 91"),
+        (lambda: wrt.known_rays.CircularCapCaster(**AIM, angle=np.nan), ValueError, "angle is nan"),
+        (lambda: wrt.known_rays.SquareCapCaster(**AIM, fov=(30, 180)), ValueError, "fov is"),
+        (lambda: wrt.known_rays.SquareCapCaster(**{**AIM, "up": (2, -4, 1.4)}, fov=(30, 30)), ValueError, "up is"),
+        (lambda: wrt.known_rays.SquareCapCaster(**{**AIM, "position": (0, 0)}, fov=(30, 30)), ValueError, "position must be 3"),
+        (lambda: wrt.known_rays.SquareCapCaster(**AIM, fov=(30, 30)).rays(-1), ValueError, "count"),
+        (lambda: wrt.known_rays.SquareCapCaster(**AIM, fov=(30, 30)).rays(1.5), TypeError, "count"),
+        (lambda: wrt.known_rays.SquareCapCaster(**AIM, fov=(30, 30)).rays(1, seed=1 << 32), ValueError, "seed"),
     ],
 )
 def test_bad_arguments(make, error, message):

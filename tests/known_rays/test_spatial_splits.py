@@ -23,12 +23,12 @@ from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.plan import stack_levels
 
 
-def described(mesh: wrt.TriangleMesh, kind: str = "point", share: float = 0.5, **options) -> wrt.ProjectedBvh:
+def described(mesh: wrt.TriangleMesh, kind: str = "point", share: float = 0.5, **options) -> wrt.known_rays.ProjectedBvh:
     """A tree for known rays with spatial splits."""
-    return wrt.ProjectedBvh(areas=area_of(mesh, kind), width=8, spatial_splits=share, **options)
+    return wrt.known_rays.ProjectedBvh(areas=area_of(mesh, kind), width=8, spatial_splits=share, **options)
 
 
-def build(mesh: wrt.TriangleMesh, description: wrt.ProjectedBvh):
+def build(mesh: wrt.TriangleMesh, description: wrt.known_rays.ProjectedBvh):
     """Its tree."""
     return description.build(triangle_boxes(*arrays_of(mesh)), 8)
 
@@ -76,7 +76,7 @@ def test_few_rays_do_not_take_the_queries_of_other_trees():
     few = [array[:8] for array in rays]
     plain = wrt.Scene(mesh, wrt.Bvh(width=8, max_leaf_triangles=1))
     scene = wrt.Scene(mesh, described(mesh, "point inside", 2.0, max_leaf_triangles=2, axes="facing"))
-    assert stack_levels(plain.depth) == stack_levels(scene.depth)
+    assert stack_levels(plain.depth) == stack_levels(scene.state.depth)
     np.testing.assert_array_equal(plain.count(*few), counts[:8])
     del plain
     gc.collect()
@@ -129,11 +129,13 @@ def test_tiny_and_flat_meshes(count):
     flat[:, :, 1] = 0.25
     line[:, :, :2] = 0.75
     far = np.concatenate([corners * 1e-6, corners[:1] * 1e3])
-    area = wrt.PlaneInfluenceArea(position=(0.5, 0.5, -1), direction=(0, 0, 1), width=1, height=1, depth=3)
+    area = wrt.known_rays.PlaneInfluenceArea(position=(0.5, 0.5, -1), direction=(0, 0, 1), width=1, height=1, depth=3)
     for shaped in (corners, flat, line, point, np.repeat(corners[:1], count, axis=0), corners * 1e37, -corners, far):
         mesh = wrt.TriangleMesh(shaped.reshape(-1, 3).astype(np.float32), np.arange(3 * len(shaped)).reshape(-1, 3))
         for others in (0.0, 1.0):
-            description = wrt.ProjectedBvh(areas=area, others=others, width=2, max_leaf_triangles=1, spatial_splits=4.0)
+            description = wrt.known_rays.ProjectedBvh(
+                areas=area, others=others, width=2, max_leaf_triangles=1, spatial_splits=4.0
+            )
             check(build(mesh, description), mesh, 4.0, 1)
 
 
@@ -158,7 +160,8 @@ def test_long_triangles_cost_less(name, kind, most):
     area = area_of(mesh, kind)
     rays = wrt.Rays(*rays_of(area, 2000))
     plain, split = (
-        wrt.analyse(wrt.Scene(mesh, wrt.ProjectedBvh.published(area, spatial_splits=share)), area, rays) for share in (0.0, 1.0)
+        wrt.known_rays.analyse(wrt.Scene(mesh, wrt.known_rays.ProjectedBvh.published(area, spatial_splits=share)), area, rays)
+        for share in (0.0, 1.0)
     )
     assert split.expected_cost < most * plain.expected_cost
     assert split.passing.cost < most * plain.passing.cost
@@ -194,12 +197,12 @@ def test_statistics_count_references():
 
 
 def test_areas_of_a_scene():
-    """`wrt.RayAwareBvh` clips the triangles of each area, with the pads of the whole scene."""
+    """`wrt.known_rays.RayAwareBvh` clips the triangles of each area, with the pads of the whole scene."""
     mesh, rays, expected, counts = scene_and_rays("atrium")
     area = area_of(mesh, "point inside")
     local = described(mesh, "point inside", max_leaf_triangles=2)
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[area], whole=wrt.Bvh(width=8), local=local))
-    assert scene.area_trees.scenes[0].tree.shared
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[area], whole=wrt.Bvh(width=8), local=local))
+    assert scene.state.area_trees.scenes[0].tree.shared
     assert not scene.tree.shared
     assert_same_hits(scene.intersect(*rays, traversal="single"), expected)
     np.testing.assert_array_equal(scene.count(*rays), counts)
@@ -259,15 +262,15 @@ def test_other_traversals_say_so():
     ],
 )
 def test_bad_descriptions(change, message):
-    area = wrt.PlaneInfluenceArea(position=(0, 0, 0), direction=(0, 0, 1), width=1, height=1, depth=1)
+    area = wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 0), direction=(0, 0, 1), width=1, height=1, depth=1)
     with pytest.raises(ValueError, match=message):
-        wrt.ProjectedBvh(areas=area, **change)
+        wrt.known_rays.ProjectedBvh(areas=area, **change)
 
 
 def test_boxes_alone_cannot_be_split():
-    area = wrt.PlaneInfluenceArea(position=(0, 0, 0), direction=(0, 0, 1), width=1, height=1, depth=1)
+    area = wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 0), direction=(0, 0, 1), width=1, height=1, depth=1)
     with pytest.raises(ValueError, match="spatial splits clip triangles, and these boxes have none"):
-        wrt.ProjectedBvh(areas=area, spatial_splits=0.5).build(boxes_of(np.zeros((3, 3)), np.ones((3, 3))), 8)
+        wrt.known_rays.ProjectedBvh(areas=area, spatial_splits=0.5).build(boxes_of(np.zeros((3, 3)), np.ones((3, 3))), 8)
 
 
 def test_pads_are_those_of_the_scene():

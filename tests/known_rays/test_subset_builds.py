@@ -40,8 +40,8 @@ def test_every_ray_has_its_hit():
     whole = wrt.Bvh(width=8, subset=0.1)
     for accelerator in (
         whole,
-        wrt.ProjectedBvh(areas=[area], width=8, subset=0.1),
-        wrt.RayAwareBvh(areas=[area], whole=whole, local=wrt.ProjectedBvh(areas=[area], subset=0.1)),
+        wrt.known_rays.ProjectedBvh(areas=[area], width=8, subset=0.1),
+        wrt.known_rays.RayAwareBvh(areas=[area], whole=whole, local=wrt.known_rays.ProjectedBvh(areas=[area], subset=0.1)),
     ):
         assert_same_hits(wrt.Scene(mesh, accelerator).intersect(*rays, traversal="single"), expected)
 
@@ -93,8 +93,8 @@ def test_the_descent_ends_where_subtrees_still_fit(monkeypatch):
 
 @pytest.mark.parametrize("share", [0.0, -1.0, 1.5, float("nan")])
 def test_bad_shares(share):
-    area = wrt.PlaneInfluenceArea(position=(0, 0, 0), direction=(0, 0, 1), width=1, height=1, depth=1)
-    for describe in (wrt.Bvh, lambda subset: wrt.ProjectedBvh(areas=[area], subset=subset)):
+    area = wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 0), direction=(0, 0, 1), width=1, height=1, depth=1)
+    for describe in (wrt.Bvh, lambda subset: wrt.known_rays.ProjectedBvh(areas=[area], subset=subset)):
         with pytest.raises(ValueError, match=r"subset is (nan|.* above 0 and at most 1)"):
             describe(subset=share)
 

@@ -59,7 +59,7 @@ ANIMATIONS = {"rigid": two_bodies, "trembling": lambda: two_bodies(0.05), "stret
 @pytest.mark.parametrize("clusters", [1, 7])
 def test_every_frame_as_a_fresh_tree(name, clusters):
     """To the bit, whatever the maps, in every query."""
-    scene = wrt.FuzzyScene(ANIMATIONS[name](), TWO.faces, clusters=clusters, device="cpu")
+    scene = wrt.moving.FuzzyScene(ANIMATIONS[name](), TWO.faces, clusters=clusters, device="cpu")
     tree = scene.tree.parts.bounds
     for frame in (3, 4, 5, 0):
         scene.show(frame)
@@ -80,7 +80,7 @@ def test_every_frame_as_a_fresh_tree(name, clusters):
 @pytest.mark.parametrize("name", ["trembling", "stretched"])
 def test_every_frame_of_kdtrees(name):
     """The paper's trees, in every query. Crossings once came from the root of another cluster's tree, and were lost."""
-    scene = wrt.FuzzyScene(ANIMATIONS[name](), TWO.faces, clusters=7, accelerator=wrt.KdTree(), device="cpu")
+    scene = wrt.moving.FuzzyScene(ANIMATIONS[name](), TWO.faces, clusters=7, accelerator=wrt.KdTree(), device="cpu")
     for frame in (3, 4, 5, 0):
         scene.show(frame)
         fresh = wrt.Scene(scene.meshes, device="cpu")
@@ -97,7 +97,7 @@ def test_every_frame_of_kdtrees(name):
 def test_skinned_mesh():
     """Bones make the clusters: each ball goes with its own."""
     maps = np.stack([turns(6, 1), turns(6, 2), turns(6, 3)], axis=1)
-    scene = wrt.FuzzyScene(two_bodies(), TWO.faces, transforms=maps, device="cpu")
+    scene = wrt.moving.FuzzyScene(two_bodies(), TWO.faces, transforms=maps, device="cpu")
     np.testing.assert_array_equal(scene.labels, np.repeat([0, 1], BALL.triangle_count))
     scene.show(2)
     rays = mixed_rays(scene.flattened(), 500)
@@ -109,7 +109,7 @@ def test_rays_from_afar_in_sheared_space():
     ball = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(3))
     to_own = np.eye(4)
     to_own[:3, :3] = [[1.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1e-3, 0.0, 1e-3]]  # (1, 0, 1) has a small image
-    scene = wrt.FuzzyScene(ball.vertices[None], ball.faces, transforms=np.linalg.inv(to_own)[None, None], device="cpu")
+    scene = wrt.moving.FuzzyScene(ball.vertices[None], ball.faces, transforms=np.linalg.inv(to_own)[None, None], device="cpu")
     rng = np.random.default_rng(0)
     origins = (np.array([1e4, 0.0, 1e4]) + rng.uniform(-1, 1, (2000, 3))).astype(np.float32)
     directions = (ball.vertices[rng.integers(0, ball.vertex_count, 2000)] - origins).astype(np.float32)
@@ -136,7 +136,7 @@ def test_the_best_rest_pose():
     """Frame 0 is crumpled: maps that are fitted from it shrink, and boxes in their spaces are large."""
     frames = two_bodies()
     frames[0] += np.random.default_rng(3).normal(0.0, 1.0, frames[0].shape)
-    first, best = (wrt.FuzzyScene(frames, TWO.faces, clusters=2, rest=rest, device="cpu") for rest in (0, "best"))
+    first, best = (wrt.moving.FuzzyScene(frames, TWO.faces, clusters=2, rest=rest, device="cpu") for rest in (0, "best"))
     sizes = [
         float(np.prod(scene.tree.clusters.numpy()["high"] - scene.tree.clusters.numpy()["low"], axis=1).sum())
         for scene in (first, best)
@@ -176,29 +176,43 @@ def test_fuzzy_boxes_hold_their_triangles():
     assert unused.matrices.shape[1] == 2  # the third is never nearer than the second
 
 
-PROJECTED = wrt.ProjectedBvh(areas=wrt.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=1))
+PROJECTED = wrt.known_rays.ProjectedBvh(
+    areas=wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=1)
+)
 
 BAD = {
-    "shape": (lambda f: wrt.FuzzyScene(f[0], TWO.faces), ValueError, r"shape \(F, V, 3\)"),
-    "nan": (lambda f: wrt.FuzzyScene(f * np.nan, TWO.faces), ValueError, "finite"),
-    "clusters": (lambda f: wrt.FuzzyScene(f, TWO.faces, clusters=0), ValueError, "clusters is 0"),
-    "rest": (lambda f: wrt.FuzzyScene(f, TWO.faces, rest=6), ValueError, "from 0 to 5"),
-    "rest by name": (lambda f: wrt.FuzzyScene(f, TWO.faces, rest="first"), ValueError, "'best' or the number"),
-    "bones": (lambda f: wrt.FuzzyScene(f, TWO.faces, transforms=np.eye(4)), ValueError, r"\(6, B, 4, 4\)"),
-    "singular": (lambda f: wrt.FuzzyScene(f, TWO.faces, transforms=np.zeros((6, 1, 4, 4))), ValueError, "affine"),
-    "projected": (lambda f: wrt.FuzzyScene(f, TWO.faces, accelerator=PROJECTED), TypeError, r"must be a wrt\.Bvh"),
-    "lazy": (lambda f: wrt.FuzzyScene(f, TWO.faces, accelerator=wrt.KdTree(builder="lazy")), ValueError, "cannot be lazy"),
-    "clips": (lambda f: wrt.FuzzyScene(f, TWO.faces, accelerator=wrt.KdTree(split_clipping=True)), ValueError, "cannot clip"),
-    "frame": (lambda f: wrt.FuzzyScene(f, TWO.faces).show(6), ValueError, "frame indices go from 0 to 5"),
-    "update": (lambda f: wrt.FuzzyScene(f, TWO.faces).update(0, vertices=f[0]), ValueError, r"show\(frame\)"),
+    "shape": (lambda f: wrt.moving.FuzzyScene(f[0], TWO.faces), ValueError, r"shape \(F, V, 3\)"),
+    "nan": (lambda f: wrt.moving.FuzzyScene(f * np.nan, TWO.faces), ValueError, "finite"),
+    "clusters": (lambda f: wrt.moving.FuzzyScene(f, TWO.faces, clusters=0), ValueError, "clusters is 0"),
+    "rest": (lambda f: wrt.moving.FuzzyScene(f, TWO.faces, rest=6), ValueError, "from 0 to 5"),
+    "rest by name": (lambda f: wrt.moving.FuzzyScene(f, TWO.faces, rest="first"), ValueError, "'best' or the number"),
+    "bones": (lambda f: wrt.moving.FuzzyScene(f, TWO.faces, transforms=np.eye(4)), ValueError, r"\(6, B, 4, 4\)"),
+    "singular": (lambda f: wrt.moving.FuzzyScene(f, TWO.faces, transforms=np.zeros((6, 1, 4, 4))), ValueError, "affine"),
+    "projected": (lambda f: wrt.moving.FuzzyScene(f, TWO.faces, accelerator=PROJECTED), TypeError, r"must be a wrt\.Bvh"),
+    "lazy": (
+        lambda f: wrt.moving.FuzzyScene(f, TWO.faces, accelerator=wrt.KdTree(builder="lazy")),
+        ValueError,
+        "cannot be lazy",
+    ),
+    "clips": (
+        lambda f: wrt.moving.FuzzyScene(f, TWO.faces, accelerator=wrt.KdTree(split_clipping=True)),
+        ValueError,
+        "cannot clip",
+    ),
+    "frame": (lambda f: wrt.moving.FuzzyScene(f, TWO.faces).show(6), ValueError, "frame indices go from 0 to 5"),
+    "update": (lambda f: wrt.moving.FuzzyScene(f, TWO.faces).update(0, vertices=f[0]), ValueError, r"show\(frame\)"),
     "packets": (
-        lambda f: wrt.FuzzyScene(f, TWO.faces).intersect(f[0], f[0] + 1.0, traversal="stream"),
+        lambda f: wrt.moving.FuzzyScene(f, TWO.faces).intersect(f[0], f[0] + 1.0, traversal="stream"),
         ValueError,
         "their own spaces",
     ),
-    "precise": (lambda f: wrt.FuzzyScene(f, TWO.faces).intersect(f[0], f[0] + 1.0, precise=True), ValueError, "single tree"),
-    "handle": (lambda f: wrt.FuzzyScene(f, TWO.faces).handle(), ValueError, "single tree"),
-    "statistics": (lambda f: wrt.FuzzyScene(f, TWO.faces).statistics(), ValueError, "several trees"),
+    "precise": (
+        lambda f: wrt.moving.FuzzyScene(f, TWO.faces).intersect(f[0], f[0] + 1.0, precise=True),
+        ValueError,
+        "single tree",
+    ),
+    "handle": (lambda f: wrt.moving.FuzzyScene(f, TWO.faces).handle(), ValueError, "single tree"),
+    "statistics": (lambda f: wrt.moving.FuzzyScene(f, TWO.faces).statistics(), ValueError, "several trees"),
 }
 
 

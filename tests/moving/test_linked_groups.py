@@ -38,7 +38,7 @@ ARRANGEMENTS = {
 }
 
 
-def assert_as_brute_force(scene: wrt.GroupedScene) -> None:
+def assert_as_brute_force(scene: wrt.moving.GroupedScene) -> None:
     plain = wrt.Scene(scene.meshes, device="cpu")
     rays = mixed_rays(scene.flattened(), 1000)
     expected = plain.intersect(*rays, traversal="brute")
@@ -55,7 +55,7 @@ def assert_as_brute_force(scene: wrt.GroupedScene) -> None:
 def test_as_brute_force(name):
     """In every query, before and after groups move; a move of the centre shifts the planes of groups at rest."""
     geometry, options = ARRANGEMENTS[name]
-    scene = wrt.GroupedScene(geometry, "kdtree", device="cpu", **options)
+    scene = wrt.moving.GroupedScene(geometry, "kdtree", device="cpu", **options)
     assert_as_brute_force(scene)
     trees, last = scene.state.trees, len(scene.meshes) - 1
     scene.update(last, vertices=np.random.default_rng(1).permutation(scene.meshes[last].vertices))
@@ -68,11 +68,11 @@ def test_as_brute_force(name):
 
 def test_nested_bvhs():
     """The same hierarchy of BVHs, joined to one."""
-    scene = wrt.GroupedScene(NESTED, "bvh", device="cpu")
+    scene = wrt.moving.GroupedScene(NESTED, "bvh", device="cpu")
     plain = wrt.Scene(scene.meshes, device="cpu")
     rays = mixed_rays(scene.flattened(), 1000)
     assert_same_hits(scene.intersect(*rays), plain.intersect(*rays, traversal="single"))
-    scene.move({3: scene.meshes[3].vertices * 1.5})
+    scene.update({3: scene.meshes[3].vertices * 1.5})
     moved = wrt.Scene(scene.meshes, device="cpu")
     assert_same_hits(scene.intersect(*rays), moved.intersect(*rays, traversal="single"))
     ids = scene.tree.primitive.numpy()
@@ -83,7 +83,7 @@ def test_hierarchies():
     """Groups of one are their member; empty groups are none."""
     assert hierarchy_of(NESTED) == (0, (1, (2, 3), 4), (5, 6))
     assert hierarchy_of([[BALL]]) == hierarchy_of(BALL) == 0
-    meshes = wrt.GroupedScene(NESTED, "kdtree", device="cpu").meshes
+    meshes = wrt.moving.GroupedScene(NESTED, "kdtree", device="cpu").meshes
     assert hierarchy_of(nested(hierarchy_of(NESTED), meshes)) == hierarchy_of(NESTED)
 
 
@@ -93,7 +93,7 @@ def test_what_a_walk_visits():
     rays = mixed_rays(wrt.TriangleMesh.concatenate(balls), 500)
     boxes = {}
     for top in ("tree", "list"):
-        scene = wrt.GroupedScene(balls, "kdtree", top=top, device="cpu")
+        scene = wrt.moving.GroupedScene(balls, "kdtree", top=top, device="cpu")
         boxes[top] = scene.intersect(*rays, counters=True).counters["boxes"].sum()
     assert 0 < boxes["tree"] < 0.5 * boxes["list"]
 
@@ -109,7 +109,7 @@ def test_links_of_a_list():
 
 
 def test_pickled():
-    scene = wrt.GroupedScene(NESTED, wrt.KdTree(), accelerators={0: ONE_LEAF}, top="list", device="cpu")
+    scene = wrt.moving.GroupedScene(NESTED, wrt.KdTree(), accelerators={0: ONE_LEAF}, top="list", device="cpu")
     again = pickle.loads(pickle.dumps(scene))
     assert again.state.layout == scene.state.layout
     rays = mixed_rays(scene.flattened(), 300)
@@ -117,25 +117,29 @@ def test_pickled():
 
 
 BAD = {
-    "top": (lambda: wrt.GroupedScene(NESTED, "kdtree", top="heap"), ValueError, "tree, list"),
-    "list of bvhs": (lambda: wrt.GroupedScene(NESTED, "bvh", top="list"), ValueError, "needs groups with kd-trees"),
-    "lazy": (lambda: wrt.GroupedScene(NESTED, wrt.KdTree(builder="lazy")), ValueError, "not lazy"),
-    "kinds": (lambda: wrt.GroupedScene(NESTED, "kdtree", accelerators={0: wrt.Bvh()}), ValueError, "one kind and width"),
-    "number": (lambda: wrt.GroupedScene(NESTED, "kdtree", accelerators={9: ONE_LEAF}), ValueError, "from 0 to 6"),
-    "nothing": (lambda: wrt.GroupedScene([[], []], "kdtree"), ValueError, "empty sequence"),
+    "top": (lambda: wrt.moving.GroupedScene(NESTED, "kdtree", top="heap"), ValueError, "tree, list"),
+    "list of bvhs": (lambda: wrt.moving.GroupedScene(NESTED, "bvh", top="list"), ValueError, "needs groups with kd-trees"),
+    "lazy": (lambda: wrt.moving.GroupedScene(NESTED, wrt.KdTree(builder="lazy")), ValueError, "not lazy"),
+    "kinds": (lambda: wrt.moving.GroupedScene(NESTED, "kdtree", accelerators={0: wrt.Bvh()}), ValueError, "one kind and width"),
+    "number": (lambda: wrt.moving.GroupedScene(NESTED, "kdtree", accelerators={9: ONE_LEAF}), ValueError, "from 0 to 6"),
+    "nothing": (lambda: wrt.moving.GroupedScene([[], []], "kdtree"), ValueError, "empty sequence"),
     "packets": (
-        lambda: wrt.GroupedScene(NESTED, "kdtree", device="cpu").intersect(np.eye(3), np.eye(3), traversal="packet"),
+        lambda: wrt.moving.GroupedScene(NESTED, "kdtree", device="cpu").intersect(np.eye(3), np.eye(3), traversal="packet"),
         ValueError,
         "choose from auto",
     ),
     "precise": (
-        lambda: wrt.GroupedScene(NESTED, "kdtree", device="cpu").intersect(np.eye(3), np.eye(3), precise=True),
+        lambda: wrt.moving.GroupedScene(NESTED, "kdtree", device="cpu").intersect(np.eye(3), np.eye(3), precise=True),
         ValueError,
         "single tree",
     ),
-    "save": (lambda: wrt.GroupedScene(NESTED, "kdtree", device="cpu").save("groups.npz"), ValueError, "cannot be saved"),
-    "statistics": (lambda: wrt.GroupedScene(NESTED, "kdtree", device="cpu").statistics(), ValueError, "several kd-trees"),
-    "handle": (lambda: wrt.GroupedScene(NESTED, "kdtree", device="cpu").handle(), ValueError, "single tree"),
+    "save": (lambda: wrt.moving.GroupedScene(NESTED, "kdtree", device="cpu").save("groups.npz"), ValueError, "cannot be saved"),
+    "statistics": (
+        lambda: wrt.moving.GroupedScene(NESTED, "kdtree", device="cpu").statistics(),
+        ValueError,
+        "several kd-trees",
+    ),
+    "handle": (lambda: wrt.moving.GroupedScene(NESTED, "kdtree", device="cpu").handle(), ValueError, "single tree"),
 }
 
 

@@ -19,11 +19,11 @@ BROKEN = SKIN.skeleton.maps(np.eye(len(SKIN.skeleton))[9][:, None] * [0.0, 150.0
 """A forearm turned backwards."""
 
 
-def scene_of(**options) -> wrt.SkinnedScene:
-    return wrt.SkinnedScene(SKIN.vertices, WALK.faces, SKIN.weights, SKIN.skeleton, device="cpu", **options)
+def scene_of(**options) -> wrt.moving.SkinnedScene:
+    return wrt.moving.SkinnedScene(SKIN.vertices, WALK.faces, SKIN.weights, SKIN.skeleton, device="cpu", **options)
 
 
-def assert_as_fresh(scene: wrt.SkinnedScene) -> None:
+def assert_as_fresh(scene: wrt.moving.SkinnedScene) -> None:
     fresh = wrt.Scene(scene.meshes, device="cpu")
     rays = mixed_rays(scene.flattened(), 800)
     hits = scene.intersect(*rays)
@@ -102,15 +102,18 @@ def test_a_copy_grows_alone():
 
 
 BAD = {
-    "weights": (lambda: wrt.SkinnedScene(SKIN.vertices, WALK.faces, SKIN.weights[:, 1:], SKIN.skeleton), "vertices by bones"),
-    "sums": (lambda: wrt.SkinnedScene(SKIN.vertices, WALK.faces, 2 * SKIN.weights, SKIN.skeleton), "sum to 1"),
+    "weights": (
+        lambda: wrt.moving.SkinnedScene(SKIN.vertices, WALK.faces, SKIN.weights[:, 1:], SKIN.skeleton),
+        "vertices by bones",
+    ),
+    "sums": (lambda: wrt.moving.SkinnedScene(SKIN.vertices, WALK.faces, 2 * SKIN.weights, SKIN.skeleton), "sum to 1"),
     "samples": (lambda: scene_of(samples=0), "samples is 0"),
     "bones": (lambda: scene_of().pose(np.eye(4)[None]), "1 bones, but the skeleton has 10"),
     "shape": (lambda: scene_of().pose(np.eye(4)), r"\(1, B, 4, 4\)"),
     "update": (lambda: scene_of().update(0, vertices=SKIN.vertices), r"pose\(maps\)"),
-    "parents": (lambda: wrt.Skeleton([0], np.zeros((1, 3)), np.zeros((1, 3, 2))), "come before"),
-    "limits": (lambda: wrt.Skeleton([-1], np.zeros((1, 3)), np.array([[(1, 0)] * 3])), "must not exceed"),
-    "joints": (lambda: wrt.Skeleton([-1], np.zeros(3), np.zeros((1, 3, 2))), "shapes"),
+    "parents": (lambda: wrt.moving.Skeleton([0], np.zeros((1, 3)), np.zeros((1, 3, 2))), "come before"),
+    "limits": (lambda: wrt.moving.Skeleton([-1], np.zeros((1, 3)), np.array([[(1, 0)] * 3])), "must not exceed"),
+    "joints": (lambda: wrt.moving.Skeleton([-1], np.zeros(3), np.zeros((1, 3, 2))), "shapes"),
     "angles": (lambda: SKIN.skeleton.maps(np.zeros(3)), r"\.\.\., 10, 3"),
 }
 

@@ -71,7 +71,7 @@ MUTATIONS = [
         promise=UTM,
     ),
     Mutation(
-        path="wrt/adapters/open3d_rays.py",
+        path="wrt/compat/open3d_rays.py",
         old="FAR_CAMERA = 2.0**14",
         new="FAR_CAMERA = 2.0**24",
         tests=f"{FAR}::test_cameras_and_adapters",

@@ -83,14 +83,14 @@ MUTATIONS = [
         promise="rays of an environment see its instances and the shared ones",
     ),
     Mutation(
-        path="wrt/partitioned/part_loading.py",
+        path="wrt/disk/part_loading.py",
         old="if known is not None and known.identity == identity and known.tree is not None:",
         new="if known is not None and known.tree is not None:",
         tests="tests/scenes/test_partitioned.py::test_a_file_that_was_written_again_is_checked_again",
         promise="a part's file that has changed is checked again",
     ),
     Mutation(
-        path="wrt/partitioned/part_loading.py",
+        path="wrt/disk/part_loading.py",
         old='if str(arrays["label"]) != label_of(self.parts.mark, number):',
         new='if not str(arrays["label"]):',
         tests="tests/scenes/test_partitioned.py::test_damaged_parts_are_refused",

@@ -56,14 +56,14 @@ MUTATIONS = [
     ),
     # -- adapters ------------------------------------------------------------------------------------------------------
     Mutation(
-        path="wrt/adapters/trimesh_rays.py",
+        path="wrt/compat/trimesh_rays.py",
         old="key = hash(self.mesh)",
         new="key = id(self.mesh)",
         tests="tests/interfaces/test_trimesh_rays.py::test_follows_the_mesh",
         promise="the shape of trimesh follows its mesh",
     ),
     Mutation(
-        path="wrt/adapters/trimesh_rays.py",
+        path="wrt/compat/trimesh_rays.py",
         old="index_ray = np.flatnonzero(hits.is_hit)",
         new="index_ray = np.arange(len(origins))",
         tests="tests/interfaces/test_trimesh_rays.py::test_first_hits_and_bounds",
@@ -104,7 +104,7 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/cli/catalogue.py",
-        old='"wrt.SkinnedScene": "Günther',
+        old='"wrt.moving.SkinnedScene": "Günther',
         new='"wrt.SkinnedScenes": "Günther',
         tests="tests/pages/test_algorithms.py::test_the_command_lists_what_the_page_lists",
         promise="the table of algorithms has a row for every entry, and `wrt list` lists it",

@@ -102,7 +102,7 @@ MUTATIONS = [
         promise=DEVICES,
     ),
     Mutation(
-        path="wrt/adapters/open3d_rays.py",
+        path="wrt/compat/open3d_rays.py",
         old="None if device is None else as_device(device).alias",
         new="device",
         tests="tests/execution/test_devices.py::test_devices_that_are_not_there",

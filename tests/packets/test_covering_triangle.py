@@ -45,7 +45,7 @@ def is_covered(scene: wrt.Scene, rays: wrt.Rays) -> bool:
     """Whether a triangle of the scene, which has one block of them, is found to cover the rays."""
     records = records_of(scene.state, scene.explain(rays, query="any", traversal="packet"), None).records
     found = wp.zeros(1, dtype=int, device="cpu")
-    kernel = covering_kernel(scene.width, rays.origins.ndim == 1)
+    kernel = covering_kernel(scene.state.width, rays.origins.ndim == 1)
     wp.launch(kernel, 1, [lay_out(rays, wp.get_device("cpu"), scene.center).batch(), records, found], device="cpu")
     assert found.numpy()[0] in (0, PACKETS)
     return bool(found.numpy()[0])
@@ -169,7 +169,7 @@ def test_occlusion(packet, sun, device):
             wrt.Rays(lists[0], directions[0, 0], 0.0, t_max),
         ]
         for rays in given:
-            plan = packet_plan(scene, rays, "woop", packet=packet * scene.width, culling="leaf_boxes")
+            plan = packet_plan(scene, rays, "woop", packet=packet * scene.state.width, culling="leaf_boxes")
             expected = scene.occluded(rays, traversal="brute")
             assert 0.05 < expected.mean() < 0.6
             np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected)

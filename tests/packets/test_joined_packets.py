@@ -178,7 +178,7 @@ def test_hits(culling, vectors, own_origins, device):
     if own_origins:
         given.append(wrt.Rays(lists[0], np.float32([0.05, -0.1, -3.0])))
     for rays in given:
-        plan = packet_plan(scene, rays, "woop", packet=vectors * scene.width, culling=culling)
+        plan = packet_plan(scene, rays, "woop", packet=vectors * scene.state.width, culling=culling)
         expected = scene.intersect(rays, traversal="brute")
         assert 0.01 < expected.is_hit.mean() < 0.5
         assert_same_hits(scene.intersect(rays, traversal=plan), expected)

@@ -23,7 +23,7 @@ def test_hits(vectors, monkeypatch, device):
     eye, directions = beams(mesh, 90, False)
     for count in (4 * 16 * 20, 4 * 16 * 20 + 37):
         for rays in (wrt.Rays(eye, directions[:count]), wrt.Rays(eye, directions[:1280].reshape(32, 40, 3))):
-            plan = packet_plan(scene, rays, "woop", packet=vectors * scene.width, non_temporal=True)
+            plan = packet_plan(scene, rays, "woop", packet=vectors * scene.state.width, non_temporal=True)
             expected = scene.intersect(rays, traversal="brute")
             for _ in range(2):  # the second answer is of a query that was prepared
                 assert_same_hits(scene.intersect(rays, traversal=plan), expected)

@@ -88,6 +88,6 @@ def test_hits(culling, surfaces, device):
     rays = wrt.Rays(origins, directions, 0.0, 1.0)
     expected = scene.intersect(rays, traversal="brute")
     assert 0.1 < expected.is_hit.mean() < 0.9
-    plan = packet_plan(scene, rays, "woop", packet=4 * scene.width, culling=culling)
+    plan = packet_plan(scene, rays, "woop", packet=4 * scene.state.width, culling=culling)
     np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
     assert_same_hits(scene.intersect(rays, traversal=plan), expected)

@@ -40,7 +40,7 @@ def for_rays(count: int) -> int:
     return count * BYTES_PER_RAY
 
 
-def gathered(blocks: wrt.Blocks, name: str) -> np.ndarray:
+def gathered(blocks: wrt.batches.Blocks, name: str) -> np.ndarray:
     """An attribute of all blocks, which must follow one another."""
     blocks = list(blocks)
     assert [block.rows.start for block in blocks] == [0, *(block.rows.stop for block in blocks[:-1])]

@@ -303,7 +303,7 @@ def test_launches_inside_a_tape(device):
     numbers.values = x
     with wp.Tape() as tape:
         with pytest.raises(
-            ValueError, match=r"kernel '.*distances' is compiled without gradients, .* wrt\.differentiable_hits"
+            ValueError, match=r"kernel '.*distances' is compiled without gradients, .* wrt\.device\.differentiable_hits"
         ):
             wrt.device.launch(distances, 50, [scene.handle(), moving, rays[1], out], device=device)
         with pytest.raises(ValueError, match="compiled without gradients"):

@@ -99,11 +99,11 @@ def test_cameras_and_adapters(scene):
     np.testing.assert_array_equal(camera.rays().origins[0, 0], UTM)
     assert np.abs(scene.intersect(camera.rays()).position[..., 0] - UTM[0] - 10.0).max() < EXACT
     origins, directions, expected = rays()
-    found, ray, _ = wrt.RayMeshIntersector(house().to_trimesh()).intersects_location(origins, directions)
+    found, ray, _ = wrt.compat.RayMeshIntersector(house().to_trimesh()).intersects_location(origins, directions)
     assert error_of(found[np.argsort(ray)], expected) < EXACT
-    pinhole = wrt.RaycastingScene.create_rays_pinhole(30.0, AHEAD, UTM, [0, 0, 1], 8, 6)
+    pinhole = wrt.compat.RaycastingScene.create_rays_pinhole(30.0, AHEAD, UTM, [0, 0, 1], 8, 6)
     assert error_of(pinhole[..., :3], UTM) < 1e-8
-    assert wrt.RaycastingScene.create_rays_pinhole(30.0, [1, 0, 0], [0, 0, 0], [0, 0, 1], 8, 6).dtype == np.float32
+    assert wrt.compat.RaycastingScene.create_rays_pinhole(30.0, [1, 0, 0], [0, 0, 0], [0, 0, 1], 8, 6).dtype == np.float32
 
 
 def test_blocks_refuse_arrays_that_would_move_positions(scene):

@@ -49,7 +49,7 @@ def differentiate(
     """Outputs, and the gradient of one of them, weighted and summed up, with respect to each argument."""
     arrays = {name: wp.array(values[name], dtype=dtype, device=scene.device, requires_grad=True) for name in ARGUMENTS}
     with wp.Tape() as tape:
-        found = wrt.differentiable_hits(scene, hits, **arrays)
+        found = wrt.device.differentiable_hits(scene, hits, **arrays)
     result = getattr(found, output)
     tape.backward(grads={result: wp.array(weights[output], dtype=result.dtype, device=scene.device)})
     return found, {name: array.grad.numpy() for name, array in arrays.items()}
@@ -58,7 +58,7 @@ def differentiate(
 def weighted(scene, hits, values, weights, output) -> float:
     """The number whose gradient that is; misses left out."""
     arrays = {name: values[name] for name in ARGUMENTS}
-    result = getattr(wrt.differentiable_hits(scene, hits, **arrays), output).numpy()
+    result = getattr(wrt.device.differentiable_hits(scene, hits, **arrays), output).numpy()
     return float((result * weights[output])[hits.is_hit].sum())
 
 
@@ -110,7 +110,7 @@ def test_shared_origin_and_shapes(mesh, values, device):
     gradients = []
     for start in (one, many):
         with wp.Tape() as tape:
-            found = wrt.differentiable_hits(scene, hits, start, directions)
+            found = wrt.device.differentiable_hits(scene, hits, start, directions)
         assert found.t.shape == found.position.shape == (10, 12)
         tape.backward(grads={found.t: wp.ones_like(found.t), found.position: wp.ones_like(found.position)})
         gradients.append(start.grad.numpy().reshape(-1, 3).sum(axis=0))
@@ -122,13 +122,13 @@ def test_bad_arguments(mesh, values):
     scene = wrt.Scene(mesh, device="cpu")
     hits = scene.intersect(values["origins"], values["directions"])
     with pytest.raises(ValueError, match="vertices have the shape"):
-        wrt.differentiable_hits(scene, hits, values["origins"], values["directions"], mesh.vertices[:-1])
+        wrt.device.differentiable_hits(scene, hits, values["origins"], values["directions"], mesh.vertices[:-1])
     with pytest.raises(ValueError, match="directions have the leading shape"):
-        wrt.differentiable_hits(scene, hits, values["origins"], values["directions"][:7])
+        wrt.device.differentiable_hits(scene, hits, values["origins"], values["directions"][:7])
     with pytest.raises(ValueError, match="hits belong to another scene"):
-        wrt.differentiable_hits(wrt.Scene([mesh, mesh], device="cpu"), hits, values["origins"], values["directions"])
+        wrt.device.differentiable_hits(wrt.Scene([mesh, mesh], device="cpu"), hits, values["origins"], values["directions"])
     with pytest.raises(TypeError, match="origins"):
-        wrt.differentiable_hits(scene, hits, "here", values["directions"])
+        wrt.device.differentiable_hits(scene, hits, "here", values["directions"])
 
 
 def test_cuda(tmp_path):
@@ -142,7 +142,7 @@ def test_hits_of_another_scene_are_refused(mesh, values):
     rays = values["origins"], values["directions"]
     for scene, other in ((plain, instanced), (instanced, plain)):
         with pytest.raises(ValueError, match="hits belong to another scene"):
-            wrt.differentiable_hits(scene, other.intersect(*rays), *rays)
+            wrt.device.differentiable_hits(scene, other.intersect(*rays), *rays)
 
 
 @pytest.mark.parametrize("name", ["intersect", "intersect_all"])
@@ -154,7 +154,7 @@ def test_queries_do_not_lose_gradients_in_silence(mesh, values, name, argument, 
     query = getattr(scene, name)
     query(**rays)
     with wp.Tape():
-        with pytest.raises(ValueError, match=rf"{name} has no gradients, .* wrt\.differentiable_hits"):
+        with pytest.raises(ValueError, match=rf"{name} has no gradients, .* wrt\.device\.differentiable_hits"):
             query(**rays)
         query(**rays | {argument: wp.clone(rays[argument], requires_grad=False)})
         query(values["origins"], values["directions"])
@@ -174,7 +174,7 @@ def test_tapes_take_no_notice_of_queries(mesh, values, weights, device):
         scene.visible(rays["origins"], rays["directions"])
         hits.position, hits.normal, hits.is_hit, hits.spawn(rays["directions"])
         assert [launch[0].key for launch in tape.launches if launch[0].module.name.startswith("wrt")] == []
-        found = wrt.differentiable_hits(scene, hits, starts, rays["directions"])
+        found = wrt.device.differentiable_hits(scene, hits, starts, rays["directions"])
         wrt.Scene(mesh, device=device)
     tape.backward(grads={found.t: wp.array(weights["t"], dtype=float, device=device)})
     assert starts.grad.numpy().any()

@@ -249,7 +249,7 @@ def loss_with_gradients(scene: wrt.Scene, hits: wrt.Hits, *arrays: wp.array) -> 
     loss = wp.zeros(1, dtype=wp.float64, requires_grad=True, device="cpu")
     weights = wp.array(np.random.default_rng(1).normal(size=len(hits.t)), dtype=wp.float64, device="cpu")
     with wp.Tape() as tape:
-        found = wrt.differentiable_hits(scene, hits, *arrays)
+        found = wrt.device.differentiable_hits(scene, hits, *arrays)
         wp.launch(weigh, dim=len(weights), inputs=[found.t, found.position, found.normal, weights, loss], device="cpu")
     tape.backward(loss)
     return float(loss.numpy()[0])
@@ -307,13 +307,13 @@ def test_what_makes_no_sense_says_so(both, tmp_path):
     scene, flat, rays = both["scene"], both["flat"], both["rays"]
     hits = scene.intersect(*rays)
     with pytest.raises(ValueError, match=r"wrt\.Scene\(scene\.flattened\(\)\)"):
-        wrt.analyse(scene)
+        wrt.known_rays.analyse(scene)
     with pytest.raises(ValueError, match="transforms needs instances"):
-        wrt.differentiable_hits(flat, flat.intersect(*rays), *rays, transforms=np.eye(4)[None])
+        wrt.device.differentiable_hits(flat, flat.intersect(*rays), *rays, transforms=np.eye(4)[None])
     with pytest.raises(ValueError, match=r"pass \(10, 4, 4\)"):
-        wrt.differentiable_hits(scene, hits, *rays, transforms=np.eye(4)[None])
+        wrt.device.differentiable_hits(scene, hits, *rays, transforms=np.eye(4)[None])
     with pytest.raises(TypeError, match="mat44"):
-        wrt.differentiable_hits(scene, hits, *rays, transforms=wp.zeros(10, dtype=wp.vec3, device="cpu"))
+        wrt.device.differentiable_hits(scene, hits, *rays, transforms=wp.zeros(10, dtype=wp.vec3, device="cpu"))
     scene.save(tmp_path / "scene.npz")
     assert_same_hits(wrt.Scene.load(tmp_path / "scene.npz", device="cpu").intersect(*rays), hits)
     origins = hits.spawn(-rays[1])

@@ -30,7 +30,7 @@ RAYS = {"origins": inspect.Parameter.empty, "directions": None, "t_min": 0.0, "t
 
 DOWN = ((0.2, 0.1, 9.0), (0.0, 0.0, -1.0))
 
-SCENES = (wrt.Scene, wrt.InstancedScene, wrt.GroupedScene, wrt.FuzzyScene)
+SCENES = (wrt.Scene, wrt.moving.InstancedScene, wrt.moving.GroupedScene, wrt.moving.FuzzyScene)
 
 
 @pytest.fixture(scope="module")

@@ -132,8 +132,8 @@ def test_other_scenes(device):
     soup = snapped_soup(150, seed=4)
     halves = [wrt.TriangleMesh(soup.vertices, soup.faces[rows]) for rows in (slice(0, 40), slice(40, None))]
     rays, away = mixed_rays(soup, 400, seed=1), np.random.default_rng(7).normal(size=(400, 3))
-    area = wrt.PlaneInfluenceArea(position=(0, 0, 3), direction=(0, 0, -1), width=9, height=9, depth=9)
-    aware = wrt.RayAwareBvh(areas=[area], local=wrt.Bvh())
+    area = wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 3), direction=(0, 0, -1), width=9, height=9, depth=9)
+    aware = wrt.known_rays.RayAwareBvh(areas=[area], local=wrt.Bvh())
     answers = []
     for geometry, tree in ((soup, "bvh"), (halves, "bvh"), (soup, aware)):
         scene = wrt.Scene(geometry, tree, device=device)
@@ -183,7 +183,7 @@ def test_bad_arguments(device):
     with pytest.raises(ValueError, match="skip holds hits of another scene; pass hits of this scene"):
         wrt.Scene(wrt.Instance(TEAPOT), device=device).count(origins, directions, skip=hits)
     with pytest.raises(ValueError, match=r"a scene with one tree; .* use wrt\.Scene\(scene\.meshes\)"):
-        wrt.FuzzyScene(TEAPOT.vertices[None], TEAPOT.faces, device=device).occluded(origins, directions, skip=hits)
+        wrt.moving.FuzzyScene(TEAPOT.vertices[None], TEAPOT.faces, device=device).occluded(origins, directions, skip=hits)
 
 
 @pytest.mark.parametrize(("tree", "query"), [("bvh", ANY), ("kdtree", CLOSEST)])

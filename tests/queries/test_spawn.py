@@ -37,8 +37,8 @@ def leave(scene: wrt.Scene, body: trimesh.Trimesh, count: int, grazing: float, s
 
 def exact_sides(scene: wrt.Scene, hits: wrt.Hits, directions: np.ndarray) -> np.ndarray:
     """Component of directions along the normals of the triangles as the device has them, in float64."""
-    vertices = scene.device_mesh.vertices.numpy().astype(np.float64)
-    a, b, c = vertices[scene.device_mesh.faces.numpy()[hits.primitive_id]].transpose(1, 0, 2)
+    vertices = scene.state.device_mesh.vertices.numpy().astype(np.float64)
+    a, b, c = vertices[scene.state.device_mesh.faces.numpy()[hits.primitive_id]].transpose(1, 0, 2)
     return (np.cross(b - a, c - a) * directions).sum(axis=1)
 
 

@@ -18,8 +18,8 @@ import pytest
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.partitioned.part_loading import PartLoader
-from wrt.partitioned.partition_files import LIST, RECORDS, RELATIVE, part_path
+from wrt.disk.part_loading import PartLoader
+from wrt.disk.partition_files import LIST, RECORDS, RELATIVE, part_path
 from wrt.scene.archives import CHECKSUM, array_places, checksum, read_archive, write_archive
 from wrt.scene.storage import pack_tree, unpack_tree
 
@@ -30,7 +30,7 @@ MESH = wrt.scenes.build("teapot", level=3)
 def built(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("forged") / "scene"
     narrow = wrt.Bvh(width=4)  # so that there are several levels
-    wrt.PartitionedScene.build(MESH, path, part_triangles=400, accelerator=narrow, device="cpu")
+    wrt.disk.PartitionedScene.build(MESH, path, part_triangles=400, accelerator=narrow, device="cpu")
     return path
 
 
@@ -46,7 +46,7 @@ def folder(built, tmp_path) -> Path:
 
 def refused(folder: Path, rays, reason: str = "") -> None:
     """The part is refused, before and after the files around it are loaded, and also if it is tried again."""
-    scene = wrt.PartitionedScene(folder, device="cpu")
+    scene = wrt.disk.PartitionedScene(folder, device="cpu")
     for _ in range(2):
         with pytest.raises(ValueError, match=f"part 0 of this scene, or it is damaged .*{reason}"):
             scene.count(*rays)
@@ -102,7 +102,7 @@ def test_arrays_of_another_form_are_refused(folder, rays, name):
         refused(folder, rays)
     write_archive(path, {key: array for key, array in arrays.items() if key != name})
     if name in (RELATIVE, full_name(arrays, RECORDS)):  # files may have none
-        assert wrt.PartitionedScene(folder, device="cpu").count(*rays).sum() > 0
+        assert wrt.disk.PartitionedScene(folder, device="cpu").count(*rays).sum() > 0
     else:
         refused(folder, rays)
 
@@ -195,7 +195,7 @@ def test_contents_are_compared_where_they_are_mapped(folder, rays, monkeypatch):
     path = part_path(folder, 0)
     places = array_places(path)
     moved = {**places, "faces.0": places["faces.0"]._replace(offset=places["faces.0"].offset + 12)}
-    monkeypatch.setattr("wrt.partitioned.part_loading.array_places", lambda file: moved)
+    monkeypatch.setattr("wrt.disk.part_loading.array_places", lambda file: moved)
     refused(folder, rays, r"faces\.0 is not in the file as it was read")
     moved["faces.0"] = places["faces.0"]._replace(offset=os.stat(path).st_size - 8)
     refused(folder, rays, r"faces\.0 is not in the file as it was read")
@@ -203,11 +203,11 @@ def test_contents_are_compared_where_they_are_mapped(folder, rays, monkeypatch):
 
 def test_arrays_that_are_not_aligned_are_copied(folder, rays, built):
     """Kernels read vectors at multiples of 64 bytes."""
-    expected = wrt.PartitionedScene(built, device="cpu").intersect(*rays)
+    expected = wrt.disk.PartitionedScene(built, device="cpu").intersect(*rays)
     path = part_path(folder, 0)
     forge_archive(path, read_archive(path), lambda archive, name, content: archive.writestr(f"x/{name}.npy"[2:], content))
     assert any(place.offset % 64 for place in array_places(path).values())
-    scene = wrt.PartitionedScene(folder, device="cpu")
+    scene = wrt.disk.PartitionedScene(folder, device="cpu")
     for _ in range(2):
         assert_same_hits(scene.intersect(*rays), expected)
         scene.release()
@@ -215,7 +215,7 @@ def test_arrays_that_are_not_aligned_are_copied(folder, rays, built):
 
 def test_a_file_that_is_replaced_while_it_is_checked(folder, rays, built, monkeypatch):
     """What is mapped is the file that was checked, though another one has its name by now."""
-    expected = wrt.PartitionedScene(built, device="cpu").intersect(*rays)
+    expected = wrt.disk.PartitionedScene(built, device="cpu").intersect(*rays)
     path, check = part_path(folder, 0), PartLoader._check
     arrays = read_archive(path)
     forged = folder.parent / "forged"
@@ -228,7 +228,7 @@ def test_a_file_that_is_replaced_while_it_is_checked(folder, rays, built, monkey
         return found
 
     monkeypatch.setattr(PartLoader, "_check", checked)
-    scene = wrt.PartitionedScene(folder, device="cpu")
+    scene = wrt.disk.PartitionedScene(folder, device="cpu")
     assert_same_hits(scene.intersect(*rays), expected)
     assert not forged.exists()
     scene.release()
@@ -267,7 +267,7 @@ def test_lists_of_parts_are_checked(folder, kind):
     arrays = read_archive(folder / LIST)
     write_archive(folder / LIST, arrays | LISTS[kind](arrays))
     with pytest.raises(ValueError, match="not the list of a partitioned scene, or it is damaged"):
-        wrt.PartitionedScene(folder, device="cpu")
+        wrt.disk.PartitionedScene(folder, device="cpu")
 
 
 def test_a_part_with_other_numbers_than_the_list(folder, rays):

@@ -61,7 +61,7 @@ def asked_alone(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray) -
     """(t, triangle, uv, count) of every instance, by brute force on the rays as its map takes them, rounded at the end."""
     answers = []
     for instance, number in zip(scene.instances, scene.geometry_ids, strict=True):
-        part = scene.parts[number]
+        part = scene.state.parts[number]
         inverse = np.linalg.inv(instance.transform[:3, :3])
         place = instance.transform[:3, :3] @ part.center + instance.transform[:3, 3]
         with np.errstate(all="ignore"):
@@ -383,15 +383,15 @@ def test_pickles_and_files(tmp_path):
     scene = wrt.Scene([wrt.Instance(mesh), wrt.Instance(mesh, move(5.0), mask=2)], device="cpu")
     revived = pickle.loads(pickle.dumps(scene))
     assert revived.instances
-    assert len(revived.parts) == 1
+    assert len(revived.state.parts) == 1
     down = np.array([[0.2, 0.1, 9.0], [5.2, 0.1, 9.0]]), (0.0, 0.0, -1.0)
     for mask in (None, 1, 2):
         assert_same_hits(revived.intersect(*down, mask=mask), scene.intersect(*down, mask=mask))
     scene.save(tmp_path / "scene.npz")
     loaded = wrt.Scene.load(tmp_path / "scene.npz", device="cpu")
-    assert len(loaded.parts) == 1
+    assert len(loaded.state.parts) == 1
     for mask in (None, 1, 2):
         assert_same_hits(loaded.intersect(*down, mask=mask), scene.intersect(*down, mask=mask))
-    area = wrt.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=9)
+    area = wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=9)
     with pytest.raises(ValueError, match="influence areas"):
-        wrt.Scene([wrt.Instance(mesh)], wrt.RayAwareBvh(areas=[area]))
+        wrt.Scene([wrt.Instance(mesh)], wrt.known_rays.RayAwareBvh(areas=[area]))

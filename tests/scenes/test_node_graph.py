@@ -145,7 +145,7 @@ def test_a_mesh_on_the_base_frame(below):
     graph.graph.transforms.node_data[graph.graph.base_frame]["geometry"] = "block"
     scene = wrt.Scene(graph, device="cpu")
     assert scene.intersect([0.0, 0.0, 9.0], [0.0, 0.0, -1.0]).t == 8.5
-    assert [mesh.triangle_count for mesh in wrt.nested_meshes(graph)] == ([12, 80] if below else [12])
+    assert [mesh.triangle_count for mesh in wrt.moving.nested_meshes(graph)] == ([12, 80] if below else [12])
     if below:
         scene.move({"ball": np.eye(4)})
         assert scene.intersect([0.0, 0.0, 9.0], [0.0, 0.0, -1.0]).t < 8.5

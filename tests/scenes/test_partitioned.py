@@ -12,10 +12,10 @@ import pytest
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
+from wrt.disk import partitioned_scene, ray_job
+from wrt.disk.cycling import PAIRS_PER_RAY, cycle
+from wrt.disk.partition_files import LIST, MAPPED, RECORDS, RELATIVE, part_path
 from wrt.execution import executor, triangle_records
-from wrt.partitioned import partitioned_scene, ray_job
-from wrt.partitioned.cycling import PAIRS_PER_RAY, cycle
-from wrt.partitioned.partition_files import LIST, MAPPED, RECORDS, RELATIVE, part_path
 from wrt.revisions import TREE_REVISION
 from wrt.scene.archives import array_places, checksum, read_archive, write_archive
 
@@ -45,15 +45,15 @@ def rays(whole):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("partitioned") / "scene"
-    wrt.PartitionedScene.build(meshes(), path, part_triangles=250, device="cpu")
+    wrt.disk.PartitionedScene.build(meshes(), path, part_triangles=250, device="cpu")
     return path
 
 
 @pytest.fixture
 def scene(folder):
     """Under a quarter of its memory."""
-    full = wrt.PartitionedScene(folder, device="cpu").bytes
-    return wrt.PartitionedScene(folder, memory=full // 4, device="cpu")
+    full = wrt.disk.PartitionedScene(folder, device="cpu").bytes
+    return wrt.disk.PartitionedScene(folder, memory=full // 4, device="cpu")
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -91,9 +91,9 @@ def test_blocks_and_threads_do_not_show(folder, whole, rays, monkeypatch):
     """Few rays in a block, few pairs in a list, and another number of threads."""
     expected = whole.intersect(*rays)
     monkeypatch.setattr(partitioned_scene, "BLOCK", 1000)
-    monkeypatch.setattr("wrt.partitioned.cycling.MAX_PAIRS", 2000)
+    monkeypatch.setattr("wrt.disk.cycling.MAX_PAIRS", 2000)
     for mode, threads in (("cycle", 1), ("cycle", 3), ("forward", 3)):
-        some = wrt.PartitionedScene(folder, num_threads=threads, device="cpu")
+        some = wrt.disk.PartitionedScene(folder, num_threads=threads, device="cpu")
         assert_same_hits(some.intersect(*rays, mode=mode), expected)
         np.testing.assert_array_equal(some.count(*rays, mode=mode), whole.count(*rays))
 
@@ -123,7 +123,7 @@ def test_shapes(scene, whole):
 
 
 def test_each_part_is_loaded_once_in_a_cycle(folder, rays):
-    scene = wrt.PartitionedScene(folder, memory="1 GB", device="cpu")
+    scene = wrt.disk.PartitionedScene(folder, memory="1 GB", device="cpu")
     scene.intersect(*rays, mode="cycle")
     assert scene.last_query.loads <= scene.part_count
     for mode in MODES:
@@ -137,10 +137,10 @@ def test_each_part_is_loaded_once_in_a_cycle(folder, rays):
 
 def test_a_cycle_keeps_parts_for_the_next_one(folder, rays):
     """The newest part of a cycle leaves first. Were it the oldest, a query like the one before would load all parts again."""
-    full = wrt.PartitionedScene(folder, device="cpu")
+    full = wrt.disk.PartitionedScene(folder, device="cpu")
     full.count(*rays)
     needed = full.last_query.loads
-    scene = wrt.PartitionedScene(folder, memory=full.bytes // 2, device="cpu")
+    scene = wrt.disk.PartitionedScene(folder, memory=full.bytes // 2, device="cpu")
     scene.count(*rays)
     assert scene.last_query.loads == needed, "nothing is loaded twice in a cycle"
     stay = scene._cache.is_loaded.copy()
@@ -157,7 +157,7 @@ def test_a_cycle_keeps_parts_for_the_next_one(folder, rays):
 def test_a_cycle_refuses_what_is_too_much_for_a_block(folder, monkeypatch):
     """It must do nothing then: the block is cut, and its halves are traced."""
     job = type("Job", (), {})()
-    monkeypatch.setattr("wrt.partitioned.cycling.list_pairs", lambda job: None)
+    monkeypatch.setattr("wrt.disk.cycling.list_pairs", lambda job: None)
     assert cycle(job) is False
 
 
@@ -175,7 +175,9 @@ def test_from_files_and_generators(tmp_path, whole, rays):
         paths.append(tmp_path / f"{number}.ply")
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(paths[-1])
     expected = wrt.Scene([wrt.TriangleMesh.load(path) for path in paths], "bvh", device="cpu").intersect(*rays)
-    scene = wrt.PartitionedScene.build((str(path) for path in paths), tmp_path / "scene", part_triangles=1000, device="cpu")
+    scene = wrt.disk.PartitionedScene.build(
+        (str(path) for path in paths), tmp_path / "scene", part_triangles=1000, device="cpu"
+    )
     assert_same_hits(scene.intersect(*rays), expected)
     np.testing.assert_array_equal(scene.intersect(*rays).geometry_id, expected.geometry_id)
     assert scene.names == ("0", "1", "2")
@@ -185,7 +187,7 @@ def test_from_files_and_generators(tmp_path, whole, rays):
 def test_one_triangle(tmp_path, count):
     """One part, whose upper tree is one leaf; and coincident triangles in a single cell, divided by their order."""
     mesh = wrt.TriangleMesh(np.eye(3), np.repeat([[0, 1, 2]], count, axis=0))
-    scene = wrt.PartitionedScene.build(mesh, tmp_path / "one", part_triangles=1, device="cpu")
+    scene = wrt.disk.PartitionedScene.build(mesh, tmp_path / "one", part_triangles=1, device="cpu")
     assert scene.part_count == count
     for mode in MODES:
         hits = scene.intersect([0, 0, 0], [[1, 1, 1], [-1, 0, 0]], mode=mode)
@@ -195,7 +197,7 @@ def test_one_triangle(tmp_path, count):
 
 def test_damaged_parts_are_refused(tmp_path, rays):
     path = tmp_path / "scene"
-    scene = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu")
+    scene = wrt.disk.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu")
     expected = scene.occluded(*rays)
     files = [part_path(path, number) for number in range(scene.part_count)]
     whole = files[0].read_bytes()
@@ -219,15 +221,15 @@ def test_damaged_parts_are_refused(tmp_path, rays):
     text = (path / LIST).read_bytes()
     (path / LIST).write_bytes(text[:200] + b"x" + text[201:])
     with pytest.raises(ValueError, match="not the list of a partitioned scene"):
-        wrt.PartitionedScene(path)
-    with pytest.raises(FileNotFoundError, match=r"wrt\.PartitionedScene\.build"):
-        wrt.PartitionedScene(tmp_path / "nothing")
+        wrt.disk.PartitionedScene(path)
+    with pytest.raises(FileNotFoundError, match=r"wrt\.disk\.PartitionedScene\.build"):
+        wrt.disk.PartitionedScene(tmp_path / "nothing")
 
 
 def test_a_file_that_was_written_again_is_checked_again(tmp_path, rays):
     """Parts that were checked once are read without checks as long as their file stays the same."""
     path = tmp_path / "scene"
-    scene = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu")
+    scene = wrt.disk.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu")
     scene.occluded(*rays)
     file = part_path(path, 0)
     content, status = bytearray(file.read_bytes()), os.stat(file)
@@ -242,30 +244,30 @@ def test_a_file_that_was_written_again_is_checked_again(tmp_path, rays):
 
 def test_trees_of_other_builders_are_built_again(tmp_path, rays, monkeypatch):
     path = tmp_path / "scene"
-    expected = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu").intersect(*rays)
+    expected = wrt.disk.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu").intersect(*rays)
     monkeypatch.setitem(TREE_REVISION, "bvh", 99)
-    assert_same_hits(wrt.PartitionedScene(path, device="cpu").intersect(*rays), expected)
+    assert_same_hits(wrt.disk.PartitionedScene(path, device="cpu").intersect(*rays), expected)
 
 
 def test_records_come_from_the_files(tmp_path, folder, whole, rays, monkeypatch):
     """They were made again for every part that was loaded. Files without them, as earlier versions wrote, still work."""
     expected = whole.intersect(*rays)
     plain = tmp_path / "plain"
-    wrt.PartitionedScene.build(meshes(), plain, part_triangles=250, store_records=False, device="cpu")
+    wrt.disk.PartitionedScene.build(meshes(), plain, part_triangles=250, store_records=False, device="cpu")
     for number in range(len(list(plain.glob("part-*")))):  # as before vertices relative to the centre were stored
         arrays = read_archive(part_path(plain, number))
         assert not [name for name in arrays if name.startswith(RECORDS)]
         with part_path(plain, number).open("wb") as file:
             arrays = {name: array for name, array in arrays.items() if name != RELATIVE}
             np.savez(file, **arrays, checksum=np.array(checksum(arrays)))
-    earlier = wrt.PartitionedScene(plain, device="cpu")
+    earlier = wrt.disk.PartitionedScene(plain, device="cpu")
     assert_same_hits(earlier.intersect(*rays), expected)
     earlier.release()
     assert_same_hits(earlier.intersect(*rays), expected)  # without checks
 
     made, pack = [], triangle_records.pack_blocks
     monkeypatch.setattr(triangle_records, "pack_blocks", lambda *args: made.append(1) or pack(*args))
-    scene = wrt.PartitionedScene(folder, device="cpu")
+    scene = wrt.disk.PartitionedScene(folder, device="cpu")
     assert_same_hits(scene.intersect(*rays), expected)
     assert not made
     full = scene.loaded_bytes
@@ -291,7 +293,7 @@ def test_what_is_mapped_lies_together_in_files_written_in_one_piece(tmp_path, fo
 
 def test_wrong_records_are_refused(tmp_path, rays):
     path = tmp_path / "scene"
-    scene = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu")
+    scene = wrt.disk.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu")
     arrays = read_archive(part_path(path, 0))
     name = next(name for name in arrays if name.startswith(RECORDS))
     for changed in ({name: arrays[name][:-16]}, {RELATIVE: arrays[RELATIVE] + np.float32(1)}):
@@ -306,12 +308,12 @@ def test_nothing_is_left_of_a_failed_build(tmp_path):
         raise RuntimeError("the source broke")
 
     with pytest.raises(RuntimeError, match="the source broke"):
-        wrt.PartitionedScene.build(some(), tmp_path / "scene")
+        wrt.disk.PartitionedScene.build(some(), tmp_path / "scene")
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").write_text("mine")
     with pytest.raises(FileExistsError, match="not an empty folder"):
-        wrt.PartitionedScene.build(meshes(), tmp_path / "full")
+        wrt.disk.PartitionedScene.build(meshes(), tmp_path / "full")
     assert (tmp_path / "full" / "file").read_text() == "mine"
     far = wrt.TriangleMesh(np.eye(3) * 1e12, [[0, 1, 2]])
     for geometry, error, message in (
@@ -322,7 +324,7 @@ def test_nothing_is_left_of_a_failed_build(tmp_path):
         ([far], ValueError, "mesh 0 extends"),
     ):
         with pytest.raises(error, match=message):
-            wrt.PartitionedScene.build(geometry, tmp_path / "scene")
+            wrt.disk.PartitionedScene.build(geometry, tmp_path / "scene")
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
 
 
@@ -339,14 +341,14 @@ def test_nothing_is_left_of_a_failed_build(tmp_path):
 )
 def test_bad_options_of_a_build(tmp_path, options, error, message):
     with pytest.raises(error, match=message):
-        wrt.PartitionedScene.build(meshes(), tmp_path / "scene", **options)
+        wrt.disk.PartitionedScene.build(meshes(), tmp_path / "scene", **options)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_bad_options_of_a_query(scene, folder):
     ray = [0, 0, 0], [0, 0, 1]
     with pytest.raises(ValueError, match="give more memory, or build the scene with a smaller part_triangles"):
-        wrt.PartitionedScene(folder, memory=1000)
+        wrt.disk.PartitionedScene(folder, memory=1000)
     with pytest.raises(ValueError, match="mode"):
         scene.intersect(*ray, mode="fast")
     with pytest.raises(ValueError, match="records depend on the origin"):
@@ -356,7 +358,7 @@ def test_bad_options_of_a_query(scene, folder):
     with pytest.raises(TypeError, match="a plan is for one tree"):
         scene.count(*ray, traversal=wrt.Scene(meshes()[0], "bvh", device="cpu").explain(*ray))
     with pytest.raises(TypeError, match="folder must be a path"):
-        wrt.PartitionedScene(5)
+        wrt.disk.PartitionedScene(5)
 
 
 def test_parts_of_one_query_share_a_prepared_query(scene, rays, monkeypatch):

@@ -76,7 +76,7 @@ def test_the_trees_are_those_of_the_general_builder():
     ]
     for geometry in geometries:
         scene = wrt.Scene(geometry, device="cpu")
-        assert contents(scene.tree, scene.device_mesh) == built_generally(scene.meshes), scene
+        assert contents(scene.tree, scene.state.device_mesh) == built_generally(scene.meshes), scene
         assert list(scene.tree.stats.seconds) == ["references", "top levels", "subtrees", "collapse"]
         assert scene.tree.stats.peak_bytes > scene.tree.bytes
 
@@ -109,7 +109,7 @@ def test_threads_that_build_at_the_same_time():
 
     def build(mesh: wrt.TriangleMesh) -> list[bytes]:
         scene = wrt.Scene(mesh, device="cpu")
-        return contents(scene.tree, scene.device_mesh)
+        return contents(scene.tree, scene.state.device_mesh)
 
     with ThreadPoolExecutor(6) as pool:
         found = list(pool.map(build, meshes))
@@ -152,7 +152,7 @@ def test_retired_queries_keep_no_scene_alive():
     for _ in range(2):  # the second scene gets the query of the first
         scene = wrt.Scene(soup(300), device="cpu")
         answers(scene, np.float32)
-        watched = [weakref.ref(value) for value in (scene.tree, scene.tree.bounds, scene.device_mesh, scene.state)]
+        watched = [weakref.ref(value) for value in (scene.tree, scene.tree.bounds, scene.state.device_mesh, scene.state)]
         del scene
         gc.collect()
         assert [value() for value in watched] == [None] * 4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wrt.partitioned.spatial_parts import Grid, divide
+from wrt.disk.spatial_parts import Grid, divide
 
 
 def test_divisions():

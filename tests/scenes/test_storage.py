@@ -334,8 +334,8 @@ def test_between_devices(tmp_path):
     "accelerator",
     [
         wrt.KdTree(builder="lazy"),
-        wrt.RayAwareBvh(
-            areas=[wrt.PointInfluenceArea(position=(0, -9, 4), direction=(0, 9, -3), fov=(40, 40), near=0.1, far=20)]
+        wrt.known_rays.RayAwareBvh(
+            areas=[wrt.known_rays.PointInfluenceArea(position=(0, -9, 4), direction=(0, 9, -3), fov=(40, 40), near=0.1, far=20)]
         ),
     ],
     ids=["lazy", "areas"],

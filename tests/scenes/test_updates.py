@@ -79,7 +79,7 @@ def test_only_the_worn_subtree_is_built(kind, width):
     assert scene.last_update.rebuilt_triangles == 0
     disorder = np.random.default_rng(0).permutation(vertices)
     disorder = vertices[0] + 0.999 * (disorder - vertices[0])  # the box of the last ball stays within what it was
-    scene.update(23, vertices=disorder, rebuild=wrt.UpdatePolicy(tolerance=1.2))
+    scene.update(23, vertices=disorder, rebuild=wrt.moving.UpdatePolicy(tolerance=1.2))
     report = scene.last_update
     assert report.action == "subtrees"
     assert 256 <= report.rebuilt_triangles <= BALL.triangle_count + 20
@@ -91,7 +91,7 @@ def test_only_the_worn_subtree_is_built(kind, width):
         assert np.unique(np.concatenate([[0], flat.left[inner], flat.right[inner]])).size == len(flat.axis)
     fresh = wrt.Scene(scene.meshes, scene.accelerator, device="cpu").statistics().tree.sah_cost
     assert report.cost <= 1.01 * fresh
-    again = wrt.UpdatePolicy(tolerance=1.2, subtrees=False)
+    again = wrt.moving.UpdatePolicy(tolerance=1.2, subtrees=False)
     scene, _ = cluster_scene(kind, width)
     scene.update(23, vertices=disorder, rebuild=again)
     assert scene.last_update.action != "subtrees"
@@ -118,7 +118,11 @@ def test_a_worn_tree_is_built_once(kind):
 def test_small_changes_add_up(kind):
     """A tree that is kept is compared with itself as it was built, not as it was last."""
     scene, reports = wrt.Scene(BALL, kind, device="cpu"), []
-    for squeezed, rebuild in ((0.9, wrt.UpdatePolicy(tolerance=9.0)), (0.8, "never"), (0.7, wrt.UpdatePolicy(tolerance=9.0))):
+    for squeezed, rebuild in (
+        (0.9, wrt.moving.UpdatePolicy(tolerance=9.0)),
+        (0.8, "never"),
+        (0.7, wrt.moving.UpdatePolicy(tolerance=9.0)),
+    ):
         scene.update(0, vertices=BALL.vertices * [1.0, 1.0, squeezed], rebuild=rebuild)
         reports.append(scene.last_update)
     assert [report.action for report in reports] == ["kept"] * 3
@@ -219,7 +223,7 @@ def test_refill_knows_when_to_stop():
     scene = wrt.Scene(BALL, "kdtree", device="cpu")
     host = wp.get_device("cpu")
     wide = wp.array(BALL.vertices[np.random.default_rng(0).permutation(BALL.vertex_count)].astype(np.float32), dtype=wp.vec3)
-    boxes = triangle_boxes(wide.to(host), scene.device_mesh.faces)
+    boxes = triangle_boxes(wide.to(host), scene.state.device_mesh.faces)
     assert refilling.refill(scene.tree, boxes, np.zeros(3), scene.triangle_count) is None
     filled = refilling.refill(scene.tree, boxes, np.zeros(3), 1 << 30)
     sizes = unpack(filled).triangles
@@ -230,10 +234,10 @@ def test_bad_input():
     scene = wrt.Scene(BALL, device="cpu")
     with pytest.raises(ValueError, match="rebuild 'often' is unknown; choose from auto, always, never"):
         scene.update(0, vertices=BALL.vertices, rebuild="often")
-    with pytest.raises(TypeError, match=r"wrt\.UpdatePolicy, not bool"):
+    with pytest.raises(TypeError, match=r"wrt\.moving\.UpdatePolicy, not bool"):
         scene.update(0, vertices=BALL.vertices, rebuild=True)
     with pytest.raises(ValueError, match=r"tolerance is 0\.5; it must be at least 1"):
-        wrt.UpdatePolicy(tolerance=0.5)
+        wrt.moving.UpdatePolicy(tolerance=0.5)
     assert scene.last_update is None
 
 

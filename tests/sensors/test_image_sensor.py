@@ -207,7 +207,7 @@ def test_colour(moving):
     scene, body, drive = moving
     lens = wrt.sensors.KannalaBrandt(20.0, 20.0, 31.5, 23.5, max_angle=0.9)
     camera = Camera(64, 48, lens, line_delay=1e-3)
-    picture = camera.render(scene, drive, motions={1: body}, samples=1, lights=[wrt.Sky(1.0)], depth=2, sampler="random")
+    picture = camera.render(scene, drive, motions={1: body}, samples=1, lights=[wrt.lights.Sky(1.0)], depth=2, sampler="random")
     images = camera.capture(scene, drive)
     still = (picture.layers["instance_id"] == 0) & (images.instance_id == 0)
     assert still.sum() > 500

@@ -27,8 +27,8 @@ def test_rays_of_a_case_are_of_its_area(kind):
         case = Case("walls", SCENES["walls"](), kind, way)
         rays = case.rays(256)
         assert wrt.Scene(case.mesh).intersect(rays, traversal="single").is_hit.all()
-        scene = wrt.Scene(case.mesh, wrt.RayAwareBvh(areas=[case.area]))
-        assert wrt.break_even(scene, rays).unassigned_share == 0.0
+        scene = wrt.Scene(case.mesh, wrt.known_rays.RayAwareBvh(areas=[case.area]))
+        assert wrt.known_rays.break_even(scene, rays).unassigned_share == 0.0
 
 
 def test_scenes():
@@ -61,7 +61,7 @@ def test_axis_tries():
     case = Case("random", SMALL, "plane", "oblique")
     tries = {}
     for name, axes in {"all": "all", "strict": AxisChoice("facing", 1.0, 0.0, 0.0)}.items():
-        tries[name] = ray_distribution.axis_tries(wrt.Scene(SMALL, wrt.ProjectedBvh.published(case.area, axes=axes)))
+        tries[name] = ray_distribution.axis_tries(wrt.Scene(SMALL, wrt.known_rays.ProjectedBvh.published(case.area, axes=axes)))
     assert tries["all"] == (3.0, 0.0)
     assert tries["strict"] == pytest.approx((1.0, 1.0), rel=1e-12)
     rows = ray_distribution.sweep([Case("random", SMALL, "plane", "15 degrees")], rays=64)
@@ -100,7 +100,7 @@ def test_memory():
 def test_outlines_are_in_the_window():
     """The root's outline, of a scene that is wholly in the window, is twelve edges within it."""
     case = Case("random", SMALL, "point", "parallel")
-    found = wrt.analyse(ray_distribution.scene_of(case, "PAH + SPFH"), ray_distribution.unclipped(case.area))
+    found = wrt.known_rays.analyse(ray_distribution.scene_of(case, "PAH + SPFH"), ray_distribution.unclipped(case.area))
     edges = ray_distribution.outlines(found, case.area, 0)
     assert edges.shape == (12, 2, 2)
     assert 1.0 < (np.abs(edges) / ray_distribution.half_window(case.area)).max() < 2.0  # the window shows nine tenths of it
@@ -112,7 +112,7 @@ def test_outlines_are_in_the_window():
 def test_searches_find_what_the_build_finds():
     """The same planes again, and by projected areas others than by surface areas."""
     area = Case("random", SMALL, "plane", "oblique").area
-    for accelerator in (wrt.Bvh(), wrt.ProjectedBvh(areas=area)):
+    for accelerator in (wrt.Bvh(), wrt.known_rays.ProjectedBvh(areas=area)):
         nodes = Searches(SMALL, 75, accelerator)
         np.testing.assert_array_equal(nodes.run(), nodes.nodes.numpy()["plane"]["cost"])
         assert nodes.count == 4
@@ -123,7 +123,7 @@ def test_searches_find_what_the_build_finds():
 def test_axis_orders_are_those_of_the_thesis(kind):
     """By the sides of boxes, and by the rays at their centres, against float64; the times are those of a node each."""
     area = Case("random", SMALL, kind, "oblique").area
-    boxes = wrt.analyse(wrt.Scene(SMALL, wrt.Bvh(width=2), device="cpu")).boxes
+    boxes = wrt.known_rays.analyse(wrt.Scene(SMALL, wrt.Bvh(width=2), device="cpu")).boxes
     expected = {"longest": np.argsort(-(boxes.high - boxes.low), axis=1, kind="stable")}
     rays = 0.5 * (boxes.low + boxes.high) - np.array(area.position) if kind == "point" else np.array([area.direction])
     shares = np.abs(rays) / np.abs(rays).sum(axis=1, keepdims=True)

@@ -63,12 +63,12 @@ def own(meshes: Any, camera: Any, lights: Any, samples: int, tree: Any = "auto",
     """A function that makes our picture."""
     made = None
     if lights is not None:
-        made = [wrt.Sky(lights["sky"])]
-        made += [wrt.DirectionalLight(*lights["sun"])] if "sun" in lights else []
-        made += [wrt.AreaLight.sphere(*lights["lamp"])] if "lamp" in lights else []
+        made = [wrt.lights.Sky(lights["sky"])]
+        made += [wrt.lights.DirectionalLight(*lights["sun"])] if "sun" in lights else []
+        made += [wrt.lights.AreaLight.sphere(*lights["lamp"])] if "lamp" in lights else []
     scene = wrt.Scene(meshes, tree)
     options = {"lights": made, "integrator": "path", "samples": samples, "depth": DEPTH, "smooth": False, "roulette": roulette}
-    return lambda seed: wrt.Rendering(scene, camera, seed=seed, **options).advance().linear
+    return lambda seed: wrt.pictures.Rendering(scene, camera, seed=seed, **options).advance().linear
 
 
 def peer(variant: str, folder: Path, meshes: Any, camera: Any, lights: Any, samples: int, rr_depth: int = 5):

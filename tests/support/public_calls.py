@@ -9,7 +9,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -68,25 +68,25 @@ def hits() -> wrt.Hits:
 
 
 @cache
-def area() -> wrt.PlaneInfluenceArea:
-    return wrt.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=20, height=20, depth=20)
+def area() -> wrt.known_rays.PlaneInfluenceArea:
+    return wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=20, height=20, depth=20)
 
 
 @cache
 def known_scene() -> wrt.Scene:
-    return wrt.Scene(mesh(), wrt.RayAwareBvh(areas=[area()]), device="cpu")
+    return wrt.Scene(mesh(), wrt.known_rays.RayAwareBvh(areas=[area()]), device="cpu")
 
 
 @cache
-def open3d() -> wrt.RaycastingScene:
-    caster = wrt.RaycastingScene(device="cpu")
+def open3d() -> wrt.compat.RaycastingScene:
+    caster = wrt.compat.RaycastingScene(device="cpu")
     caster.add_triangles(mesh().vertices, mesh().faces)
     return caster
 
 
 @cache
-def trimesh_rays() -> wrt.RayMeshIntersector:
-    return wrt.RayMeshIntersector(trimesh.Trimesh(mesh().vertices, mesh().faces, process=False), device="cpu")
+def trimesh_rays() -> wrt.compat.RayMeshIntersector:
+    return wrt.compat.RayMeshIntersector(trimesh.Trimesh(mesh().vertices, mesh().faces, process=False), device="cpu")
 
 
 @cache
@@ -95,18 +95,18 @@ def pinhole() -> wrt.PinholeCamera:
 
 
 @cache
-def rendering() -> wrt.Rendering:
-    return wrt.Rendering(scene(), pinhole(), samples=2).advance(1)
+def rendering() -> wrt.pictures.Rendering:
+    return wrt.pictures.Rendering(scene(), pinhole(), samples=2).advance(1)
 
 
 @cache
-def area_light() -> wrt.AreaLightVisibility:
-    return wrt.AreaLightVisibility.rectangle(scene(), (0, 0, 9), (1, 0, 0), (0, 1, 0))
+def area_light() -> wrt.lights.AreaLightVisibility:
+    return wrt.lights.AreaLightVisibility.rectangle(scene(), (0, 0, 9), (1, 0, 0), (0, 1, 0))
 
 
 @cache
-def skeleton() -> wrt.Skeleton:
-    return wrt.Skeleton([-1], [(0, 0, 0)], [[(-10, 10)] * 3])
+def skeleton() -> wrt.moving.Skeleton:
+    return wrt.moving.Skeleton([-1], [(0, 0, 0)], [[(-10, 10)] * 3])
 
 
 @cache
@@ -115,8 +115,8 @@ def cloth() -> wrt.scenes.Animation:
 
 
 @cache
-def fuzzy() -> wrt.FuzzyScene:
-    return wrt.FuzzyScene(cloth().frames, cloth().faces, clusters=1, device="cpu")
+def fuzzy() -> wrt.moving.FuzzyScene:
+    return wrt.moving.FuzzyScene(cloth().frames, cloth().faces, clusters=1, device="cpu")
 
 
 @cache
@@ -155,13 +155,13 @@ def folder() -> Path:
     path = Path(tempfile.mkdtemp())
     scene().save(path / "scene.npz")
     mesh().save(path / "mesh.ply")
-    wrt.PartitionedScene.build(mesh(), path / "parts", device="cpu")
+    wrt.disk.PartitionedScene.build(mesh(), path / "parts", device="cpu")
     return path
 
 
 @cache
-def parts() -> wrt.PartitionedScene:
-    return wrt.PartitionedScene(folder() / "parts", device="cpu")
+def parts() -> wrt.disk.PartitionedScene:
+    return wrt.disk.PartitionedScene(folder() / "parts", device="cpu")
 
 
 @wrt.device.kernel
@@ -208,7 +208,7 @@ def shown(frame: Any) -> int:
 
 def built(**options: Any) -> int:
     with tempfile.TemporaryDirectory() as path:
-        return wrt.PartitionedScene.build(cloth().mesh(0), Path(path) / "scene", device="cpu", **options).triangle_count
+        return wrt.disk.PartitionedScene.build(cloth().mesh(0), Path(path) / "scene", device="cpu", **options).triangle_count
 
 
 def with_threads(count: Any) -> int:
@@ -222,9 +222,9 @@ def with_threads(count: Any) -> int:
 
 def with_shown(show: Any) -> None:
     try:
-        wrt.show_compiling(show)
+        wrt.device.show_compiling(show)
     finally:
-        wrt.show_compiling(None)
+        wrt.device.show_compiling(None)
 
 
 def run_job(most: Any) -> int:
@@ -262,16 +262,18 @@ def scene_calls() -> Iterator[Call]:
     yield Call("Scene.handle", lambda **o: instances().handle(**o) is not None, {"mask": 2, "environment": 1})
     yield Call("Scene.update", updated, {"mask": 2, "environment": 1})
     yield Call("Scene.updating", updated_beside, {"threads": 1})
-    yield Call("FanScene", threads_of(lambda **o: wrt.FanScene(mesh(), **o)), {"num_threads": 2})
-    yield Call("GroupedScene", threads_of(lambda **o: wrt.GroupedScene([mesh()], **o)), {"num_threads": 2})
-    yield Call("InstancedScene", threads_of(lambda **o: wrt.InstancedScene([wrt.Instance(mesh())], **o)), {"num_threads": 2})
+    yield Call("FanScene", threads_of(lambda **o: wrt.classics.FanScene(mesh(), **o)), {"num_threads": 2})
+    yield Call("GroupedScene", threads_of(lambda **o: wrt.moving.GroupedScene([mesh()], **o)), {"num_threads": 2})
+    yield Call(
+        "InstancedScene", threads_of(lambda **o: wrt.moving.InstancedScene([wrt.Instance(mesh())], **o)), {"num_threads": 2}
+    )
     yield Call("Instance", lambda **o: pair(wrt.Instance(mesh(), **o)), {"mask": 2, "environment": 1})
     options = {"clusters": 1, "rest": 1, "num_threads": 2}
-    yield Call("FuzzyScene", lambda **o: labels(wrt.FuzzyScene(frames, faces, device="cpu", **o)), options)
+    yield Call("FuzzyScene", lambda **o: labels(wrt.moving.FuzzyScene(frames, faces, device="cpu", **o)), options)
     yield Call("FuzzyScene.show", shown, {"frame": 1})
     yield Call(
         "SkinnedScene",
-        lambda **o: labels(wrt.SkinnedScene(mesh().vertices, mesh().faces, weights, skeleton(), device="cpu", **o)),
+        lambda **o: labels(wrt.moving.SkinnedScene(mesh().vertices, mesh().faces, weights, skeleton(), device="cpu", **o)),
         {"samples": 2, "seed": 1, "num_threads": 2},
     )
     yield Call("Skeleton.sample", lambda **o: skeleton().sample(**o), {"count": 4, "seed": 1})
@@ -279,7 +281,7 @@ def scene_calls() -> Iterator[Call]:
     yield Call("PartitionedScene.build", built, options)
     yield Call(
         "PartitionedScene",
-        threads_of(lambda **o: wrt.PartitionedScene(folder() / "parts", **o)),
+        threads_of(lambda **o: wrt.disk.PartitionedScene(folder() / "parts", **o)),
         {"memory": 1 << 26, "num_threads": 2},
     )
     yield Call("TriangleMesh.load", lambda **o: wrt.TriangleMesh.load(folder() / "mesh.ply", **o).faces, MESH_FILE)
@@ -288,7 +290,7 @@ def scene_calls() -> Iterator[Call]:
         lambda **o: wrt.TriangleMesh.from_trimesh(trimesh_rays().mesh, **o).faces,
         {"materials": False},
     )
-    yield Call("UpdatePolicy", wrt.UpdatePolicy, {"tolerance": 2.0, "subtrees": False})
+    yield Call("UpdatePolicy", wrt.moving.UpdatePolicy, {"tolerance": 2.0, "subtrees": False})
 
 
 def pair(instance: wrt.Instance) -> tuple[Any, Any]:
@@ -320,19 +322,19 @@ def query_calls() -> Iterator[Call]:
     for name in ("intersect", "occluded", "count"):
         yield Call(f"PartitionedScene.{name}", lambda name=name, **o: of_parts(name, o), {**bounds, "cull_backfaces": False})
     yield Call("Hits.smooth_normal", lambda **o: hits().smooth_normal(**o), {"crease_angle": 32.0})
-    yield Call("GeneratedRays", lambda **o: wrt.GeneratedRays(len, **o), {"shape": 4, **bounds})
+    yield Call("GeneratedRays", lambda **o: wrt.batches.GeneratedRays(len, **o), {"shape": 4, **bounds})
     yield Call("launch", launched, {"count": 4, "num_threads": 2, "chunk": 2})
     yield Call("Members.node_transform", lambda **o: graph().node_transform("part", **o), {"to_parent": False})
     options = {"multiple_hits": True, "max_hits": 2, "return_locations": False}
     yield Call(
         "RayMeshIntersector",
-        lambda **o: wrt.RayMeshIntersector(trimesh_rays().mesh, device="cpu", **o).scene.num_threads,
+        lambda **o: wrt.compat.RayMeshIntersector(trimesh_rays().mesh, device="cpu", **o).scene.num_threads,
         {"num_threads": 2},
     )
     yield Call("RayMeshIntersector.intersects_id", lambda **o: trimesh_rays().intersects_id(*rays(), **o), options)
     options = {"multiple_hits": True, "max_hits": 2}
     yield Call("RayMeshIntersector.intersects_location", lambda **o: trimesh_rays().intersects_location(*rays(), **o), options)
-    yield Call("RaycastingScene", lambda **o: vars(wrt.RaycastingScene(**o)), {"nthreads": 2})
+    yield Call("RaycastingScene", lambda **o: vars(wrt.compat.RaycastingScene(**o)), {"nthreads": 2})
     six = np.concatenate(rays(), axis=1)
     for name in ("cast_rays", "count_intersections", "list_intersections"):
         yield Call(f"RaycastingScene.{name}", lambda name=name, **o: getattr(open3d(), name)(six, **o), {"nthreads": 2})
@@ -346,7 +348,7 @@ def query_calls() -> Iterator[Call]:
         "width_px": 4,
         "height_px": 3,
     }
-    yield Call("RaycastingScene.create_rays_pinhole", wrt.RaycastingScene.create_rays_pinhole, options)
+    yield Call("RaycastingScene.create_rays_pinhole", wrt.compat.RaycastingScene.create_rays_pinhole, options)
 
 
 @cache
@@ -377,82 +379,110 @@ def tree_calls() -> Iterator[Call]:
         "spatial_splits": 1.0,
         "shares": (1.0,),
     }
-    yield Call("ProjectedBvh", lambda **o: wrt.ProjectedBvh(areas=area(), **o), projected)
-    yield Call("ProjectedBvh", lambda **o: wrt.ProjectedBvh(areas=area(), **o), {"triangle_cost": 0.5})
-    yield Call("RayAwareBvh", lambda **o: wrt.RayAwareBvh(areas=[area()], **o), {"tolerance": 1.0, "depth": 4})
+    yield Call("ProjectedBvh", lambda **o: wrt.known_rays.ProjectedBvh(areas=area(), **o), projected)
+    yield Call("ProjectedBvh", lambda **o: wrt.known_rays.ProjectedBvh(areas=area(), **o), {"triangle_cost": 0.5})
+    yield Call("RayAwareBvh", lambda **o: wrt.known_rays.RayAwareBvh(areas=[area()], **o), {"tolerance": 1.0, "depth": 4})
 
 
 def known_ray_calls() -> Iterator[Call]:
     origins, directions = rays()
     plane = {**AIM, "width": 4.0, "height": 2.0, "depth": 8.0}
-    yield Call("PlaneInfluenceArea", wrt.PlaneInfluenceArea, plane)
+    yield Call("PlaneInfluenceArea", wrt.known_rays.PlaneInfluenceArea, plane)
     point = {**AIM, "fov": (64.0, 32.0), "near": 1.0, "far": 8.0}
-    yield Call("PointInfluenceArea", wrt.PointInfluenceArea, point)
-    radial = wrt.PointInfluenceArea(**point)
+    yield Call("PointInfluenceArea", wrt.known_rays.PointInfluenceArea, point)
+    radial = wrt.known_rays.PointInfluenceArea(**point)
     for one in (area(), radial):
         yield Call(
             f"{type(one).__name__}.affine", lambda one=one, **o: one.affine(origins, directions, **o), {"tolerance": 2.0}
         )
-    yield Call("PlaneCaster", wrt.PlaneCaster, {**AIM, "width": 4.0, "height": 2.0, "tolerance": 2.0})
-    yield Call("PlaneCaster.of", lambda **o: wrt.PlaneCaster.of(area(), **o), {"tolerance": 2.0})
-    yield Call("CircularCapCaster", wrt.CircularCapCaster, {**AIM, "angle": 32.0})
-    yield Call("SquareCapCaster", wrt.SquareCapCaster, {**AIM, "fov": (64.0, 32.0)})
-    casters = wrt.PlaneCaster.of(area()), wrt.SquareCapCaster.of(radial), wrt.CircularCapCaster(**AIM, angle=32)
+    yield Call("PlaneCaster", wrt.known_rays.PlaneCaster, {**AIM, "width": 4.0, "height": 2.0, "tolerance": 2.0})
+    yield Call("PlaneCaster.of", lambda **o: wrt.known_rays.PlaneCaster.of(area(), **o), {"tolerance": 2.0})
+    yield Call("CircularCapCaster", wrt.known_rays.CircularCapCaster, {**AIM, "angle": 32.0})
+    yield Call("SquareCapCaster", wrt.known_rays.SquareCapCaster, {**AIM, "fov": (64.0, 32.0)})
+    casters = (
+        wrt.known_rays.PlaneCaster.of(area()),
+        wrt.known_rays.SquareCapCaster.of(radial),
+        wrt.known_rays.CircularCapCaster(**AIM, angle=32),
+    )
     for one in casters:
         yield Call(f"{type(one).__name__}.rays", lambda one=one, **o: one.rays(**o), {"count": 4, "seed": 1})
     options = {"bounds": [(-9.0, -9.0, -9.0), (9.0, 9.0, 9.0)], "tolerance": 2.0, "least_share": 0.5, "samples": 20, "seed": 1}
     lines = np.zeros((30, 3)), np.random.default_rng(0).normal(size=(30, 3))
     yield Call("InfluenceAreas.from_rays", lambda **o: found_areas(lines, o), options)
     costs = {"box_cost": 1.0, "triangle_cost": 2.0}
-    yield Call("analyse", lambda **o: wrt.analyse(scene(), **o).expected_cost, costs)
-    yield Call("analyse_areas", lambda **o: [one.expected_cost for one in wrt.analyse_areas(known_scene(), **o)], costs)
-    yield Call("break_even", lambda **o: wrt.break_even(known_scene(), origins, directions, **o), {"samples": 4})
-    yield Call("directional_shadow_rays", lambda **o: wrt.directional_shadow_rays(hits(), **o), {"direction": (0.0, 1.0, -1.0)})
-    yield Call("point_shadow_rays", lambda **o: wrt.point_shadow_rays(hits(), **o), {"position": (0.0, 1.0, 9.0)})
+    yield Call("analyse", lambda **o: wrt.known_rays.analyse(scene(), **o).expected_cost, costs)
+    yield Call(
+        "analyse_areas", lambda **o: [one.expected_cost for one in wrt.known_rays.analyse_areas(known_scene(), **o)], costs
+    )
+    yield Call("break_even", lambda **o: wrt.known_rays.break_even(known_scene(), origins, directions, **o), {"samples": 4})
+    yield Call(
+        "directional_shadow_rays",
+        lambda **o: wrt.known_rays.directional_shadow_rays(hits(), **o),
+        {"direction": (0.0, 1.0, -1.0)},
+    )
+    yield Call("point_shadow_rays", lambda **o: wrt.known_rays.point_shadow_rays(hits(), **o), {"position": (0.0, 1.0, 9.0)})
 
 
 def found_areas(lines: tuple[np.ndarray, np.ndarray], options: dict[str, Any]) -> str:
     with mock.patch.object(influence_areas, "PAIRS", 50):  # whose clusters take most of the time
-        return repr(wrt.InfluenceAreas.from_rays(*lines, **options))
+        return repr(wrt.known_rays.InfluenceAreas.from_rays(*lines, **options))
+
+
+def ambient(**options: Any) -> wrt.pictures.AmbientRendering:
+    return wrt.pictures.AmbientRendering(scene(), pinhole(), **options)
 
 
 def picture_calls() -> Iterator[Call]:
     yield Call("PinholeCamera", wrt.PinholeCamera, {"width": 4, "height": 3, "fov": 32.0, **POSE})
     yield Call("OrthographicCamera", wrt.OrthographicCamera, {"width": 4, "height": 3, "view_height": 2.0, **POSE})
     options = {"width": 4, "height": 3, "fov": 32.0, "margin": 0.25, "towards": (0.0, 1.0, 0.0), "up": (0.0, 0.0, 1.0)}
+    for kind in ("from_opencv", "from_opengl"):
+        at_pose = partial(getattr(wrt.PinholeCamera, kind), pose=np.eye(4))
+        yield Call(f"_Camera.{kind}", at_pose, {"width": 4, "height": 3})
+    blender = partial(wrt.PinholeCamera.from_blender, matrix_world=np.eye(4))
+    yield Call("PinholeCamera.from_blender", blender, {"width": 4, "height": 3, "angle": 0.5})
+    blender = partial(wrt.OrthographicCamera.from_blender, matrix_world=np.eye(4))
+    yield Call("OrthographicCamera.from_blender", blender, {"width": 4, "height": 3, "ortho_scale": 2.0})
     yield Call("PinholeCamera.framing", lambda **o: wrt.PinholeCamera.framing(mesh(), **o), options)
     yield Call("_Camera.rays", lambda **o: pinhole().rays(**o), {"sample": 1, "samples": 2, "seed": 1})
     light = {"position": (0.0, 0.0, 9.0), "intensity": (2.0, 2.0, 2.0)}
-    yield Call("PointLight", wrt.PointLight, light)
-    yield Call("SpotLight", wrt.SpotLight, {**light, "look_at": (0.0, 0.0, 0.0), "angle": 32.0, "inner": 16.0})
-    yield Call("DirectionalLight", wrt.DirectionalLight, {"direction": (0.0, 0.0, -1.0), "irradiance": 2.0})
-    yield Call("AreaLight.sphere", wrt.AreaLight.sphere, {"center": (0.0, 0.0, 9.0), "radius": 2.0, "radiance": 2.0})
+    yield Call("PointLight", wrt.lights.PointLight, light)
+    yield Call("SpotLight", wrt.lights.SpotLight, {**light, "look_at": (0.0, 0.0, 0.0), "angle": 32.0, "inner": 16.0})
+    yield Call("DirectionalLight", wrt.lights.DirectionalLight, {"direction": (0.0, 0.0, -1.0), "irradiance": 2.0})
+    yield Call("AreaLight.sphere", wrt.lights.AreaLight.sphere, {"center": (0.0, 0.0, 9.0), "radius": 2.0, "radiance": 2.0})
     edges = {"corner": (0.0, 0.0, 9.0), "edge1": (1.0, 0.0, 0.0), "edge2": (0.0, 1.0, 0.0)}
-    yield Call("AreaLight.rectangle", wrt.AreaLight.rectangle, {**edges, "two_sided": False})
+    yield Call("AreaLight.rectangle", wrt.lights.AreaLight.rectangle, {**edges, "two_sided": False})
     corners = {"a": (0.0, 0.0, 9.0), "b": (1.0, 0.0, 9.0), "c": (0.0, 1.0, 9.0)}
-    yield Call("AreaLight.triangle", wrt.AreaLight.triangle, {**corners, "two_sided": False})
-    yield Call("Sky", wrt.Sky, {"radiance": 2.0})
-    yield Call("Sky.gradient", wrt.Sky.gradient, {"horizon": 2.0, "zenith": 1.0, "ground": 0.5, "up": (0.0, 0.0, 1.0)})
+    yield Call("AreaLight.triangle", wrt.lights.AreaLight.triangle, {**corners, "two_sided": False})
+    yield Call("Sky", wrt.lights.Sky, {"radiance": 2.0})
+    yield Call("Sky.gradient", wrt.lights.Sky.gradient, {"horizon": 2.0, "zenith": 1.0, "ground": 0.5, "up": (0.0, 0.0, 1.0)})
     image = np.ones((2, 2, 3))
     yield Call(
-        "Sky.image", lambda **o: wrt.Sky.image(image, **o), {"scale": 2.0, "up": (0.0, 0.0, 1.0), "east": (1.0, 0.0, 0.0)}
+        "Sky.image",
+        lambda **o: wrt.lights.Sky.image(image, **o),
+        {"scale": 2.0, "up": (0.0, 0.0, 1.0), "east": (1.0, 0.0, 0.0)},
     )
     shares = {"color": 0.5, "roughness": 0.5, "metallic": 0.5, "index": 1.5, "absorption": 1.0, "translucency": 0.5}
     yield Call("Material", wrt.Material, {**shares, "priority": 1, "emission": (2.0, 2.0, 2.0), "two_sided": False})
     numbers = {"samples": 2, "depth": 4, "seed": 1, "wave": 64, "texture_memory": 1 << 17}
     factors = {"lens_radius": 0.5, "focus_distance": 2.0, "threshold": 0.5, "max_radiance": 4.0, "crease_angle": 32.0}
     flags = {"roulette": False, "sample_lights": False, "smooth": False}
-    yield Call("RenderSettings", wrt.RenderSettings, {**numbers, **factors, **flags, "exposure": 2.0, "ambient": 0.5})
+    yield Call("RenderSettings", wrt.pictures.RenderSettings, {**numbers, **factors, **flags, "exposure": 2.0, "ambient": 0.5})
     yield Call("Rendering.advance", lambda **o: rendering().advance(**o).samples, {"samples": 1})
     yield Call("Rendering.image", lambda **o: rendering().image(**o), {"exposure": 2.0})
     options = {"samples": 1, "ambient_samples": 1, "ambient_distance": 4.0, "crease_angle": 32.0, "seed": 1, "tile_pixels": 12}
     options |= {"light": (0.0, 0.0, 9.0), "shadows": True, "smooth": True, "albedo": 0.5, "ambient_color": 0.5}
     yield Call("render", lambda **o: wrt.render(scene(), pinhole(), **o), options)
+    options = options | {"ambient_radius": 1}
+    yield Call("AmbientRendering", lambda **o: ambient(**o).advance().image(), options)
+    yield Call("AmbientRendering.advance", lambda **o: ambient().advance(**o).done, {"samples": 1})
     options = {"position": (0.0, 1.0, 9.0), "resolution": 4, "cull_backfaces": False, "max_bytes": 1 << 20}
-    yield Call("LightBuffer", lambda **o: wrt.LightBuffer(scene(), **o).bytes, options)
+    yield Call("LightBuffer", lambda **o: wrt.lights.LightBuffer(scene(), **o).bytes, options)
     flat = {"corner": (0.0, 0.0, 9.0), "edge_u": (1.0, 0.0, 0.0), "edge_v": (0.0, 1.0, 0.0)}
     options = {**flat, "samples": 4, "patterns": 2, "seed": 1}
-    yield Call("AreaLightVisibility.rectangle", lambda **o: wrt.AreaLightVisibility.rectangle(scene(), **o).positions, options)
+    yield Call(
+        "AreaLightVisibility.rectangle", lambda **o: wrt.lights.AreaLightVisibility.rectangle(scene(), **o).positions, options
+    )
     yield Call("AreaLightVisibility.patterns_of", lambda **o: area_light().patterns_of(**o), {"count": 4})
 
 
@@ -511,7 +541,7 @@ def other_calls() -> Iterator[Call]:
     yield Call("Job.run", run_job, {"most": 1})
     yield Call("Workers", lambda **o: wrt.cluster.Workers(executor(), **o), {"threads": 2, "window": 2, "retries": 1})
     yield Call("ProcessPool", pool, {"workers": 2, "threads": 2})
-    yield Call("Histogram", wrt.cluster.Histogram, {"edges": [0.0, 1.0, 2.0]})
+    yield Call("Histogram", wrt.batches.Histogram, {"edges": [0.0, 1.0, 2.0]})
     scenes = wrt.scenes
     yield Call("atrium", lambda **o: built_in(scenes.atrium(**o)), {"bays": (1, 1), "storeys": 1, "detail": 1})
     yield Call("cornell_box", lambda **o: built_in(scenes.cornell_box(**o)), {"blocks": False, "cells": 1})
@@ -532,7 +562,7 @@ def built_in(made: wrt.TriangleMesh) -> tuple[np.ndarray, np.ndarray]:
 FOR_THE_LIBRARY = {
     "answers and reports": (
         "AreaLight CameraImages JobStatus LidarScan OctreeAnalysis Plan TreeAnalysis Verification InfluenceAreas BuiltinScene "
-        "Blocks Viewer"
+        "Blocks Viewer PartitionedHits QueryTraffic"
     ),
     "what trees and scenes ask of descriptions": (
         "Bvh.build Bvh.config Bvh.kernels KdTree.build KdTree.config KdTree.config_for KdTree.start ProjectedBvh.build "

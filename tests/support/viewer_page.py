@@ -115,7 +115,7 @@ def camera_fields(camera: wrt.PinholeCamera) -> dict[str, Any]:
     }
 
 
-def left_over(viewer: wrt.Viewer) -> dict[str, int]:
+def left_over(viewer: wrt.pictures.Viewer) -> dict[str, int]:
     """How much of browsers is still there, by where."""
     web, server = viewer._web, viewer._server
     held: dict[str, Any] = {
@@ -133,7 +133,7 @@ def left_over(viewer: wrt.Viewer) -> dict[str, int]:
     return {name: len(what) for name, what in held.items() if len(what)}
 
 
-def leave_at(viewer: wrt.Viewer, camera: wrt.PinholeCamera, stage: int, pause: float = 0.0) -> None:
+def leave_at(viewer: wrt.pictures.Viewer, camera: wrt.PinholeCamera, stage: int, pause: float = 0.0) -> None:
     """Comes as far as a stage, stays there for `pause` seconds, and leaves."""
     port = viewer._web.port
     if stage < 3:

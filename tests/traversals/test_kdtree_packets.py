@@ -21,7 +21,7 @@ from wrt.kernels.traversal.traversal_config import TileConfig
 ENTRY_POINTS = ("mlrta", "aepsa")
 
 
-def plan_of(scene: wrt.Scene, rays: wrt.Rays, traversal: str, **changes: object) -> wrt.Plan:
+def plan_of(scene: wrt.Scene, rays: wrt.Rays, traversal: str, **changes: object) -> wrt.results.Plan:
     """A plan with changes."""
     return replace(scene.explain(rays, traversal=traversal), **changes)
 

@@ -30,7 +30,7 @@ def light_at(mesh: wrt.TriangleMesh, place: str) -> np.ndarray:
     }[place]
 
 
-def agree(buffer: wrt.LightBuffer, points: np.ndarray, t_min=0.0, t_max=1.0, skip=None, **options) -> np.ndarray:
+def agree(buffer: wrt.lights.LightBuffer, points: np.ndarray, t_min=0.0, t_max=1.0, skip=None, **options) -> np.ndarray:
     answers = buffer.occluded(points, t_min, t_max, skip=skip)
     expected = buffer.scene.occluded(buffer.shadow_rays(points, t_min, t_max), skip=skip, **options)
     np.testing.assert_array_equal(answers, expected)
@@ -43,7 +43,7 @@ def test_as_brute_force(scene_mesh, place):
     points, _ = mixed_rays(scene_mesh, 700)
     light = light_at(scene_mesh, place)
     for resolution in (None, 1, 7):
-        buffer = wrt.LightBuffer(scene, light, resolution)
+        buffer = wrt.lights.LightBuffer(scene, light, resolution)
         agree(buffer, points, traversal="brute")
         agree(buffer, points, 1e-3)
         agree(buffer, points, 0.2, 0.9)  # ends short of the light
@@ -59,7 +59,7 @@ def test_other_tests_and_culling(name, options):
     scene = wrt.Scene(mesh)
     points, _ = mixed_rays(mesh, 1500)
     for place in PLACES:
-        agree(wrt.LightBuffer(scene, light_at(mesh, place), **options), points, **options)
+        agree(wrt.lights.LightBuffer(scene, light_at(mesh, place), **options), points, **options)
 
 
 def test_skipped_triangles():
@@ -67,7 +67,7 @@ def test_skipped_triangles():
     mesh = SCENES["atrium"]()
     scene = wrt.Scene(mesh)
     hits = scene.intersect(*mixed_rays(mesh, 4000))
-    buffer = wrt.LightBuffer(scene, light_at(mesh, "middle"))
+    buffer = wrt.lights.LightBuffer(scene, light_at(mesh, "middle"))
     assert buffer.covered_share > 0.1
     agree(buffer, hits.position.astype(np.float32), skip=hits)
     skip = np.random.default_rng(0).integers(-1, mesh.triangle_count, hits.shape)
@@ -78,7 +78,7 @@ def test_float64_points_far_from_the_origin():
     mesh = SCENES["teapot"]()
     moved = wrt.TriangleMesh(mesh.vertices + np.array([1e6, -2e6, 3e6]), mesh.faces)
     scene, (points, _) = wrt.Scene(moved), mixed_rays(mesh, 2000)
-    buffer = wrt.LightBuffer(scene, light_at(mesh, "outside") + np.array([1e6, -2e6, 3e6]))
+    buffer = wrt.lights.LightBuffer(scene, light_at(mesh, "outside") + np.array([1e6, -2e6, 3e6]))
     answers = agree(buffer, points + np.array([1e6, -2e6, 3e6]))
     assert 0.05 < answers.mean() < 0.95
 
@@ -86,7 +86,7 @@ def test_float64_points_far_from_the_origin():
 def test_rays_that_lists_do_not_decide():
     """From far outside, and beyond the light."""
     mesh = SCENES["teapot"]()
-    buffer = wrt.LightBuffer(wrt.Scene(mesh), light_at(mesh, "outside"))
+    buffer = wrt.lights.LightBuffer(wrt.Scene(mesh), light_at(mesh, "outside"))
     points, _ = mixed_rays(mesh, 500)
     agree(buffer, points * np.float32(50.0))
     agree(buffer, points, 0.0, 3.0)
@@ -96,7 +96,7 @@ def test_rays_that_lists_do_not_decide():
 
 def test_bad_points_and_the_light_itself_are_not_in_shadow():
     mesh = SCENES["teapot"]()
-    buffer = wrt.LightBuffer(wrt.Scene(mesh), (0.0, 0.0, 1.0))
+    buffer = wrt.lights.LightBuffer(wrt.Scene(mesh), (0.0, 0.0, 1.0))
     points = np.float32([[np.nan, 0, 0], [np.inf, 0, 0], [0, 0, 1], [0, 0, -9]])
     np.testing.assert_array_equal(buffer.occluded(points), [False, False, False, True])
     assert buffer.occluded(np.zeros((0, 3), np.float32)).shape == (0,)
@@ -110,7 +110,7 @@ def test_a_covering_triangle_ends_the_list():
     behind = (rng.random((500, 1, 3)) * [20, 5, 20] + [-10, 3, -10] + rng.normal(size=(500, 3, 3)) * 0.2).astype(np.float32)
     corners = np.concatenate([wall[None], behind]).reshape(-1, 3)
     scene = wrt.Scene(wrt.TriangleMesh(corners, np.arange(len(corners)).reshape(-1, 3)))
-    buffer = wrt.LightBuffer(scene, (0.0, 0.0, 0.0), 16)
+    buffer = wrt.lights.LightBuffer(scene, (0.0, 0.0, 0.0), 16)
     assert buffer.covered_share > 1 / 7  # nearly the whole face of +y
     listed = np.unique(buffer._cells.entries.numpy()[: buffer.entry_count].astype(np.uint32))
     assert len(listed) < 50
@@ -122,7 +122,7 @@ def test_lists_do_not_depend_on_threads():
     mesh = SCENES["atrium"]()
     arrays = []
     for threads in (1, 2):
-        buffer = wrt.LightBuffer(wrt.Scene(mesh, num_threads=threads), light_at(mesh, "middle"), 64)
+        buffer = wrt.lights.LightBuffer(wrt.Scene(mesh, num_threads=threads), light_at(mesh, "middle"), 64)
         arrays.append((buffer._cells.cells.numpy().copy(), buffer._cells.entries.numpy()[: buffer.entry_count].copy()))
     np.testing.assert_array_equal(arrays[0][0], arrays[1][0])
     np.testing.assert_array_equal(arrays[0][1], arrays[1][1])
@@ -132,7 +132,7 @@ def test_follows_its_scene():
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh)
     points, _ = mixed_rays(mesh, 1000)
-    buffer = wrt.LightBuffer(scene, light_at(mesh, "outside"))
+    buffer = wrt.lights.LightBuffer(scene, light_at(mesh, "outside"))
     before = buffer.occluded(points)
     scene.update(0, vertices=mesh.vertices * np.float32([1.0, 2.0, 0.5]))
     assert (agree(buffer, points) != before).any()
@@ -145,7 +145,7 @@ def test_warp_arrays(device):
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh, device=device)
     points, _ = mixed_rays(mesh, 300)
-    buffer = wrt.LightBuffer(scene, light_at(mesh, "outside"))
+    buffer = wrt.lights.LightBuffer(scene, light_at(mesh, "outside"))
     answers = buffer.occluded(wp.array(points, dtype=wp.vec3, device=device))
     assert isinstance(answers, wp.array)
     assert answers.dtype is wp.bool
@@ -154,12 +154,12 @@ def test_warp_arrays(device):
 
 def test_memory_is_bounded():
     scene = wrt.Scene(SCENES["teapot"]())
-    buffer = wrt.LightBuffer(scene, (0, 0, 9), 64)
+    buffer = wrt.lights.LightBuffer(scene, (0, 0, 9), 64)
     assert buffer.bytes == 6 * 64**2 * CELL_BYTES + buffer.entry_count * ENTRY_BYTES
     with pytest.raises(MemoryError, match="lower resolution or more max_bytes"):
-        wrt.LightBuffer(scene, (0, 0, 9), 64, max_bytes=buffer.bytes - 1)
+        wrt.lights.LightBuffer(scene, (0, 0, 9), 64, max_bytes=buffer.bytes - 1)
     with pytest.raises(MemoryError, match="max_bytes"):
-        wrt.LightBuffer(scene, (0, 0, 9), 4096)
+        wrt.lights.LightBuffer(scene, (0, 0, 9), 4096)
     position = buffer.position
     buffer._max_bytes = 1
     with pytest.raises(MemoryError):
@@ -186,14 +186,14 @@ def test_default_resolution_grows_with_the_mesh():
 )
 def test_bad_arguments(arguments, error, message):
     with pytest.raises(error, match=message):
-        wrt.LightBuffer(wrt.Scene(SCENES["teapot"]()), *arguments)
+        wrt.lights.LightBuffer(wrt.Scene(SCENES["teapot"]()), *arguments)
 
 
 def test_unsuitable_scenes_and_tests():
     mesh = SCENES["teapot"]()
     with pytest.raises(ValueError, match="without instances"):
-        wrt.LightBuffer(wrt.Scene([wrt.Instance(mesh)]), (0, 0, 9))
+        wrt.lights.LightBuffer(wrt.Scene([wrt.Instance(mesh)]), (0, 0, 9))
     with pytest.raises(ValueError, match="shared origin"):
-        wrt.LightBuffer(wrt.Scene(mesh), (0, 0, 9), triangle_test="komatsu")
+        wrt.lights.LightBuffer(wrt.Scene(mesh), (0, 0, 9), triangle_test="komatsu")
     with pytest.raises(ValueError, match="nothing"):
-        wrt.LightBuffer(wrt.Scene(mesh), (0, 0, 9), triangle_test="nothing")
+        wrt.lights.LightBuffer(wrt.Scene(mesh), (0, 0, 9), triangle_test="nothing")

@@ -13,7 +13,7 @@ from wrt.kernels.layout.light_samples import pattern_of
 pytestmark = pytest.mark.width
 
 
-def agree(light: wrt.AreaLightVisibility, points: np.ndarray, t_min=0.0, t_max=1.0, **options) -> np.ndarray:
+def agree(light: wrt.lights.AreaLightVisibility, points: np.ndarray, t_min=0.0, t_max=1.0, **options) -> np.ndarray:
     answers = light.occluded(points, t_min, t_max)
     expected = light.scene.occluded(light.shadow_rays(points, t_min, t_max), **options)
     np.testing.assert_array_equal(answers, expected)
@@ -37,7 +37,7 @@ def test_as_brute_force(scene_mesh, samples):
         (low - 2.0 * size, [0.5, 0.1, 0], [0, 0.1, 0.6]),
         (face[0], (face[1] - face[0]) / size, (face[2] - face[0]) / size),
     ):
-        light = wrt.AreaLightVisibility.rectangle(scene, corner, u * size, v * size, samples)
+        light = wrt.lights.AreaLightVisibility.rectangle(scene, corner, u * size, v * size, samples)
         agree(light, points, traversal="brute" if samples <= 16 else "auto")
         agree(light, points, 1e-3, 0.9)
 
@@ -49,7 +49,9 @@ def test_other_triangle_tests(name, triangle_test):
     scene = wrt.Scene(mesh, wrt.Bvh())
     low, high = mesh.bounds
     options = {"triangle_test": triangle_test}
-    light = wrt.AreaLightVisibility.rectangle(scene, high, (low - high) * [0.3, 0, 0], (low - high) * [0, 0.3, 0.1], **options)
+    light = wrt.lights.AreaLightVisibility.rectangle(
+        scene, high, (low - high) * [0.3, 0, 0], (low - high) * [0, 0.3, 0.1], **options
+    )
     agree(light, mixed_rays(mesh, 300)[0], **options)
 
 
@@ -64,7 +66,7 @@ def test_directions_around_an_axis():
             samples[:, axis] = 2.0
             samples[:, (axis + 1) % 3] = 0.5 + spread * flat
             samples[:, (axis + 2) % 3] = 0.5
-            light = wrt.AreaLightVisibility(scene, samples)
+            light = wrt.lights.AreaLightVisibility(scene, samples)
             points = np.full((40, 3), 0.5, dtype=np.float32)
             points[:, axis] = np.linspace(-1.0, 2.0, 40)
             points[::2, (axis + 1) % 3] = 0.25
@@ -74,7 +76,7 @@ def test_directions_around_an_axis():
 
 def test_bad_points_see_everything():
     scene = wrt.Scene(SCENES["teapot"](), wrt.Bvh())
-    light = wrt.AreaLightVisibility(scene, [[0, 0, 9], [0, 1, 9]])
+    light = wrt.lights.AreaLightVisibility(scene, [[0, 0, 9], [0, 1, 9]])
     points = np.float32([[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 9], [0, 0, -9]])
     np.testing.assert_array_equal(light.visible(points), [1, 1, 1, 0])
     agree(light, points)
@@ -86,7 +88,7 @@ def test_float64_points_and_ranges_of_their_own():
     mesh = SCENES["teapot"]()
     offset = np.array([3e5, -2e5, 1e5])
     scene = wrt.Scene(wrt.TriangleMesh(mesh.vertices + offset, mesh.faces), wrt.Bvh())
-    light = wrt.AreaLightVisibility.rectangle(scene, offset + np.array([-3, -3, 8]), (6, 0, 0), (0, 6, 0), 20)
+    light = wrt.lights.AreaLightVisibility.rectangle(scene, offset + np.array([-3, -3, 8]), (6, 0, 0), (0, 6, 0), 20)
     points = mixed_rays(mesh, 500)[0] + offset
     answers = agree(light, points, np.linspace(0, 0.5, 500, dtype=np.float32), np.linspace(0.4, 2, 500, dtype=np.float32))
     assert 0.0 < answers.mean() < 1.0
@@ -97,7 +99,7 @@ def test_every_scene_answers(accelerator, device):
     """Other trees and CUDA make the rays and trace them."""
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh, accelerator, device=device)
-    light = wrt.AreaLightVisibility.rectangle(scene, (-3, -3, 8), (6, 0, 0), (0, 6, 0), 9)
+    light = wrt.lights.AreaLightVisibility.rectangle(scene, (-3, -3, 8), (6, 0, 0), (0, 6, 0), 9)
     points, _ = mixed_rays(mesh, 200)
     answers = agree(light, points)
     warp = light.occluded(wp.array(points, dtype=wp.vec3, device=device))
@@ -108,7 +110,7 @@ def test_every_scene_answers(accelerator, device):
 def test_follows_its_scene():
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh, wrt.Bvh())
-    light = wrt.AreaLightVisibility.rectangle(scene, (-3, -3, 8), (6, 0, 0), (0, 6, 0))
+    light = wrt.lights.AreaLightVisibility.rectangle(scene, (-3, -3, 8), (6, 0, 0), (0, 6, 0))
     points, _ = mixed_rays(mesh, 300)
     before = light.occluded(points)
     scene.update(0, vertices=mesh.vertices * np.float32([1.0, 2.0, 0.5]))
@@ -119,8 +121,8 @@ def test_follows_its_scene():
 def test_samples_are_stratified(samples):
     """One in each cell of a grid; the same arguments give the same; patterns differ."""
     scene = wrt.Scene(SCENES["teapot"](), wrt.Bvh())
-    light = wrt.AreaLightVisibility.rectangle(scene, (0, 0, 9), (1, 0, 0), (0, 1, 0), samples, patterns=3)
-    again = wrt.AreaLightVisibility.rectangle(scene, (0, 0, 9), (1, 0, 0), (0, 1, 0), samples, patterns=3)
+    light = wrt.lights.AreaLightVisibility.rectangle(scene, (0, 0, 9), (1, 0, 0), (0, 1, 0), samples, patterns=3)
+    again = wrt.lights.AreaLightVisibility.rectangle(scene, (0, 0, 9), (1, 0, 0), (0, 1, 0), samples, patterns=3)
     np.testing.assert_array_equal(light.positions, again.positions)
     assert len(np.unique(light.positions[:, 0, 0])) == 3
     across = max(n for n in range(1, int(samples**0.5) + 1) if samples % n == 0)
@@ -134,7 +136,7 @@ def test_an_unobstructed_half():
     """A wall hides the half of the light behind it: the visible fraction is 1/2 within a row of samples."""
     wall = np.float32([[0, -50, 1], [0, 50, 1], [60, 0, 1]])
     scene = wrt.Scene(wrt.TriangleMesh(wall, [[0, 1, 2]]), wrt.Bvh())
-    light = wrt.AreaLightVisibility.rectangle(scene, (-1, -1, 2), (2, 0, 0), (0, 2, 0), 256)
+    light = wrt.lights.AreaLightVisibility.rectangle(scene, (-1, -1, 2), (2, 0, 0), (0, 2, 0), 256)
     assert abs(light.visible(np.zeros(3, np.float32)) - 0.5) <= 1 / 16
 
 
@@ -151,13 +153,13 @@ def test_an_unobstructed_half():
 def test_bad_arguments(arguments, error, message):
     scene = wrt.Scene(SCENES["teapot"](), wrt.Bvh())
     with pytest.raises(error, match=message):
-        wrt.AreaLightVisibility.rectangle(scene, *arguments)
+        wrt.lights.AreaLightVisibility.rectangle(scene, *arguments)
 
 
 def test_bad_samples():
     scene = wrt.Scene(SCENES["teapot"](), wrt.Bvh())
     for positions, message in ((np.zeros((0, 3)), "0 samples"), (np.zeros((4, 2)), "shape"), ([[np.nan, 0, 0]], "finite")):
         with pytest.raises(ValueError, match=message):
-            wrt.AreaLightVisibility(scene, positions)
+            wrt.lights.AreaLightVisibility(scene, positions)
     with pytest.raises(ValueError, match="shared origin"):
-        wrt.AreaLightVisibility(scene, [[0, 0, 1]], triangle_test="komatsu")
+        wrt.lights.AreaLightVisibility(scene, [[0, 0, 1]], triangle_test="komatsu")

@@ -41,7 +41,7 @@ def teapot() -> wrt.TriangleMesh:
 
 
 def boxes_of(scene: wrt.Scene) -> TriangleBoxes:
-    return triangle_boxes(scene.device_mesh.vertices, scene.device_mesh.faces, scene.center)
+    return triangle_boxes(scene.state.device_mesh.vertices, scene.state.device_mesh.faces, scene.center)
 
 
 def lists(form: Bvh) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -174,7 +174,7 @@ def test_lists_of_clipped_triangles(teapot):
 def test_nodes_have_two_children_at_least(teapot):
     scene = wrt.Scene(teapot, TREES["width 1"], device="cpu")
     plan = scene.explain(*mixed_rays(teapot, 3000), traversal="wide_packet")
-    assert (scene.width, plan.width, plan.packet, wide_tree(scene.state).width) == (1, 2, 4, 2)
+    assert (scene.state.width, plan.width, plan.packet, wide_tree(scene.state).width) == (1, 2, 4, 2)
 
 
 def test_when_there_is_one():
@@ -214,8 +214,8 @@ def test_moved_triangles_have_another(teapot):
     hits = scene.intersect(origins, directions, traversal="wide_stream")
     assert wide_tree(scene.state) is not form
     assert_same_hits(hits, scene.intersect(origins, directions, traversal="brute"))
-    records = scene.record_bytes
+    records = scene.state.record_bytes
     scene.state = scene.state.over(wrt.Scene(scene.meshes, BINNED, device="cpu").tree)
     assert_same_hits(scene.intersect(origins, directions, traversal="wide_stream"), hits)
-    assert 0 < scene.record_bytes < 1.3 * records  # those of the form before are let go
+    assert 0 < scene.state.record_bytes < 1.3 * records  # those of the form before are let go
     assert wp.get_device("cpu") == wide_tree(scene.state).child.device

@@ -8,8 +8,8 @@ from conftest import mixed_rays
 
 import wrt
 from wrt.builders.triangle_fans import build_fans
-from wrt.fans.fan_arrays import closest_by_fans
-from wrt.fans.fan_files import load_fans, save_fans
+from wrt.classics.fan_arrays import closest_by_fans
+from wrt.classics.fan_files import load_fans, save_fans
 from wrt.kernels.compilation import module_compiler
 from wrt.kernels.traversal.fan_brute_force import FAN_FORMS, NORMALS, PLANES
 
@@ -31,7 +31,7 @@ def test_as_brute_force_over_fans(tree, form):
     """To the bit in t, triangle and weights; and nearly always what single triangles give."""
     for make in MESHES.values():
         mesh = make()
-        scene = wrt.FanScene(mesh, tree, form=form, device="cpu")
+        scene = wrt.classics.FanScene(mesh, tree, form=form, device="cpu")
         origins, directions = mixed_rays(mesh, 800)
         hits = scene.intersect(origins, directions)
         t, primitive, uv = closest_by_fans(scene, scene.tree.fans, wrt.Rays(origins, directions), form)
@@ -50,7 +50,7 @@ def test_as_brute_force_over_fans(tree, form):
 def test_fewer_objects_than_triangles():
     """A leaf of fans lists a fourth as many objects; a form with more numbers takes more memory."""
     mesh = MESHES["teapot"]()
-    scenes = {form: wrt.FanScene(mesh, form=form, device="cpu") for form in FAN_FORMS}
+    scenes = {form: wrt.classics.FanScene(mesh, form=form, device="cpu") for form in FAN_FORMS}
     scene = scenes[NORMALS]
     assert len(scene.fans) < 0.3 * mesh.triangle_count
     ids = scene.tree.tree.primitive.numpy()
@@ -61,21 +61,25 @@ def test_fewer_objects_than_triangles():
 
 
 BAD = {
-    "form": (lambda mesh: wrt.FanScene(mesh, form="strips"), ValueError, "vertices, vertices_normals, edges"),
-    "lazy": (lambda mesh: wrt.FanScene(mesh, wrt.KdTree(builder="lazy")), TypeError, "neither clips nor is lazy"),
-    "count": (lambda mesh: wrt.FanScene(mesh, device="cpu").count([[0, 0, 0]], [[0, 0, 1]]), ValueError, "any-hit queries"),
+    "form": (lambda mesh: wrt.classics.FanScene(mesh, form="strips"), ValueError, "vertices, vertices_normals, edges"),
+    "lazy": (lambda mesh: wrt.classics.FanScene(mesh, wrt.KdTree(builder="lazy")), TypeError, "neither clips nor is lazy"),
+    "count": (
+        lambda mesh: wrt.classics.FanScene(mesh, device="cpu").count([[0, 0, 0]], [[0, 0, 1]]),
+        ValueError,
+        "any-hit queries",
+    ),
     "test": (
-        lambda mesh: wrt.FanScene(mesh, device="cpu").intersect([[0, 0, 0]], [[0, 0, 1]], triangle_test="woop"),
+        lambda mesh: wrt.classics.FanScene(mesh, device="cpu").intersect([[0, 0, 0]], [[0, 0, 1]], triangle_test="woop"),
         ValueError,
         "leave triangle_test out",
     ),
     "backfaces": (
-        lambda mesh: wrt.FanScene(mesh, device="cpu").intersect([[0, 0, 0]], [[0, 0, 1]], cull_backfaces=True),
+        lambda mesh: wrt.classics.FanScene(mesh, device="cpu").intersect([[0, 0, 0]], [[0, 0, 1]], cull_backfaces=True),
         ValueError,
         "of both sides",
     ),
-    "update": (lambda mesh: wrt.FanScene(mesh, device="cpu").update(0, vertices=mesh.vertices), ValueError, "fixed"),
-    "save": (lambda mesh: wrt.FanScene(mesh, device="cpu").save("fans.npz"), ValueError, "cannot be saved"),
+    "update": (lambda mesh: wrt.classics.FanScene(mesh, device="cpu").update(0, vertices=mesh.vertices), ValueError, "fixed"),
+    "save": (lambda mesh: wrt.classics.FanScene(mesh, device="cpu").save("fans.npz"), ValueError, "cannot be saved"),
 }
 
 
@@ -89,7 +93,7 @@ def test_bad_input(case):
 @pytest.mark.parametrize("query", ["contains", "visible", "count", "intersect_all"])
 def test_queries_that_count_are_refused_at_once(query, monkeypatch):
     """`contains` compiled kernels for ten seconds, and refused then."""
-    scene, points = wrt.FanScene(wrt.scenes.build("teapot", level=2), device="cpu"), np.zeros((2, 3))
+    scene, points = wrt.classics.FanScene(wrt.scenes.build("teapot", level=2), device="cpu"), np.zeros((2, 3))
     monkeypatch.setattr(module_compiler, "load_modules", lambda *modules: pytest.fail("a kernel is compiled"))
     with pytest.raises(ValueError, match=rf"{query}.* use wrt\.Scene\(scene\.meshes\)"):
         getattr(scene, query)(*((points,) if query == "contains" else (points, points + 1)))
@@ -116,12 +120,12 @@ def test_start_of_a_closed_mesh():
 def test_files_of_fans(tmp_path):
     """The same triangles, M + 2 vertices each in place of 3 M."""
     mesh = MESHES["teapot"]()
-    scene = wrt.FanScene(mesh, device="cpu")
-    positions = np.unique(scene.device_mesh.vertices.numpy(), axis=0)
+    scene = wrt.classics.FanScene(mesh, device="cpu")
+    positions = np.unique(scene.state.device_mesh.vertices.numpy(), axis=0)
     save_fans(tmp_path / "fans.npz", scene.fans, positions)
     loaded = load_fans(tmp_path / "fans.npz")
     assert loaded.vertex_count == mesh.triangle_count + 2 * len(scene.fans)
-    corners = np.sort(scene.device_mesh.vertices.numpy()[scene.device_mesh.faces.numpy()].reshape(-1, 9), axis=1)
+    corners = np.sort(scene.state.device_mesh.vertices.numpy()[scene.state.device_mesh.faces.numpy()].reshape(-1, 9), axis=1)
     found = np.sort(loaded.vertices[loaded.faces].reshape(-1, 9), axis=1)
     np.testing.assert_array_equal(found, corners[scene.fans.primitive])
     np.savez(tmp_path / "other.npz", vertices=np.eye(3))

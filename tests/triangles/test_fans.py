@@ -68,7 +68,7 @@ def test_hit_as_triangles_are(name, edges, device):
     low, high = mesh.bounds
     origins = rng.uniform(low - (high - low), high + (high - low), (500, 3))
     rays = wrt.Rays(origins, rng.uniform(low, high, (500, 3)) - origins)
-    t, primitive, uv = closest(scene, on_device(scene, fans_of(scene), edges), rays, edges)
+    t, primitive, uv = closest(scene, on_device(scene.state, fans_of(scene.state), edges), rays, edges)
     expected = scene.intersect(rays, traversal="brute", triangle_test="moeller_trumbore")
     assert expected.is_hit.mean() > 0.2
     assert (primitive == expected.primitive_id).mean() > 0.995
@@ -83,9 +83,9 @@ def test_precomputed_normals_change_nothing(device):
     mesh = wrt.scenes.build("teapot", level=3)
     scene = wrt.Scene(mesh, device=device)
     origins, directions = mixed_rays(mesh, 400)
-    rays, fans = wrt.Rays(origins, directions), fans_of(scene)
+    rays, fans = wrt.Rays(origins, directions), fans_of(scene.state)
     for edges in (False, True):
-        made = on_device(scene, fans, edges)
+        made = on_device(scene.state, fans, edges)
         assert made.normal.shape == (mesh.triangle_count,)
         expected = [values.copy() for values in closest(scene, made, rays, edges)]
         assert (expected[1] >= 0).mean() > 0.1
@@ -98,7 +98,7 @@ def test_bad_rays_miss(device):
     scene = wrt.Scene(mesh, device=device)
     origins, directions = mixed_rays(mesh, 300)
     bad = ~(np.isfinite(origins).all(axis=1) & np.isfinite(directions).all(axis=1) & directions.any(axis=1))
-    _, primitive, _ = closest(scene, on_device(scene, fans_of(scene), True), wrt.Rays(origins, directions), True)
+    _, primitive, _ = closest(scene, on_device(scene.state, fans_of(scene.state), True), wrt.Rays(origins, directions), True)
     assert bad.any()
     assert (primitive[bad] == -1).all()
 
@@ -111,13 +111,13 @@ def test_no_ray_slips_through_a_spoke(device):
     vertices = np.concatenate([[[0.01, 0.02, 0.3]], rim]).astype(np.float32)
     faces = np.array([(0, k + 1, (k + 1) % 12 + 1) for k in range(12)])
     scene = wrt.Scene(wrt.TriangleMesh(vertices, faces), device=device)
-    fans = fans_of(scene)
+    fans = fans_of(scene.state)
     assert fans.sizes.tolist() == [12]
     weights = rng.uniform(0.05, 0.95, (20_000, 1))
     targets = vertices[:1] * weights + vertices[1 + rng.integers(0, 12, 20_000)] * (1 - weights)
     origins = rng.normal(size=(20_000, 3)) * 0.2 + (0, 0, 4)
     rays = wrt.Rays(origins.astype(np.float32), (targets - origins).astype(np.float32))
-    _, primitive, _ = closest(scene, on_device(scene, fans, False), rays, False)
+    _, primitive, _ = closest(scene, on_device(scene.state, fans, False), rays, False)
     assert (primitive >= 0).all()
 
 

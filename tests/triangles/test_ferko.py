@@ -244,9 +244,9 @@ def test_hybrid(device):
     scene = wrt.Scene(mesh, device=device)
     rays = mixed_rays(mesh, 500)
     assert_same_hits(scene.intersect(*rays, triangle_test="ferko_hybrid"), scene.intersect(*rays, triangle_test="ferko_utm"))
-    before = scene.record_bytes
+    before = scene.state.record_bytes
     occluded = scene.occluded(*rays, triangle_test="ferko_hybrid")
-    assert scene.record_bytes > before  # the paper's second record
+    assert scene.state.record_bytes > before  # the paper's second record
     np.testing.assert_array_equal(occluded, scene.occluded(*rays, triangle_test=TRIANGLE_TESTS["ferko_hybrid"].any_hit))
     assert scene.explain(*rays, triangle_test="ferko_hybrid").triangle_test == "ferko_hybrid"
 

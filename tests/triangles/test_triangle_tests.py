@@ -291,7 +291,7 @@ def test_a_shared_origin_is_asked_for(device):
         with pytest.raises(ValueError, match=r"share their origin.*woop"):
             ask(origins, directions, triangle_test="komatsu")
     scene.intersect(origins[0], directions, triangle_test="komatsu")
-    held = scene.record_bytes
+    held = scene.state.record_bytes
     for origin in ((0.0, -9.0, 4.0), (0.5, 8.0, 3.0), (0.0, -9.0, 4.0)):
         towards = (np.random.default_rng(0).normal(size=(4000, 3)) - origin).astype(np.float32)
         hits = scene.intersect(origin, towards, triangle_test="komatsu")
@@ -302,7 +302,7 @@ def test_a_shared_origin_is_asked_for(device):
         np.testing.assert_allclose(hits.t[both], expected.t[both], rtol=1e-3)
         alone = scene.intersect(origin, towards[7], triangle_test="komatsu")
         assert alone.primitive_id == hits.primitive_id[7]
-    assert scene.record_bytes <= held + 36 * len(scene.tree.primitive)  # woop's; those of one origin are kept
+    assert scene.state.record_bytes <= held + 36 * len(scene.tree.primitive)  # woop's; those of one origin are kept
 
 
 def test_table_is_complete():

@@ -51,7 +51,7 @@ def test_a_folder_is_an_animation(folder, mesh, fuzzy):
     models = load_models((folder,), GIVEN, False)
     scene = models.scene(GIVEN, fuzzy)
     assert models.frames == 12
-    assert type(scene) is (wrt.FuzzyScene if fuzzy else wrt.Scene)
+    assert type(scene) is (wrt.moving.FuzzyScene if fuzzy else wrt.Scene)
     for frame in (11, 2, 0):
         assert left_of(models, scene, frame, fuzzy) == pytest.approx(mesh.bounds[0, 0] + frame, abs=1e-3)
 
@@ -66,7 +66,7 @@ def test_some_meshes_move(folder, still, mesh):
     """Others rest; the shorter of two animations begins again."""
     models = load_models((still, folder), GIVEN, False)
     scene = models.scene(GIVEN, False)
-    assert type(scene) is wrt.GroupedScene
+    assert type(scene) is wrt.moving.GroupedScene
     models.animation(False)(scene, 14)
     assert scene.bounds[1, 1] == pytest.approx(mesh.bounds[1, 1] + 9, abs=1e-3)
     assert scene.meshes[1].bounds[0, 0] == pytest.approx(mesh.bounds[0, 0] + 2, abs=1e-3)

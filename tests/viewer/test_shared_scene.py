@@ -97,7 +97,7 @@ def test_scene_without_animation(mesh):
 
 def test_fuzzy_scenes_have_their_own_animation():
     cloth = scenes.waving_cloth(frames=3)
-    scene = wrt.FuzzyScene(cloth.frames, cloth.faces, device="cpu")
+    scene = wrt.moving.FuzzyScene(cloth.frames, cloth.faces, device="cpu")
     shared = SharedScene(scene)
     assert shared.frames == scene.frame_count == 3
     shared.show_frame(2)
@@ -157,10 +157,10 @@ def test_an_error_ends_the_animation(mesh):
 
 
 def test_groups_move(mesh):
-    """Of a `wrt.GroupedScene`; another tree of it can be shown."""
-    scene = wrt.GroupedScene([mesh, wrt.TriangleMesh(np.add(mesh.vertices, (9.0, 0.0, 0.0)), mesh.faces)], device="cpu")
+    """Of a `wrt.moving.GroupedScene`; another tree of it can be shown."""
+    scene = wrt.moving.GroupedScene([mesh, wrt.TriangleMesh(np.add(mesh.vertices, (9.0, 0.0, 0.0)), mesh.faces)], device="cpu")
     vertices = np.asarray(mesh.vertices)
-    shared = SharedScene(scene, lambda scene, frame: scene.move({1: np.add(vertices, (9.0 + frame, 0.0, 0.0))}), 4)
+    shared = SharedScene(scene, lambda scene, frame: scene.update({1: np.add(vertices, (9.0 + frame, 0.0, 0.0))}), 4)
     shared.show_frame(3)
     np.testing.assert_allclose(shared.current[1].bounds[1], np.add(mesh.bounds[1], (12.0, 0.0, 0.0)), atol=1e-4)
     shared.rebuild("kdtree")

@@ -1,4 +1,4 @@
-"""`wrt.draw_tree`: the boxes that are in the tree, at their places, and the costs that its figures say."""
+"""`wrt.pictures.draw_tree`: the boxes that are in the tree, at their places, and the costs that its figures say."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import wrt
+from wrt.scene.scene import scene_of_state
 from wrt.viewer.trees.tree_levels import tree_boxes
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -35,7 +36,7 @@ def drawn(axes):
 def test_boxes_are_those_of_the_tree(kind, plane, columns):
     """In the scene's coordinates, projected; and bars add up to the cost of all nodes."""
     scene = wrt.Scene(MESH, kind, device="cpu")
-    boxes, (main, side) = tree_boxes(scene.tree), wrt.draw_tree(scene, depth=2, plane=plane)
+    boxes, (main, side) = tree_boxes(scene.tree), wrt.pictures.draw_tree(scene, depth=2, plane=plane)
     levels = drawn(main)
     assert len(levels) == 3
     for level, (low, high) in enumerate(levels):
@@ -53,7 +54,7 @@ def test_boxes_are_those_of_the_tree(kind, plane, columns):
 
 def test_leaves_are_filled():
     scene = wrt.Scene(MESH, device="cpu")
-    boxes, (main, _) = tree_boxes(scene.tree), wrt.draw_tree(scene, depth=tree_boxes(scene.tree).levels - 1)
+    boxes, (main, _) = tree_boxes(scene.tree), wrt.pictures.draw_tree(scene, depth=tree_boxes(scene.tree).levels - 1)
     for level, collection in enumerate(main.collections):
         filled = collection.get_facecolor()[:, 3] > 0.0
         np.testing.assert_array_equal(filled, boxes.is_leaf[boxes.depth == level])
@@ -62,10 +63,10 @@ def test_leaves_are_filled():
 def test_trees_instances_and_given_axes():
     figure, own = pyplot.subplots(1, 2)
     scene = wrt.Scene([wrt.Instance(MESH, np.eye(4)), wrt.Instance(MESH, np.diag([2.0, 2.0, 2.0, 1.0]))], device="cpu")
-    assert wrt.draw_tree(scene, axes=own) == tuple(own)
+    assert wrt.pictures.draw_tree(scene, axes=own) == tuple(own)
     assert sum(len(low) for low, _ in drawn(own[0])) == len(tree_boxes(scene.tree).low)
-    part = wrt.Scene.of_state(scene.parts[0])
-    main, side = wrt.draw_tree(part.tree, depth=0, axes=figure.add_subplot())
+    part = scene_of_state(scene.state.parts[0])
+    main, side = wrt.pictures.draw_tree(part.tree, depth=0, axes=figure.add_subplot())
     assert side is None
     assert "relative to the scene's centre" in main.get_xlabel()
     (low, _), *others = drawn(main)
@@ -88,13 +89,13 @@ def test_trees_instances_and_given_axes():
 def test_bad_arguments(options, error, message):
     scene = wrt.Scene(MESH, device="cpu")
     with pytest.raises(error, match=message):
-        wrt.draw_tree(scene, **options)
+        wrt.pictures.draw_tree(scene, **options)
     with pytest.raises(TypeError, match=r"scene must be a wrt\.Scene or its tree, not TriangleMesh"):
-        wrt.draw_tree(MESH)
+        wrt.pictures.draw_tree(MESH)
     assert not pyplot.get_fignums()
 
 
 def test_matplotlib_that_is_missing_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ImportError, match=r"pip install \"wrt\[notebooks\]\""):
-        wrt.draw_tree(wrt.Scene(MESH, device="cpu"))
+        wrt.pictures.draw_tree(wrt.Scene(MESH, device="cpu"))

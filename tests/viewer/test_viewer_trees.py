@@ -56,7 +56,7 @@ def test_a_miss_visits_nothing(scene):
 
 def test_scenes_of_many_trees_are_refused():
     cloth = scenes.waving_cloth(frames=2)
-    scene = wrt.FuzzyScene(cloth.frames, cloth.faces, device="cpu")
+    scene = wrt.moving.FuzzyScene(cloth.frames, cloth.faces, device="cpu")
     with pytest.raises(ValueError, match="many trees"):
         walk(scene.state, (0, 0, 9), (0, 0, -1))
 
@@ -175,9 +175,9 @@ def test_octree_of_areas():
     mesh = scenes.build("teapot", level=4)
     middle = mesh.bounds.mean(axis=0)
     view = {"direction": (0.0, 0.1, -1.0), "fov": (40.0, 30.0), "near": 0.1, "far": 5.0}
-    lamps = [wrt.PointInfluenceArea(position=tuple(middle + np.array((x, 0.3, 3.0))), **view) for x in (-1.0, 1.5)]
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=lamps, top_level="octree", depth=4), device="cpu")
-    trees = scene.area_trees
+    lamps = [wrt.known_rays.PointInfluenceArea(position=tuple(middle + np.array((x, 0.3, 3.0))), **view) for x in (-1.0, 1.5)]
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=lamps, top_level="octree", depth=4), device="cpu")
+    trees = scene.state.area_trees
     boxes = octree_boxes(trees.top)
     assert len(boxes.low) == trees.top.cells
     volume = np.prod(boxes.high - boxes.low, axis=1)
@@ -191,5 +191,5 @@ def test_octree_of_areas():
     assert corners.shape == (len(trees), 8, 3)
     for area, own in zip(trees.areas, corners, strict=True):
         assert (np.linalg.norm(own[:4] - area.position, axis=1) < 0.2).all()  # the near end is at the lamp
-    array = wrt.Scene(mesh, wrt.RayAwareBvh(areas=lamps, top_level="array"), device="cpu").area_trees.top
+    array = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=lamps, top_level="array"), device="cpu").state.area_trees.top
     assert octree_boxes(array).triangles.tolist() == [len(trees)]

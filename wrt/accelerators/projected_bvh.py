@@ -27,7 +27,7 @@ class ProjectedBvh:
     `ProjectedBvh.published` has the costs and thresholds of the thesis.
 
     Attributes:
-        areas: `wrt.PlaneInfluenceArea` and `wrt.PointInfluenceArea`, at least one.
+        areas: `wrt.known_rays.PlaneInfluenceArea` and `wrt.known_rays.PointInfluenceArea`, at least one.
         shares: share of the rays of each area; None: equal shares.
         cost: "pah": boxes are weighted by projected area; "sah": by surface area, so that the areas affect only `axes`.
         others: share of rays in all directions, in [0, 1], for "pah"; it decides where projected areas are 0.

@@ -29,8 +29,8 @@ MAX_ARRAY_AREAS = 16
 class RayAwareBvh:
     """A bounding volume hierarchy for the whole scene, and one for the rays of each influence area (Falcone 2024).
 
-        light = wrt.PlaneInfluenceArea(position=..., direction=..., width=..., height=..., depth=...)
-        scene = wrt.Scene(mesh, accelerator=wrt.RayAwareBvh(areas=[light]))
+        light = wrt.known_rays.PlaneInfluenceArea(position=..., direction=..., width=..., height=..., depth=...)
+        scene = wrt.Scene(mesh, accelerator=wrt.known_rays.RayAwareBvh(areas=[light]))
 
     A ray that starts in an area and is aligned with the area's rays is first traced through the area's tree, which holds
     the triangles that touch the area. It is traced through the whole scene's tree only if it leaves the area without a hit
@@ -38,16 +38,16 @@ class RayAwareBvh:
     counts and lists of all hits use the whole scene's tree.
 
     Attributes:
-        areas: 1 to 65,534 `wrt.PlaneInfluenceArea` and `wrt.PointInfluenceArea`; a ray belongs to the first that contains
-            it. Areas that no triangle touches are left out. A point area accepts rays that start at its apex, not only
-            beyond its near plane.
+        areas: 1 to 65,534 `wrt.known_rays.PlaneInfluenceArea` and `wrt.known_rays.PointInfluenceArea`; a ray belongs to the
+            first that contains it. Areas that no triangle touches are left out. A point area accepts rays that start at its
+            apex, not only beyond its near plane.
         tolerance: largest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
         top_level: how the area of a ray is found: "octree", "kdtree", "array", or "auto": an array of up to 16 areas, else
             an octree.
         depth: largest number of octree levels below the root, 1 to 8; a kd-tree has up to three times as many.
         whole: the whole scene's tree, a `wrt.Bvh`; None for `wrt.Bvh()`.
-        local: the areas' trees: a `wrt.Bvh`, or a `wrt.ProjectedBvh` whose areas are replaced by the tree's area; None for
-            `wrt.ProjectedBvh(areas=[area])`. They get the width of the whole scene's tree.
+        local: the areas' trees: a `wrt.Bvh`, or a `wrt.known_rays.ProjectedBvh` whose areas are replaced by the tree's area;
+            None for `wrt.known_rays.ProjectedBvh(areas=[area])`. They get the width of the whole scene's tree.
 
     Raises:
         TypeError: `areas`, `whole` or `local` holds something else.
@@ -80,7 +80,7 @@ class RayAwareBvh:
         if not isinstance(self.whole, Bvh | None):
             raise TypeError(f"whole must be a wrt.Bvh, not {type(self.whole).__name__}")
         if not isinstance(self.local, Bvh | ProjectedBvh | None):
-            raise TypeError(f"local must be a wrt.Bvh or a wrt.ProjectedBvh, not {type(self.local).__name__}")
+            raise TypeError(f"local must be a wrt.Bvh or a wrt.known_rays.ProjectedBvh, not {type(self.local).__name__}")
         if not 0.0 <= self.tolerance < 90.0:
             raise ValueError(f"tolerance is {self.tolerance}; it must be in [0, 90), in degrees")
         lookup(dict.fromkeys(TOP_LEVELS), self.top_level, "top_level")

@@ -58,7 +58,7 @@ class KdTree:
             walks for closest and any hits, in a copy beside the builder's own, which is depth first. Saved with a scene.
         hierarchy: "grid", "meshes", "previous" or "groups": from what the builder `lazy` starts: from triangles sorted into a
             grid, from the boxes of the scene's meshes, in updates from the clusters of the previous frame, or from the boxes of
-            nested sequences of meshes (`wrt.nested_meshes`), opened where rays go. The other builders take "grid" only.
+            nested sequences of meshes (`wrt.moving.nested_meshes`), opened where rays go. The other builders take "grid" only.
 
     Raises:
         ValueError: an unknown builder, axis or other name, a value out of its range, or a builder that does not support an

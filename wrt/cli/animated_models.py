@@ -41,8 +41,8 @@ class Models:
         return max(map(len, self.moving.values()), default=0)
 
     def scene(self, given: Mapping[str, Any], fuzzy: bool) -> Scene:
-        """The scene of the first frame: a `wrt.FuzzyScene` if asked for, else a `wrt.GroupedScene` if one of several meshes
-        moves, else a `wrt.Scene`.
+        """The scene of the first frame: a `wrt.moving.FuzzyScene` if asked for, else a `wrt.moving.GroupedScene` if one of
+        several meshes moves, else a `wrt.Scene`.
 
         Args:
             given: the options of the command.
@@ -53,8 +53,8 @@ class Models:
         if fuzzy and not (self.moving and len(self.meshes) == 1):
             raise click.UsageError("--fuzzy is for the frames of a single mesh: give one folder, or --animate and its files")
         from wrt.accelerators.accelerator import resolve_accelerator
-        from wrt.scene.fuzzy_scene import FuzzyScene
-        from wrt.scene.grouped_scene import GroupedScene
+        from wrt.moving.fuzzy_scene import FuzzyScene
+        from wrt.moving.grouped_scene import GroupedScene
 
         accelerator = None if given["accelerator"] == "auto" else resolve_accelerator(given["accelerator"])
         options = {"device": given["device"], "num_threads": given["threads"]}
@@ -64,12 +64,12 @@ class Models:
             return GroupedScene(self.meshes, accelerator or "auto", **options)
 
     def animation(self, fuzzy: bool) -> Callable[[Any, int], None] | None:
-        """What moves the scene of `scene` to a frame; None if nothing moves, and for a `wrt.FuzzyScene`, which knows how."""
+        """What moves the scene of `scene` to a frame; None if nothing moves, and for a `FuzzyScene`, which knows how."""
         if not self.moving or fuzzy:
             return None
         if len(self.meshes) == 1:
             return lambda scene, frame: scene.update(0, vertices=self.moving[0][frame])
-        return lambda scene, frame: scene.move({i: frames[frame % len(frames)] for i, frames in self.moving.items()})
+        return lambda scene, frame: scene.update({i: frames[frame % len(frames)] for i, frames in self.moving.items()})
 
 
 def load_models(models: tuple[Path, ...], given: Mapping[str, Any], animate: bool) -> Models:

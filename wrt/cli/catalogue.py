@@ -110,34 +110,36 @@ OTHERS: dict[str, dict[str, str]] = {
         'wrt.KdTree(builder="binned", median_levels=3)': "Shevtsov, Soupikov, Kapustin (2007)",
     },
     "trees for known rays": {
-        "wrt.ProjectedBvh": FALCONE,
-        "wrt.ProjectedBvh(spatial_splits=0.3)": (
+        "wrt.known_rays.ProjectedBvh": FALCONE,
+        "wrt.known_rays.ProjectedBvh(spatial_splits=0.3)": (
             "Stich, Friedrich, Dietrich: Spatial splits in bounding volume hierarchies (2009)"
         ),
-        "wrt.RayAwareBvh": FALCONE,
-        "wrt.InfluenceAreas.from_rays": "Ester, Kriegel, Sander, Xu (1996); Fischler, Bolles (1981)",
-        "wrt.PlaneCaster": FALCONE,
-        "wrt.CircularCapCaster": FALCONE,
-        "wrt.SquareCapCaster": FALCONE,
+        "wrt.known_rays.RayAwareBvh": FALCONE,
+        "wrt.known_rays.InfluenceAreas.from_rays": "Ester, Kriegel, Sander, Xu (1996); Fischler, Bolles (1981)",
+        "wrt.known_rays.PlaneCaster": FALCONE,
+        "wrt.known_rays.CircularCapCaster": FALCONE,
+        "wrt.known_rays.SquareCapCaster": FALCONE,
     },
     "moving geometry": {
         "wrt.Instance": "Rubin, Whitted (1980); Wald, Benthin, Slusallek (2003)",
-        "wrt.InstancedScene": "Rubin, Whitted (1980); Wald, Benthin, Slusallek (2003)",
+        "wrt.moving.InstancedScene": "Rubin, Whitted (1980); Wald, Benthin, Slusallek (2003)",
         "Scene.update": "Wald, Boulos, Shirley (2007); Lauterbach, Yoon, Tuft, Manocha (2006); Yang, Xu, Zhao (2008)",
         "Scene.updating": "Wald, Boulos, Shirley (2007); Lauterbach, Yoon, Tuft, Manocha (2006); Yang, Xu, Zhao (2008)",
-        "wrt.UpdatePolicy": "Lauterbach et al. (2006); Yang, Xu, Zhao (2008)",
-        "wrt.GroupedScene": "Kang, Nah, Park, Yang: gkDtree (2013); lists: Bikker (2007), Parker et al. (1999)",
-        "wrt.FuzzyScene": (
+        "wrt.moving.UpdatePolicy": "Lauterbach et al. (2006); Yang, Xu, Zhao (2008)",
+        "wrt.moving.GroupedScene": "Kang, Nah, Park, Yang: gkDtree (2013); lists: Bikker (2007), Parker et al. (1999)",
+        "wrt.moving.FuzzyScene": (
             "Günther, Friedrich, Wald, Seidel, Slusallek (2006); Günther, Friedrich, Seidel, Slusallek (2006); Lloyd (1982)"
         ),
-        "wrt.SkinnedScene": "Günther, Friedrich, Seidel, Slusallek: Interactive ray tracing of skinned animations (2006)",
+        "wrt.moving.SkinnedScene": (
+            "Günther, Friedrich, Seidel, Slusallek: Interactive ray tracing of skinned animations (2006)"
+        ),
     },
     "scenes larger than memory": {
-        "wrt.PartitionedScene": "Pharr, Kolb, Gershbein, Hanrahan (1997); Navrátil, Fussell, Lin, Mark (2007)",
+        "wrt.disk.PartitionedScene": "Pharr, Kolb, Gershbein, Hanrahan (1997); Navrátil, Fussell, Lin, Mark (2007)",
     },
     "fans": {
         "brute force over fans": "Galin, Akkouche: Fast processing of triangle meshes using triangle fans (2005)",
-        "wrt.FanScene": "Galin, Akkouche (2005): a BVH or a kd-tree with leaves of fans",
+        "wrt.classics.FanScene": "Galin, Akkouche (2005): a BVH or a kd-tree with leaves of fans",
         'form="planes"': "Havel, Herout: Yet faster ray-triangle intersection (using SSE4) (2010), in fans",
         "files of fans": "Galin, Akkouche (2005): M + 2 vertices a fan",
     },

@@ -191,11 +191,11 @@ def _by_integrator(
 
 
 def _lights(scene: Scene, camera: PinholeCamera, light: Any, sky: float | None) -> list[Any] | None:
-    """Lights by the options; None for those of `wrt.Rendering`."""
+    """Lights by the options; None for those of `wrt.pictures.Rendering`."""
     import numpy as np
 
-    from wrt.imaging.lights.light_sources import PointLight
-    from wrt.imaging.lights.sky_image import Sky
+    from wrt.lights.light_sources import PointLight
+    from wrt.lights.sky_image import Sky
 
     emits = any(mesh.materials and any(one.emits for one in mesh.materials.materials) for mesh in scene.meshes)
     if sky is None and (emits or light is None):

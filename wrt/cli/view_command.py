@@ -48,7 +48,7 @@ DEFAULT_FPS = 24
 @click.option("--samples", default=4, show_default=True, type=Whole(1), help="Camera rays per pixel, at rest.")
 @click.option("--animate", is_flag=True, help="Each MODEL is a frame of one mesh.")
 @click.option("--fps", type=Real(0, 60, min_open=True), help="Most frames per second.  [24]")
-@click.option("--fuzzy", is_flag=True, help="One tree for all frames of a mesh (wrt.FuzzyScene).")
+@click.option("--fuzzy", is_flag=True, help="One tree for all frames of a mesh (wrt.moving.FuzzyScene).")
 @click.option("--open", "open_browser", is_flag=True, help="Open a browser of this computer.")
 def view(
     models: tuple[Path, ...],

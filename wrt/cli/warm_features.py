@@ -193,7 +193,7 @@ def _gradients(samples: Samples) -> None:
 
 
 def _partitioned(samples: Samples) -> None:
-    from wrt.partitioned.partitioned_scene import PartitionedScene
+    from wrt.disk.partitioned_scene import PartitionedScene
 
     with TemporaryDirectory(prefix="wrt-warm-") as folder:
         scene = PartitionedScene.build(samples.mesh, folder, part_triangles=4000, device="cpu")

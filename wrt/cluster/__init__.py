@@ -4,39 +4,32 @@
         blocks = scene.occluded_blocks(points[:, None], suns, executor=pool, reduce="sum", axis=1)
         shaded = wrt.cluster.Job("sun_hours", blocks).run().result()           # run again after whatever ended it
 
-Queries take an executor by themselves (`wrt.Scene.intersect_blocks`). This package adds options of executors (`Workers`,
-`ProcessPool`), jobs in folders (`Job`, `job_status`), parquet files (`ParquetColumns`, `write_parquet`), and queries on arrays
-of Dask and xarray (`map_rays`). What it needs of Dask, pyarrow and zarr comes with `pip install "wrt[cluster-dask]"`.
+Queries take an executor by themselves (`wrt.Scene.intersect_blocks`, `wrt.batches`). This package adds options of executors
+(`Workers`, `ProcessPool`), jobs in folders (`Job`, `job_status`), parquet files (`ParquetColumns`, `write_parquet`), and
+queries on arrays of Dask and xarray (`map_rays`). What it needs of Dask, pyarrow and zarr comes with
+`pip install "wrt[cluster-dask]"`.
 """
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from wrt.lazy_names import lazy_names
 
 _HOME = {
-    "Histogram": "wrt.query.batches.reductions",
     "Job": "wrt.cluster.job",
     "JobStatus": "wrt.cluster.job",
     "ParquetColumns": "wrt.cluster.parquet_files",
     "ProcessPool": "wrt.query.batches.workers",
-    "Reduction": "wrt.query.batches.reductions",
     "Workers": "wrt.query.batches.workers",
     "job_status": "wrt.cluster.job",
     "map_rays": "wrt.cluster.dask_arrays",
     "write_parquet": "wrt.cluster.parquet_files",
 }
 
+_MOVED = {
+    "Histogram": "wrt.batches",
+    "Reduction": "wrt.batches",
+}
+
 __all__ = [*_HOME]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'wrt.cluster' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_HOME[name]), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = lazy_names(__name__, _HOME, _MOVED)

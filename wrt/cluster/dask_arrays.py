@@ -86,7 +86,8 @@ def map_rays(
     both = da.broadcast_arrays(*arrays)
     dtype, components = FORMS[what]
     if dtype is None:
-        is_wide = any(one.dtype.itemsize > 4 for one in arrays) or (what == "position" and rounds_positions(scene.device_mesh))
+        far = what == "position" and rounds_positions(scene.state.device_mesh)
+        is_wide = far or any(one.dtype.itemsize > 4 for one in arrays)
         dtype = np.float64 if is_wide else np.float32
     function = MapChunk(*shared_query(scene, what, t_min, t_max, folder, client, options), what)
     axis = both[0].ndim - 1

@@ -85,8 +85,8 @@ class Job:
 
     A job is of one scene, one batch of rays and one set of options. Scenes are compared whole, also by every worker. Arrays of
     up to 256 MB are compared whole, block by block, when blocks are computed. Of larger arrays, 64 pieces of 1 MB are compared,
-    and of `wrt.GeneratedRays` the code of the function and a million rays (2^20) in 64 pieces, when the job is made and before
-    and after each run. **What differs between these pieces only is not noticed.**
+    and of `wrt.batches.GeneratedRays` the code of the function and a million rays (2^20) in 64 pieces, when the job is made and
+    before and after each run. **What differs between these pieces only is not noticed.**
 
     Args:
         folder: path of the folder, which is made; best on a file system that workers see at the same path.
@@ -95,13 +95,13 @@ class Job:
 
     Raises:
         OSError: the folder cannot be made.
-        ValueError: rays from an iterator (pass `wrt.GeneratedRays`), an unknown attribute, a folder with a job of another
-            scene, other rays or other options, or one whose manifest or lock is damaged or a link.
+        ValueError: rays from an iterator (pass `wrt.batches.GeneratedRays`), an unknown attribute, a folder with a job of
+            another scene, other rays or other options, or one whose manifest or lock is damaged or a link.
     """
 
     def __init__(self, folder: str | Path, blocks: Blocks, *, attributes: Sequence[str] | None = None) -> None:
         if blocks.shape is None:
-            raise ValueError("rays from an iterator cannot be read again; pass arrays or wrt.GeneratedRays to a job")
+            raise ValueError("rays from an iterator cannot be read again; pass arrays or wrt.batches.GeneratedRays to a job")
         self.folder, self.blocks = JobFolder(folder), blocks
         query = blocks.work.query
         self._attributes = None
@@ -273,7 +273,7 @@ class Job:
         return reduction.finish(self._empty() if merged is None else merged)
 
     def write(self, out: Any) -> int:
-        """Writes the answer to arrays, block by block; arguments, result and errors as of `Blocks.write`, and as `answers`."""
+        """Writes the answer to arrays, block by block; arguments, result and errors as in `Blocks.write` and `answers`."""
         if self._merges():
             raise ValueError("reduce along the first axis leaves no rows; call result()")
         check_out(out, self._empty(), self.blocks.shape[0], exact=True)

@@ -125,7 +125,7 @@ def write_parquet(blocks: Blocks, folder: str | Path, attributes: Sequence[str] 
         ValueError: rows have several rays that are not reduced, or the rays come from an iterator.
     """
     if blocks.shape is None:
-        raise ValueError("rays from an iterator cannot be written by workers; pass arrays or wrt.GeneratedRays")
+        raise ValueError("rays from an iterator cannot be written by workers; pass arrays or wrt.batches.GeneratedRays")
     place = Path(folder).absolute()
     place.mkdir(parents=True, exist_ok=True)
     deliver = WriteTable(str(place), tuple(attributes))

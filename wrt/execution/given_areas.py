@@ -37,7 +37,7 @@ def take_areas(scene: SceneState, areas: Any, shape: tuple[int, ...]) -> tuple[S
     """The scene to trace, and the areas that are left to be looked at.
 
     Args:
-        scene: of a `wrt.RayAwareBvh`.
+        scene: of a `wrt.known_rays.RayAwareBvh`.
         areas: an int or integers that broadcast to the rays' shape, from -1 to the number of areas less one.
         shape: of the rays.
 
@@ -69,7 +69,9 @@ def check_areas(scene: SceneState, areas: Any) -> np.ndarray:
     from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 
     if not isinstance(scene.accelerator, RayAwareBvh):
-        raise ValueError("areas needs a scene with influence areas, and this one has none; build it with wrt.RayAwareBvh")
+        raise ValueError(
+            "areas needs a scene with influence areas, and this one has none; build it with wrt.known_rays.RayAwareBvh"
+        )
     values = areas.numpy() if isinstance(areas, wp.array) else host_array("areas", areas)
     if values.dtype.kind not in "iu":
         raise TypeError(f"areas must hold integers, not {values.dtype}: places in the accelerator's areas, -1 for none")

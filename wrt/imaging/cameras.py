@@ -1,31 +1,36 @@
 """Cameras: images of given size, and the ray through each pixel.
 
 A camera is placed at `position`, points at `look_at` (the image centre), and `up` points upward in the image. Images have
-the shape (height, width); row 0 is at the top, column 0 at the left, and pixels are square. With one sample per pixel, its
-ray passes through the pixel centre. With S samples, ray s takes point s of the Hammersley set, the same in each pixel:
-samples cover all S columns and, for powers of two, all S rows of a pixel once, which keeps edges smooth. Another seed
-shifts the pattern (Cranley and Patterson), so that images with different seeds can be averaged.
+the shape (height, width); row 0 is at the top, column 0 at the left, and pixels are square. **Pixels:** pixel (row, column)
+covers the square from (column, row) to (column + 1, row + 1), so its centre is at (column + 0.5, row + 0.5), and the image's
+centre at (width / 2, height / 2). (`wrt.sensors.Camera` has OpenCV's pixels, whose centres are whole numbers: 0.5 less.)
+With one sample per pixel, its ray passes through the pixel centre. With S samples, ray s takes point s of the Hammersley set,
+the same in each pixel: samples cover all S columns and, for powers of two, all S rows of a pixel once, which keeps edges
+smooth. Another seed shifts the pattern (Cranley and Patterson), so that images with different seeds can be averaged.
 
 References: hammersley-1960; cranley-patterson-1976.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
+from wrt.imaging.view_frames import check_pose, corners_of, default_view, frame_of, nearest_view
 from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.shading.pixel_rays import View, orthographic_origins, pinhole_directions
-from wrt.kernels.validation import as_float, as_int, as_numbers
+from wrt.kernels.validation import as_float, as_int, as_point
 from wrt.meshes.up_axis import default_up
 from wrt.rays.rays import Rays
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = ["OrthographicCamera", "PinholeCamera"]
 
 _MAX_PIXELS = 2**31 - 1
-_SINE_OF_PARALLEL = 1e-6
 
 
 class _Camera:
@@ -38,13 +43,62 @@ class _Camera:
     """
 
     def __init__(self, width: int, height: int, position: Any, look_at: Any, up: Any) -> None:
-        self.width = check_whole("width", width, 1)
-        self.height = check_whole("height", height, 1)
+        self.width = as_int("width", width, 1)
+        self.height = as_int("height", height, 1)
         if self.width * self.height > _MAX_PIXELS:
             raise ValueError(f"width x height is {self.width * self.height}; an image has at most {_MAX_PIXELS} pixels")
-        self.position = check_point("position", position)
-        self.look_at = check_point("look_at", look_at)
-        self.forward, self.right, self.up = _frame(self.look_at - self.position, check_point("up", up))
+        self.position = as_point("position", position)
+        self.look_at = as_point("look_at", look_at)
+        self.forward, self.right, self.up = frame_of(self.look_at - self.position, as_point("up", up))
+
+    @classmethod
+    def from_opencv(cls, width: int, height: int, pose: Any, **options: Any) -> Self:
+        """A camera at a pose of OpenCV, ROS or COLMAP: x to the right, y down, z forward.
+
+        Args:
+            width, height: size of the image in pixels.
+            pose: (4, 4) from the camera to the world: a rotation and a position. Extrinsics map the world to the camera: pass
+                their inverse.
+            options: `fov` of a `wrt.PinholeCamera`, `view_height` of a `wrt.OrthographicCamera`.
+
+        Raises:
+            TypeError: not numbers; an unknown option.
+            ValueError: another shape, numbers that are not finite, scale, shear or mirroring; as the class.
+        """
+        return cls._at(width, height, check_pose("pose", pose), 1.0, options)
+
+    @classmethod
+    def from_opengl(cls, width: int, height: int, pose: Any, **options: Any) -> Self:
+        """A camera at a pose of OpenGL, glTF, trimesh or NeRF data: x to the right, y up, looking along -z.
+
+        Args:
+            width, height: size of the image in pixels.
+            pose: (4, 4) from the camera to the world: a rotation and a position. A view matrix maps the world to the camera:
+                pass its inverse.
+            options: `fov` of a `wrt.PinholeCamera`, `view_height` of a `wrt.OrthographicCamera`.
+
+        Raises:
+            TypeError, ValueError: as `from_opencv`.
+        """
+        return cls._at(width, height, check_pose("pose", pose), -1.0, options)
+
+    @classmethod
+    def _at(cls, width: int, height: int, pose: np.ndarray, sign: float, options: dict[str, Any]) -> Self:
+        """sign: 1 for a camera that looks along z, with y down; -1 for one that looks along -z, with y up."""
+        if taken := {"position", "look_at", "up"} & options.keys():
+            raise TypeError(f"{min(taken)} is in the pose; leave it out")
+        position, forward, up = pose[:3, 3], sign * pose[:3, 2], -sign * pose[:3, 1]
+        camera = cls(width, height, position=position, look_at=position + forward, up=up, **options)
+        camera.forward, camera.right, camera.up = frame_of(forward, up)  # far from the origin, look_at is rounded
+        return camera
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(4, 4) float64, from the optical frame (x to the right, y down, z forward) to the world, as in `wrt.sensors`."""
+        pose = np.eye(4)
+        pose[:3, :3] = np.stack([self.right, -self.up, self.forward], axis=1)
+        pose[:3, 3] = self.position
+        return pose
 
     def rays(self, sample: int = 0, samples: int = 1, seed: int = 0) -> Rays:
         """One ray per pixel, on the CPU: a `wrt.Rays` of shape (height, width).
@@ -99,6 +153,13 @@ class _Camera:
 class PinholeCamera(_Camera):
     """A perspective camera: all rays start at one point.
 
+        camera = wrt.PinholeCamera(640, 480, fov=40, position=(0, -3, 1), look_at=(0, 0, 0))
+        camera = wrt.PinholeCamera.from_opengl(640, 480, pose, fov=40)     # also from_opencv, from_blender
+        lens, pose = wrt.sensors.Camera.from_camera(camera)                # the same view with OpenCV's pixels
+
+    Row 0 is at the top. Pixel (row, column) has its centre at (column + 0.5, row + 0.5), and the image at (width / 2, height /
+    2): the optical axis passes there. `forward` points along the axis, `up` upward in the image.
+
     Args:
         width, height: size of the image in pixels, >= 1.
         fov: vertical field of view, from the lower to the upper edge of the image, in degrees, in (0, 180).
@@ -122,6 +183,26 @@ class PinholeCamera(_Camera):
             f"PinholeCamera({self.width}, {self.height}, fov={self.fov:g}, position={_text(self.position)}, "
             f"look_at={_text(self.look_at)})"
         )
+
+    @classmethod
+    def from_blender(cls, width: int, height: int, matrix_world: Any, *, angle: float) -> PinholeCamera:
+        """The view of a perspective camera of Blender, with the sensor fit "AUTO" and no shift.
+
+        Args:
+            width, height: resolution of the render, in pixels.
+            matrix_world: (4, 4) of the camera object: `np.array(camera.matrix_world)`. Its frame is OpenGL's; scale is not
+                allowed.
+            angle: `camera.data.angle`: the field of view along the longer side of the image, in radians, in (0, pi).
+
+        Raises:
+            TypeError, ValueError: as `from_opengl`; an angle out of range.
+        """
+        if not 0.0 < (angle := as_float("angle", angle)) < np.pi:
+            raise ValueError(f"angle is {angle:g}; it is the field of view along the longer side in radians, between 0 and pi")
+        width, height = as_int("width", width, 1), as_int("height", height, 1)
+        tangent = np.tan(angle / 2) * height / max(width, height)
+        pose = check_pose("matrix_world", matrix_world)
+        return cls._at(width, height, pose, -1.0, {"fov": float(np.degrees(2 * np.arctan(tangent)))})
 
     @classmethod
     def framing(
@@ -152,13 +233,13 @@ class PinholeCamera(_Camera):
         """
         if not 0.0 <= (margin := as_float("margin", margin)) < 1.0:
             raise ValueError(f"margin is {margin}; it must be in [0, 1)")
-        up = check_point("up", default_up(geometry) if up is None else up)
-        towards = _default_view(up) if towards is None else check_point("towards", towards)
-        forward, right, upward = _frame(towards, up)
-        height, width = check_whole("height", height, 1), check_whole("width", width, 1)
-        points, center = _corners(geometry)
+        up = as_point("up", default_up(geometry) if up is None else up)
+        towards = default_view(up) if towards is None else as_point("towards", towards)
+        forward, right, upward = frame_of(towards, up)
+        height, width = as_int("height", height, 1), as_int("width", width, 1)
+        points, center = corners_of(geometry)
         tangent = np.tan(np.radians(check_fov(fov)) / 2) * (1.0 - margin)
-        position = _fit(points, (right, upward, forward), (tangent * width / height, tangent))
+        position = nearest_view(points, (right, upward, forward), (tangent * width / height, tangent))
         depth = max(float(-position @ forward), float(np.ptp(points @ forward)))
         return cls(
             width,
@@ -184,6 +265,9 @@ class OrthographicCamera(_Camera):
     """A camera with parallel rays, which start in the plane through its position; geometry behind that plane is not
     visible.
 
+    Pixels and directions are those of `wrt.PinholeCamera`: row 0 is at the top, pixel (row, column) has its centre at
+    (column + 0.5, row + 0.5), and the axis passes through (width / 2, height / 2).
+
     Args:
         width, height: size of the image in pixels, >= 1.
         view_height: distance between the lower and the upper edge of the image, in units of the scene.
@@ -203,6 +287,26 @@ class OrthographicCamera(_Camera):
                 f"view_height is {self.view_height}; it is the height of the image in scene units, and must be above 0"
             )
 
+    @classmethod
+    def from_blender(cls, width: int, height: int, matrix_world: Any, *, ortho_scale: float) -> OrthographicCamera:
+        """The view of an orthographic camera of Blender, with the sensor fit "AUTO" and no shift.
+
+        Args:
+            width, height: resolution of the render, in pixels.
+            matrix_world: as in `PinholeCamera.from_blender`.
+            ortho_scale: `camera.data.ortho_scale`: the longer side of the image, in units of the scene, > 0.
+
+        Raises:
+            TypeError, ValueError: as `from_opengl`; a scale out of range.
+        """
+        if (ortho_scale := as_float("ortho_scale", ortho_scale, finite=True)) <= 0.0:
+            raise ValueError(
+                f"ortho_scale is {ortho_scale:g}; it is the longer side of the image in scene units, and must be above 0"
+            )
+        width, height = as_int("width", width, 1), as_int("height", height, 1)
+        pose = check_pose("matrix_world", matrix_world)
+        return cls._at(width, height, pose, -1.0, {"view_height": ortho_scale * height / max(width, height)})
+
     def __repr__(self) -> str:
         return (
             f"OrthographicCamera({self.width}, {self.height}, view_height={self.view_height:g}, "
@@ -221,9 +325,9 @@ class OrthographicCamera(_Camera):
 
 def pixel_offset(sample: int, samples: int, seed: int) -> tuple[float, float]:
     """Position of ray `sample` of `samples` within every pixel: x, y in [0, 1) from the top left corner."""
-    samples = check_whole("samples", samples, 1)
-    sample = check_whole("sample", sample, 0)
-    seed = check_whole("seed", seed, 0)
+    samples = as_int("samples", samples, 1)
+    sample = as_int("sample", sample, 0)
+    seed = as_int("seed", seed, 0)
     if sample >= samples:
         raise ValueError(f"sample is {sample}, but a pixel has {samples} samples: choose from 0 to {samples - 1}")
     if samples == 1:
@@ -235,93 +339,6 @@ def pixel_offset(sample: int, samples: int, seed: int) -> tuple[float, float]:
         shift = np.random.default_rng(seed).random(2)
         x, y = (x + shift[0]) % 1.0, (y + shift[1]) % 1.0
     return float(x), float(y)
-
-
-# -- framing -----------------------------------------------------------------------------------------------------------
-
-
-def _frame(sight: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Unit vectors forward, right and up of a camera with this viewing direction."""
-    length = np.linalg.norm(sight)
-    if length == 0.0:
-        raise ValueError(
-            "there is no viewing direction: position and look_at are the same point, or towards is zero; change one"
-        )
-    forward = sight / length
-    right = np.cross(forward, _unit_up(up))
-    sine = np.linalg.norm(right)
-    if sine < _SINE_OF_PARALLEL:
-        other = "(0, 1, 0)" if abs(forward[1]) < 0.9 else "(0, 0, 1)"
-        raise ValueError(f"up is parallel to the viewing direction; choose another direction, such as {other}")
-    right /= sine
-    return forward, right, np.cross(right, forward)
-
-
-def _unit_up(up: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(up)
-    if length == 0.0:
-        raise ValueError("up is zero; give a direction, such as (0, 0, 1)")
-    return up / length
-
-
-def _default_view(up: np.ndarray) -> np.ndarray:
-    """Viewing direction from the front, slightly from the right and above."""
-    upward = _unit_up(up)
-    front = np.array([0.0, -1.0, 0.0]) if abs(upward[1]) < 0.9 else np.array([0.0, 0.0, np.sign(upward[1])])
-    front = front - (front @ upward) * upward
-    front /= np.linalg.norm(front)
-    right = np.cross(upward, front)
-    return -(0.85 * front + 0.4 * right + 0.4 * upward)
-
-
-def _corners(geometry: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of all triangles, relative to the centre of their bounding box, and that centre."""
-    meshes = getattr(geometry, "meshes", (geometry,))
-    if not all(hasattr(mesh, "vertices") and hasattr(mesh, "faces") for mesh in meshes):
-        raise TypeError(f"geometry must be a wrt.TriangleMesh or a wrt.Scene, not {type(geometry).__name__}")
-    points = []
-    for mesh in meshes:
-        used = np.zeros(len(mesh.vertices), dtype=bool)
-        used[mesh.faces] = True
-        points.append(np.asarray(mesh.vertices[used], dtype=np.float64))
-    joined = np.concatenate(points)
-    center = joined.min(axis=0) / 2 + joined.max(axis=0) / 2
-    return joined - center, center
-
-
-def _fit(points: np.ndarray, axes: tuple[np.ndarray, ...], tangents: tuple[float, float]) -> np.ndarray:
-    """The nearest position from which all points are inside the image, with equal margins on opposite sides.
-
-    A point at (x, y, depth z) is inside the right edge of a camera at (x0, y0, z0) if x - x0 <= tangent (z - z0), and so
-    on: each edge bounds x0 or y0, and z0, by the extreme of x -+ tangent z over the points.
-    """
-    depth = points @ axes[2]
-    across, back = [], []
-    for axis, tangent in zip(axes[:2], tangents, strict=True):
-        along = points @ axis
-        high, low = (along - tangent * depth).max(), (-along - tangent * depth).max()
-        across.append((high - low) / 2)
-        back.append(-(high + low) / (2 * tangent))
-    nearest = depth.min() - 1e-3 * max(np.ptp(points, axis=0).max(), np.finfo(np.float64).tiny)
-    return across[0] * axes[0] + across[1] * axes[1] + min(*back, nearest) * axes[2]
-
-
-# -- checks ------------------------------------------------------------------------------------------------------------
-
-
-def check_whole(name: str, value: Any, minimum: int) -> int:
-    """Returns a whole number of at least `minimum`; raises an error that names the argument otherwise."""
-    return as_int(name, value, minimum)
-
-
-def check_point(name: str, value: Any) -> np.ndarray:
-    """Returns (3,) finite float64; raises a TypeError or ValueError that names the argument otherwise."""
-    point = as_numbers(name, value, finite=False)
-    if point.shape != (3,):
-        raise ValueError(f"{name} must be three numbers x, y, z, not an array of shape {point.shape}")
-    if not np.isfinite(point).all():
-        raise ValueError(f"{name} is {_text(point)}; its three numbers must be finite")
-    return point
 
 
 def check_fov(fov: Any) -> float:

@@ -25,7 +25,8 @@ def save_image(path: str | Path, image: Any) -> None:
 
     Args:
         path: ".png", ".jpg" or any other extension that Pillow writes; ".npy" for the array as it is; ".exr" for floats as they
-            are, 32 bits each, which should be linear (`wrt.Rendering.linear`): this needs the package OpenEXR (`wrt[exr]`).
+            are, 32 bits each, which should be linear (`wrt.pictures.Rendering.linear`): this needs the package OpenEXR
+            (`wrt[exr]`).
         image: (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; uint8, or floats for display (sRGB, as returned by
             `wrt.render`) in [0, 1], which are clipped and rounded to 8 bits. Integers and booleans, such as ids, can only
             be saved as ".npy".

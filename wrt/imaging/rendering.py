@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -20,14 +20,17 @@ import warp as wp
 
 from wrt.execution.expected_kernels import picture_rays, query_kernels
 from wrt.imaging.ambient_rays import AmbientRays, expected_rays
-from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_point, check_whole, pixel_offset
+from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import expect, launch, refuse_capture, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.kernels.shading.pixel_rays import pinhole_directions
-from wrt.kernels.validation import as_bool, as_float, as_numbers
+from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_point
 from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from wrt.state.scene_state import SceneState
 from wrt.state.query_kinds import AUTO
 
 __all__ = ["AmbientRendering", "corner_normals", "default_light", "render"]
@@ -111,22 +114,22 @@ class AmbientRendering:
                 f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)"
             )
         self.camera, self.done = camera, 0
-        self.samples = check_whole("samples", samples, 1)
-        self._scene, self._seed = scene, check_whole("seed", seed, 0)
+        self.samples = as_int("samples", samples, 1)
+        self._scene, self._seed = scene, as_int("seed", seed, 0)
         self._settings = _Settings(
-            light=default_light(camera) if light is None else check_point("light", light),
+            light=default_light(camera) if light is None else as_point("light", light),
             lighting=_lighting(light_color, ambient_color, background),
             shadows=shadows,
-            ambient_samples=check_whole("ambient_samples", ambient_samples, 0),
+            ambient_samples=as_int("ambient_samples", ambient_samples, 0),
             ambient_distance=_check_distance(ambient_distance),
-            ambient_radius=check_whole("ambient_radius", ambient_radius, 0),
+            ambient_radius=as_int("ambient_radius", ambient_radius, 0),
             seed=(self._seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
             query={"traversal": traversal, "triangle_test": triangle_test},
         )
         if self._settings.ambient_radius > MAX_RADIUS:
             raise ValueError(f"ambient_radius is {ambient_radius}; it must be at most {MAX_RADIUS}")
         self.pixels = camera.width * camera.height
-        tiles = -(-self.pixels // check_whole("tile_pixels", TILE_PIXELS if tile_pixels is None else tile_pixels, 1))
+        tiles = -(-self.pixels // as_int("tile_pixels", TILE_PIXELS if tile_pixels is None else tile_pixels, 1))
         self._tile = -(-self.pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each
         with use_threads(scene.num_threads):
             expect(_kernels(scene, camera, self._tile, self._settings, smooth), scene.device)
@@ -151,7 +154,7 @@ class AmbientRendering:
             TypeError, ValueError: `samples` is not a whole number of at least 1.
         """
         refuse_capture("rendering", self._scene.device)
-        goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
+        goal = self.samples if samples is None else min(self.samples, self.done + as_int("samples", samples, 1))
         with use_threads(self._scene.num_threads):
             while self.done < goal:
                 kept = wp.clone(self._film) if self.done else None
@@ -237,16 +240,16 @@ def corner_normals(scene: Scene, crease_angle: float) -> wp.array:
     Cached for each crease angle, in degrees, until the scene changes.
     """
     mesh, made = _corner_normals.get(scene, (None, {}))
-    if mesh is not scene.device_mesh:
+    if mesh is not scene.state.device_mesh:
         made = {}
-        _corner_normals[scene] = scene.device_mesh, made
+        _corner_normals[scene] = scene.state.device_mesh, made
     if crease_angle not in made:
-        parts = [_smooth_normals(part, crease_angle) for part in scene.parts]
+        parts = [_smooth_normals(part, crease_angle) for part in scene.state.parts]
         made[crease_angle] = parts[0] if len(parts) == 1 else _joined(parts)
     return made[crease_angle]
 
 
-def _smooth_normals(scene: Scene, crease_angle: float) -> wp.array:
+def _smooth_normals(scene: SceneState, crease_angle: float) -> wp.array:
     mesh, device = scene.device_mesh, scene.device
     count = mesh.faces.shape[0]
     flat = wp.empty(count, dtype=wp.vec3, device=device)
@@ -327,11 +330,11 @@ def _ambient_rays(scene: Scene, tile: int, width: int, settings: _Settings) -> A
 
 def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surface.Appearance:
     look = surface.Appearance()
-    look.mesh = scene.device_mesh
+    look.mesh = scene.state.device_mesh
     look.smooth = crease_angle is not None
     if crease_angle is not None:
         look.corner_normals = corner_normals(scene, crease_angle)
-    colors = _colors("albedo", albedo, (1, sum(part.triangle_count for part in scene.parts)), 1.0)
+    colors = _colors("albedo", albedo, (1, sum(part.triangle_count for part in scene.state.parts)), 1.0)
     look.albedo = wp.array(colors, dtype=wp.vec3, device=scene.device)
     look.albedo_stride = 0 if len(colors) == 1 else 1
     return look
@@ -384,7 +387,7 @@ def _colors(name: str, value: Any, counts: tuple[int, ...], maximum: float) -> n
     return colors
 
 
-def _vertex_corners(scene: Scene) -> normals.VertexCorners:
+def _vertex_corners(scene: SceneState) -> normals.VertexCorners:
     """The triangle corners that meet at each point; different meshes of a scene share no points."""
     vertex, vertices = [], 0
     for mesh in scene.meshes:

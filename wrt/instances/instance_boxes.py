@@ -38,7 +38,7 @@ FEW_MOVED = 16
 """The boxes above single instances are computed again if at most one of so many has moved."""
 
 MAX_COST = 1.3
-"""The upper level is built again when its cost has grown by this, as the trees of meshes are (`wrt.UpdatePolicy`)."""
+"""The upper level is built again when its cost has grown by this, as the trees of meshes are (`wrt.moving.UpdatePolicy`)."""
 
 CENTER_STEPS = 16
 """The centre of a scene is a multiple of its size, rounded down to a power of two, divided by this: most motions leave it."""

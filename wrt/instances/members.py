@@ -95,7 +95,7 @@ class Members:
 
         Raises:
             TypeError: something else than instances.
-            ValueError: a scene without instances, or as `wrt.InstancedScene`. The scene is then unchanged.
+            ValueError: a scene without instances, or as `wrt.moving.InstancedScene`. The scene is then unchanged.
         """
         self.state.require_instances("add")
         refuse_capture("add", self.state.device)

@@ -1,9 +1,9 @@
 """Detection of influence areas: which share of a batch of rays is parallel, or passes through common points, and where.
 
     rays = ...                                    # of a renderer, a sensor, a simulation
-    found = wrt.InfluenceAreas.from_rays(rays.origins, rays.directions, bounds=scene.bounds)
+    found = wrt.known_rays.InfluenceAreas.from_rays(rays.origins, rays.directions, bounds=scene.bounds)
     print(found)                                  # each distribution and its share of the rays
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=found))
+    scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=found))
 
 **Problem.** Falcone's method expects the influence areas as input, but the source of a batch of rays is often unknown.
 
@@ -34,8 +34,7 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
-from wrt.imaging.cameras import check_whole
-from wrt.kernels.validation import as_float, as_numbers, as_real_array
+from wrt.kernels.validation import as_float, as_int, as_numbers, as_real_array
 from wrt.rays.rays import Rays
 
 SAMPLES = 2000
@@ -136,8 +135,8 @@ class InfluenceAreas(Sequence):
             raise ValueError(f"tolerance is {tolerance}; it must be above 0 and below 45 degrees")
         if not 0.0 < least_share <= 1.0:
             raise ValueError(f"least_share is {least_share}; it must be above 0 and at most 1")
-        rng = np.random.default_rng(check_whole("seed", seed, 0))
-        lines = sample_lines(origins, directions, check_whole("samples", samples, 20), rng)
+        rng = np.random.default_rng(as_int("seed", seed, 0))
+        lines = sample_lines(origins, directions, as_int("samples", samples, 20), rng)
         box = _check_bounds(bounds, lines.origins)
         least = max(MIN_MEMBERS, int(np.ceil(least_share * len(lines))))
         found = find_distributions(lines, float(np.sin(np.radians(tolerance))), least, rng)
@@ -325,7 +324,7 @@ def cluster(points: np.ndarray, distance: float, least: int, metric: str = "eucl
         from sklearn.cluster import DBSCAN
     except ImportError as error:
         raise ImportError(
-            "wrt.InfluenceAreas.from_rays clusters rays with scikit-learn, which is not installed; "
+            "wrt.known_rays.InfluenceAreas.from_rays clusters rays with scikit-learn, which is not installed; "
             "install it with: pip install scikit-learn"
         ) from error
     return DBSCAN(eps=distance, min_samples=least, metric=metric).fit_predict(points)

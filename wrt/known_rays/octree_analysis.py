@@ -102,18 +102,20 @@ class OctreeAnalysis:
 def analyse_octree(scene: Scene) -> OctreeAnalysis:
     """Measures the octree or kd-tree over the influence areas of a scene.
 
-        scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, top_level="octree"))
-        wrt.analyse_octree(scene).save_json("octree.json")
+        scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=areas, top_level="octree"))
+        wrt.known_rays.analyse_octree(scene).save_json("octree.json")
 
     Args:
-        scene: built with a `wrt.RayAwareBvh`.
+        scene: built with a `wrt.known_rays.RayAwareBvh`.
 
     Raises:
         ValueError: the scene has no influence areas with triangles.
     """
-    if scene.area_trees is None:
-        raise ValueError("the scene has no influence areas with triangles; make it with accelerator=wrt.RayAwareBvh(areas=...)")
-    return measure_cells(scene.area_trees.top, scene.area_trees.numbers)
+    if scene.state.area_trees is None:
+        raise ValueError(
+            "the scene has no influence areas with triangles; make it with accelerator=wrt.known_rays.RayAwareBvh(areas=...)"
+        )
+    return measure_cells(scene.state.area_trees.top, scene.state.area_trees.numbers)
 
 
 def measure_cells(top: TopLevel, numbers: tuple[int, ...]) -> OctreeAnalysis:

@@ -1,11 +1,11 @@
 """Ray casters: batches of rays with a known distribution, for measurements, and shadow rays from visible points.
 
-    rays = wrt.PlaneCaster(position=(0, 0, 9), direction=(0, 0, -1), width=4, height=3).rays(1 << 20)
-    rays = wrt.CircularCapCaster(position=(0, 0, 9), direction=(0, 0, -1), angle=20).rays(1 << 20, seed=7)
-    rays = wrt.SquareCapCaster(position=(0, 0, 9), direction=(0, 0, -1), fov=(60, 40)).rays(1 << 20)
+    rays = wrt.known_rays.PlaneCaster(position=(0, 0, 9), direction=(0, 0, -1), width=4, height=3).rays(1 << 20)
+    rays = wrt.known_rays.CircularCapCaster(position=(0, 0, 9), direction=(0, 0, -1), angle=20).rays(1 << 20, seed=7)
+    rays = wrt.known_rays.SquareCapCaster(position=(0, 0, 9), direction=(0, 0, -1), fov=(60, 40)).rays(1 << 20)
     seen = scene.intersect(camera.rays())
-    dark = scene.occluded(wrt.point_shadow_rays(seen, (0, 0, 9)))
-    dark = scene.occluded(wrt.directional_shadow_rays(seen, (0.3, 0.2, -1)))
+    dark = scene.occluded(wrt.known_rays.point_shadow_rays(seen, (0, 0, 9)))
+    dark = scene.occluded(wrt.known_rays.directional_shadow_rays(seen, (0.3, 0.2, -1)))
 
 The same seed gives the same rays, whatever the count, in a low-discrepancy pattern (`wrt.kernels.influence.ray_casting`).
 Cameras sample the image plane uniformly, square caps the sphere.

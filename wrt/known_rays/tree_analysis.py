@@ -188,8 +188,8 @@ def analyse(
 ) -> TreeAnalysis:
     """Measures the bounding volume hierarchy of a scene.
 
-        area = wrt.PlaneInfluenceArea(...)
-        print(wrt.analyse(wrt.Scene(mesh, wrt.ProjectedBvh(areas=area)), area, rays).summary())
+        area = wrt.known_rays.PlaneInfluenceArea(...)
+        print(wrt.known_rays.analyse(wrt.Scene(mesh, wrt.known_rays.ProjectedBvh(areas=area)), area, rays).summary())
 
     Args:
         scene: a scene whose tree is a bounding volume hierarchy.
@@ -209,12 +209,14 @@ def analyse(
     from wrt.builders.tree import Bvh
 
     if not isinstance(scene.tree, Bvh):
-        raise ValueError(f"scene has a {scene.accelerator.kind}; analyse measures wrt.Bvh and wrt.ProjectedBvh")
+        raise ValueError(f"scene has a {scene.accelerator.kind}; analyse measures wrt.Bvh and wrt.known_rays.ProjectedBvh")
     if scene.instances:
         raise ValueError("a scene of instances has a tree for each mesh; analyse wrt.Scene(scene.flattened()), or one mesh")
     if area is not None and not isinstance(area, InfluenceArea):
         kind = type(area).__name__
-        raise TypeError(f"area must be a wrt.PlaneInfluenceArea, a wrt.PointInfluenceArea or None, not {kind}")
+        raise TypeError(
+            f"area must be a wrt.known_rays.PlaneInfluenceArea, a wrt.known_rays.PointInfluenceArea or None, not {kind}"
+        )
     costs = _check(rays, box_cost, triangle_cost)
     return _measure(scene.state, scene.num_threads, area, rays, costs, statistics or {})
 
@@ -230,7 +232,7 @@ def analyse_areas(
     """Measures the tree of each influence area of a scene, as `analyse` measures the tree over all triangles.
 
     Args:
-        scene: built with a `wrt.RayAwareBvh`.
+        scene: built with a `wrt.known_rays.RayAwareBvh`.
         rays: rays whose work is counted, each in the tree of its area, up to where it leaves the area; None to trace none.
         box_cost, triangle_cost, statistics: as in `analyse`.
 
@@ -241,9 +243,11 @@ def analyse_areas(
     Raises:
         TypeError, ValueError: as `analyse`; the scene has no influence areas.
     """
-    if scene.area_trees is None:
-        raise ValueError("the scene has no influence areas with triangles; make it with accelerator=wrt.RayAwareBvh(areas=...)")
-    trees, costs = scene.area_trees, _check(rays, box_cost, triangle_cost)
+    if scene.state.area_trees is None:
+        raise ValueError(
+            "the scene has no influence areas with triangles; make it with accelerator=wrt.known_rays.RayAwareBvh(areas=...)"
+        )
+    trees, costs = scene.state.area_trees, _check(rays, box_cost, triangle_cost)
     parts = [None] * len(trees) if rays is None else _rays_by_area(scene, rays)
     return tuple(
         _measure(state, scene.num_threads, area, part, costs, statistics or {})
@@ -323,7 +327,7 @@ def _rays_by_area(scene: Scene, rays: Rays) -> list[Rays | None]:
         cuts = assign(scene.state, buffers.batch)
     area, cut = cuts.area.numpy(), cuts.cut.numpy()
     origins, directions, t_min, _ = _flat(rays)
-    chosen = [np.flatnonzero(area == number) for number in range(len(scene.area_trees))]
+    chosen = [np.flatnonzero(area == number) for number in range(len(scene.state.area_trees))]
     return [Rays(origins[i], directions[i], t_min[i], cut[i]) if len(i) else None for i in chosen]
 
 

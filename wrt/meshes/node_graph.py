@@ -137,10 +137,10 @@ class NodeGraph:
 def nested_meshes(scene: trimesh.Scene) -> list[Any]:
     """The meshes of a trimesh.Scene in the scene's space, nested as its graph: a list for each node that holds several.
 
-        scene = wrt.Scene(wrt.nested_meshes(trimesh.load("town.glb")), wrt.KdTree(builder="lazy", hierarchy="groups"))
+        scene = wrt.Scene(wrt.moving.nested_meshes(trimesh.load("town.glb")), wrt.KdTree(builder="lazy", hierarchy="groups"))
 
-    For scenes of one level, in which every mesh is a geometry of its own: `wrt.Scene`, `wrt.GroupedScene`. Passed as it is, a
-    trimesh.Scene is one of two levels, in which nodes move and meshes are shared.
+    For scenes of one level, in which every mesh is a geometry of its own: `wrt.Scene`, `wrt.moving.GroupedScene`. Passed as it
+    is, a trimesh.Scene is one of two levels, in which nodes move and meshes are shared.
 
     Args:
         scene: point clouds and paths in it are left out, and so are nodes that hold no mesh.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -264,6 +264,25 @@ def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
     moved._materials = mesh.materials
     moved.__dict__["referenced"] = mesh.referenced  # the same triangles use the same vertices
     return moved
+
+
+def moved_meshes(meshes: tuple[TriangleMesh, ...], index: Any, vertices: Any) -> dict[int, TriangleMesh]:
+    """The meshes of a scene that get new vertices, by their index; arguments as in `wrt.Scene.update`.
+
+    Raises:
+        TypeError: `vertices` beside a mapping, an empty mapping, an index that is not an int, or as `moved_mesh`.
+        ValueError: no such mesh, one of them twice, or as `moved_mesh`.
+    """
+    if not isinstance(index, Mapping):
+        number = check_index(index, len(meshes), "mesh")
+        return {number: moved_mesh(meshes[number], vertices)}
+    if vertices is not None:
+        raise TypeError("index is a mapping, which holds the vertices of each mesh; leave vertices out")
+    if not index:
+        raise TypeError("index is an empty mapping; give the new vertices of at least one mesh")
+    return {
+        (number := check_index(one, len(meshes), "mesh")): moved_mesh(meshes[number], points) for one, points in index.items()
+    }
 
 
 def join_meshes(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

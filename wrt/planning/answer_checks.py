@@ -99,7 +99,7 @@ def check_spaces(scene: SceneState, traversal: Traversal) -> None:
     """Refuses a traversal that does not support trees with their own coordinate spaces.
 
     Raises:
-        ValueError: the scene has such trees (`wrt.FuzzyScene`).
+        ValueError: the scene has such trees (`wrt.moving.FuzzyScene`).
     """
     if scene.only_single and not traversal.own_spaces:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.own_spaces)

@@ -63,7 +63,7 @@ class AllHits:
         position: (M, 3), in the scene's coordinates, of the type of `Hits.position`.
         normal: (M, 3), unit vectors, float64 if the rays were, else float32, from the triangle's winding; 0 for a triangle
             without area.
-        plan: how the query was answered (`wrt.Plan`).
+        plan: how the query was answered (`wrt.results.Plan`).
     """
 
     def __init__(

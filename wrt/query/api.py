@@ -75,9 +75,10 @@ class Queries:
             environment: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances of its
                 environment and those of environment -1; a ray of environment -1, or None, sees those of all. Rays are fast if
                 neighbours have the same environment.
-            areas: in a scene of a `wrt.RayAwareBvh`, an int or (...) integers: the influence area of each ray, by its place in
-                the accelerator's `areas`, -1 for none; None to find it. Saves the search, and for one area that all triangles
-                touch everything else. A wrong area costs time, and changes no hit. Has no effect with `skip` or `precise`.
+            areas: in a scene of a `wrt.known_rays.RayAwareBvh`, an int or (...) integers: the influence area of each ray, by
+                its place in the accelerator's `areas`, -1 for none; None to find it. Saves the search, and for one area that
+                all triangles touch everything else. A wrong area costs time, and changes no hit. Has no effect with `skip` or
+                `precise`.
             cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise
                 order. Not all traversals support this; "auto" chooses one that does.
             skip: each ray ignores one triangle, usually the one that it starts on. Either the `wrt.Hits` of this scene at
@@ -98,8 +99,9 @@ class Queries:
             ValueError: wrong shapes, a range that is negative or NaN, an unknown name, arrays on another device; `areas` in a
                 scene without influence areas, or numbers of none; `precise` together with a traversal, a triangle test,
                 counters or culling; `skip` together with a traversal, a triangle test, counters or `precise`, in a
-                `wrt.FuzzyScene`, with ids of no triangle, hits of another scene, or a shape that does not broadcast to that of
-                the rays; rays that require gradients inside a `wp.Tape` (call `wrt.differentiable_hits` for gradients).
+                `wrt.moving.FuzzyScene`, with ids of no triangle, hits of another scene, or a shape that does not broadcast to
+                that of the rays; rays that require gradients inside a `wp.Tape` (call `wrt.device.differentiable_hits` for
+                gradients).
         """
         query = as_query(Queries.intersect, CLOSEST, options)
         rays = as_rays(origins, directions, t_min, t_max)
@@ -173,7 +175,7 @@ class Queries:
                 with a shape whose slices are arrays, such as an np.memmap; only the rows of a block are read and converted
                 at a time. Alternatively, `origins` is an iterable of pairs (origins, directions) or of `wrt.Rays`, and
                 `directions` is left out: items are answered in order, and items larger than a block in parts. Or it is a
-                `wrt.GeneratedRays`: a function that makes the rays of given numbers.
+                `wrt.batches.GeneratedRays`: a function that makes the rays of given numbers.
             mask, environment, skip: as in `intersect`; arrays, and the hits of the whole batch, are cut into blocks with the
                 rays. One number if the rays come from an iterator.
             memory: bound on the memory for a block, in bytes or as text such as "1.5 GB" or "512 MiB"; about 320 bytes a
@@ -183,8 +185,8 @@ class Queries:
                 `wrt.cluster.ProcessPool` or Dask's `client.get_executor()`; or a `wrt.cluster.Workers`, which adds options.
                 None for this process, one block after the other. Each worker needs the memory of a block for each task it runs
                 at a time. Hits that come from another process are as those of a pickle.
-            reduce: what is kept of the answers: "sum", "mean", "min", "max", "any", "all", a `wrt.cluster.Histogram`, a
-                function(values, axes) that keeps the first axis, or an object with the methods of `wrt.cluster.Reduction`. Of
+            reduce: what is kept of the answers: "sum", "mean", "min", "max", "any", "all", a `wrt.batches.Histogram`, a
+                function(values, axes) that keeps the first axis, or an object with the methods of `wrt.batches.Reduction`. Of
                 closest hits, a dict from attributes to these, such as {"t": "min"}. Integers are summed as int64; sums of
                 floats are exact, and rounded once. None keeps the answers.
             axis: axes of the rays' leading shape along which answers are reduced: an int, several, or None for all. Without the

@@ -46,7 +46,7 @@ def differentiable_hits(
 
         hits = scene.intersect(origins, directions)  # not on the tape
         with wp.Tape() as tape:
-            found = wrt.differentiable_hits(scene, hits, origins, directions, vertices)
+            found = wrt.device.differentiable_hits(scene, hits, origins, directions, vertices)
             wp.launch(loss_of, dim=found.t.shape, inputs=[found.t, measured, loss])
         tape.backward(loss)
         origins.grad, directions.grad, vertices.grad
@@ -78,10 +78,10 @@ def differentiable_hits(
         raise ValueError(f"hits are on {hits.batch.t.device}, the scene on {device}; pass hits of this scene")
     if not hits.is_of(scene.state):
         raise ValueError("hits belong to another scene; pass hits of this scene")
-    points = scene.exact_vertices if vertices is None else _on_device(vertices, "vertices", device)
-    if points.shape != scene.exact_vertices.shape:
+    points = scene.state.exact_vertices if vertices is None else _on_device(vertices, "vertices", device)
+    if points.shape != scene.state.exact_vertices.shape:
         raise ValueError(
-            f"vertices have the shape {points.shape}, those of the scene {scene.exact_vertices.shape}; pass all vertices"
+            f"vertices have the shape {points.shape}, those of the scene {scene.state.exact_vertices.shape}; pass all vertices"
         )
     start, origin_stride = _ray_vectors(origins, "origins", shape, device)
     toward, direction_stride = _ray_vectors(directions, "directions", shape, device)
@@ -101,7 +101,7 @@ def differentiable_hits(
         inputs += [places, *_placed_triangles(scene, hits)]
     else:
         kernel = hit_gradients.make_kernel(start.dtype, toward.dtype, points.dtype, double)
-        inputs += [scene.device_mesh.faces, hits.batch.primitive]
+        inputs += [scene.state.device_mesh.faces, hits.batch.primitive]
     load([kernel], device)
     wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=device)
     return DifferentiableHits(*(values.reshape(shape) for values in outputs))

@@ -61,7 +61,7 @@ class Hits:
             scene is so far from 0 that float32 would move points (`is_far`), else float32.
         normal: (..., 3), unit vectors, float64 if the rays were, else float32, from the triangle's winding (counter-clockwise
             seen from the front); 0 for a miss and for a triangle without area.
-        plan: how the query was answered (`wrt.Plan`); None for points that no ray found (`Scene.points_on`).
+        plan: how the query was answered (`wrt.results.Plan`); None for points that no ray found (`Scene.points_on`).
         counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work for each ray, if requested
             (`wrt.kernels.traversal.leaf.Counters` explains each). The work of a packet or a stream is stored at its first
             ray. Streams also count vector lanes and active lanes (`wrt.kernels.traversal.stream.stream_kernel.StreamCounters`).

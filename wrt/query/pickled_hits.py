@@ -1,8 +1,8 @@
 """Pickled hits: for other processes, and for files.
 
 A pickle holds the results, not the scene: all attributes of the hits, and the identifier of the scene by which `skip` and
-`wrt.differentiable_hits` recognise it. Its size depends on the number of rays, not on the mesh. `Hits.spawn`, which needs
-the triangles, is not available after unpickling.
+`wrt.device.differentiable_hits` recognise it. Its size depends on the number of rays, not on the mesh. `Hits.spawn`, which
+needs the triangles, is not available after unpickling.
 """
 
 from __future__ import annotations

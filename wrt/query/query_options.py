@@ -95,7 +95,7 @@ class ClosestBlockOptions(BlockOptions, PrecisionOptions, total=False):
 
 
 class PartOptions(FacingOptions, total=False):
-    """Of a `wrt.PartitionedScene`."""
+    """Of a `wrt.disk.PartitionedScene`."""
 
     mode: str
 

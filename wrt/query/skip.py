@@ -76,7 +76,7 @@ def check_skip(scene: SceneState, others: dict[str, Any]) -> None:
     """Refuses arguments and scenes that `skip` does not support.
 
     Raises:
-        ValueError: a `wrt.FuzzyScene`, or an argument in `others` that is neither "auto" nor False.
+        ValueError: a `wrt.moving.FuzzyScene`, or an argument in `others` that is neither "auto" nor False.
     """
     if scene.only_single:
         raise ValueError(

@@ -154,6 +154,11 @@ class InstancedState(SceneState):
         environment: int | None = None,
     ) -> InstancedState:
         """The state after instances, or the vertices of a mesh, have moved; as `wrt.Scene.update`."""
+        if isinstance(index, Mapping):
+            raise ValueError(
+                "index is a mapping, which is for scenes of meshes; with instances, update the vertices of one mesh at a time: "
+                "update(index, vertices=points)"
+            )
         if vertices is None and transform is None and mask is None and environment is None:
             raise TypeError("there is nothing to update; pass vertices, transform, mask or environment")
         chosen = self.chosen(index)
@@ -228,7 +233,7 @@ class InstancedState(SceneState):
         """The state of other instances, on these nodes. Meshes that are here already keep their trees.
 
         Raises:
-            ValueError: as `wrt.InstancedScene`.
+            ValueError: as `wrt.moving.InstancedScene`.
         """
         known = {}
         for given, state, points in zip(self.given, self.mesh_states, self.covers.each, strict=True):
@@ -247,7 +252,7 @@ class InstancedState(SceneState):
 
 
 def build_instanced_state(geometry: Any, settings: Settings, cache: Any) -> InstancedState:
-    """The state of a scene of instances; arguments and errors as of `wrt.Scene` and `wrt.InstancedScene`."""
+    """The state of a scene of instances; arguments and errors as of `wrt.Scene` and `wrt.moving.InstancedScene`."""
     if isinstance(settings.accelerator, RayAwareBvh):
         raise ValueError("influence areas need a scene of one level; use wrt.Scene(scene.flattened(), accelerator)")
     if isinstance(settings.accelerator, ProjectedBvh) and settings.accelerator.spatial_splits > 0.0:

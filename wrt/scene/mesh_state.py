@@ -18,7 +18,7 @@ from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.memory import memory_for
 from wrt.meshes.mesh import TriangleMesh
-from wrt.meshes.placement import as_meshes, check_index, hierarchy_of, lay_out_few, moved_mesh, nested, place_meshes
+from wrt.meshes.placement import as_meshes, hierarchy_of, lay_out_few, moved_meshes, nested, place_meshes
 from wrt.meshes.repeated_surfaces import without_repeated
 from wrt.scene.storage import find_tree
 from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
@@ -83,8 +83,7 @@ class MeshState(SceneState):
             raise ValueError(
                 "transform, mask and environment need instances, and this scene has none; make it from wrt.Instance(mesh)"
             )
-        index = check_index(index, len(self.meshes), "mesh")
-        return self.moved({index: moved_mesh(self.meshes[index], vertices)}, policy)
+        return self.moved(moved_meshes(self.meshes, index, vertices), policy)
 
     def moved(self, changed: dict[int, TriangleMesh], policy: UpdatePolicy) -> SceneState:
         """The state with some meshes elsewhere, by their index."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,6 @@ import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator
 from wrt.instances.members import Members
-from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import check_num_threads, refuse_capture, use_threads
 from wrt.meshes.instance import Instance, has_instances
 from wrt.meshes.mesh import TriangleMesh
@@ -27,11 +27,25 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from wrt.builders import tree as common
-    from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
-    from wrt.execution.area_trees import AreaTrees
     from wrt.scene.scene_statistics import SceneStatistics
     from wrt.scene.storage import TreeSource
     from wrt.scene.updates import UpdateReport
+
+
+MOVED_TO_STATE = frozenset(
+    {
+        "area_trees",
+        "complete",
+        "depth",
+        "device_mesh",
+        "exact_vertices",
+        "lazy_tree",
+        "parts",
+        "record_bytes",
+        "width",
+    }
+)
+"""Members that scenes had; old code finds them through `Scene.__getattr__`."""
 
 
 class Scene(Queries, Members):
@@ -44,8 +58,8 @@ class Scene(Queries, Members):
     Args:
         geometry: a `TriangleMesh`, a trimesh.Trimesh or trimesh.Scene, a `wrt.Instance`, or a sequence of such. Each mesh of a
             sequence is a geometry of its own (`Hits.geometry_id`), in one tree with the others. With an instance or a
-            trimesh.Scene in it, the scene has two levels (`wrt.InstancedScene`): each node of the graph that holds triangles is
-            an instance, and `move` moves nodes by name.
+            trimesh.Scene in it, the scene has two levels (`wrt.moving.InstancedScene`): each node of the graph that holds
+            triangles is an instance, and `move` moves nodes by name.
         accelerator: "auto", "bvh", "kdtree", or a description such as `wrt.KdTree(builder="in_place")`.
         triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`: the test of queries that name no
             other. Only the default one counts crossings exactly; `count`, `intersect_all` and `contains` always use it.
@@ -64,7 +78,8 @@ class Scene(Queries, Members):
     """
 
     state: SceneState
-    """What queries read. An update replaces it."""
+    """What queries read: the tree and the triangles on the device. An update replaces it. For code inside wrt; names of its
+    members may change between releases."""
 
     def __init__(
         self,
@@ -83,13 +98,6 @@ class Scene(Queries, Members):
             else:
                 self.state = state_of_meshes(geometry, settings, cache)
 
-    @classmethod
-    def of_state(cls, state: SceneState) -> Scene:
-        """A scene with the state of another scene, or with a part of one (`parts`)."""
-        scene = object.__new__(Scene)
-        scene.state = state
-        return scene
-
     def update(
         self,
         index: Any,
@@ -103,29 +111,30 @@ class Scene(Queries, Members):
         """Moves the vertices of a mesh, whose triangles stay the same, or moves instances.
 
             scene.update(0, vertices=points)                    # mesh 0
+            scene.update({1: points, 4: others})                # meshes 1 and 4, in one step
             scene.update(3, transform=matrix)                   # instance 3
             scene.update(range(100), transform=matrices)        # many at once, which takes a few microseconds each
             scene.update(3, vertices=points)                    # of instances: the mesh of instance 3, in all its instances
 
         The tree keeps its nodes, which is faster than a build: a BVH is refitted, the leaves of a kd-tree are filled again. The
         further triangles move, the slower queries become. So the tree is rebuilt, in parts or as a whole, once its cost is too
-        high (`wrt.UpdatePolicy`); `last_update` reports what was done. Trees that are lazy, that clip triangles or that are
-        made for influence areas are always rebuilt.
+        high (`wrt.moving.UpdatePolicy`); `last_update` reports what was done. Trees that are lazy, that clip triangles or that
+        are made for influence areas are always rebuilt.
 
         Args:
-            index: index of the mesh (`Hits.geometry_id`); in a scene of instances, index of the instance, or several indices
-                for `transform`, `mask` and `environment`.
+            index: index of the mesh (`Hits.geometry_id`), or a mapping from such indices to their vertices; in a scene of
+                instances, index of the instance, or several indices for `transform`, `mask` and `environment`.
             vertices: (V, 3), as many as the mesh has; for an instance, in the mesh's own space.
             transform: transform of the instance, (4, 4), or (N, 4, 4) for N instances, as in `wrt.Instance`; or a Warp array of
                 such matrices, or of (N,) `wp.transform`.
             mask, environment: of the instance, or of all instances in `index`.
-            rebuild: for `vertices`: "auto", "always", "never", or a `wrt.UpdatePolicy`.
+            rebuild: for `vertices`: "auto", "always", "never", or a `wrt.moving.UpdatePolicy`.
 
         Raises:
-            TypeError: a value has a wrong type, or no value was given.
-            ValueError: no such mesh or instance, a wrong number of vertices, vertices that are NaN or infinite, triangles that
-                spread too far (as for the class), a transform or a mask in a scene without instances, one that `wrt.Instance`
-                refuses, or an unknown name. The scene is then unchanged.
+            TypeError: a value has a wrong type, or no value was given; a mapping that is empty, or `vertices` beside one.
+            ValueError: no such mesh or instance, a mapping in a scene of instances, a wrong number of vertices, vertices that
+                are NaN or infinite, triangles that spread too far (as for the class), a transform or a mask in a scene
+                without instances, one that `wrt.Instance` refuses, or an unknown name. The scene is then unchanged.
         """
         refuse_capture("an update", self.device)
         self.state = self.state.updated(index, vertices, transform, mask, as_policy(rebuild), environment)
@@ -228,11 +237,6 @@ class Scene(Queries, Members):
         return getattr(self.state, "geometry_ids", ())
 
     @property
-    def parts(self) -> tuple[SceneState, ...]:
-        """The states of one level that the scene is made of: its own, or those of the meshes that instances share."""
-        return self.state.parts
-
-    @property
     def center(self) -> np.ndarray:
         """(3,) float64; the device holds geometry in float32, relative to this point."""
         return self.state.center
@@ -248,34 +252,9 @@ class Scene(Queries, Members):
         return self.state.tree
 
     @property
-    def lazy_tree(self) -> LazyKdTree | None:
-        """The tree that is built while rays are traced; None for trees of other kinds."""
-        return self.state.lazy_tree
-
-    @property
-    def area_trees(self) -> AreaTrees | None:
-        """The trees of influence areas; None if there are none."""
-        return self.state.area_trees
-
-    @property
-    def device_mesh(self) -> SceneMesh:
-        """All triangles on the device, as kernels read them."""
-        return self.state.device_mesh
-
-    @property
     def triangle_count(self) -> int:
         """Number of triangles of all meshes, or of all instances together."""
         return self.state.triangle_count
-
-    @property
-    def width(self) -> int:
-        """Number of triangles tested at once."""
-        return self.state.width
-
-    @property
-    def depth(self) -> int:
-        """Largest number of inner nodes on a path from the root of a BVH to a leaf."""
-        return self.state.depth
 
     @property
     def is_closed(self) -> bool:
@@ -288,25 +267,22 @@ class Scene(Queries, Members):
         return self.state.last_update
 
     @property
-    def exact_vertices(self) -> wp.array:
-        """(V,) vec3d on the device: the vertices of all meshes as they were given, for answers in float64; computed once.
-
-        Those of instances are in the meshes' own spaces.
-
-        Raises:
-            ValueError: the scene is of fuzzy boxes.
-        """
-        return self.state.exact_vertices
-
-    @property
-    def record_bytes(self) -> int:
-        """Bytes of the triangle records made so far. Queries make the records that their triangle test needs."""
-        return self.state.record_bytes
-
-    @property
     def bytes(self) -> int:
         """Memory of trees, triangles, maps of instances, and of the triangle records made so far."""
         return self.state.bytes
+
+    if not TYPE_CHECKING:  # type checkers refuse names that are not there
+
+        def __getattr__(self, name: str) -> Any:
+            """Members that are now those of `state`; each use warns."""
+            if name not in MOVED_TO_STATE:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            warnings.warn(
+                f"wrt.Scene.{name} is now scene.state.{name}; the old name goes with the next release",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+            return getattr(self.state, name)
 
     def __repr__(self) -> str:
         return f"Scene({self.state.contents()}, {self.accelerator}, device={str(self.device)!r})"
@@ -323,10 +299,6 @@ class Scene(Queries, Members):
         other = object.__new__(type(self))
         other.__dict__ |= self.__dict__
         return other
-
-    def complete(self) -> None:
-        """Builds the missing part of a lazily built tree, for code that cannot extend the tree while it walks it."""
-        self.state.complete()
 
     def flattened(self) -> TriangleMesh:
         """All meshes as one, with triangles in the order in which the scene numbers them.
@@ -361,6 +333,13 @@ class Scene(Queries, Members):
         from wrt.device import handle_of
 
         return handle_of(self.state, mask, environment)
+
+
+def scene_of_state(state: SceneState) -> Scene:
+    """A scene with the state of another scene, or with a part of one (`SceneState.parts`)."""
+    scene = object.__new__(Scene)
+    scene.state = state
+    return scene
 
 
 def unpickle_scene(geometry: Any, options: dict[str, Any], mark: str, cache: Any, graph: Any = None) -> Scene:

@@ -48,8 +48,8 @@ class UpdatePolicy:
     """When `Scene.update` rebuilds a tree. Its argument `rebuild` takes a policy, or a name for `when`.
 
     Attributes:
-        when: "auto": when the tree has become too costly (a `wrt.ProjectedBvh`: never); "always"; or "never" (except for
-            kd-trees whose old planes would cut triangles into more than 64 pieces on average).
+        when: "auto": when the tree has become too costly (a `wrt.known_rays.ProjectedBvh`: never); "always"; or "never" (except
+            for kd-trees whose old planes would cut triangles into more than 64 pieces on average).
         tolerance: for "auto", largest ratio of the cost of a tree or subtree, by the surface area heuristic, to its cost
             when it was built; at least 1.
         subtrees: for "auto", whether subtrees may be rebuilt separately.
@@ -101,7 +101,7 @@ def as_policy(rebuild: Any) -> UpdatePolicy:
     if isinstance(rebuild, UpdatePolicy):
         return rebuild
     if not isinstance(rebuild, str):
-        raise TypeError(f"rebuild must be 'auto', 'always', 'never' or a wrt.UpdatePolicy, not {type(rebuild).__name__}")
+        raise TypeError(f"rebuild must be 'auto', 'always', 'never' or a wrt.moving.UpdatePolicy, not {type(rebuild).__name__}")
     return UpdatePolicy(when=rebuild)
 
 

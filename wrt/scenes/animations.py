@@ -47,7 +47,7 @@ _LIMITS = {
 
 @dataclass(frozen=True)
 class Skin:
-    """What a skinned animation is made from, for `wrt.SkinnedScene`.
+    """What a skinned animation is made from, for `wrt.moving.SkinnedScene`.
 
     Attributes:
         vertices: (V, 3) float64 in the rest pose.

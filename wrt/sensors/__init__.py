@@ -14,43 +14,34 @@ seconds and radians where nothing else is said. A camera looks along z of its op
 frame; x points to the right and y down, in the image, too (OpenCV). A pose maps the sensor's frame to the world.
 """
 
-from wrt.sensors.files.bag_files import write_bag
-from wrt.sensors.files.point_files import write_points
-from wrt.sensors.image_sensor import Camera, CameraImages, look_at, pose_from_extrinsics
-from wrt.sensors.lens_models import (
-    BrownConrady,
-    DoubleSphere,
-    Equirectangular,
-    FTheta,
-    KannalaBrandt,
-    LensModel,
-    Orthographic,
-)
-from wrt.sensors.lidar import Lidar
-from wrt.sensors.lidar_pattern import LidarPattern
-from wrt.sensors.lidar_presets import LIDARS
-from wrt.sensors.lidar_scan import POINT_TYPE, LidarScan
-from wrt.sensors.trajectory import Trajectory, deskew
+from __future__ import annotations
 
-__all__ = [
-    "LIDARS",
-    "POINT_TYPE",
-    "BrownConrady",
-    "Camera",
-    "CameraImages",
-    "DoubleSphere",
-    "Equirectangular",
-    "FTheta",
-    "KannalaBrandt",
-    "LensModel",
-    "Lidar",
-    "LidarPattern",
-    "LidarScan",
-    "Orthographic",
-    "Trajectory",
-    "deskew",
-    "look_at",
-    "pose_from_extrinsics",
-    "write_bag",
-    "write_points",
-]
+from wrt.lazy_names import lazy_names
+
+_HOME = {
+    "BrownConrady": "wrt.sensors.lens_models",
+    "Camera": "wrt.sensors.image_sensor",
+    "CameraImages": "wrt.sensors.image_sensor",
+    "DoubleSphere": "wrt.sensors.lens_models",
+    "Equirectangular": "wrt.sensors.lens_models",
+    "FTheta": "wrt.sensors.lens_models",
+    "KannalaBrandt": "wrt.sensors.lens_models",
+    "LIDARS": "wrt.sensors.lidar_presets",
+    "LensModel": "wrt.sensors.lens_models",
+    "Lidar": "wrt.sensors.lidar",
+    "LidarPattern": "wrt.sensors.lidar_pattern",
+    "LidarScan": "wrt.sensors.lidar_scan",
+    "Orthographic": "wrt.sensors.lens_models",
+    "POINT_TYPE": "wrt.sensors.lidar_scan",
+    "Trajectory": "wrt.sensors.trajectory",
+    "deskew": "wrt.sensors.trajectory",
+    "look_at": "wrt.sensors.camera_poses",
+    "pose_from_extrinsics": "wrt.sensors.camera_poses",
+    "pose_from_opengl": "wrt.sensors.camera_poses",
+    "write_bag": "wrt.sensors.files.bag_files",
+    "write_points": "wrt.sensors.files.point_files",
+}
+
+__all__ = [*_HOME]
+
+__getattr__, __dir__ = lazy_names(__name__, _HOME)

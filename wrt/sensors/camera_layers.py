@@ -1,7 +1,7 @@
 """What a camera's images show beside depth and ids: colours of surfaces, optical flow, and light.
 
-Light is computed by the integrators of `wrt.Rendering`, with the camera's lens in place of a pinhole. Cameras are those of
-`wrt.sensors.Camera`.
+Light is computed by the integrators of `wrt.pictures.Rendering`, with the camera's lens in place of a pinhole. Cameras are
+those of `wrt.sensors.Camera`.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Albedo:
 
     Args:
         scene: whose surfaces these are.
-        materials: as of `wrt.Rendering`.
+        materials: as of `wrt.pictures.Rendering`.
         count: number of pixels.
     """
 
@@ -130,14 +130,14 @@ class Flow:
 
 
 class LensRendering(Rendering):
-    """A `wrt.Rendering` through a lens of `wrt.sensors`: samples are spread over pixels by the pixel filter.
+    """A `wrt.pictures.Rendering` through a lens of `wrt.sensors`: samples are spread over pixels by the pixel filter.
 
     Args:
-        scene: as of `wrt.Rendering`; instances that move are where they shall be.
+        scene: as of `wrt.pictures.Rendering`; instances that move are where they shall be.
         camera: the camera.
         path: its poses.
         time: of the first row.
-        options: as of `wrt.Rendering`, without `motion` and `lens_radius`.
+        options: as of `wrt.pictures.Rendering`, without `motion` and `lens_radius`.
     """
 
     def __init__(self, scene: Any, camera: Any, path: Trajectory, time: float, **options: Any) -> None:

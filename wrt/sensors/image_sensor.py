@@ -14,7 +14,8 @@ import warp as wp
 from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_real_array, convert_fields
 from wrt.memory import ArraysOfBlock, empty, outputs_of
-from wrt.sensors.checks import as_time, check_at_least, check_matrix, check_real
+from wrt.sensors.camera_conversion import camera_of, lens_of
+from wrt.sensors.checks import as_time, check_at_least
 from wrt.sensors.hit_outputs import HitOutputs
 from wrt.sensors.lens_models import LensModel
 from wrt.sensors.lidar import spread_on
@@ -33,6 +34,7 @@ from wrt.sensors.time_slices import (
 from wrt.sensors.trajectory import StillPoses, Trajectory, as_poses, as_trajectory
 
 if TYPE_CHECKING:
+    from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
     from wrt.imaging.integrators.rendering_job import Rendering
     from wrt.kernels.sensors.camera_images import Images
     from wrt.kernels.sensors.lidar_beams import Beams
@@ -65,9 +67,13 @@ class Camera:
         images = camera.capture(scene, wrt.sensors.pose_from_extrinsics(extrinsics))
         images.depth, images.normal, images.instance_id
 
+    **Pixels** are OpenCV's: row 0 is at the top, the centre of pixel (row, column) is at (column, row), whole numbers, and the
+    image's centre at ((width - 1) / 2, (height - 1) / 2). The optical frame has x to the right, y down and z forward, along the
+    axis. `wrt.PinholeCamera` has its pixel centres 0.5 further to the right and down; `from_camera` and `to_camera` convert.
+
     Attributes:
         width, height: of the image, in pixels.
-        lens: one of the lens models; OpenCV's pixels (the centre of the first pixel is at (0, 0)).
+        lens: one of the lens models, in these pixels.
         line_delay: seconds between the exposures of two rows, from the top down; 0 for a global shutter.
 
     Raises:
@@ -89,6 +95,40 @@ class Camera:
         if not isinstance(self.lens, LensModel):
             raise TypeError(f"lens must be a lens of wrt.sensors, such as BrownConrady, not {type(self.lens).__name__}")
         check_at_least("line_delay", self.line_delay, 0.0)
+
+    @classmethod
+    def from_camera(cls, camera: PinholeCamera | OrthographicCamera) -> tuple[Camera, np.ndarray]:
+        """The same view as that of a `wrt.PinholeCamera` or `wrt.OrthographicCamera`, pixel by pixel.
+
+            sensor, pose = wrt.sensors.Camera.from_camera(camera)
+            depth = sensor.capture(scene, pose).depth
+
+        Args:
+            camera: the camera.
+
+        Returns:
+            The camera with its lens, and the pose for `capture`.
+
+        Raises:
+            TypeError: it is neither.
+        """
+        lens = lens_of(camera)
+        return cls(camera.width, camera.height, lens), camera.pose
+
+    def to_camera(self, pose: Any) -> PinholeCamera | OrthographicCamera:
+        """The same view as a `wrt.PinholeCamera`, or a `wrt.OrthographicCamera` for an orthographic lens.
+
+        Args:
+            pose: (4, 4) from the optical frame to the world, as in `capture`.
+
+        Raises:
+            TypeError: not a matrix.
+            ValueError: a view that these cameras do not have: distortion, skew, a fisheye lens, an axis that does not pass
+                through the image's centre, pixels that are not square, a rolling shutter; or no rigid pose.
+        """
+        if self.line_delay:
+            raise ValueError(f"line_delay is {self.line_delay}; a wrt.PinholeCamera sees all rows at once")
+        return camera_of(self.lens, self.width, self.height, pose)
 
     def capture(
         self,
@@ -122,7 +162,7 @@ class Camera:
             mask, environment: as of `wrt.Scene.intersect`, one number, or one for each of many cameras.
             traversal: as of `wrt.Scene.intersect`.
             albedo: whether to make the image of the surfaces' own colours.
-            materials: those of the colours, as of `wrt.Rendering`: None for those of the meshes.
+            materials: those of the colours, as of `wrt.pictures.Rendering`: None for those of the meshes.
             flow: seconds from this image to another one, after it or before, for the optical flow between them; None for no
                 flow. Trajectories must cover its exposure, too.
             to_warp: whether images are Warp arrays on the scene's device instead of NumPy arrays.
@@ -180,9 +220,9 @@ class Camera:
         settings: Any = None,
         **options: Any,
     ) -> Rendering:
-        """A picture in colour, by the integrators of `wrt.Rendering`, all samples of which are made.
+        """A picture in colour, by the integrators of `wrt.pictures.Rendering`, all samples of which are made.
 
-            picture = camera.render(scene, pose, samples=64, lights=[wrt.Sky(1.0)])
+            picture = camera.render(scene, pose, samples=64, lights=[wrt.lights.Sky(1.0)])
             wrt.save_image("view.png", picture.image())
 
         Rays through a pixel are spread by the pixel filter. Pixels without a ray are black. With a rolling shutter each row is
@@ -190,13 +230,13 @@ class Camera:
 
         Args:
             scene, pose, time, motions: as of `capture`; one pose or trajectory.
-            integrator, lights, materials, settings, options: as of `wrt.Rendering`.
+            integrator, lights, materials, settings, options: as of `wrt.pictures.Rendering`.
 
         Returns:
-            A `wrt.Rendering`: `image()` for display, `linear`, `noise` and `layers`.
+            A `wrt.pictures.Rendering`: `image()` for display, `linear`, `noise` and `layers`.
 
         Raises:
-            TypeError, ValueError: as `capture` and `wrt.Rendering`; many poses.
+            TypeError, ValueError: as `capture` and `wrt.pictures.Rendering`; many poses.
         """
         from wrt.sensors.camera_layers import render
 
@@ -208,7 +248,13 @@ class Camera:
         return render(scene, self, path, time, motions, **options).advance()
 
     def beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
-        """The rays of all pixels in the optical frame, for kernels."""
+        """The rays of all pixels in the optical frame, for kernels.
+
+        Args:
+            device: where they are read.
+            order: in which they are traced, the numbers of pixels; None for row by row.
+            time: exposure of the first row, in seconds.
+        """
         from wrt.kernels.sensors.lidar_beams import Beams
 
         beams = Beams()
@@ -351,57 +397,3 @@ def as_labels(labels: Any, scene: Queries) -> np.ndarray:
     if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
         raise ValueError(f"labels must be {count} numbers from 0 to 2**31 - 1, one for each instance, not {labels!r:.80}")
     return values.astype(np.int32)
-
-
-def pose_from_extrinsics(extrinsics: Any) -> np.ndarray:
-    """The pose of a camera, from its optical frame to the world, of OpenCV's extrinsics, which map the world to that frame.
-
-    Args:
-        extrinsics: (4, 4), or (3, 4) without the last row.
-
-    Returns:
-        (4, 4) float64.
-
-    Raises:
-        TypeError, ValueError: not such a matrix.
-    """
-    matrix = check_real("extrinsics", extrinsics)
-    if matrix.shape == (3, 4):
-        matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
-    check_matrix("extrinsics", check_real("extrinsics", matrix, (4, 4)))
-    return np.linalg.inv(matrix)
-
-
-def _no_view(forward: np.ndarray, up: np.ndarray) -> str:
-    """Why there is no pose, and what to do."""
-    if not forward.any():
-        return "there is no view: position and target are the same point; move one of them"
-    if not up.any():
-        return "up is zero; pass the direction that points up in the image, such as up=(0, 0, 1)"
-    other = "(0, 1, 0)" if abs(forward[1]) < 0.9 * np.linalg.norm(forward) else "(1, 0, 0)"
-    return f"up is parallel to the view, as for a camera that looks straight down; pass another direction, such as up={other}"
-
-
-def look_at(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> np.ndarray:
-    """The pose of a camera's optical frame at a position, with the target on its axis.
-
-    Args:
-        position, target: (3,) points in the world.
-        up: (3,) the direction that points up in the image. A camera that looks straight down or up needs another one than z,
-            such as (0, 1, 0), for north at the top of a map.
-
-    Returns:
-        (4, 4) float64.
-
-    Raises:
-        TypeError, ValueError: wrong shapes, the same point twice, or `up` parallel to the view.
-    """
-    position, target, up = (check_real(name, v, (3,)) for name, v in (("position", position), ("target", target), ("up", up)))
-    forward = target - position
-    right = np.cross(forward, up)
-    if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
-        raise ValueError(_no_view(forward, up))
-    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, position
-    return pose

@@ -191,7 +191,7 @@ class KannalaBrandt(_FocalLens):
 
     @classmethod
     def from_matrix(cls, matrix: Any, distortion: Any = (), max_angle: float = np.pi) -> KannalaBrandt:
-        """The lens of a camera matrix K; arguments and errors as of `BrownConrady.from_matrix` and the class."""
+        """The lens of a camera matrix K; arguments and errors as in `BrownConrady.from_matrix` and the class."""
         *focal, skew = _focal(matrix)
         return cls(*focal, distortion, max_angle, skew)
 
@@ -316,7 +316,7 @@ def _focal(matrix: Any) -> tuple[float, float, float, float, float]:
     if not np.array_equal(others, np.diag([0.0, 0.0, 1.0])):
         raise ValueError(
             f"matrix must be [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], not {matrix.tolist()}; divide it by its last number, or "
-            "pass rays of wrt.RaycastingScene.create_rays_pinhole, which takes any matrix that has an inverse, to intersect"
+            "pass rays of wrt.compat.RaycastingScene.create_rays_pinhole, which takes any invertible matrix, to intersect"
         )
     return (*(float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1))),)
 

@@ -212,7 +212,13 @@ class Lidar:
         return LidarScan(self.pattern, work.arrays, self.returns, path, time, slice_error(motions, scene, parts))
 
     def device_beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
-        """The beams for kernels, traced in this order."""
+        """The beams, for kernels.
+
+        Args:
+            device: where they are read.
+            order: in which they are traced, the numbers of beams; None for that of the pattern.
+            time: of the first beam, in seconds.
+        """
         from wrt.kernels.runtime.argument_packing import copied
         from wrt.kernels.sensors.lidar_beams import Beams
 
@@ -230,7 +236,12 @@ class Lidar:
         return beams
 
     def detector(self, device: wp.Device, reflectance: np.ndarray) -> Detector:
-        """What the receiver detects, for kernels."""
+        """What the receiver detects, for kernels.
+
+        Args:
+            device: where it is read.
+            reflectance: of each instance, or one for all.
+        """
         from wrt.kernels.sensors.lidar_returns import Detector
 
         alone = float(reflectance[0]) if len(reflectance) == 1 else None

@@ -39,7 +39,7 @@ CHUNK = 16
 class AreaLightVisibility:
     """Soft shadows of an area light: which of its samples each point sees.
 
-        light = wrt.AreaLightVisibility.rectangle(scene, (-1, -1, 5), (2, 0, 0), (0, 2, 0), samples=16)
+        light = wrt.lights.AreaLightVisibility.rectangle(scene, (-1, -1, 5), (2, 0, 0), (0, 2, 0), samples=16)
         fraction = light.visible(hits.position, t_min=1e-3)         # float32, 0 in the umbra, 1 in full light
         dark = light.occluded(hits.position, t_min=1e-3)            # bool for each sample
         same = scene.occluded(light.shadow_rays(hits.position, t_min=1e-3))  # bit for bit

@@ -40,7 +40,7 @@ CHUNK = 4096
 class LightBuffer:
     """Shadows of a point light by its light buffer (Haines and Greenberg 1986).
 
-        buffer = wrt.LightBuffer(scene, (2, -3, 8))
+        buffer = wrt.lights.LightBuffer(scene, (2, -3, 8))
         dark = buffer.occluded(hits.spawn(...).origins)         # bool
         same = scene.occluded(buffer.shadow_rays(points))       # bit for bit
 
@@ -66,7 +66,7 @@ class LightBuffer:
 
     Raises:
         TypeError: `position` is not an array of real numbers; `resolution` is not an int.
-        ValueError: a scene of instances or a `wrt.FuzzyScene`; a position of another shape, or one that is not finite; a
+        ValueError: a scene of instances or a `wrt.moving.FuzzyScene`; a position of another shape, or one that is not finite; a
             resolution out of range; an unknown triangle test, or one whose rays must share their origin.
         MemoryError: cells and lists would take more than `max_bytes`.
     """

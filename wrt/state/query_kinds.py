@@ -35,13 +35,13 @@ class Query(NamedTuple):
 
     Attributes:
         kind: key in `wrt.kernels.answers.ANSWERS`: "closest", "any", "count" or "all".
-        traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `wrt.Plan`.
+        traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `wrt.results.Plan`.
         triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
         cull_backfaces: whether triangles are hit only from their front.
         counters: whether the work for each ray is counted.
         mask: of rays in a scene of instances; None for all bits.
         environment: of rays in a scene of instances; None for those that see all.
-        areas: influence areas of the rays in a scene of a `wrt.RayAwareBvh`; None to find them.
+        areas: influence areas of the rays in a scene of a `wrt.known_rays.RayAwareBvh`; None to find them.
         skip: the triangle that each ray ignores; None for none.
         precise: whether closest hits are computed in float64.
         max_hits: largest number of hits that are listed for each ray; None for all.

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.imaging.cameras import PinholeCamera, check_point
+from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.integrators import INTEGRATORS
-from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers
+from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_point
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.up_axis import default_up
 from wrt.scene.scene import Scene
@@ -347,7 +347,7 @@ def view(
         samples: of each pixel, at rest.
         options: of each integrator, as of `wrt.render`: `{"ambient": {"light": (0, 0, 9)}}`.
         animate: animate(scene, frame) moves the scene to a frame: the viewer can then play. None for `show` of a
-            `wrt.FuzzyScene`, and no animation of others.
+            `wrt.moving.FuzzyScene`, and no animation of others.
         frames: number of frames of the animation.
         open_browser: whether to open a browser of this computer.
 
@@ -367,7 +367,7 @@ def view(
     block, open_browser = None if block is None else as_bool("block", block), as_bool("open_browser", open_browser)
     if animate is not None and frames < 1:
         raise ValueError(f"frames is {frames}; an animation needs the number of its frames")
-    up = tuple(map(float, check_point("up", default_up(scene) if up is None else up)))
+    up = tuple(map(float, as_point("up", default_up(scene) if up is None else up)))
     camera = PinholeCamera.framing(scene, 800, 600, up=up) if camera is None else camera
     first, options = first_wish(camera, integrator, samples), dict(options or {})
     for name in options:

@@ -17,7 +17,7 @@ import numpy as np
 
 from wrt.accelerators.accelerator import Accelerator, resolve_accelerator
 from wrt.kernels.runtime.launch import check_num_threads
-from wrt.scene.fuzzy_scene import FuzzyScene
+from wrt.moving.fuzzy_scene import FuzzyScene
 from wrt.scene.scene import Scene
 
 __all__ = ["SharedScene"]
@@ -189,7 +189,7 @@ class SharedScene:
             ValueError: there is no animation, or `rate` is not above 0.
         """
         if self.frames == 0:
-            raise ValueError("there is no animation; give animate= and frames=, or a wrt.FuzzyScene")
+            raise ValueError("there is no animation; give animate= and frames=, or a wrt.moving.FuzzyScene")
         if not rate > 0.0:
             raise ValueError(f"rate is {rate}; it must be above 0")
         with self._switching:

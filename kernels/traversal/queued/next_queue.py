@@ -1,7 +1,7 @@
 """The way of a ray from queue to queue: the next leaf of an upper tree that the ray enters.
 
 The leaves of the **upper tree** are queue points: subtrees of a tree in memory (`wrt.kernels.traversal.queued.queued_bvh`), or
-parts of a scene on disk (`wrt.partitioned`). A ray passes the queue points whose boxes it meets in the order of (t of entry,
+parts of a scene on disk (`wrt.disk`). A ray passes the queue points whose boxes it meets in the order of (t of entry,
 number of the point). It keeps only the last one, so the state of a waiting ray is 8 bytes beside the ray and its best hit. A
 point whose box is entered beyond the best hit is skipped, and so are all after it.
 

@@ -30,13 +30,13 @@ SHADOW_TRAVERSALS: dict[str, ShadowTraversal] = {
         ShadowTraversal(
             "light_buffer",
             "a point light",
-            "wrt.LightBuffer",
+            "wrt.lights.LightBuffer",
             "Haines, Greenberg: The light buffer: a shadow-testing accelerator (1986)",
         ),
         ShadowTraversal(
             "multi_frusta",
             "an area light",
-            "wrt.AreaLightVisibility",
+            "wrt.lights.AreaLightVisibility",
             "Benthin, Wald: Efficient ray traced soft shadows using multi-frusta tracing (2009)",
         ),
     )

@@ -118,7 +118,7 @@ def first_frames(mesh: TriangleMesh, rays: Rays, builders: Sequence[str], *, rou
 
 def built_part(scene: Scene, rays: Rays) -> BuiltPart:
     """What of a scene's lazy tree is built, and what the rays see of the mesh."""
-    cells = scene.lazy_tree.cells
+    cells = scene.state.lazy_tree.cells
     undivided = cells["clusters"] > 0
     hits = scene.intersect(rays).primitive_id
     listed = np.unique(scene.tree.primitive.numpy())

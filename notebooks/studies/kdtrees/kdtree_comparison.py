@@ -123,7 +123,7 @@ def compare_trees(
         tracing = [Contender(name, lambda name=name, rays=rays: trace(name, rays)) for name in trees]
         traced[rays.name] = take_turns(tracing, trace_rounds or rounds, **take)
     for scene in scenes.values():
-        scene.complete()
+        scene.state.complete()
     costs = {name: scene.statistics().tree.sah_cost for name, scene in scenes.items()}
     return [
         BuilderFigures(

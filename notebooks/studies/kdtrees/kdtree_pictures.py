@@ -110,15 +110,15 @@ def leaves_of(scene: Scene) -> tuple[Boxes, np.ndarray]:
     """The leaves of a scene's kd-tree that are built: their boxes, in the scene's coordinates, and their triangles."""
     flat, center = unpack(scene.tree), np.array(scene.center)
     chosen = flat.is_leaf.copy()
-    if scene.lazy_tree is not None:
-        cells = scene.lazy_tree.cells
+    if scene.state.lazy_tree is not None:
+        cells = scene.state.lazy_tree.cells
         chosen[cells["node"][cells["unbuilt"]]] = False
     return (flat.low[chosen] + center, flat.high[chosen] + center), flat.triangles[chosen]
 
 
 def unbuilt_cells(scene: Scene) -> Boxes:
     """The boxes of what is not built yet of a lazy scene's tree, in the scene's coordinates."""
-    cells, center = scene.lazy_tree.cells, np.array(scene.center)
+    cells, center = scene.state.lazy_tree.cells, np.array(scene.center)
     unbuilt = cells[cells["unbuilt"]]
     return unbuilt["low"] + center, unbuilt["high"] + center
 
@@ -145,7 +145,7 @@ def draw_section(axes: Axes, scene: Scene, mesh: TriangleMesh, axis: int, at: fl
     look = {"cmap": colors, "clim": (0.5, most), "edgecolors": "#4477aa", "linewidths": 0.35}
     cells = PolyCollection(corners, array=triangles[met].astype(float), **look)
     axes.add_collection(cells)
-    if scene.lazy_tree is not None:
+    if scene.state.lazy_tree is not None:
         _, corners = rectangles(unbuilt_cells(scene), axis, at)
         axes.add_collection(PolyCollection(corners, facecolors=WAITING, edgecolors="white", linewidths=0.35))
     axes.add_collection(LineCollection(cross_section(mesh, axis, at), colors="black", linewidths=0.7))

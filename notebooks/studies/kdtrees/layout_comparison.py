@@ -168,7 +168,7 @@ def compare(
     """
     cost = CLASSIC_BLOCK if width == 1 else KdTree.block_cost
     scene = Scene(mesh, KdTree(builder=builder, width=width, block_cost=cost), device="cpu", num_threads=threads)
-    scene.complete()
+    scene.state.complete()
     trees = {name: form.make(scene.tree) for name, form in placed.items()}
     steps: dict[str, dict[str, float]] = {name: {} for name in placed}
     ratios: dict[str, dict[str, float | None]] = {name: {} for name in placed}

@@ -92,7 +92,7 @@ def first_views(
 
 def opened_part(scene: Scene) -> dict[str, int]:
     """Counts of a scene's lazy tree, as of `first_views`."""
-    tree = scene.lazy_tree
+    tree = scene.state.lazy_tree
     cells = tree.cells[tree.cells["clusters"] > 0]
     return {
         "groups": 0 if tree.groups is None else len(tree.groups.members),

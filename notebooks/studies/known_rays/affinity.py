@@ -3,7 +3,8 @@
     compare_affinity   time to find the area of each ray, and to check a given one, beside that of tracing with the default tree
     compare_work       boxes and triangles that a ray is tested against, alone and in packets, by tree
 
-`wrt.ProjectedBvh` is one tree for the rays of the area: nothing is looked up, so no way to find areas can be faster than it.
+`wrt.known_rays.ProjectedBvh` is one tree for the rays of the area: nothing is looked up, so no way to find areas can be faster
+than it.
 """
 
 from __future__ import annotations

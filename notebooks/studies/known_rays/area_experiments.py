@@ -35,7 +35,7 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 from wrt.known_rays.tree_analysis import BOX_COST, TRIANGLE_COST, analyse
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
-from wrt.scene.scene import Scene
+from wrt.scene.scene import Scene, scene_of_state
 
 Row = dict[str, Any]
 
@@ -86,7 +86,7 @@ def octree_levels(
         for depth in (*depths, None):
             accelerator = RayAwareBvh(areas=stretched_areas, whole=whole, local=local, top_level="octree", depth=depth or 1)
             scene = Scene(mesh, accelerator, device="cpu", num_threads=1)
-            trees, sent = scene.area_trees, inside
+            trees, sent = scene.state.area_trees, inside
             if depth is not None:
                 listed = trees.top.candidates(cast.origins)
                 places = {number: place for place, number in enumerate(trees.numbers)}
@@ -94,7 +94,7 @@ def octree_levels(
             row = {"scene": case.scene, "depth": depth, "sent": int(sent.sum())}
             row |= {"strangers": float(1.0 - inside[sent].mean())} | costs_of(scene, cast, chosen, sent)
             rest = Rays(cast.origins[~sent], cast.directions[~sent])
-            elsewhere = total_cost(Scene.of_state(scene.state.over(scene.tree)), rest) if len(rest) else 0.0
+            elsewhere = total_cost(scene_of_state(scene.state.over(scene.tree)), rest) if len(rest) else 0.0
             rows.append(row | {"all": (row["fallback"] * row["sent"] + elsewhere) / rays})
     return rows
 
@@ -102,13 +102,13 @@ def octree_levels(
 def costs_of(scene: Scene, cast: Rays, chosen: np.ndarray, sent: np.ndarray) -> Row:
     """Costs of the rays that are sent to their area's trees, an average over them: local, fallback, missed."""
     local, missing = 0.0, np.zeros(len(sent), dtype=bool)
-    for number, state in zip(scene.area_trees.numbers, scene.area_trees.scenes, strict=True):
+    for number, state in zip(scene.state.area_trees.numbers, scene.state.area_trees.scenes, strict=True):
         own = np.flatnonzero(sent & (chosen == number))
         if len(own):
-            part, rays = Scene.of_state(state), Rays(cast.origins[own], cast.directions[own])
+            part, rays = scene_of_state(state), Rays(cast.origins[own], cast.directions[own])
             local += total_cost(part, rays)
             missing[own] = ~part.intersect(rays).is_hit
-    whole = Scene.of_state(scene.state.over(scene.tree))
+    whole = scene_of_state(scene.state.over(scene.tree))
     again = total_cost(whole, Rays(cast.origins[missing], cast.directions[missing])) if missing.any() else 0.0
     count = max(int(sent.sum()), 1)
     return {"local": local / count, "fallback": (local + again) / count, "missed": float(missing[sent].mean())}
@@ -142,7 +142,7 @@ def walk(scene: Scene, rays: Rays, order: str, *, stops: bool = True) -> np.ndar
         order: "queue", "stack" or "sorted".
         stops: whether what lies behind the closest hit is left out.
     """
-    test, mesh = TRIANGLE_TESTS["woop"], scene.device_mesh
+    test, mesh = TRIANGLE_TESTS["woop"], scene.state.device_mesh
     blocks: TriangleBlocks = pack_blocks(test.record, mesh.vertices, mesh.faces, scene.tree.primitive, scene.tree.width)
     buffers, lanes = to_device(rays, scene.device, scene.center), lanes_of(scene)
     waiting = wp.empty((buffers.count, lanes.kind.shape[0]), dtype=int, device="cpu")

@@ -71,7 +71,7 @@ class Searches:
         scene = Scene(mesh, device="cpu")
         order = scene.tree.primitive.numpy()
         faces = wp.array(mesh.faces[order[order >= 0]], dtype=wp.vec3i, device="cpu")
-        triangles = triangle_boxes(scene.device_mesh.vertices, faces, scene.center)
+        triangles = triangle_boxes(scene.state.device_mesh.vertices, faces, scene.center)
         config = accelerator.config(scene.tree.width)
         is_aware = isinstance(accelerator, ProjectedBvh)
         self.builder = ProjectedBuilder(triangles, config) if is_aware else BinnedBuilder(triangles, config)
@@ -141,7 +141,8 @@ class AxisOrders:
     Args:
         mesh: whose tree has the nodes, those of the default build.
         area: of the rays.
-        order: "longest", by the sides of a node's box, or "facing", by the rays at its centre (`wrt.ProjectedBvh`'s `axes`).
+        order: "longest", by the sides of a node's box, or "facing", by the rays at its centre (`wrt.known_rays.ProjectedBvh`'s
+            `axes`).
         repeats: how often `run` orders the axes of all nodes.
     """
 
@@ -150,7 +151,7 @@ class AxisOrders:
         boxes = analyse(scene).boxes
         self.low, self.high = (wp.array(ends - scene.center, dtype=wp.vec3, device="cpu") for ends in (boxes.low, boxes.high))
         self.rules, self.count, self.repeats = AXIS_CHOICES[order].struct(), len(boxes.low), repeats
-        triangles = triangle_boxes(scene.device_mesh.vertices, scene.device_mesh.faces, scene.center)
+        triangles = triangle_boxes(scene.state.device_mesh.vertices, scene.state.device_mesh.faces, scene.center)
         self.mixture = known_rays(triangles, ProjectedBvh(areas=area).config(scene.tree.width)).mixture
         self.orders = wp.empty(self.count, dtype=AxisOrder, device="cpu")
         self.kernel = make_axis_orders(order == "facing", repeats)

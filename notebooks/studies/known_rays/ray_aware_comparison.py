@@ -52,7 +52,7 @@ REFERENCE = "Bvh"
 """The tree that all figures refer to."""
 
 GIVEN = "areas=0"
-"""`wrt.RayAwareBvh` that is told the area of all rays."""
+"""`wrt.known_rays.RayAwareBvh` that is told the area of all rays."""
 
 SUN = (0.35, 0.5, -0.8)
 """Direction of the directional light."""

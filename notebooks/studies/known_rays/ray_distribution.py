@@ -40,7 +40,7 @@ from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.execution.area_trees import CHUNK
 from wrt.kernels.influence.area_assignment import assign_rays
 from wrt.kernels.runtime.launch import launch
-from wrt.known_rays.break_even import break_even
+from wrt.known_rays.area_break_even import break_even
 from wrt.known_rays.tree_analysis import TreeAnalysis, analyse
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
@@ -150,7 +150,7 @@ def balances(cases: Iterable[Case], *, rays: int = 4096, reaches: Sequence[float
             local = ProjectedBvh.published(area)
             whole = Bvh(width=2, traversal_cost=local.traversal_cost, block_cost=2 * local.triangle_cost, max_leaf_triangles=2)
             scene = Scene(case.mesh, RayAwareBvh(areas=[area], whole=whole, local=local), device="cpu")
-            if scene.area_trees is None:
+            if scene.state.area_trees is None:
                 continue
             found = break_even(scene, case.rays(rays), samples=rays)
             if not found.areas:
@@ -288,9 +288,9 @@ def axis_tries(scene: Scene) -> tuple[float, float]:
     """Axes tried a node of the binary tree, and share of the nodes whose choice fell back on the longest side.
 
     Args:
-        scene: built with a `wrt.ProjectedBvh`; its tree is built again.
+        scene: built with a `wrt.known_rays.ProjectedBvh`; its tree is built again.
     """
-    triangles = triangle_boxes(scene.device_mesh.vertices, scene.device_mesh.faces, scene.center)
+    triangles = triangle_boxes(scene.state.device_mesh.vertices, scene.state.device_mesh.faces, scene.center)
     builder = ProjectedBuilder(triangles, scene.accelerator.config(scene.tree.width))
     builder.build()
     tried = builder.rays.tried.numpy()
@@ -316,8 +316,8 @@ def memory(cases: Iterable[Case], counts: Sequence[int] = (1, 20), depth: int = 
         for count in counts:
             areas = [case.area] if count == 1 else [stretched(area, low, high) for area in random_areas(count)]
             scene = Scene(case.mesh, RayAwareBvh(areas=areas, top_level="octree", depth=depth), device="cpu")
-            whole, top = scene.tree.bytes, scene.area_trees.top.bytes
-            local = scene.area_trees.bytes - top
+            whole, top = scene.tree.bytes, scene.state.area_trees.top.bytes
+            local = scene.state.area_trees.bytes - top
             row = {"scene": case.scene, "triangles": case.mesh.triangle_count, "areas": count}
             rows.append(row | {"whole": whole, "local": local, "top": top, "ratio": (whole + local + top) / whole})
     return rows

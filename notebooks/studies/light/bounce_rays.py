@@ -11,7 +11,7 @@ import warp as wp
 from wrt.accelerators.tree_descriptions import Bvh
 from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.integrators.rendering_job import Rendering
-from wrt.imaging.lights.sky_image import Sky
+from wrt.lights.sky_image import Sky
 from wrt.materials.material import Material
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene

@@ -18,8 +18,6 @@ from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.rendering_job import Rendering
 from wrt.imaging.integrators.wavefront import GROUP, Wave
-from wrt.imaging.lights.light_sources import PointLight
-from wrt.imaging.lights.sky_image import Sky
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.ordering.ray_order import sort_buckets
 from wrt.kernels.runtime.launch import launch
@@ -33,6 +31,8 @@ from wrt.kernels.shading.wavefront.shading_streams import (
     make_stream_step,
     move_hits,
 )
+from wrt.lights.light_sources import PointLight
+from wrt.lights.sky_image import Sky
 from wrt.materials.material import Material
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene

@@ -21,9 +21,9 @@ from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.skeleton import Skeleton
-from wrt.scene.fuzzy_scene import FuzzyScene
-from wrt.scene.grouped_scene import GroupedScene
-from wrt.scene.moving.skinned_scene import SkinnedScene
+from wrt.moving.fuzzy_scene import FuzzyScene
+from wrt.moving.grouped_scene import GroupedScene
+from wrt.moving.skinned_scene import SkinnedScene
 from wrt.scene.scene import Scene
 from wrt.scenes.animations import Animation, walking_figure, waving_cloth
 
@@ -93,13 +93,13 @@ def by_two_levels(stage: Stage) -> Show:
 
 
 def by_groups(accelerator: str, **options: Any) -> Callable[[Stage], Show]:
-    """The same, put together to one tree; options: of `wrt.GroupedScene`."""
+    """The same, put together to one tree; options: of `wrt.moving.GroupedScene`."""
 
     def start(stage: Stage) -> Show:
         scene = GroupedScene(stage.meshes(0), accelerator, device="cpu", **options)
 
         def show(frame: int) -> Scene:
-            scene.move({1: stage.animation.frames[frame]})
+            scene.update({1: stage.animation.frames[frame]})
             return scene
 
         return show

@@ -28,9 +28,9 @@ from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
+from wrt.moving.fuzzy_scene import FuzzyScene, find_motion, triangle_corners
+from wrt.moving.grouped_scene import GroupedScene
 from wrt.rays.rays import Rays
-from wrt.scene.fuzzy_scene import FuzzyScene, find_motion, triangle_corners
-from wrt.scene.grouped_scene import GroupedScene
 from wrt.scene.scene import Scene
 from wrt.scenes.animations import Animation
 
@@ -119,7 +119,7 @@ def group_updates(
 
             def run() -> None:
                 frame = next(frames)
-                scene.move({1 + k: place.frames[frame] for k, place in enumerate(places[:number])}, rebuild=rebuild)
+                scene.update({1 + k: place.frames[frame] for k, place in enumerate(places[:number])}, rebuild=rebuild)
 
             return run
 

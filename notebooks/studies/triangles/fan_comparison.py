@@ -1,8 +1,9 @@
 """Triangle fans against triangles one by one, all of them for every ray, and in trees: does sharing vertices pay?
 
-`compare` times brute force over fans (`wrt.fans.fan_arrays.closest_by_fans`) beside brute force by Moeller and Trumbore's test,
-from which the fans' is derived, with and without precomputed edges, beside the plane's rows and Havel and Herout's test.
-`compare_trees` times trees with leaves of fans (`wrt.FanScene`) beside those of triangles. `compare_files` reads files of both.
+`compare` times brute force over fans (`wrt.classics.fan_arrays.closest_by_fans`) beside brute force by Moeller and Trumbore's
+test, from which the fans' is derived, with and without precomputed edges, beside the plane's rows and Havel and Herout's test.
+`compare_trees` times trees with leaves of fans (`wrt.classics.FanScene`) beside those of triangles. `compare_files` reads files
+of both.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from studies.triangles.pichler_tables import SCENES
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.core.workloads import WorkloadMaker
 from wrt.builders.triangle_fans import TriangleFans
+from wrt.classics.fan_arrays import closest_by_fans, fans_of, on_device
+from wrt.classics.fan_files import load_fans, save_fans
+from wrt.classics.fan_scene import FanScene
 from wrt.execution.traversal_launch import kernel_and_inputs, no_work
-from wrt.fans.fan_arrays import closest_by_fans, fans_of, on_device
-from wrt.fans.fan_files import load_fans, save_fans
-from wrt.fans.fan_scene import FanScene
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.fan_brute_force import EDGES, NORMALS, PLANES, VERTICES, VERTICES_NORMALS, FanSet
 from wrt.kernels.traversal.leaf import Counters
@@ -65,7 +66,7 @@ def compare(scenes: Sequence[str] = ("teapot", "stadium"), *, size: int = 24, ro
         mesh = SCENES[name]()
         scene = Scene(mesh, "bvh", num_threads=1, device="cpu")
         rays = next(WorkloadMaker(mesh, size=size).make(("far",))).rays
-        fans = fans_of(scene)
+        fans = fans_of(scene.state)
         timings = timed(ways(scene, fans, rays), rounds)
         for way, timing in timings.items():
             row = {"scene": name, "triangles": scene.triangle_count, "fans": len(fans), "way": way}
@@ -81,7 +82,7 @@ def ways(scene: Scene, fans: TriangleFans, rays: Rays) -> dict[str, Callable[[],
         return lambda: scene.intersect(rays, traversal="brute", triangle_test=test).t
 
     def by_fans(form: str) -> Callable[[], np.ndarray]:
-        made = on_device(scene, fans, form not in (VERTICES, VERTICES_NORMALS))
+        made = on_device(scene.state, fans, form not in (VERTICES, VERTICES_NORMALS))
         return lambda: closest_by_fans(scene, made, rays, form)[0]
 
     runs = {test: by_test(test) for test in TESTS}
@@ -153,8 +154,10 @@ def compare_files(folder: Path, scenes: Sequence[str] = ("teapot", "stadium"), *
     for name in scenes:
         mesh = SCENES[name]()
         scene = FanScene(mesh, device="cpu")
-        save_fans(folder / "fans.npz", scene.fans, np.unique(scene.device_mesh.vertices.numpy(), axis=0))
-        np.savez(folder / "triangles.npz", vertices=scene.device_mesh.vertices.numpy()[scene.device_mesh.faces.numpy()])
+        save_fans(folder / "fans.npz", scene.fans, np.unique(scene.state.device_mesh.vertices.numpy(), axis=0))
+        np.savez(
+            folder / "triangles.npz", vertices=scene.state.device_mesh.vertices.numpy()[scene.state.device_mesh.faces.numpy()]
+        )
         timings = timed({"fan": lambda: load_fans(folder / "fans.npz"), "triangle": lambda: load_triangles(folder)}, rounds)
         row = {"scene": name, "triangles": mesh.triangle_count, "fans": len(scene.fans)}
         for kind, timing in timings.items():

@@ -1,6 +1,6 @@
 """Queries by single rays whose leaves test triangles one by one, or a block at once: what a triangle test costs in a tree.
 
-Testing one by one is for measurements only, so no `wrt.Plan` names it. A kernel's `SingleConfig.scalar_test` does.
+Testing one by one is for measurements only, so no `wrt.results.Plan` names it. A kernel's `SingleConfig.scalar_test` does.
 """
 
 from __future__ import annotations

@@ -143,7 +143,7 @@ def count_comparisons(scene: Scene, rays: Rays, variant: Variant) -> dict[str, i
     tree = AllTriangles()
     tree.count, tree.low, tree.high = count, scene.tree.low, scene.tree.high
     ids = wp.array(np.arange(count, dtype=np.int32), dtype=int, device=scene.device)
-    mesh = scene.device_mesh
+    mesh = scene.state.device_mesh
     blocks = pack_blocks(join(variant.parts), mesh.vertices, mesh.faces, ids, 1)
     counts = wp.zeros(buffers.batch.count, dtype=Pruned, device=scene.device)
     inputs = [tree, blocks, buffers.batch, closest, counts]

@@ -117,7 +117,7 @@ def details(peer: Peer) -> dict[str, Any]:
     return {
         "phases": dict(scene.tree.stats.seconds),
         "tree_bytes_per_triangle": scene.tree.bytes / triangles,
-        "record_bytes_per_triangle": scene.record_bytes / triangles,
+        "record_bytes_per_triangle": scene.state.record_bytes / triangles,
         "peak_bytes_per_triangle": scene.tree.stats.peak_bytes / triangles,
         "statistics": scene.statistics().to_dict(),
     }

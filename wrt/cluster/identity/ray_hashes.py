@@ -91,7 +91,7 @@ def generated_hash(source: GeneratedRays) -> str:
     """The hash of rays that a function makes, from pieces of them, and of its code.
 
     Raises:
-        TypeError, ValueError: as `wrt.GeneratedRays.rows`; and what the function raises.
+        TypeError, ValueError: as `wrt.batches.GeneratedRays.rows`; and what the function raises.
     """
     length, each = source.shape[0], max(1, math.prod(source.shape[1:]))
     rows = max(1, MADE // (PIECES * each))

@@ -144,15 +144,15 @@ def shaded_mesh(scene: Scene, crease_angle: float | None) -> ShadedMesh:
     The last one is kept until the scene changes: 64 bytes a triangle.
     """
     mesh, angle, made = _shaded.get(scene, (None, None, None))
-    if made is None or mesh is not scene.device_mesh or angle != crease_angle:
+    if made is None or mesh is not scene.state.device_mesh or angle != crease_angle:
         made = _new_shaded_mesh(scene, crease_angle)
-        _shaded[scene] = scene.device_mesh, crease_angle, made
+        _shaded[scene] = scene.state.device_mesh, crease_angle, made
     return made
 
 
 def _new_shaded_mesh(scene: Scene, crease_angle: float | None) -> ShadedMesh:
     made = ShadedMesh()
-    made.mesh = scene.device_mesh
+    made.mesh = scene.state.device_mesh
     made.is_smooth = crease_angle is not None
     if made.is_smooth:
         made.corner_normals = corner_normals(scene, crease_angle)

@@ -21,7 +21,6 @@ import warp as wp
 
 from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES, STOP, TileRuns
-from wrt.imaging.lights.device_lights import samples_sky
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.runtime.launch_chain import LaunchChain, Stage
@@ -32,6 +31,7 @@ from wrt.kernels.shading.wavefront.camera_rays import CameraModel
 from wrt.kernels.shading.wavefront.picture import Film
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.scene_light import LitScene
+from wrt.lights.device_lights import samples_sky
 from wrt.memory import empty
 from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import ANY, CLOSEST

@@ -50,13 +50,14 @@ def render(
         scene: the scene.
         camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
         integrator: one of these.
-        lights, materials, motion, settings: as of `wrt.Rendering`; not of "ambient".
+        lights, materials, motion, settings: as of `wrt.pictures.Rendering`; not of "ambient".
         progress: called as progress(done, total) after each tile or wave; an exception that it raises ends the rendering.
-        options: of "ambient" as above; of others the fields of `wrt.RenderSettings`, which replace those of `settings`.
+        options: of "ambient" as above; of others the fields of `wrt.pictures.RenderSettings`, which replace those of
+            `settings`.
 
     Returns:
         (height, width, 3) float32 for display, as `wrt.save_image` takes it. For linear values, noise, layers, and pictures
-        that are continued, use `wrt.Rendering`.
+        that are continued, use `wrt.pictures.Rendering`.
 
     Raises:
         TypeError: an argument has a wrong type; an unknown option.

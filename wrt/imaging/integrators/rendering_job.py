@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_whole
+from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
 from wrt.imaging.image_files import save_exr, save_image
 from wrt.imaging.integrators.device_materials import scene_materials, shaded_mesh, tiled_materials
 from wrt.imaging.integrators.ray_tracer import RayTracer
@@ -17,15 +17,15 @@ from wrt.imaging.integrators.render_settings import FRESNEL, INTEGRATORS, Render
 from wrt.imaging.integrators.saved_samples import NOT_IN_SAMPLES, fingerprint, read_samples, write_samples
 from wrt.imaging.integrators.scene_motion import Motion
 from wrt.imaging.integrators.wavefront import SQUARE, Wave, pixel_samples, square_order
-from wrt.imaging.lights.device_lights import check_lights, device_lights
-from wrt.imaging.lights.sky_image import Sky
 from wrt.imaging.rendering import Camera, check_types, default_light
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.shading.wavefront import picture, ray_queue
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS, CameraModel
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.shading.wavefront.scene_light import LitScene
-from wrt.kernels.validation import as_float
+from wrt.kernels.validation import as_float, as_int
+from wrt.lights.device_lights import check_lights, device_lights
+from wrt.lights.sky_image import Sky
 from wrt.materials.material import Material
 from wrt.memory import empty
 from wrt.scene.scene import Scene
@@ -41,7 +41,7 @@ DEFAULT_SKY = ((0.79, 0.81, 0.83), (0.48, 0.59, 0.73), (0.2, 0.2, 0.2))
 class Rendering:
     """A picture to which samples are added.
 
-        rendering = wrt.Rendering(scene, camera, integrator="path", samples=256, lights=[wrt.Sky(1.0)])
+        rendering = wrt.pictures.Rendering(scene, camera, integrator="path", samples=256, lights=[wrt.lights.Sky(1.0)])
         rendering.advance(16)
         preview = rendering.image()
         rendering.advance()                     # the other 240
@@ -54,11 +54,12 @@ class Rendering:
         scene: the scene. Later updates of it do not show.
         camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
         integrator: "whitted", "distribution" or "path".
-        lights: lights and sky: `wrt.PointLight`, `wrt.SpotLight`, `wrt.DirectionalLight`, `wrt.AreaLight`, `wrt.Sky`; None: a
-            sky, and a point light above and to the left of the camera, unless a material emits.
+        lights: lights and sky: `wrt.lights.PointLight`, `wrt.lights.SpotLight`, `wrt.lights.DirectionalLight`,
+            `wrt.lights.AreaLight`, `wrt.lights.Sky`; None: a sky, and a point light above and to the left of the camera, unless
+            a material emits.
         materials: a `wrt.Material` for all triangles or one for each mesh; None: those of the meshes.
-        motion: what moves while the shutter is open, a `wrt.Motion`.
-        settings: a `wrt.RenderSettings`.
+        motion: what moves while the shutter is open, a `wrt.moving.Motion`.
+        settings: a `wrt.pictures.RenderSettings`.
         options: fields of the settings, which replace those of `settings`.
 
     Attributes:
@@ -91,7 +92,7 @@ class Rendering:
             raise ValueError(f"unknown integrator {integrator!r}; choose from {', '.join(INTEGRATORS[1:])}")
         settings = RenderSettings() if settings is None else settings
         if not isinstance(settings, RenderSettings):
-            raise TypeError(f"settings must be a wrt.RenderSettings, not {type(settings).__name__}")
+            raise TypeError(f"settings must be a wrt.pictures.RenderSettings, not {type(settings).__name__}")
         self.settings = settings = settings.with_options(integrator, options)
         self.integrator, self.camera = integrator, camera
         self.samples, self.done = settings.samples_of(integrator), 0
@@ -165,7 +166,7 @@ class Rendering:
             TypeError, ValueError: `samples` is not a whole number of at least 1.
         """
         refuse_capture("rendering", self._scene.device)
-        goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
+        goal = self.samples if samples is None else min(self.samples, self.done + as_int("samples", samples, 1))
         with use_threads(self._scene.num_threads):
             while self.done < goal:
                 count = min(self._pass, goal - self.done)
@@ -385,7 +386,7 @@ def camera_model(camera: Camera, settings: RenderSettings, scene: Scene, samples
 
 def _default_lights(camera: Camera, scene: Scene) -> tuple[Any, ...]:
     """A sky, and a point light above and to the left of the camera."""
-    from wrt.imaging.lights.light_sources import PointLight
+    from wrt.lights.light_sources import PointLight
     from wrt.meshes.up_axis import default_up
 
     position = default_light(camera)

@@ -26,8 +26,8 @@ __all__ = ["Motion"]
 class Motion:
     """Two keys of what moves: when the shutter opens and when it closes. Between them, everything moves evenly.
 
-        wrt.Motion(vertices={0: (before, after)})             # the vertices of mesh 0
-        wrt.Motion(transforms={3: (matrix, other)})           # instance 3
+        wrt.moving.Motion(vertices={0: (before, after)})             # the vertices of mesh 0
+        wrt.moving.Motion(transforms={3: (matrix, other)})           # instance 3
 
     Args:
         vertices: for the index of a mesh (as `wrt.Scene.update` takes it), two arrays (V, 3); points move on straight lines.

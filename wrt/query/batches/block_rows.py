@@ -28,7 +28,7 @@ class GeneratedRays:
             directions = np.random.default_rng(first).normal(size=(count, 3))
             return np.zeros(3), directions
 
-        scene.occluded_blocks(wrt.GeneratedRays(around, 10**12), reduce="sum", executor=executor)
+        scene.occluded_blocks(wrt.batches.GeneratedRays(around, 10**12), reduce="sum", executor=executor)
 
     Attributes:
         function: called with the number of the first row and the number of rows; returns the pair (origins, directions) or the
@@ -96,7 +96,7 @@ def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Source:
     """Rays whose arrays can be sliced, a function that makes them, or an iterator over such rays."""
     if isinstance(origins, GeneratedRays):
         if directions is not None:
-            raise TypeError("pass either wrt.GeneratedRays, or origins and directions, not both")
+            raise TypeError("pass either wrt.batches.GeneratedRays, or origins and directions, not both")
         if np.ndim(t_min) or np.ndim(t_max):
             raise ValueError("t_min and t_max must be numbers if a function makes the rays; let it return wrt.Rays instead")
         t_min, t_max = as_float("t_min", t_min), as_float("t_max", t_max)

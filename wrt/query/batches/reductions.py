@@ -20,7 +20,7 @@ from wrt.query.batches.exact_sums import ExactSum, exact_sum
 
 
 class Reduction(Protocol):
-    """A reduction of one's own has these three methods, and its states can be pickled."""
+    """A custom reduction implements these three methods, and its states can be pickled."""
 
     def part(self, values: np.ndarray, axes: tuple[int, ...]) -> Any:
         """The state of a block.
@@ -32,11 +32,19 @@ class Reduction(Protocol):
         ...
 
     def merge(self, one: Any, other: Any) -> Any:
-        """The state of two blocks together. The order must not matter."""
+        """The state of two blocks together. The order must not matter.
+
+        Args:
+            one, other: states, of `part` or of `merge`.
+        """
         ...
 
     def finish(self, state: Any) -> np.ndarray:
-        """The result."""
+        """The result.
+
+        Args:
+            state: of all blocks.
+        """
         ...
 
 
@@ -92,7 +100,7 @@ class Extreme:
 class Histogram:
     """Numbers of values between edges, as `np.histogram` counts them: int64, with a last axis of one entry for each bin.
 
-        scene.intersect_blocks(rays, reduce={"t": wrt.cluster.Histogram(np.linspace(0.0, 100.0, 201))}).result()["t"]
+        scene.intersect_blocks(rays, reduce={"t": wrt.batches.Histogram(np.linspace(0.0, 100.0, 201))}).result()["t"]
 
     A bin contains its lower edge; the last one contains both. Values outside and NaN are not counted.
 
@@ -112,7 +120,7 @@ class Histogram:
         object.__setattr__(self, "edges", edges)
 
     def part(self, values: np.ndarray, axes: tuple[int, ...]) -> Any:
-        """The counts of a block."""
+        """The counts of a block; arguments as in `Reduction`."""
         kept = [axis for axis in range(values.ndim) if axis not in axes]
         shape = tuple(values.shape[axis] for axis in kept)
         rows = values.transpose([*kept, *axes]).reshape(int(np.prod(shape)), -1)
@@ -124,11 +132,11 @@ class Histogram:
         return np.bincount(flat, minlength=len(rows) * bins).astype(np.int64).reshape(*shape, bins)
 
     def merge(self, one: Any, other: Any) -> Any:
-        """The counts of two blocks."""
+        """The counts of two blocks; arguments as in `Reduction`."""
         return one + other
 
     def finish(self, state: Any) -> np.ndarray:
-        """The counts."""
+        """The counts; the argument as in `Reduction`."""
         return state
 
 
@@ -148,7 +156,7 @@ class OfRows:
     def merge(self, one: Any, other: Any) -> Any:
         raise ValueError(
             "reduce is a function, which cannot merge blocks along the first axis; leave axis 0 out of `axis`, or pass an "
-            "object with the methods part, merge and finish (wrt.cluster.Reduction)"
+            "object with the methods part, merge and finish (wrt.batches.Reduction)"
         )
 
     def finish(self, state: Any) -> np.ndarray:
@@ -175,14 +183,14 @@ def as_reduction(given: Any, name: str) -> Reduction:
     """
     if isinstance(given, str):
         if given == "histogram":
-            raise ValueError(f"{name} 'histogram' needs edges; pass wrt.cluster.Histogram(edges)")
+            raise ValueError(f"{name} 'histogram' needs edges; pass wrt.batches.Histogram(edges)")
         if given not in REDUCTIONS:
-            raise ValueError(f"{name} {given!r} is unknown; choose from {', '.join(REDUCTIONS)}, or pass wrt.cluster.Histogram")
+            raise ValueError(f"{name} {given!r} is unknown; choose from {', '.join(REDUCTIONS)}, or pass wrt.batches.Histogram")
         return REDUCTIONS[given]
     if all(hasattr(given, method) for method in ("part", "merge", "finish")):
         return given
     if not callable(given):
-        raise TypeError(f"{name} must be a name, a wrt.cluster.Reduction or a function, not {type(given).__name__}")
+        raise TypeError(f"{name} must be a name, a wrt.batches.Reduction or a function, not {type(given).__name__}")
     return OfRows(given)
 
 

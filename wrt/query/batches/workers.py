@@ -152,7 +152,11 @@ class ProcessPool(Executor):
         return ProcessPoolExecutor(self._max_workers, context, initializer=start_worker, initargs=start)
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future:
-        """Submits a call; after a process died, to new ones."""
+        """Submits a call; after a process died, to new ones.
+
+        Args:
+            fn: what is called, with the other arguments; it can be pickled, and so can they.
+        """
         with self._renewing:
             try:
                 return self._pool.submit(fn, *args, **kwargs)
@@ -162,7 +166,7 @@ class ProcessPool(Executor):
                 return self._pool.submit(fn, *args, **kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Ends the processes, as `concurrent.futures.Executor.shutdown`."""
+        """Ends the processes. Arguments as in `concurrent.futures.Executor.shutdown`."""
         self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
 
 

@@ -37,7 +37,7 @@ class TreePanel:
     def __init__(self, session: ClientSession) -> None:
         self._session, gui = session, session.client.gui
         self._known: dict[tuple[int, str], tuple[TreeBoxes, np.ndarray]] = {}
-        areas = session.shared.current[1].area_trees
+        areas = session.shared.current[1].state.area_trees
         trees = [SHOWN, "bvh", "kdtree", BOTH]
         if areas is not None:
             trees += [REGIONS, OCTREE, *(f"of area {number}" for number in range(min(len(areas), MOST_AREAS)))]
@@ -110,9 +110,9 @@ class TreePanel:
         from wrt.viewer.trees.area_boxes import region_corners
 
         scene = self._session.shared.current[1]
-        if scene.area_trees is None:
+        if scene.state.area_trees is None:
             return f"**{NO_AREAS}**"
-        counts = np.array(scene.area_trees.triangles)
+        counts = np.array(scene.state.area_trees.triangles)
         draw_boxes(
             self._session.client, NAMES[0], region_corners(scene), heat_colors(counts / counts.max()), np.asarray(scene.center)
         )
@@ -130,9 +130,9 @@ class TreePanel:
             if kind == OCTREE:
                 from wrt.viewer.trees.area_boxes import octree_boxes
 
-                if scene.area_trees is None:
+                if scene.state.area_trees is None:
                     raise ValueError(NO_AREAS)
-                self._known[version, kind] = octree_boxes(scene.area_trees.top), np.asarray(scene.center)
+                self._known[version, kind] = octree_boxes(scene.state.area_trees.top), np.asarray(scene.center)
             else:
                 state = self._state(scene, kind)
                 self._known[version, kind] = tree_boxes(tree_of(state)), np.asarray(state.center)
@@ -146,9 +146,9 @@ class TreePanel:
                 raise ValueError("a scene of instances has one kind of upper tree")
             found = Scene([*scene.meshes], kind, device=scene.device).state
         else:
-            if scene.area_trees is None:
+            if scene.state.area_trees is None:
                 raise ValueError(NO_AREAS)
-            found = scene.area_trees.scenes[int(kind.rsplit(" ", 1)[1])]
+            found = scene.state.area_trees.scenes[int(kind.rsplit(" ", 1)[1])]
         if found.lazy_tree is None and not hasattr(found.tree, "struct"):
             raise ValueError("the scene has no tree")
         if not hasattr(found.tree, "child") and not hasattr(found.tree, "nodes"):

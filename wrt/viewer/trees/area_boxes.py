@@ -25,7 +25,7 @@ def region_corners(scene: Scene) -> np.ndarray:
     Args:
         scene: with `area_trees`.
     """
-    return np.stack([region_of(area, *scene.bounds).corners for area in scene.area_trees.areas])
+    return np.stack([region_of(area, *scene.bounds).corners for area in scene.state.area_trees.areas])
 
 
 def octree_boxes(top: TopLevel) -> TreeBoxes:

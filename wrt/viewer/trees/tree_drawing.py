@@ -41,14 +41,14 @@ def draw_tree(
 ) -> tuple[Axes, Axes | None]:
     """Draws the boxes of a tree's nodes, projected to a plane, and the expected cost of each level. Needs matplotlib.
 
-        wrt.draw_tree(scene, depth=3, plane="xz")[0].figure.savefig("tree.png")
+        wrt.pictures.draw_tree(scene, depth=3, plane="xz")[0].figure.savefig("tree.png")
 
     Boxes of one level have one colour; leaves are filled. Dots behind them are vertices of the meshes. Beside them stands, for
     each level of the whole tree, how many nodes a ray that meets the root's box is expected to visit, and how many blocks of
     triangles to test, by the surface area heuristic. A block has as many triangles as kernels test at a time.
 
-    Of a scene of instances, it is the tree above the instances; `wrt.Scene.of_state(scene.parts[0])` is a scene of the first
-    mesh. A lazy tree is drawn as far as rays have completed it.
+    Of a scene of instances, it is the tree above the instances; `scene.state.parts[0].tree` is that of the first mesh. A lazy
+    tree is drawn as far as rays have completed it.
 
     Args:
         scene: a scene with one tree, or the tree itself (`Scene.tree`), whose coordinates are relative to the scene's centre.

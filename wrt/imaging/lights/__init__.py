@@ -1,1 +1,0 @@
-"""Lights: what callers describe, and their tables on the device."""
