@@ -27,19 +27,10 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
+from wrt.builders.bvh.phases import binary_tree as binary
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
-from wrt.builders.bvh.phases.binary_tree import (
-    LEAF,
-    BinaryTree,
-    Frame,
-    child_of,
-    empty_tree,
-    half_area,
-    middle,
-    must_split_at_median,
-    split_cost,
-)
+from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, Frame, child_of, half_area
 from wrt.builders.bvh.phases.collapse import collapse_kernels, improved
 from wrt.builders.bvh.phases.large_boxes import is_small
 from wrt.builders.classics.bvh.reinsertion import find_insertion_positions
@@ -166,7 +157,7 @@ def sweep_axis(rules: BuildRules, lists: SweepLists, frame: Frame, axis: int, be
     for left in range(1, frame.count):
         i = frame.first + left
         box = enlarged(box, lists, lists.sorted[axis, i - 1])
-        cost = split_cost(
+        cost = binary.split_cost(
             area_of(box), leaf_cost(rules.cost, left), lists.suffix[axis, i], leaf_cost(rules.cost, frame.count - left)
         )
         if cost < best.cost:
@@ -181,11 +172,11 @@ def search(rules: BuildRules, lists: SweepLists, tree: BinaryTree, frame: Frame)
     """The partition of least cost; the middle of the list if there is no finite cost, or the tree is too deep."""
     best = Partition()
     best.cost = INFINITY
-    if half_area(tree.box, frame.node) > 0.0 and not must_split_at_median(frame.depth, frame.count):
+    if half_area(tree.box, frame.node) > 0.0 and not binary.must_split_at_median(frame.depth, frame.count):
         for axis in range(3):
             best = sweep_axis(rules, lists, frame, axis, best)
     if best.cost == INFINITY:
-        best.left = middle(frame.count, rules.cost.width_bits)
+        best.left = binary.middle(frame.count, rules.cost.width_bits)
     return best
 
 
@@ -344,7 +335,7 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     """Builds the tree on the device that holds the boxes."""
     device, count, rules = triangles.boxes.low.device, triangles.count, config.struct()
     load(kernels(config, count), device)  # compilation is not a phase of the build
-    phase, tree = Phases(device), empty_tree(count, device)
+    phase, tree = Phases(device), binary.empty_tree(count, device)
     with phase("sort"):
         lists = sorted_lists(triangles)
     with phase("top levels"):
@@ -356,5 +347,5 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
         inputs = [rules, lists, tasks, stack, tree, subtrees]
         launch(build_by_sweep, len(tasks), inputs, device=device, chunk=1, chunks_per_thread=len(tasks))
     above = wp.array(top, dtype=int, device=device) if len(top) else None
-    binary = BinaryBuild(tree, subtrees, above, wp.empty(16 * count, dtype=float, device=device))
-    return improved(binary, triangles, config, phase)
+    built = BinaryBuild(tree, subtrees, above, wp.empty(16 * count, dtype=float, device=device))
+    return improved(built, triangles, config, phase)
