@@ -1,6 +1,7 @@
 """What published tests have in common: steps, rays that are used as they are, and the condition that three signs agree."""
 
 import re
+from dataclasses import replace
 
 import warp as wp
 
@@ -15,6 +16,9 @@ exact_module(__name__)
 
 DECLARED = re.compile(r"([A-Za-z_]\w*)\s*=(?!=)")
 """A name that C++ declares with a value."""
+
+StepText = tuple[str, str, str]
+"""A step of a test: its exit, its code and the condition to go on, as those of `Step`."""
 
 INSIDE = "(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f)"
 """C++: the weights u and v are those of a point of the triangle."""
@@ -34,19 +38,26 @@ def same_signs(a: str, b: str, c: str) -> str:
     return f"(({a} >= 0.0f) & ({b} >= 0.0f) & ({c} >= 0.0f)) | (({a} <= 0.0f) & ({b} <= 0.0f) & ({c} <= 0.0f))"
 
 
-def in_steps(*parts: tuple[str, str, str]) -> tuple[Step, ...]:
-    """Steps of a test, each given as its exit, its code and the condition to go on. What later steps read is kept."""
+def declared(step: Step) -> list[str]:
+    """The names that a step declares."""
+    return list(dict.fromkeys(DECLARED.findall(step.code)))
+
+
+def in_steps(*parts: StepText) -> tuple[Step, ...]:
+    """The steps of a test. Each keeps t, u and v, and what later ones read and do not declare anew."""
     steps = [Step(*part) for part in parts]
-    kept = []
-    for number, step in enumerate(steps):
-        declared = dict.fromkeys(DECLARED.findall(step.code))
-        later = steps[number + 1 :]
-        kept.append(tuple(name for name in declared if name in RESULT or any(other.reads([name]) for other in later)))
-    return tuple(Step(*part, keeps) for part, keeps in zip(parts, kept, strict=True))
+
+    def is_kept(name: str, later: list[Step]) -> bool:
+        return name in RESULT or any(step.reads([name]) and name not in declared(step) for step in later)
+
+    return tuple(
+        replace(step, keeps=tuple(name for name in declared(step) if is_kept(name, steps[number:])))
+        for number, step in enumerate(steps, start=1)
+    )
 
 
 def published(
-    name: str, intersect: wp.Function, *parts: tuple[str, str, str], record: Record = VERTICES, names: tuple[str, ...] = ()
+    name: str, intersect: wp.Function, *parts: StepText, record: Record = VERTICES, names: tuple[str, ...] = ()
 ) -> TriangleTest:
     """The test of a row of the table, for rays that are used as they are.
 
