@@ -138,11 +138,7 @@ MOELLER = ray_form(
     Record(12, derive_moeller),
     (*names("p0"), *names("e1"), *names("e2"), *names("n")),
     FACING,
-    (
-        "u < 0",
-        f"{minus('s', 'o', 'p0')}{crossed('g', 'd', 's')}const float alpha = -{dotted('g', 'e2')};",
-        "alpha >= 0.0f",
-    ),
+    ("u < 0", f"{minus('s', 'o', 'p0')}{crossed('g', 'd', 's')}const float alpha = -{dotted('g', 'e2')};", "alpha >= 0.0f"),
     ("v < 0", f"const float beta = {dotted('g', 'e1')};", "beta >= 0.0f"),
     SUM,
     ("no distance", f"const float f2 = {dotted('n', 's')};{DISTANCE}", FINITE),

@@ -254,12 +254,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
         return bounds.active > 0 and search(part_tree, triangles, bounds, work)
 
     def entry_points(
-        first: int,
-        tree: KdNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
+        first: int, tree: KdNodes, triangles: TriangleBlocks, rays: RayBatch, hits: HitBatch, counters: CounterRows
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
         memory = wp.zeros(shape=(memory_size,), dtype=int)

@@ -301,12 +301,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     packet_rays, size, memory, counting = layout.rays, layout.size, lane_memory(waiting), config.counters
 
     def multi_frusta(
-        first: int,
-        tree: WideNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
+        first: int, tree: WideNodes, triangles: TriangleBlocks, rays: RayBatch, hits: HitBatch, counters: CounterRows
     ):
         """Traces a run of blocks. Item: a run."""
         packets = wp.zeros(shape=(FRUSTA, size), dtype=float)

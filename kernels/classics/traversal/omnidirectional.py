@@ -132,12 +132,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     cell_floats, memory = 2 * P, MAILBOXES[config.mailbox].size
 
     def omnidirectional(
-        first: int,
-        tree: KdNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
+        first: int, tree: KdNodes, triangles: TriangleBlocks, rays: RayBatch, hits: HitBatch, counters: CounterRows
     ):
         begin = (first + wp.tid()) * wp.static(P)
         packet = wp.zeros(shape=(size_of_packet,), dtype=float)

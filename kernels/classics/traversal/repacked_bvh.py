@@ -133,8 +133,7 @@ def scatter_rays(layout: PacketLayout, inner: PacketLayout) -> wp.Function:
     """`wp.func(packet, inner, numbers, first, count)`: copies the hits that the `count` rays of `inner` have found back."""
 
     @native.func_native(
-        "packet_parts.h",
-        f"wrt::scatter_rays({layout.packet}, {inner.type}(inner.data), numbers.data + first, count);",
+        "packet_parts.h", f"wrt::scatter_rays({layout.packet}, {inner.type}(inner.data), numbers.data + first, count);"
     )
     def scatter_found_hits(
         packet: wp.array(dtype=float), inner: wp.array(dtype=float), numbers: wp.array(dtype=int), first: int, count: int
@@ -310,12 +309,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     packet_rays, size, memory_size, counting = config.packet.rays, layout.size, walk_memory(config), config.counters
 
     def repacked_packets(
-        first: int,
-        tree: WideNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
+        first: int, tree: WideNodes, triangles: TriangleBlocks, rays: RayBatch, hits: HitBatch, counters: CounterRows
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
         memory = wp.zeros(shape=(memory_size,), dtype=int)

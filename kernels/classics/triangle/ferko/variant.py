@@ -5,19 +5,11 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.classics.triangle.ferko import triangle_bounds as bounds
 from wrt.kernels.classics.triangle.ferko.pruning import FIXED_ORDER, order_part, prune, pruning_steps
 from wrt.kernels.classics.triangle.ferko.record_part import Part, join, place
 from wrt.kernels.classics.triangle.ferko.similarity import SIMILARITY, WEIGHTS, in_plane, weights
-from wrt.kernels.classics.triangle.ferko.triangle_bounds import (
-    BOX,
-    BOX_STEP,
-    CIRCLE,
-    CIRCLE_STEP,
-    SPHERE_STEP,
-    in_box,
-    in_circle,
-    meets_sphere,
-)
+from wrt.kernels.classics.triangle.ferko.triangle_bounds import BOX, CIRCLE, in_box, in_circle, meets_sphere
 from wrt.kernels.classics.triangle.ferko.unit_triangle import STEPS, UNIT_TRIANGLE, in_unit_triangle
 from wrt.kernels.classics.triangle.published import FINITE, StepText, published
 from wrt.kernels.runtime.options import exact_module
@@ -164,13 +156,13 @@ def make_intersect(variant: Variant) -> wp.Function:
 
 def make_steps(variant: Variant) -> list[StepText]:
     """The variant as steps. A point that passes the last comparison is a hit if t is finite."""
-    steps = [BOX_STEP] * variant.box + [CIRCLE_STEP] * variant.circle
+    steps = [bounds.BOX_STEP] * variant.box + [bounds.CIRCLE_STEP] * variant.circle
     steps += pruning_steps(variant.fold, variant.ordered) if variant.fold else STEPS
     exits, code, passes = map(list, zip(*steps, strict=True))
     code[0] = POINT + code[0]
     code[-1] += WEIGHTS if variant.fold else ""
     passes[-1] = f"({passes[-1]}) & ({FINITE})"
-    return [SPHERE_STEP] * variant.sphere + list(zip(exits, code, passes, strict=True))
+    return [bounds.SPHERE_STEP] * variant.sphere + list(zip(exits, code, passes, strict=True))
 
 
 def make_test(name: str, variant: Variant) -> TriangleTest:
