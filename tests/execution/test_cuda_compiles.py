@@ -58,7 +58,7 @@ SCANNING_METHODS = (
     naive.naive_method(WHOLE),
     between_medians.between_medians_method(WHOLE),
     adaptive_sampling.sampling_method(WHOLE),
-    *(medians.median_method(search, WHOLE) for search in (medians.search_space, medians.search_objects)),
+    *(medians.median_method(search, WHOLE) for search in (medians.split_space, medians.split_objects)),
 )
 KDTREE_METHODS = (event_method(WHOLE), event_method(CLIPPED), *SCANNING_METHODS, binned.binned_method(CLIPPED), SAMPLED_AGAIN)
 

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 from packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, bits, loops, make_packets, plain_rays
 
-from wrt.kernels.classics.traversal.lane_cells import enter_cell, split_cell
+from wrt.kernels.classics.traversal.omnidirectional import enter_cell, split_cell
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
 from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout

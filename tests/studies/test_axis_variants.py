@@ -69,7 +69,7 @@ def test_the_flag_changes_no_bit_of_packets():
     results = [closest(test, soup, rays, frustum=64, width=16)() for test in (shevtsov.TEST, TEST)]
     check_same("frusta", *results)
     assert (results[0][1] >= 0).mean() > 0.5
-    saved = shevtsov.LANES.operations[0].arithmetic - ALIGNED.operations[0].arithmetic
+    saved = shevtsov.TEST.lanes.operations[0].arithmetic - ALIGNED.operations[0].arithmetic
     assert saved == 8
 
 

@@ -12,7 +12,15 @@ from studies.triangles.isolated_tests import Beams, Soup, closest, pairs
 from studies.triangles.pichler_tables import Case
 from studies.triangles.triangle_precision import aimed_pairs, errors
 from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
-from wrt.kernels.classics.studies.pichler_2018 import BOX_SPHERE, FREE_COLUMNS, FREE_MATRIX, MATRIX, STUDIED, WAYS
+from wrt.kernels.classics.studies.pichler_2018 import (
+    BOX_SPHERE,
+    FREE_COLUMNS,
+    FREE_MATRIX,
+    MATRIX,
+    STUDIED,
+    UNIT_RAY,
+    WAYS,
+)
 from wrt.kernels.classics.triangle.ferko.record_part import join
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 
@@ -61,10 +69,10 @@ def test_printed_inverses_with_a_free_vector():
     assert seen == {0, 1, 2}
 
 
-@pytest.mark.parametrize("name", [*STUDIED, "dammertz_keller"])
+@pytest.mark.parametrize("name", [*STUDIED, "unit_ray", "dammertz_keller"])
 def test_against_float64(name):
     """No clear hit is missed and none is invented, from near and from far; t, u and v are right."""
-    test = STUDIED.get(name, DAMMERTZ_KELLER)
+    test = {**STUDIED, "unit_ray": UNIT_RAY, "dammertz_keller": DAMMERTZ_KELLER}[name]
     rough = 200.0 if name == "dammertz_keller" else 10.0 if name in ("utm_matrix", "utm_rows") else 1.0
     for distance in (1.0, 100.0):
         found = errors(test, *aimed_pairs(4000, distance, 1.0, 1.0, 3))

@@ -15,9 +15,8 @@ from studies.triangles.leaf_queries import leaf_query
 from studies.triangles.pichler_tables import count_comparisons
 from wrt.kernels.classics.triangle.ferko import VARIANTS
 from wrt.kernels.classics.triangle.ferko import triangle_bounds as bounds
-from wrt.kernels.classics.triangle.ferko.pruning import FIXED_ORDER
+from wrt.kernels.classics.triangle.ferko.pruning import ABOVE, BELOW, FIXED_ORDER, LEFT, RIGHT, order_part, shares
 from wrt.kernels.classics.triangle.ferko.record_part import join, place
-from wrt.kernels.classics.triangle.ferko.rejection_regions import ABOVE, BELOW, LEFT, RIGHT, order_part, shares
 from wrt.kernels.classics.triangle.ferko.similarity import SIMILARITY, Similarity
 from wrt.kernels.classics.triangle.ferko.unit_triangle import UNIT_TRIANGLE
 from wrt.kernels.classics.triangle.ferko.variant import PLANE, Variant

@@ -2,22 +2,25 @@
 
 **Problem.** Evaluating the cost at every end of every box is expensive, and a few evenly spaced samples miss its steps.
 
-**Algorithm.** Let C_L and C_R be the numbers of triangles to the left and to the right of a plane. A first scan of the node
-takes 8 evenly spaced samples per axis. C_L - C_R increases from -n to n, and 8 more samples go where it increases most: of 8
-levels evenly spaced from -n to n, each adds one sample to the segment in which it is crossed, and the samples of a segment
-divide it evenly. A second scan counts at all 16 samples, on all axes or on the longest one (`KdTreeConfig.searched_axes`).
-Between two samples C_L and C_R are interpolated linearly. The areas of both sides are linear too, so the cost is a quadratic,
-whose minimum is tried along with the samples. Nodes of at most 36 triangles are searched exactly (`exact_planes`).
+**Idea.** Let C_L and C_R be the numbers of triangles to the left and to the right of a plane. C_L - C_R increases from -n to n,
+and the cost changes most where it does. Sample evenly, then more where it increases most, and interpolate between samples.
+
+**Steps** of a node (`sampling_method`); nodes of at most 36 triangles are searched exactly (`exact_planes`):
+
+1. A first scan takes 8 evenly spaced samples per axis (`bin_range`).
+2. `place_samples`: of 8 levels evenly spaced from -n to n, each adds one sample to the segment in which it is crossed, and the
+   samples of a segment divide it evenly.
+3. `count_samples`: a second scan counts at all 16, on all axes or on the longest one (`KdTreeConfig.searched_axes`).
+4. `search_axis`: between two samples C_L and C_R are interpolated linearly. The areas of both sides are linear too, so the cost
+   is a quadratic, whose minimum is tried along with the samples.
+5. One pass over the references classifies and partitions them.
 
 **More scans.** Between two samples, C_L is at least that of the first, and C_R at least that of the second, so the cost is at
 least that of a split with these counts and without the slab in between. Intervals in which it exceeds the least known cost are
-eliminated, and 16 samples are taken in the others, again and again (`KdTreeConfig.resamplings`; Rahikainen 2013, section 4.2,
-after Popov et al. 2006, who propose it and did not need it).
+eliminated, and 16 samples are taken in the others, again and again (`resample`, `KdTreeConfig.resamplings`; Rahikainen 2013,
+section 4.2, after Popov et al. 2006, who propose it and did not need it).
 
 **Data.** One list of references per node (`wrt.builders.core.reference_lists`).
-
-**Phases** of a node: `sampling_method`. Search: `place_samples`, `count_samples` and `search_axis` for each axis searched.
-Classify and partition: one pass over the references.
 
 **Complexity.** O(N) per level: two scans, the second of which compares with 16 planes at a time.
 
@@ -133,6 +136,13 @@ def try_segment(cost: SplitCost, along: AxisFrame, a: Sample, b: Sample, best: S
 
 
 @wp.func
+def right_of_sample(lists: ReferenceLists, number: int, frame: Frame, at: int, i: int):
+    """Triangles to the right of a counted sample; those in its plane are on the right."""
+    left = bin_count(lists.counter, number, at + i)
+    return wp.max(bin_count(lists.counter, number, at + SAMPLES + i), frame.triangles - left)
+
+
+@wp.func
 def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, at: int, best: Split):
     """The best of `best` and the planes of one axis whose samples have been placed and counted."""
     along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
@@ -141,20 +151,13 @@ def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Fram
     a = Sample(frame.inner_low[axis], 0.0, total)
     for i in range(SAMPLES):
         left = bin_count(lists.counter, number, at + i)
-        right = wp.max(bin_count(lists.counter, number, at + SAMPLES + i), frame.triangles - left)
+        right = right_of_sample(lists, number, frame, at, i)
         b = Sample(lists.value[number, i], float(left), float(right))
         best = try_segment(cost, along, a, b, best)
         best = cheaper_split(cost, along, b.position, left, right, False, best)
         a = b
     best = try_segment(cost, along, a, Sample(frame.inner_high[axis], total, 0.0), best)
     return cheaper_split(cost, along, frame.inner_high[axis], frame.triangles, 0, True, best)
-
-
-@wp.func
-def right_of_sample(lists: ReferenceLists, number: int, frame: Frame, at: int, i: int):
-    """Triangles to the right of a counted sample; those in its plane are on the right."""
-    left = bin_count(lists.counter, number, at + i)
-    return wp.max(bin_count(lists.counter, number, at + SAMPLES + i), frame.triangles - left)
 
 
 @wp.func
@@ -221,25 +224,19 @@ def resample(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, 
     return best
 
 
-@wp.func
-def sample_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, best: Split):
-    """The best of `best` and the planes of one axis, after the first scan."""
-    at = 6 * lists.rules.bins  # the second scan's counts lie behind those of the first
-    place_samples(lists, number, frame, axis)
-    count_samples(lists, number, frame.first[0], frame.triangles, axis, at)
-    return search_axis(cost, lists, number, frame, axis, at, best)
-
-
-@wp.func
-def sample_axis_again(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, best: Split):
-    """`sample_axis` with further scans."""
-    best = sample_axis(cost, lists, number, frame, axis, best)
-    return resample(cost, lists, number, frame, axis, 6 * lists.rules.bins, best)
-
-
 @cache
-def searching(sample: wp.Function) -> wp.Function:
-    """The search of `Method`; sample: of one axis, after the first scan of all of them."""
+def searching(again: bool) -> wp.Function:
+    """The search of `Method`; again: whether there are further scans."""
+
+    @wp.func
+    def sample_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, best: Split):
+        at = 6 * lists.rules.bins  # the second scan's counts lie behind those of the first
+        place_samples(lists, number, frame, axis)
+        count_samples(lists, number, frame.first[0], frame.triangles, axis, at)
+        best = search_axis(cost, lists, number, frame, axis, at, best)
+        if wp.static(again):
+            best = resample(cost, lists, number, frame, axis, at, best)
+        return best
 
     @wp.func
     def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
@@ -251,10 +248,10 @@ def searching(sample: wp.Function) -> wp.Function:
         best = no_split()
         longest = longest_axis(frame)
         if frame.triangles >= lists.rules.longest_from:
-            best = sample(cost, lists, number, frame, longest, best)
+            best = sample_axis(cost, lists, number, frame, longest, best)
         if best.cost == INFINITY:
             for axis in range(3):
-                best = sample(cost, lists, number, frame, axis, best)
+                best = sample_axis(cost, lists, number, frame, axis, best)
         return best
 
     return search
@@ -262,7 +259,7 @@ def searching(sample: wp.Function) -> wp.Function:
 
 def sampling_method(config: KdTreeConfig) -> Method:
     """What is done with a node."""
-    return scan_method(config, early(config, searching(sample_axis if config.resamplings == 1 else sample_axis_again)))
+    return scan_method(config, early(config, searching(config.resamplings > 1)))
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

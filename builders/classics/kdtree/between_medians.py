@@ -2,15 +2,17 @@
 
 **Problem.** A median ignores the cost, and a search of all planes evaluates many that cannot be best.
 
-**Algorithm.** If no triangle straddled the planes, the one of least cost would lie between the spatial and the object median.
-Beyond either median, moving the plane towards it shrinks the child that has more than its share. So 16 planes, evenly spaced
-from one median to the other, are counted in one scan of the node (`adaptive_sampling`), and the cheapest is taken. The axis is
-chosen as in `medians`.
+**Idea.** If no triangle straddled the planes, the one of least cost would lie between the spatial and the object median.
+Beyond either median, moving the plane towards it shrinks the child that has more than its share.
+
+**Steps** of a node (`between_medians_method`):
+
+1. The axis, as in `medians`; the spatial median, and the object median by a selection.
+2. `search_axis`: 16 planes, evenly spaced from one median to the other, are counted in one scan (`adaptive_sampling`), and the
+   cheapest is taken.
+3. `try_box_faces`: the faces of the box of the triangles, along every axis. One pass classifies and partitions the references.
 
 **Data.** One list of references per node (`wrt.builders.core.reference_lists`).
-
-**Phases** of a node: `between_medians_method`. Search: `search_axis` and `try_box_faces`. Classify and
-partition: one pass over the references.
 
 **Complexity.** O(N) per level: a selection for the object median, and a scan.
 
@@ -27,7 +29,7 @@ import warp as wp
 
 from wrt.builders.classics.kdtree.adaptive_sampling import SAMPLES, count_samples
 from wrt.builders.classics.kdtree.early_cutting import early
-from wrt.builders.classics.kdtree.medians import first_axis, median_position
+from wrt.builders.classics.kdtree.medians import along_first_axis, median_position
 from wrt.builders.core.reference_lists import ReferenceLists
 from wrt.builders.core.subtrees import Frame, Method
 from wrt.builders.cost import Split, SplitCost, axis_frame, cheaper_by_area, no_split
@@ -37,7 +39,6 @@ from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, unifo
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import INFINITY
 
 exact_module(__name__)
 
@@ -69,16 +70,13 @@ def try_box_faces(cost: SplitCost, frame: Frame, best: Split):
     return best
 
 
+search_first_axis = along_first_axis(search_axis)
+
+
 @wp.func
 def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
-    """The best plane of a node. An axis along which no plane divides the node is skipped."""
-    split = no_split()
-    axis = first_axis(lists, frame)
-    for _turn in range(3):
-        if frame.triangles > 0 and split.cost == INFINITY:
-            split = search_axis(cost, lists, number, frame, axis)
-        axis = (axis + 1) % 3
-    return try_box_faces(cost, frame, split)
+    """The best plane of a node."""
+    return try_box_faces(cost, frame, search_first_axis(cost, lists, number, frame))
 
 
 def between_medians_method(config: KdTreeConfig) -> Method:

@@ -2,15 +2,17 @@
 
 **Problem.** A search for the cheapest plane takes most of the time of a build.
 
-**Algorithm.** The spatial median is the middle of the node's box along an axis. The object median is the plane with equally
-many triangles on both sides, here the median of the boxes' centres. The axis is the longest of the node, or x, y, z in turn
-(`KdTreeConfig.axis`). The longest was long considered the better choice; Wald (2004) found that it need not be. An axis on
-which no plane divides the node is skipped.
+**Idea.** The spatial median is the middle of the node's box along an axis. The object median is the plane with equally many
+triangles on both sides, here the median of the boxes' centres. The axis is the longest of the node, or x, y, z in turn
+(`KdTreeConfig.axis`). The longest was long considered the better choice; Wald (2004) found that it need not be.
+
+**Steps** of a node (`median_method`):
+
+1. `first_axis`; the axis after it, and the third, if no plane on it divides the node (`along_first_axis`).
+2. `split_space` halves the box; `split_objects` selects the centre of middle rank by partition (`select`, Hoare 1961).
+3. `split_at`: one scan counts the triangles on both sides of the plane. Another classifies and partitions the references.
 
 **Data.** One list of references per node (`wrt.builders.core.reference_lists`).
-
-**Phases** of a node: `median_method`. Search: `search_space` or `search_objects`. Classify and partition: one pass over
-the references.
 
 **Complexity.** O(N) per level: one scan of the node for the spatial median; a selection by partition (Hoare 1961), O(N) on
 average, for the object median.
@@ -20,6 +22,8 @@ average, for the object median.
 
 References: fussell-subramanian-1988; hoare-1961; wald-2004; rahikainen-2013 (chapter 4).
 """
+
+from functools import cache
 
 import warp as wp
 
@@ -63,16 +67,29 @@ def split_at(cost: SplitCost, lists: ReferenceLists, frame: Frame, axis: int, po
     return cheaper_by_area(cost, along, position, sides.left, sides.right, False, no_split())
 
 
+@cache
+def along_first_axis(search_axis: wp.Function) -> wp.Function:
+    """The search of `Method` that takes the first axis on which a plane divides the node.
+
+    search_axis: `wp.func(cost, lists, number, frame, axis) -> Split`."""
+
+    @wp.func
+    def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+        split = no_split()
+        axis = first_axis(lists, frame)
+        for _turn in range(3):
+            if frame.triangles > 0 and split.cost == INFINITY:
+                split = search_axis(cost, lists, number, frame, axis)
+            axis = (axis + 1) % 3
+        return split
+
+    return search
+
+
 @wp.func
-def search_space(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+def split_space(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int):
     """The plane that halves the node."""
-    split = no_split()
-    axis = first_axis(lists, frame)
-    for _turn in range(3):
-        if frame.triangles > 0 and split.cost == INFINITY:
-            split = split_at(cost, lists, frame, axis, 0.5 * (frame.low[axis] + frame.high[axis]))
-        axis = (axis + 1) % 3
-    return split
+    return split_at(cost, lists, frame, axis, 0.5 * (frame.low[axis] + frame.high[axis]))
 
 
 @wp.func
@@ -116,29 +133,21 @@ def median_position(lists: ReferenceLists, number: int, frame: Frame, axis: int)
 
 
 @wp.func
-def search_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+def split_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int):
     """The plane that halves the number of triangles."""
-    split = no_split()
-    axis = first_axis(lists, frame)
-    for _turn in range(3):
-        if frame.triangles > 0 and split.cost == INFINITY:
-            split = split_at(cost, lists, frame, axis, median_position(lists, number, frame, axis))
-        axis = (axis + 1) % 3
-    return split
+    return split_at(cost, lists, frame, axis, median_position(lists, number, frame, axis))
 
 
-def median_method(search: wp.Function, config: KdTreeConfig) -> Method:
-    """What is done with a node, search aside."""
-    return scan_method(config, early(config, search))
+def median_method(search_axis: wp.Function, config: KdTreeConfig) -> Method:
+    """What is done with a node; search_axis: finds the median."""
+    return scan_method(config, early(config, along_first_axis(search_axis)))
 
 
 def build_spatial(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree of spatial medians on the device that holds the boxes."""
-    return build_scanning(triangles, config, uniform_scan(median_method(search_space, config), triangles, config, values=1))
+    return build_scanning(triangles, config, uniform_scan(median_method(split_space, config), triangles, config, values=1))
 
 
 def build_object(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree of object medians on the device that holds the boxes."""
-    return build_scanning(
-        triangles, config, uniform_scan(median_method(search_objects, config), triangles, config, values=None)
-    )
+    return build_scanning(triangles, config, uniform_scan(median_method(split_objects, config), triangles, config, values=None))

@@ -2,17 +2,20 @@
 
 **Problem.** Comparing every plane with every triangle takes O(N^2).
 
-**Algorithm.** Per node and axis: list the events of its triangles (end, planar, start), sort them by position, sweep over them
-with the counts N_L, N_P, N_R, and keep the plane of least cost. A node takes over nothing from its parent except the list of
-its triangles and their boxes. If triangles are clipped, those that straddle the plane are clipped to both children's cells
-(`wrt.builders.core.clip`), and enter them with the boxes of their parts.
+**Idea.** Sort the events of a node, and sweep a plane over them with the numbers of triangles on both sides. A node takes over
+nothing from its parent except the list of its triangles and their boxes.
+
+**Steps** of a node (`build_serially`), with the survey's names N_L, N_P, N_R:
+
+1. `list_events`, for each axis: end, planar, start; `merge_sort` by position, then kind, then triangle.
+2. `sweep_axis`: at each position N_R falls by the ending and planar triangles; the cost is evaluated; N_L grows by the planar
+   and starting ones.
+3. `wrt.builders.tree.stop`, then `partition`: `classify` for each triangle; if triangles are clipped, those that straddle the
+   plane are clipped to both children's cells (`wrt.builders.core.clip`), and enter them with the boxes of their parts.
+4. The left child is next; the right one waits.
 
 **Data.** A list of triangle ids and boxes per node on the path from the root, and the events of the current node and axis
 (`Workspace`).
-
-**Phases** of a node, called by `build_serially`: `search` (`list_events`, `merge_sort` and `sweep_axis` for each axis),
-`wrt.builders.tree.stop`, then `partition`, which calls `classify` for each triangle and `clip` for straddlers, and
-`emit_inner`, or `emit_leaf`.
 
 **Complexity.** O(N log^2 N): a sort at each of O(log N) levels. One thread.
 
@@ -163,12 +166,8 @@ def list_events(work: Workspace, node: PendingNode, axis: int):
 def count_kind(work: Workspace, begin: int, end: int, position: float, kind: int):
     """Number of events of one kind at one position, from `begin` on."""
     i = int(begin)
-    same = i < end
-    while same:
-        same = work.position[i] == position and (work.value[i] & 3) == kind
-        if same:
-            i += 1
-            same = i < end
+    while i < end and work.position[wp.min(i, end - 1)] == position and (work.value[wp.min(i, end - 1)] & 3) == kind:
+        i += 1
     return i - begin
 
 
@@ -287,12 +286,6 @@ def emit_leaf(work: Workspace, node: PendingNode, index: int, lanes: int, width:
 
 
 @wp.func
-def emit_inner(work: Workspace, index: int, split: Split):
-    """Writes an inner node, whose right child is not known yet."""
-    work.nodes[index] = kdtree.inner_node(split.axis, split.position, 0)
-
-
-@wp.func
 def link_right(work: Workspace, parent: int, index: int):
     """Stores the right child of an inner node."""
     node = work.nodes[parent]
@@ -327,7 +320,7 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, root: Pendin
             if busy:
                 node = work.stack[waiting]
         else:
-            emit_inner(work, nodes, split)
+            work.nodes[nodes] = kdtree.inner_node(split.axis, split.position, 0)  # whose right child is not known yet
             left = node
             right = node
             left.high[split.axis] = split.position
@@ -355,8 +348,6 @@ def list_all(first: int, boxes: Boxes, work: Workspace):
     for axis in range(3):
         work.box[8 * i + axis] = boxes.low[axis, i]
         work.box[8 * i + 4 + axis] = -boxes.high[axis, i]
-    work.box[8 * i + 3] = 0.0
-    work.box[8 * i + 7] = 0.0
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
@@ -371,7 +362,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     while True:
         work = Workspace()
         work.triangle = wp.empty(capacity, dtype=int, device=device)
-        work.box = wp.empty(8 * capacity, dtype=float, device=device)
+        work.box = wp.zeros(8 * capacity, dtype=float, device=device)
         work.cutting, work.clipping, work.shrinks = config.cuts_early, config.tests_nodes, config.split_clipping
         if config.tests_nodes:
             work.vertices, work.faces, work.pad = triangles.vertices, triangles.faces, PAD * triangles.size
@@ -388,15 +379,11 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         if not overflow:
             break
         capacity *= 2
-    tree = KdTree(
-        nodes=wp.clone(work.nodes[:nodes]),
-        primitive=wp.clone(work.primitive[:lanes]),
-        low=root.low,
-        high=root.high,
-        width=width,
-        stats=BuildStats(),
+    nodes, primitive = wp.clone(work.nodes[:nodes]), wp.clone(work.primitive[:lanes])
+    tree = KdTree(nodes=nodes, primitive=primitive, low=root.low, high=root.high, width=width, stats=BuildStats())
+    tree.stats.reserve(
+        *(triangles.boxes.low, triangles.boxes.high, work.triangle, work.box, work.position, work.value),
+        *(work.nodes, work.primitive),
     )
-    boxes = triangles.boxes
-    tree.stats.reserve(boxes.low, boxes.high, work.triangle, work.box, work.position, work.value, work.nodes, work.primitive)
     tree.stats.seconds["build"] = perf_counter() - start
     return tree

@@ -10,8 +10,13 @@ with all planes (`event_lists`), in memory that stays in the cache.
 
 **Data.** References (`wrt.builders.triangle_references`) above, sorted events (`event_lists`) in the tasks.
 
-**Phases.** Top levels: those of `ReferenceLevels`. Sort: `list_events`. Subtrees: the phases
-of `event_method`. Assembly: `assemble`.
+**Steps.**
+
+1. Top levels (`ReferenceLevels`): bins, the best sample of each node, and its references moved to its children's.
+2. Sort (`list_task_events`): the events of a task are written, ends first, then planar events, then starts, each by triangle. A
+   stable radix sort by position keeps that order among equal positions. So the lists equal the corresponding part of the events
+   of the whole mesh.
+3. Subtrees, by the phases of `event_method`; `assemble` combines the parts.
 
 **Complexity.** O(N log N), of which the sequential top takes O(N) per level.
 
@@ -28,23 +33,23 @@ from functools import partial
 import numpy as np
 import warp as wp
 
-from wrt.builders.classics.kdtree.task_events import list_task_events
-from wrt.builders.core.subtrees import (
-    Frame,
-    Reservation,
-    build_tasks,
-    make_build_subtrees,
-)
+from wrt.builders.core.subtrees import Frame, Reservation, Task, build_tasks, make_build_subtrees
 from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_method import event_method
+from wrt.builders.kdtree.events.event_sort import SAME_KINDS
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.scan.reference_chunks import bin_chunks
 from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.builders.triangle_references import write_order
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch, load, specialise
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 SAMPLES = 1024
 """Bins per axis, with a sample between any two."""
@@ -54,6 +59,45 @@ EXACT = 8192
 
 SPARE_MEMORY = 1.5
 """Working memory of a task relative to its own lists, at least a third; doubled whenever it is too small."""
+
+
+@native.func_native(
+    "events.h",
+    f"{SAME_KINDS}return wrt::write_events(references.data + (size_t)first * 8, count, axis, lists.event.data + begin);",
+)
+def write_events(references: wp.array(dtype=float), first: int, count: int, axis: int, lists: EventLists, begin: int) -> int:
+    """Writes the events of a range of references along one axis, unsorted; returns their number."""
+    ...
+
+
+@native.func_native("events.h", "wrt::sort_pairs(lists.event.data + begin, count);")
+def sort_events(lists: EventLists, begin: int, count: int):
+    """Sorts a range of events by position, stably. An equal amount of memory behind it is scratch."""
+    ...
+
+
+@wp.kernel
+def list_task_events(
+    first: int,
+    references: wp.array(dtype=float),
+    source: wp.array(dtype=int),
+    tasks: wp.array(dtype=Task),
+    frames: wp.array(dtype=Frame),
+    lists: EventLists,
+):
+    """Item: a task. Lists its triangles and their events. Its range must have room for a third more than these."""
+    number = first + wp.tid()
+    task = tasks[number]
+    frame = frames[number]
+    write_order(references, source[number], frame.triangles, lists.triangle, task.triangles_first)
+    frame.top = task.lists_first
+    for axis in range(3):
+        count = write_events(references, source[number], frame.triangles, axis, lists, frame.top)
+        sort_events(lists, frame.top, count)
+        frame.first[axis] = frame.top
+        frame.count[axis] = count
+        frame.top += count
+    frames[number] = frame
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

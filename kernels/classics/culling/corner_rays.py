@@ -6,6 +6,12 @@
 four. If all of them pass the same edge on its outer side, so do all rays in between, and the triangle is culled before any ray
 is tested.
 
+**Steps**, for the W triangles of a block at a time:
+
+1. The corner rays are the four pairs of extreme slopes (s, t) of the packet.
+2. For each edge (p, q), the signed area of the edge as seen by each of the four.
+3. A triangle is culled if neither all three areas can be >= 0 nor all three <= 0, for any ray between the four.
+
 **Validity.** The paper also traverses the tree with the four rays alone. Reshetov et al. (2005) note that this is wrong: a box
 may lie within the shaft without touching any of its corners. Boxes are therefore culled by `interval_culling` here. The four
 rays bound the others only if all rays start at one point and have the same main axis. As a function of the two slopes (s, t),
@@ -30,12 +36,8 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.classics.culling.stubs import triangles_culled_by
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
-
-exact_module(__name__)
 
 MARGIN = 4.0
 """Error bound of an area, in slacks times the distance of its vertices from the ray."""
@@ -43,14 +45,6 @@ MARGIN = 4.0
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
-    """`Culling.triangles`: four corner rays x the edges of the W triangles of a block."""
-    sizes = f"{layout.width}, {cpp(layout.shared_origin)}"
-
-    @native.func_native(
-        "packet_culling.h",
-        f"""static_assert(wrt::CORNER_MARGIN == {MARGIN!r}f);
-        return wrt::corner_mask<{sizes}>({layout.block}, bounds);""",
-    )
-    def corner_rays(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
-
-    return corner_rays
+    """Four corner rays x the edges of the W triangles of a block."""
+    call = f"wrt::corner_mask<{layout.width}, {cpp(layout.shared_origin)}>({layout.block}, bounds)"
+    return triangles_culled_by("packet_culling.h", f"static_assert(wrt::CORNER_MARGIN == {MARGIN!r}f);\nreturn {call};")

@@ -9,6 +9,13 @@ same side of the box, so does everything between them, and no ray meets the box.
 lie near the edges of the frustum. At the leaves most of them are culled by two more tests: the packet misses if its least entry
 into the extent along x is later than its greatest exit from the extent along y, or vice versa.
 
+**Steps.**
+
+1. `start`, once per packet: along both axes across the main one, two lines over the depth between which all rays are.
+2. A box is entered at its near plane and left at its far one: the lines give a rectangle at each of the two depths.
+3. It is culled if both rectangles lie beyond the same side of it, else its key is the entry along the main axis.
+4. `cull_triangles`, at a leaf: the same for the box of each triangle.
+
 **Data.** A `PacketBounds` frustum: a depth along the main axis, and along each of the other two axes two lines over the depth,
 side + rise * depth, between which all rays are. Here the lines follow from the intervals of origins and slopes: the rectangle
 of the origins at the start, widened by the extreme slopes.
@@ -33,12 +40,8 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.classics.culling.stubs import bounds_set_by, boxes_culled_by, triangles_culled_by
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-
-exact_module(__name__)
 
 MARGIN = 8.0
 """Widening of boxes and triangles against the frustum, in slacks (`wrt.kernels.simd.boxes.SLACK` of the farthest reach)."""
@@ -53,38 +56,18 @@ GUARDS = f"static_assert(wrt::FRUSTUM_MARGIN == {MARGIN!r}f && wrt::STEEPEST_INV
 
 @cache
 def start(layout: PacketLayout) -> wp.Function:
-    """`Culling.start`: sets up the frustum from the packet's origins and slopes."""
-
-    @native.func_native("packet_frusta.h", f"{GUARDS}\nwrt::set_slope_frustum(bounds);")
-    def slope_frustum(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
-
-    return slope_frustum
+    """Sets up the frustum from the packet's origins and slopes."""
+    return bounds_set_by("packet_frusta.h", f"{GUARDS}\nwrt::set_slope_frustum(bounds);")
 
 
 @cache
 def cull_boxes(layout: PacketLayout) -> wp.Function:
-    """`Culling.boxes`: frustum of the packet x W child boxes; keys as in `wrt.kernels.simd.box_lanes.ray_boxes`."""
-
-    @native.func_native(
-        "packet_frusta.h", f"return wrt::frustum_keys<{layout.width}>({layout.box}, bounds, keys.data + first);"
-    )
-    def frustum_boxes(
-        boxes: wp.array(dtype=float),
-        node: int,
-        packet: wp.array(dtype=float),
-        bounds: wp.ref[PacketBounds],
-        keys: wp.array(dtype=int),
-        first: int,
-    ) -> int: ...
-
-    return frustum_boxes
+    """Frustum of the packet x W child boxes; keys as in `wrt.kernels.simd.box_lanes.ray_boxes`."""
+    call = f"return wrt::frustum_keys<{layout.width}>({layout.box}, bounds, keys.data + first);"
+    return boxes_culled_by("packet_frusta.h", call)
 
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
-    """`Culling.triangles`: frustum of the packet x the boxes of the W triangles of a block."""
-
-    @native.func_native("packet_frusta.h", f"return wrt::frustum_mask<{layout.width}>({layout.block}, bounds);")
-    def frustum_triangles(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
-
-    return frustum_triangles
+    """Frustum of the packet x the boxes of the W triangles of a block."""
+    return triangles_culled_by("packet_frusta.h", f"return wrt::frustum_mask<{layout.width}>({layout.block}, bounds);")

@@ -9,6 +9,12 @@ Each ray crosses both, and two rectangles bound the points. The volume between c
 frustum around all rays: at every depth a ray is a weighted mean of its own two points, and therefore between the means of the
 extremes.
 
+**Steps.**
+
+1. The near plane is behind all origins along the main axis, the far one behind the scene.
+2. Each of the P rays is intersected with both: two rectangles, and lines through their corresponding sides.
+3. Boxes are culled by the lines as in `inverse_frustum`, triangles whose vertices are beyond one line by `side_planes`.
+
 **Data.** The lines of `PacketBounds`, as in `inverse_frustum`: side is the near rectangle, rise is the difference of the two
 rectangles divided by the depth. The set-up intersects P rays with two planes, once per packet; the other cullings do not have
 this cost.
@@ -25,19 +31,11 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.classics.culling.stubs import bounds_set_by
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-
-exact_module(__name__)
 
 
 @cache
 def start(layout: PacketLayout) -> wp.Function:
-    """`Culling.start`: sets up the frustum between the rearmost origin and the end of the scene."""
-
-    @native.func_native("packet_frusta.h", f"wrt::set_two_plane_frustum(low, high, {layout.packet}, bounds);")
-    def two_plane_frustum(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
-
-    return two_plane_frustum
+    """Sets up the frustum between the rearmost origin and the end of the scene."""
+    return bounds_set_by("packet_frusta.h", f"wrt::set_two_plane_frustum(low, high, {layout.packet}, bounds);")

@@ -62,17 +62,19 @@ def make_frusta(test: TestForm, rays: int, width: int) -> wp.Kernel:
     return specialised_kernel(frusta)
 
 
-@cache
-def make_blocks(test: TestForm, width: int, in_range: wp.Function | None = None) -> wp.Kernel:
-    """Closest hits of single rays against blocks of `width` triangles. One item is a ray. Arguments as in `make_frusta`.
+@wp.struct
+class Nearest:
+    """The closest hit of a ray."""
 
-    in_range: checks t in all lanes at once (`wrt.kernels.classics.studies.distance_checks.in_range`); None: where a test hits,
-    one by one.
-    """
-    prepare, block_test, at_once = test.prepare, test.block_test(width), in_range is not None
-    Lanes = lanes(width)
+    t: float
+    triangle: int
+    """-1 if it hits none."""
 
-    def blocks(
+
+def single_rays(trace: wp.Function) -> wp.Kernel:
+    """Closest hits of single rays. One item is a ray. trace: `wp.func(records, triangles, origin, direction) -> Nearest`."""
+
+    def rays(
         first: int,
         records: wp.array(dtype=float),
         triangles: int,
@@ -83,26 +85,43 @@ def make_blocks(test: TestForm, width: int, in_range: wp.Function | None = None)
         out_id: wp.array(dtype=int),
     ):
         i = first + wp.tid()
-        state = prepare(origins[i * origin_stride], directions[i])
-        best = float(wp.inf)
-        found = int(-1)
+        nearest = trace(records, triangles, origins[i * origin_stride], directions[i])
+        out_t[i] = nearest.t
+        out_id[i] = nearest.triangle
+
+    return specialised_kernel(rays)
+
+
+@cache
+def make_blocks(test: TestForm, width: int, in_range: wp.Function | None = None) -> wp.Kernel:
+    """Single rays against blocks of `width` triangles. Arguments as in `make_frusta`.
+
+    in_range: checks t in all lanes at once (`wrt.kernels.classics.studies.distance_checks.in_range`); None: where a test hits,
+    one by one.
+    """
+    prepare, block_test, at_once = test.prepare, test.block_test(width), in_range is not None
+    Lanes = lanes(width)
+
+    @wp.func
+    def by_blocks(records: wp.array(dtype=float), triangles: int, origin: wp.vec3, direction: wp.vec3):
+        state = prepare(origin, direction)
+        nearest = Nearest(wp.inf, -1)
         for block in range((triangles + wp.static(width - 1)) / wp.static(width)):
             t = Lanes()
             u = Lanes()
             v = Lanes()
             mask = block_test(records, block, state, t, u, v)
             if wp.static(at_once):
-                mask = in_range(t, mask, best)
+                mask = in_range(t, mask, nearest.t)
             while mask != wp.uint32(0):
                 lane = lowest_bit(mask)
                 mask = mask & (mask - wp.uint32(1))
-                if (wp.static(at_once) or t[lane] > 0.0) and t[lane] < best:
-                    best = t[lane]
-                    found = block * wp.static(width) + lane
-        out_t[i] = best
-        out_id[i] = found
+                if (wp.static(at_once) or t[lane] > 0.0) and t[lane] < nearest.t:
+                    nearest.t = t[lane]
+                    nearest.triangle = block * wp.static(width) + lane
+        return nearest
 
-    return specialised_kernel(blocks)
+    return single_rays(by_blocks)
 
 
 def scalar_of(test: TestForm | ScalarTest) -> wp.Function:
@@ -151,29 +170,18 @@ def make_pairs(test: TestForm | ScalarTest) -> wp.Kernel:
 
 @cache
 def make_scalar(test: TestForm | ScalarTest) -> wp.Kernel:
-    """Closest hits of single rays, triangles one by one. One item is a ray. Arguments as in `make_frusta`."""
+    """Single rays against triangles one by one. Arguments as in `make_frusta`."""
     prepare, scalar = test.prepare, scalar_of(test)
 
-    def one_by_one(
-        first: int,
-        records: wp.array(dtype=float),
-        triangles: int,
-        origins: wp.array(dtype=wp.vec3),
-        origin_stride: int,
-        directions: wp.array(dtype=wp.vec3),
-        out_t: wp.array(dtype=float),
-        out_id: wp.array(dtype=int),
-    ):
-        i = first + wp.tid()
-        state = prepare(origins[i * origin_stride], directions[i])
-        best = float(wp.inf)
-        found = int(-1)
+    @wp.func
+    def one_by_one(records: wp.array(dtype=float), triangles: int, origin: wp.vec3, direction: wp.vec3):
+        state = prepare(origin, direction)
+        nearest = Nearest(wp.inf, -1)
         for slot in range(triangles):
             hit = scalar(records, slot, state)
-            if hit[0] > 0.0 and hit[0] < best:
-                best = hit[0]
-                found = slot
-        out_t[i] = best
-        out_id[i] = found
+            if hit[0] > 0.0 and hit[0] < nearest.t:
+                nearest.t = hit[0]
+                nearest.triangle = slot
+        return nearest
 
-    return specialised_kernel(one_by_one)
+    return single_rays(one_by_one)

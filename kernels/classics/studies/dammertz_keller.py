@@ -32,37 +32,24 @@ MOST = 24
 SIZE = 3 * MOST + 1
 """Triangles that wait: each level leaves three."""
 
-Waiting = wp.types.matrix(shape=(SIZE, 13), dtype=wp.float32)
-"""Of each: its vertices, the weights u and v of its first vertex, the size of its weights (below 0: upside down), its level."""
 
+@wp.struct
+class Part:
+    """A triangle that waits."""
 
-@wp.func
-def part(waiting: Waiting, row: int):
-    """The vertices of a triangle that waits."""
-    corners = Corners()
-    corners.a = wp.vec3(waiting[row, 0], waiting[row, 1], waiting[row, 2])
-    corners.b = wp.vec3(waiting[row, 3], waiting[row, 4], waiting[row, 5])
-    corners.c = wp.vec3(waiting[row, 6], waiting[row, 7], waiting[row, 8])
-    return corners
+    corners: Corners
+    u: float
+    """Weights of its first vertex."""
+    v: float
+    size: float
+    """Of its weights; below 0: upside down."""
+    level: float
 
 
 @wp.func
 def middle(p: wp.vec3, q: wp.vec3):
     """Midpoint of an edge, the same from both of its sides."""
     return 0.5 * p + 0.5 * q
-
-
-@wp.func
-def push(waiting: wp.ref[Waiting], row: int, a: wp.vec3, b: wp.vec3, c: wp.vec3, u: float, v: float, size: float, level: float):
-    """Lets a triangle wait."""
-    for axis in range(3):
-        waiting[row, axis] = a[axis]
-        waiting[row, 3 + axis] = b[axis]
-        waiting[row, 6 + axis] = c[axis]
-    waiting[row, 9] = u
-    waiting[row, 10] = v
-    waiting[row, 11] = size
-    waiting[row, 12] = level
 
 
 @wp.func
@@ -74,32 +61,31 @@ def intersect(ray: PlainRay, corners: Corners):
     square = dot(ray.direction, ray.direction)
     if not (square > 0.0 and distance < wp.inf):
         return miss()
-    waiting = Waiting()
-    push(waiting, 0, corners.a, corners.b, corners.c, 0.0, 0.0, 1.0, 0.0)
+    waiting = wp.zeros(shape=(SIZE,), dtype=Part)
+    waiting[0] = Part(corners, 0.0, 0.0, 1.0, 0.0)
     count = int(1)
     while count > 0:
         count -= 1
-        here = part(waiting, count)
-        u = waiting[count, 9]
-        v = waiting[count, 10]
-        size = waiting[count, 11]
-        level = waiting[count, 12]
+        part = waiting[count]
+        here = part.corners
         low = corners_low(here)
         high = corners_high(here)
         span = slab_interval(slabs, low, high)
         if span[0] <= span[1]:
             side = high - low
-            if wp.max(side[0], wp.max(side[1], side[2])) <= least or level >= float(wp.static(MOST)):
+            if wp.max(side[0], wp.max(side[1], side[2])) <= least or part.level >= float(wp.static(MOST)):
                 centre = (here.a + here.b + here.c) / 3.0
-                return wp.vec3(dot(centre - ray.origin, ray.direction) / square, u + size / 3.0, v + size / 3.0)
-            half = 0.5 * size
+                third = part.size / 3.0
+                return wp.vec3(dot(centre - ray.origin, ray.direction) / square, part.u + third, part.v + third)
+            half = 0.5 * part.size
+            below = part.level + 1.0
             ab = middle(here.a, here.b)
             bc = middle(here.b, here.c)
             ca = middle(here.c, here.a)
-            push(waiting, count, here.a, ab, ca, u, v, half, level + 1.0)
-            push(waiting, count + 1, ab, here.b, bc, u + half, v, half, level + 1.0)
-            push(waiting, count + 2, ca, bc, here.c, u, v + half, half, level + 1.0)
-            push(waiting, count + 3, bc, ca, ab, u + half, v + half, -half, level + 1.0)
+            waiting[count] = Part(Corners(here.a, ab, ca), part.u, part.v, half, below)
+            waiting[count + 1] = Part(Corners(ab, here.b, bc), part.u + half, part.v, half, below)
+            waiting[count + 2] = Part(Corners(ca, bc, here.c), part.u, part.v + half, half, below)
+            waiting[count + 3] = Part(Corners(bc, ca, ab), part.u + half, part.v + half, -half, below)
             count += 4
     return miss()
 

@@ -10,8 +10,9 @@ What is shared depends on how the source is written: a difference that stands th
 from __future__ import annotations
 
 import operator
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import FunctionType, SimpleNamespace
 from typing import Any
 
@@ -39,15 +40,22 @@ class Derivation:
     values: np.ndarray
 
 
-class Tally:
-    """Counts of operations, those on the triangle alone and those on the origin."""
+Tally = tuple[Counter, Counter]
+"""Kinds of operations, those on the triangle alone and those on the origin."""
 
-    def __init__(self) -> None:
-        self.done = [Operations(), Operations()]
 
-    def add(self, kind: str, level: int) -> None:
-        """One operation more."""
-        self.done[level] = replace(self.done[level], **{kind: getattr(self.done[level], kind) + 1})
+def counted(kind: str, action: Callable[[Any, Any], Any]) -> Callable[[CountedFloat, CountedFloat | float], Any]:
+    """An operator of `CountedFloat`."""
+
+    def apply(self: CountedFloat, other: CountedFloat | float) -> Any:
+        known = isinstance(other, CountedFloat)
+        level = max(self.level, other.level) if known else self.level
+        self.tally[level][kind] += 1
+        with np.errstate(all="ignore"):
+            result = action(self.value, other.value if known else type(self.value)(other))
+        return bool(result) if kind == "compare" else CountedFloat(result, level, self.tally)
+
+    return apply
 
 
 class CountedFloat:
@@ -56,28 +64,9 @@ class CountedFloat:
     def __init__(self, value: np.floating, level: int, tally: Tally) -> None:
         self.value, self.level, self.tally = value, level, tally
 
-    def _apply(self, kind: str, action: Callable[[Any, Any], Any], other: CountedFloat | float) -> Any:
-        counted = isinstance(other, CountedFloat)
-        level = max(self.level, other.level) if counted else self.level
-        self.tally.add(kind, level)
-        with np.errstate(all="ignore"):
-            result = action(self.value, other.value if counted else type(self.value)(other))
-        return bool(result) if kind == "compare" else CountedFloat(result, level, self.tally)
-
-    def __add__(self, other):
-        return self._apply("add", operator.add, other)
-
-    def __sub__(self, other):
-        return self._apply("add", operator.sub, other)
-
-    def __mul__(self, other):
-        return self._apply("multiply", operator.mul, other)
-
-    def __truediv__(self, other):
-        return self._apply("divide", operator.truediv, other)
-
-    def __ge__(self, other):
-        return self._apply("compare", operator.ge, other)
+    __add__, __sub__ = counted("add", operator.add), counted("add", operator.sub)
+    __mul__, __truediv__ = counted("multiply", operator.mul), counted("divide", operator.truediv)
+    __ge__ = counted("compare", operator.ge)
 
     def __neg__(self) -> CountedFloat:
         return CountedFloat(-self.value, self.level, self.tally)
@@ -142,14 +131,14 @@ def count_derivation(record: Record, corners: Sequence[Sequence[float]], origin:
         corners: (3, 3), the triangle's vertices.
         origin: (3,), the common origin of the rays.
     """
-    tally = Tally()
+    tally = Counter(), Counter()
 
-    def counted(point: Sequence[float], level: int) -> CountedVector:
+    def vector(point: Sequence[float], level: int) -> CountedVector:
         return CountedVector([CountedFloat(np.float32(value), level, tally) for value in point])
 
     values: Sequence[Any] = ()
     if record.derive is not None:
-        triangle = SimpleNamespace(**{name: counted(corner, PER_TRIANGLE) for name, corner in zip("abc", corners, strict=True)})
-        values = as_python(record.derive, record.own)(triangle, counted(origin, PER_ORIGIN))
+        triangle = SimpleNamespace(**{name: vector(corner, PER_TRIANGLE) for name, corner in zip("abc", corners, strict=True)})
+        values = as_python(record.derive, record.own)(triangle, vector(origin, PER_ORIGIN))
     plain = [value.value if isinstance(value, CountedFloat) else value for value in values]
-    return Derivation(tally.done[PER_TRIANGLE], tally.done[PER_ORIGIN], np.array(plain, dtype=np.float32))
+    return Derivation(*(Operations(**kinds) for kinds in tally), np.array(plain, dtype=np.float32))

@@ -1,8 +1,11 @@
 """The tests compared by Komatsu et al. 2008 as the paper has them: in float32, with all their exits.
 
-They serve only to reproduce the paper's tables. The engine uses `wrt.kernels.classics.triangle.komatsu` and
-`.moeller_trumbore`, which are two-sided, safer at edges and better suited to wide vectors. N = E1 x E2 is the triangle's
-normal, S points from P0 to the origin O, and D is the direction:
+**Problem.** Which test of a ray and a triangle is fastest for rays from one point, with and without what an origin lets one
+compute beforehand? The paper compares four, by operations, by bytes, by where tests end, and by time.
+
+They serve only to reproduce the paper's tables. Scenes use `wrt.kernels.classics.triangle.komatsu` and
+`wrt.kernels.triangle.moeller_trumbore`, which are two-sided, safer at edges and better suited to wide vectors. N = E1 x E2 is
+the triangle's normal, S points from P0 to the origin O, and D is the direction:
 
     moeller     P0, E1, E2, N precomputed                       48 bytes, 34 operations a test
     projection  the plane and two rows of the main projection   40 bytes, 23 operations a test
@@ -22,12 +25,13 @@ References: komatsu-2008; wald-2004.
 
 import warp as wp
 
+from wrt.kernels.classics.triangle.published import FINITE, StepText, in_steps
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import ROW_NAMES, derive_rows, turned_lanes
-from wrt.kernels.triangle.support.lane_form import DIRECTION, FAR, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.lane_form import DIRECTION, FAR, ORIGIN, LaneForm
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TestForm
-from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, prepare
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, names, prepare
 
 exact_module(__name__)
 
@@ -53,6 +57,20 @@ def prepare_in_range(origin: wp.vec3, direction: wp.vec3):
     ray.direction = direction
     ray.far = wp.inf
     return ray
+
+
+def ray_form(name: str, record: Record, triangle: tuple[str, ...], *parts: StepText) -> TestForm:
+    """A form from its steps (`in_steps`), with what they read of a ray. triangle: names of the record's own floats."""
+    steps = in_steps(*parts)
+
+    def read(values: tuple) -> tuple:
+        return values if any(step.reads([value.name for value in values]) for step in steps) else ()
+
+    ray = (*read(ORIGIN), *DIRECTION, *read((FAR,)))
+    state, make = (RayInRange, prepare_in_range) if FAR in ray else (PlainRay, prepare)
+    return TestForm(
+        name=name, record=record, ray_state=state, prepare=make, lanes=LaneForm(ray=ray, triangle=triangle, steps=steps)
+    )
 
 
 @wp.func
@@ -106,130 +124,65 @@ def derive_proposed(corners: Corners, origin: wp.vec3):
     return values
 
 
-FACING = Step(
-    exit="turned away",
-    code="const float f1 = (dx * nx + dy * ny) + dz * nz;",
-    passes="f1 < 0.0f",
-    keeps=("f1",),
-)
+FACING = ("turned away", f"const float f1 = {dotted('d', 'n')};", "f1 < 0.0f")
+
+SUM = ("u + v > 1", "const float both = alpha + beta;", "both <= -f1")
 
 DISTANCE = """
     const float t = -f2 / f1, u = alpha / -f1, v = beta / -f1;
 """
 """The values of a hit. The paper leaves u' and v' undivided; we divide them so that hits can be compared."""
 
-MOELLER = LaneForm(
-    ray=(*ORIGIN, *DIRECTION),
-    triangle=("p0x", "p0y", "p0z", "e1x", "e1y", "e1z", "e2x", "e2y", "e2z", "nx", "ny", "nz"),
-    steps=(
-        FACING,
-        Step(
-            exit="u < 0",
-            code="""
-                const float sx = ox - p0x, sy = oy - p0y, sz = oz - p0z;
-                const float gx = dy * sz - dz * sy, gy = dz * sx - dx * sz, gz = dx * sy - dy * sx;
-                const float alpha = -((gx * e2x + gy * e2y) + gz * e2z);
-            """,
-            passes="alpha >= 0.0f",
-            keeps=("sx", "sy", "sz", "gx", "gy", "gz", "alpha"),
-        ),
-        Step(
-            exit="v < 0",
-            code="const float beta = (gx * e1x + gy * e1y) + gz * e1z;",
-            passes="beta >= 0.0f",
-            keeps=("beta",),
-        ),
-        Step(exit="u + v > 1", code="const float both = alpha + beta;", passes="both <= -f1"),
-        Step(
-            exit="no distance",
-            code=f"const float f2 = (nx * sx + ny * sy) + nz * sz;{DISTANCE}",
-            passes="t - t == 0.0f",
-        ),
-    ),
+MOELLER = ray_form(
+    "moeller",
+    Record(12, derive_moeller),
+    (*names("p0"), *names("e1"), *names("e2"), *names("n")),
+    FACING,
+    ("u < 0", f"{minus('s', 'o', 'p0')}{crossed('g', 'd', 's')}const float alpha = -{dotted('g', 'e2')};", "alpha >= 0.0f"),
+    ("v < 0", f"const float beta = {dotted('g', 'e1')};", "beta >= 0.0f"),
+    SUM,
+    ("no distance", f"const float f2 = {dotted('n', 's')};{DISTANCE}", FINITE),
 )
 
-PROJECTION = LaneForm(
-    ray=(*ORIGIN, *DIRECTION, FAR),
-    triangle=ROW_NAMES,
-    steps=(
-        Step(
-            exit="behind the origin or a closer hit",
-            code=f"""
-                {turned_lanes("o")}{turned_lanes("d")}
-                const float t = (n0 - ((ok + np * op) + nq * oq)) / ((dk + np * dp) + nq * dq);
-            """,
-            passes="(t > 0.0f) & (t < far)",
-            keeps=("op", "oq", "dp", "dq", "t"),
-        ),
-        Step(
-            exit="u < 0",
-            code="""
-                const float x = op + t * dp, y = oq + t * dq;
-                const float u = (up * x + uq * y) + u0;
-            """,
-            passes="u >= 0.0f",
-            keeps=("x", "y", "u"),
-        ),
-        Step(exit="v < 0", code="const float v = (vp * x + vq * y) + v0;", passes="v >= 0.0f", keeps=("v",)),
-        Step(exit="u + v > 1", code="const float both = u + v;", passes="both <= 1.0f"),
+PROJECTION = ray_form(
+    "projection",
+    Record(10, derive_rows),
+    ROW_NAMES,
+    (
+        "behind the origin or a closer hit",
+        f"""
+            {turned_lanes("o")}{turned_lanes("d")}
+            const float t = (n0 - ((ok + np * op) + nq * oq)) / ((dk + np * dp) + nq * dq);
+        """,
+        "(t > 0.0f) & (t < far)",
     ),
+    ("u < 0", "const float x = op + t * dp, y = oq + t * dq, u = (up * x + uq * y) + u0;", "u >= 0.0f"),
+    ("v < 0", "const float v = (vp * x + vq * y) + v0;", "v >= 0.0f"),
+    ("u + v > 1", "const float both = u + v;", "both <= 1.0f"),
 )
 
-PLUECKER = LaneForm(
-    ray=DIRECTION,
-    triangle=("nx", "ny", "nz", "t0x", "t0y", "t0z", "t1x", "t1y", "t1z", "t2x", "t2y", "t2z", "f2"),
-    steps=(
-        FACING,
-        Step(
-            exit="signs differ",
-            code="""
-                const float gamma = (dx * t0x + dy * t0y) + dz * t0z;
-                const float rest = (dx * t1x + dy * t1y) + dz * t1z;
-                const float alpha = (dx * t2x + dy * t2y) + dz * t2z;
-            """,
-            passes="(alpha >= 0.0f) & (rest >= 0.0f) & (gamma >= 0.0f)",
-            keeps=("alpha", "gamma"),
-        ),
-        Step(exit="no distance", code=f"const float beta = gamma;{DISTANCE}", passes="t - t == 0.0f"),
+PLUECKER = ray_form(
+    "pluecker",
+    Record(13, derive_pluecker, per_origin=True),
+    (*names("n"), *names("t0"), *names("t1"), *names("t2"), "f2"),
+    FACING,
+    (
+        "signs differ",
+        f"const float gamma = {dotted('d', 't0')}, rest = {dotted('d', 't1')}, alpha = {dotted('d', 't2')};",
+        "(alpha >= 0.0f) & (rest >= 0.0f) & (gamma >= 0.0f)",
     ),
+    ("no distance", f"const float beta = gamma;{DISTANCE}", FINITE),
 )
 
-PROPOSED = LaneForm(
-    ray=DIRECTION,
-    triangle=("nx", "ny", "nz", "gux", "guy", "guz", "gvx", "gvy", "gvz", "f2"),
-    steps=(
-        FACING,
-        Step(
-            exit="u < 0",
-            code="const float alpha = (dx * gux + dy * guy) + dz * guz;",
-            passes="alpha >= 0.0f",
-            keeps=("alpha",),
-        ),
-        Step(
-            exit="v < 0",
-            code="const float beta = (dx * gvx + dy * gvy) + dz * gvz;",
-            passes="beta >= 0.0f",
-            keeps=("beta",),
-        ),
-        Step(exit="u + v > 1", code="const float both = alpha + beta;", passes="both <= -f1"),
-        Step(exit="no distance", code=DISTANCE, passes="t - t == 0.0f"),
-    ),
+PROPOSED = ray_form(
+    "proposed",
+    Record(10, derive_proposed, per_origin=True),
+    (*names("n"), *names("gu"), *names("gv"), "f2"),
+    FACING,
+    ("u < 0", f"const float alpha = {dotted('d', 'gu')};", "alpha >= 0.0f"),
+    ("v < 0", f"const float beta = {dotted('d', 'gv')};", "beta >= 0.0f"),
+    SUM,
+    ("no distance", DISTANCE, FINITE),
 )
 
-
-def published(name: str, record: Record, lanes: LaneForm) -> TestForm:
-    """One of the paper's tests."""
-    if FAR in lanes.ray:
-        return TestForm(name=name, record=record, ray_state=RayInRange, prepare=prepare_in_range, lanes=lanes)
-    return TestForm(name=name, record=record, ray_state=PlainRay, prepare=prepare, lanes=lanes)
-
-
-PUBLISHED: dict[str, TestForm] = {
-    form.name: form
-    for form in (
-        published("moeller", Record(12, derive_moeller), MOELLER),
-        published("projection", Record(10, derive_rows), PROJECTION),
-        published("pluecker", Record(13, derive_pluecker, per_origin=True), PLUECKER),
-        published("proposed", Record(10, derive_proposed, per_origin=True), PROPOSED),
-    )
-}
+PUBLISHED: dict[str, TestForm] = {form.name: form for form in (MOELLER, PROJECTION, PLUECKER, PROPOSED)}

@@ -28,25 +28,27 @@ last, which the thesis found fastest; `range_last`, both last.
 each edge, against which the point is compared before t is divided out. It is not said how these planes stand: here a plane's
 value is the weight of the vertex opposite. The second test is `wrt.kernels.classics.triangle.pluecker`.
 
+**The ray in the unit triangle's space** (3.1). `unit_ray` is Schmittler et al.'s test of 2004, which Woop et al. adopt in 2005.
+The matrix of way 4 transforms the ray's origin and direction, so t is a quotient of two of their numbers, and the plane needs
+no row of its own. Way 4 transforms the point instead, which takes one product with the matrix in place of two.
+
 References: pichler-2018; baldwin-weber-2016; amanatides-choi-1997.
 """
 
-from dataclasses import replace
-
 import warp as wp
 
-from wrt.kernels.classics.studies.komatsu_2008 import RayInRange, prepare_in_range
+from wrt.kernels.classics.studies.komatsu_2008 import ray_form
 from wrt.kernels.classics.triangle.ferko import triangle_bounds as bounds
 from wrt.kernels.classics.triangle.ferko.record_part import Part, join
-from wrt.kernels.classics.triangle.ferko.triangle_bounds import CIRCLE
+from wrt.kernels.classics.triangle.ferko.triangle_bounds import CIRCLE, SPHERE_STEP
 from wrt.kernels.classics.triangle.ferko.unit_triangle import STEPS, UNIT_TRIANGLE
 from wrt.kernels.classics.triangle.ferko.variant import PLANE, POINT
+from wrt.kernels.classics.triangle.published import FINITE, INSIDE, StepText
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import main_axis
-from wrt.kernels.triangle.support.lane_form import DIRECTION, FAR, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners, corners_high, corners_low
 from wrt.kernels.triangle.support.triangle_contract import TestForm
-from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, dotted, minus, prepare
+from wrt.kernels.triangle.support.vectors import cross, dot, dotted, minus
 
 exact_module(__name__)
 
@@ -173,29 +175,31 @@ EDGE_PLANES = Part(
 )
 BOX_SPHERE = Part(CIRCLE.names, derive_box_sphere)
 
-U_EXIT, V_EXIT = (step.exit for step in STEPS)
-U_PASSES, V_PASSES = "(u >= 0.0f) & (u <= 1.0f)", "(v >= 0.0f) & (u + v <= 1.0f) & (t - t == 0.0f)"
 
-
-def transformed(u: str, v: str, keeps: tuple[str, ...] = ()) -> tuple[Step, ...]:
+def transformed(u: str, v: str) -> tuple[StepText, ...]:
     """The two steps of a point in the unit triangle, from C++ that declares u, and then v."""
-    return Step(U_EXIT, u, U_PASSES, ("u", *keeps)), Step(V_EXIT, v, V_PASSES)
+    (u_exit, _, u_passes), (v_exit, _, v_passes) = STEPS
+    return (u_exit, u, u_passes), (v_exit, v, f"{v_passes} & ({FINITE})")
 
 
-def row_of(row: int) -> str:
-    """C++ expression: a row of a 4 x 4 matrix times the point."""
-    return f"((m{row}0 * px + m{row}1 * py) + m{row}2 * pz) + m{row}3"
+def turned_by(row: int, vector: str) -> str:
+    """C++ expression: a row of a matrix times a vector, without the matrix's last column."""
+    return f"((m{row}0 * {vector}x + m{row}1 * {vector}y) + m{row}2 * {vector}z)"
 
 
-TURNED = transformed(STEPS[0].code, STEPS[1].code, ("pp", "pq"))
+def row_of(row: int, point: str = "p") -> str:
+    """C++ expression: a row of a matrix times a point."""
+    return f"{turned_by(row, point)} + m{row}3"
 
-WAYS: dict[str, tuple[Part, tuple[Step, ...]]] = {
+
+TURNED = transformed(STEPS[0][1], STEPS[1][1])
+
+WAYS: dict[str, tuple[Part, tuple[StepText, ...]]] = {
     "utm_matrix": (
         MATRIX,
         transformed(
             f"const float w = {row_of(3)}, x = {row_of(0)}, y = {row_of(1)}, u = w == 1.0f ? x : x / w;",
             "const float v = w == 1.0f ? y : y / w;",
-            ("w", "y"),
         ),
     ),
     "utm_rows": (
@@ -208,58 +212,43 @@ WAYS: dict[str, tuple[Part, tuple[Step, ...]]] = {
 }
 """What each way to make the transform keeps of a triangle, and its steps after the plane."""
 
-SPHERE = Step("beside the bounding sphere", bounds.SPHERE_CODE, bounds.SPHERE_PASSES)
-
 TO_CENTRE = f"""
     {minus("l", "m", "o")}
     const float ll = {dotted("l", "l")}, dd = {dotted("d", "d")}, ld = {dotted("l", "d")};
     const float widened = radius2 + {CANCELLATION}f * ll;
 """
 
-PROJECTED = Step(
+PROJECTED = (
     "beside the bounding sphere or in front of it",
     TO_CENTRE + "const float s2 = ld * ld / dd;",
     "(ll - s2 <= widened) & ((ld >= 0.0f) | (ll <= widened))",
 )
 
-PARAMETRIC = Step(
+PARAMETRIC = (
     "beside the bounding sphere, in front of it or behind a hit",
-    TO_CENTRE
-    + """
-        const float square = ld * ld - dd * (ll - widened);
-        const float root = sqrtf(square > 0.0f ? square : 0.0f);
-    """,
+    TO_CENTRE + "const float square = ld * ld - dd * (ll - widened), root = sqrtf(square > 0.0f ? square : 0.0f);",
     "(square >= 0.0f) & (ld + root >= 0.0f) & (ld - root <= far * dd)",
 )
 
 AFTER_NEAR, BEFORE_FAR = "(t > 0.0f)", "(t < far)"
 
 
-def after_plane(steps: tuple[Step, ...]) -> tuple[Step, ...]:
+def after_plane(*steps: StepText) -> tuple[StepText, ...]:
     """Steps of a point, with the point computed before the first."""
-    first, *others = steps
-    read = [name for name in ("px", "py", "pz") if any(step.reads([name]) for step in others)]
-    return replace(first, code=POINT + first.code, keeps=("t", *read, *first.keeps)), *others
+    (exit_, code, passes), *others = steps
+    return (exit_, POINT + code, passes), *others
 
 
-def compared(before: str, after: str) -> tuple[Step, ...]:
+def compared(before: str, after: str) -> tuple[StepText, ...]:
     """The unit triangle's steps with comparisons of t right after the plane, and after all else."""
-    plane = [Step("out of the ray's range", "", before)] if before else []
-    *most, last = after_plane((*plane, *TURNED))
-    if not after:
-        return *most, last
-    return *most, replace(last, passes="&".join(f"({part})" for part in (last.passes, after)))
+    plane = [("out of the ray's range", "", before)] if before else []
+    first, (exit_, code, passes) = TURNED
+    return after_plane(*plane, first, (exit_, code, f"({passes}) & ({after})" if after else passes))
 
 
-def form(name: str, parts: tuple[Part, ...], steps: tuple[Step, ...]) -> TestForm:
+def form(name: str, parts: tuple[Part, ...], *steps: StepText) -> TestForm:
     """A form whose record has these parts; its rays have an end if a step compares with it."""
-    names = tuple(part_name for part in parts for part_name in part.names)
-    ranged = any(step.reads(["far"]) for step in steps)
-    ray = (*ORIGIN, *DIRECTION, FAR) if ranged else (*ORIGIN, *DIRECTION)
-    state, make = (RayInRange, prepare_in_range) if ranged else (PlainRay, prepare)
-    return TestForm(
-        name=name, record=join(parts), ray_state=state, prepare=make, lanes=LaneForm(ray=ray, triangle=names, steps=steps)
-    )
+    return ray_form(name, join(parts), tuple(part_name for part in parts for part_name in part.names), *steps)
 
 
 def edge_planes() -> TestForm:
@@ -267,31 +256,40 @@ def edge_planes() -> TestForm:
     weights = "".join(
         f"const float {plane} = (det * ({dotted(plane, 'o')} - {plane}0) + num * {dotted(plane, 'd')});\n" for plane in "efg"
     )
-    inside = Step(
+    inside = (
         "outside an edge's plane",
         f"const float det = {dotted('n', 'd')}, num = n0 - {dotted('n', 'o')};\n{weights}",
         "((e >= 0.0f) & (f >= 0.0f) & (g >= 0.0f)) & (det > 0.0f) | ((e <= 0.0f) & (f <= 0.0f) & (g <= 0.0f)) & (det < 0.0f)",
-        ("det", "num", "f", "g"),
     )
-    hit = Step("no distance", "const float t = num / det, u = f / det, v = g / det;", "t - t == 0.0f")
-    return form("edge_planes", (EDGE_PLANES,), (inside, hit))
+    hit = ("no distance", "const float t = num / det, u = f / det, v = g / det;", FINITE)
+    return form("edge_planes", (EDGE_PLANES,), inside, hit)
+
+
+def unit_ray() -> TestForm:
+    """Schmittler et al.'s test."""
+    height = f"const float t = (0.0f - ({row_of(2, 'o')})) / {turned_by(2, 'd')};\n"
+    weights = f"const float u = ({row_of(0, 'o')}) + t * {turned_by(0, 'd')}, v = ({row_of(1, 'o')}) + t * {turned_by(1, 'd')};"
+    return form("unit_ray", (FREE_MATRIX,), ("outside the unit triangle", height + weights, f"{INSIDE} & ({FINITE})"))
 
 
 BASE = (PLANE, UNIT_TRIANGLE)
-UNIT = after_plane(TURNED)
+UNIT = after_plane(*TURNED)
 
 STUDIED: dict[str, TestForm] = {
     found.name: found
     for found in (
-        *(form(name, (PLANE, part), after_plane(steps)) for name, (part, steps) in WAYS.items()),
-        form("sphere_cross", (*BASE, CIRCLE), (SPHERE, *UNIT)),
-        form("sphere_projection", (*BASE, CIRCLE), (PROJECTED, *UNIT)),
-        form("sphere_parametric", (*BASE, CIRCLE), (PARAMETRIC, *UNIT)),
-        form("box_sphere", (*BASE, BOX_SPHERE), (SPHERE, *UNIT)),
-        form("range_first", BASE, compared(f"{AFTER_NEAR} & {BEFORE_FAR}", "")),
-        form("range_delayed", BASE, compared(AFTER_NEAR, BEFORE_FAR)),
-        form("range_last", BASE, compared("", f"{AFTER_NEAR} & {BEFORE_FAR}")),
+        *(form(name, (PLANE, part), *after_plane(*steps)) for name, (part, steps) in WAYS.items()),
+        form("sphere_cross", (*BASE, CIRCLE), SPHERE_STEP, *UNIT),
+        form("sphere_projection", (*BASE, CIRCLE), PROJECTED, *UNIT),
+        form("sphere_parametric", (*BASE, CIRCLE), PARAMETRIC, *UNIT),
+        form("box_sphere", (*BASE, BOX_SPHERE), SPHERE_STEP, *UNIT),
+        form("range_first", BASE, *compared(f"{AFTER_NEAR} & {BEFORE_FAR}", "")),
+        form("range_delayed", BASE, *compared(AFTER_NEAR, BEFORE_FAR)),
+        form("range_last", BASE, *compared("", f"{AFTER_NEAR} & {BEFORE_FAR}")),
         edge_planes(),
     )
 }
 """By the names above."""
+
+UNIT_RAY = unit_ray()
+"""The ray in the unit triangle's space, a test that the thesis names and did not try."""

@@ -8,11 +8,13 @@ leaves is the entry point of the tile. The tile is split into 16 parts, each par
 the tile, and the packets of the smallest parts start at the entry point of their part. There are any number of levels of tiles
 (`TileConfig.levels`), two if nothing else is chosen.
 
-**Phases** of a search:
-1. descend: depth first, near side first, to the first candidate leaf. Nodes whose two sides must both be visited are pushed on
-   the *bifurcation stack* with their boxes. The stack is then frozen;
-2. choose: the entry point is the topmost node on the stack whose other side reaches a candidate leaf; if there is none, it is
+**Steps** of a search:
+
+1. `descend`: depth first, near side first, to the first candidate leaf. Where both sides must be visited, the far one is pushed
+   on the *bifurcation stack*. The stack is then frozen.
+2. `choose`: the entry point is the topmost node whose far side, on the stack, reaches a candidate leaf; if there is none, it is
    the leaf itself.
+3. `move_to`: the box of the entry point, by another descent to its number: nodes are numbered depth first.
 
 `mlrta` and `aepsa` (Fowler, Collins and Manzke 2009) differ in both phases:
 * In MLRTA every leaf that is not empty is a candidate. In AEPSA a leaf is a candidate only if one of its triangles overlaps the
@@ -54,7 +56,7 @@ from wrt.kernels.traversal.packet.core.packet_kdtree import MIXED_AXES, make_wal
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, packet_step
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.tile_bounds import bound_rays
-from wrt.kernels.traversal.single.single_kdtree import Cell, make_kdtree_walk, step_guessing
+from wrt.kernels.traversal.single.single_kdtree import Cell, make_kdtree_walk, pop_cell, step_guessing
 from wrt.kernels.traversal.traversal_config import TileConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -98,22 +100,22 @@ def candidate_leaf(config: TraversalConfig, accelerated: bool) -> wp.Function:
 
 
 @cache
-def candidate_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
-    """`wp.func(nodes, triangles, bounds, cell, work) -> bool`: whether a candidate leaf is reached from a cell."""
-    is_candidate = candidate_leaf(config, accelerated)
-    counting = config.counters
+def make_descent(config: TraversalConfig, accelerated: bool) -> wp.Function:
+    """`wp.func(nodes, triangles, bounds, cell, stack_node, stack_entry, stack_leave, work) -> int`: moves to the first
+    candidate leaf below a cell; returns the number of cells that wait then, -1 if there is none."""
+    is_candidate, counting = candidate_leaf(config, accelerated), config.counters
 
     @wp.func
-    def reaches_candidate(
+    def descend(
         nodes: wp.array(dtype=wp.vec2i),
         triangles: TriangleBlocks,
         bounds: wp.ref[PacketBounds],
         cell: wp.ref[Cell],
+        stack_node: wp.array(dtype=int),
+        stack_entry: wp.array(dtype=float),
+        stack_leave: wp.array(dtype=float),
         work: wp.ref[Counters],
     ):
-        stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
-        stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
-        stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
         size = int(0)
         reached = bool(False)
         searching = bool(True)
@@ -132,93 +134,97 @@ def candidate_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
                 reached = is_candidate(triangles, node, bounds)
                 searching = size > 0 and not reached
                 if searching:
-                    size -= 1
-                    cell.node = load_int(stack_node, size)
-                    cell.entry = load_float(stack_entry, size)
-                    cell.leave = load_float(stack_leave, size)
-        return reached
+                    pop_cell(cell, stack_node, stack_entry, stack_leave, size)
+        return wp.where(reached, size, -1)
 
-    return reaches_candidate
+    return descend
+
+
+@cache
+def make_choice(config: TraversalConfig, accelerated: bool) -> wp.Function:
+    """`wp.func(nodes, triangles, bounds, stack_node, stack_entry, stack_leave, size, work) -> int`: the topmost of `size`
+    waiting cells that reaches a candidate leaf, -1 if none does."""
+    descend = make_descent(config, accelerated)
+
+    @wp.func
+    def choose(
+        nodes: wp.array(dtype=wp.vec2i),
+        triangles: TriangleBlocks,
+        bounds: wp.ref[PacketBounds],
+        stack_node: wp.array(dtype=int),
+        stack_entry: wp.array(dtype=float),
+        stack_leave: wp.array(dtype=float),
+        size: int,
+        work: wp.ref[Counters],
+    ):
+        own_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
+        own_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
+        own_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
+        chosen = int(-1)
+        done = int(0)
+        while done < size:
+            which = wp.where(wp.static(accelerated), done, size - 1 - done)
+            cell = Cell()
+            cell.node = load_int(stack_node, which)
+            cell.entry = load_float(stack_entry, which)
+            cell.leave = load_float(stack_leave, which)
+            done += 1
+            if descend(nodes, triangles, bounds, cell, own_node, own_entry, own_leave, work) >= 0:
+                chosen = which
+                if wp.static(accelerated):
+                    done = size
+        return chosen
+
+    return choose
+
+
+@wp.func
+def move_to(tree: wp.ref[KdNodes], target: int, above: bool):
+    """Moves `tree.root` to a node below it, or to the node above that."""
+    low = wp.vec3(tree.low)
+    high = wp.vec3(tree.high)
+    at = int(tree.root)
+    while at != target:
+        node = kdtree.load_node(tree.nodes, at)
+        go_right = target >= kdtree.right_child(node)
+        below = wp.where(go_right, kdtree.right_child(node), at + 1)
+        if above and below == target:
+            break
+        low = child_low(low, kdtree.split_axis(node), kdtree.split_position(node), go_right)
+        high = child_high(high, kdtree.split_axis(node), kdtree.split_position(node), go_right)
+        at = below
+    tree.root = at
+    tree.low = low
+    tree.high = high
 
 
 @cache
 def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
     """`wp.func(tree, triangles, bounds, work) -> bool`: moves `tree.root` to the entry point; False if no ray can hit
     anything."""
-    is_candidate, reaches_candidate = candidate_leaf(config, accelerated), candidate_search(config, accelerated)
-    counting = config.counters
+    descend, choose = make_descent(config, accelerated), make_choice(config, accelerated)
 
     @wp.func
     def search(tree: wp.ref[KdNodes], triangles: TriangleBlocks, bounds: wp.ref[PacketBounds], work: wp.ref[Counters]):
         interval = enter_box(bounds, tree.low, tree.high)
+        if not interval[0] <= interval[1]:
+            return False
         cell = Cell()
         cell.node = tree.root
         cell.entry = interval[0]
         cell.leave = interval[1]
-        low = wp.vec3(tree.low)
-        high = wp.vec3(tree.high)
-        forks = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
-        fork_low = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=wp.vec3)
-        fork_high = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=wp.vec3)
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
         stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
         stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
-        size = int(0)
-        reached = bool(False)
-        searching = bool(cell.entry <= cell.leave)
-        while searching:
-            node = kdtree.load_node(tree.nodes, cell.node)
-            axis = kdtree.split_axis(node)
-            if axis != LEAF:
-                fork = int(cell.node)
-                forks[size] = fork
-                fork_low[size] = low
-                fork_high[size] = high
-                position = kdtree.split_position(node)
-                crossing = cross_plane(bounds, axis, position, cell.entry, cell.leave)
-                right = kdtree.right_child(node)
-                step_guessing(crossing, cell.node + 1, right, cell, stack_node, stack_entry, stack_leave, size)
-                low = child_low(low, axis, position, cell.node == right)
-                high = child_high(high, axis, position, cell.node == right)
-                if wp.static(counting):
-                    work.nodes += 1
-            else:
-                if wp.static(counting):
-                    work.leaves += 1
-                reached = is_candidate(triangles, node, bounds)
-                searching = size > 0 and not reached
-                if searching:
-                    size -= 1
-                    cell.node = load_int(stack_node, size)
-                    cell.entry = load_float(stack_entry, size)
-                    cell.leave = load_float(stack_leave, size)
-                    above = kdtree.load_node(tree.nodes, forks[size])
-                    axis = kdtree.split_axis(above)
-                    on_right = cell.node == kdtree.right_child(above)
-                    low = child_low(fork_low[size], axis, kdtree.split_position(above), on_right)
-                    high = child_high(fork_high[size], axis, kdtree.split_position(above), on_right)
-        if reached:
-            tree.root = cell.node
-            tree.low = low
-            tree.high = high
-            chosen = int(-1)
-            done = int(0)
-            while done < size:
-                which = wp.where(wp.static(accelerated), done, size - 1 - done)
-                other = Cell()
-                other.node = load_int(stack_node, which)
-                other.entry = load_float(stack_entry, which)
-                other.leave = load_float(stack_leave, which)
-                done += 1
-                if reaches_candidate(tree.nodes, triangles, bounds, other, work):
-                    chosen = which
-                    if wp.static(accelerated):
-                        done = size
-            if chosen >= 0:
-                tree.root = forks[chosen]
-                tree.low = fork_low[chosen]
-                tree.high = fork_high[chosen]
-        return reached
+        size = descend(tree.nodes, triangles, bounds, cell, stack_node, stack_entry, stack_leave, work)
+        if size < 0:
+            return False
+        chosen = choose(tree.nodes, triangles, bounds, stack_node, stack_entry, stack_leave, size, work)
+        target = int(cell.node)
+        if chosen >= 0:
+            target = load_int(stack_node, chosen)
+        move_to(tree, target, chosen >= 0)
+        return True
 
     return search
 
@@ -248,12 +254,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
         return bounds.active > 0 and search(part_tree, triangles, bounds, work)
 
     def entry_points(
-        first: int,
-        tree: KdNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
+        first: int, tree: KdNodes, triangles: TriangleBlocks, rays: RayBatch, hits: HitBatch, counters: CounterRows
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
         memory = wp.zeros(shape=(memory_size,), dtype=int)

@@ -33,36 +33,29 @@ from wrt.kernels.traversal.mailbox import PLACES, RING, SLOTS
 exact_module(__name__)
 
 
-def _filter(name: str, width: int, size: int) -> str:
-    """C++: a filter of kernels/native/leaf.h."""
-    return f"return wrt::{name}<{width}, {size}>(ids.data + (size_t)block * {width}, mask, mailbox.data);"
-
-
 @cache
+def mailbox_filter(name: str, width: int, size: int) -> wp.Function:
+    """`wp.func(ids, block, mask, mailbox) -> mask`: the triangles of a block that were not tested yet, which are noted.
+
+    name: of the filter in kernels/native/leaf.h. size: number of ids."""
+    ids = f"ids.data + (size_t)block * {width}"
+
+    @native.func_native("leaf.h", f"return wrt::{name}<{width}, {size}>({ids}, mask, mailbox.data);")
+    def not_tested(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
+
+    return not_tested
+
+
 def plain_filter(width: int) -> wp.Function:
     """An array of `PLACES` ids, followed by their number."""
-
-    @native.func_native("leaf.h", _filter("plain_mailbox", width, PLACES))
-    def plain(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
-
-    return plain
+    return mailbox_filter("plain_mailbox", width, PLACES)
 
 
-@cache
 def hashed_filter(width: int) -> wp.Function:
     """A hash table of `SLOTS` ids."""
-
-    @native.func_native("leaf.h", _filter("hashed_mailbox", width, SLOTS))
-    def hashed(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
-
-    return hashed
+    return mailbox_filter("hashed_mailbox", width, SLOTS)
 
 
-@cache
 def inverse_filter(width: int) -> wp.Function:
     """A ring of `RING` ids, followed by the position of the next entry."""
-
-    @native.func_native("leaf.h", _filter("inverse_mailbox", width, RING))
-    def inverse(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
-
-    return inverse
+    return mailbox_filter("inverse_mailbox", width, RING)

@@ -8,11 +8,19 @@ by the sign of its own direction, and a child is visited if the part of some ray
 ray, so the order of the children is right for some rays only. A cell that lies behind the best hits of all its rays therefore
 does not end the search; the search continues with the next cell on the stack.
 
+**Steps.**
+
+1. `enter_cell`: the intervals of all rays in the box of the tree, clipped to their ranges and best hits: `entry` of the P rays,
+   then `leave`. A ray that is not in the cell has an empty interval. The formulas per ray are those of
+   `wrt.kernels.traversal.single.single_kdtree`.
+2. `split_cell`, at a plane: splits all intervals; the other child waits if some ray visits both.
+3. `leaf_of_cell`, at a leaf: if more than `MAX_FEW_RAYS` rays of the packet have reached it, W rays are tested against a
+   triangle at a time; otherwise each ray is tested against W triangles at a time (`few_active_rays`). The lanes are filled in
+   both cases.
+4. The next cell on the stack that some ray still enters; the end if there is none.
+
 **The order.** Of the rays that visit both children, the majority decides which child comes first. This rule is ours: Rahikainen
 (2013), the source of this file, does not give the rule of the paper.
-
-**Leaves.** If more than `MAX_FEW_RAYS` rays of the packet have reached a leaf, W rays are tested against a triangle at a time;
-otherwise each ray is tested against W triangles at a time (`few_active_rays`). The lanes are filled in both cases.
 
 **Differences from the paper.** A cell on the stack is its node and its box, not P intervals. When it is popped, the intervals
 are computed from the box, clipped to the current best hits. The size of the stack does not depend on the packet. Rays with
@@ -28,11 +36,11 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.classics.traversal.lane_cells import enter_cell, split_cell
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_float, load_int, store_int
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
@@ -40,6 +48,7 @@ from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step, store_few_ray
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, packet_layout
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
 from wrt.kernels.traversal.packet.rays.packet_store import store_packet
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -54,22 +63,76 @@ def rays_per_item(config: TraversalConfig) -> int:
 
 
 @cache
+def enter_cell(layout: PacketLayout) -> wp.Function:
+    """`wp.func(packet, bounds, low, high, cells) -> int`: computes the intervals in a box; returns the number of rays inside.
+
+    The intervals are clipped to the rays' ranges and best hits.
+    """
+
+    @native.func_native("packet_cells.h", f"return wrt::enter_cell({layout.packet}, bounds, low, high, cells.data);")
+    def enter_cell_native(
+        packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], low: wp.vec3, high: wp.vec3, cells: wp.array(dtype=float)
+    ) -> int: ...
+
+    return enter_cell_native
+
+
+@cache
+def split_cell(layout: PacketLayout) -> wp.Function:
+    """`wp.func(packet, bounds, axis, position, cells) -> bits`: moves to a child.
+
+    Bit 0: the child is the right one. Bit 1: both must be visited; the move is then to the child that is near for the majority
+    of the rays that visit both.
+    """
+
+    @native.func_native("packet_cells.h", f"return wrt::split_cell({layout.packet}, bounds, axis, position, cells.data);")
+    def split_cell_native(
+        packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], axis: int, position: float, cells: wp.array(dtype=float)
+    ) -> int: ...
+
+    return split_cell_native
+
+
+@cache
+def leaf_of_cell(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, node, cells, packet, bounds, mailbox, work)`: tests a leaf, by the number of rays in its cell."""
+    P, test_packet, test_few = config.packet.rays, leaf_step(config), few_rays_step(config)
+
+    @wp.func
+    def visit(
+        triangles: wp.ref[TriangleBlocks],
+        node: wp.vec2i,
+        cells: wp.array(dtype=float),
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+        mailbox: wp.array(dtype=int),
+        work: wp.ref[Counters],
+    ):
+        met = int(0)
+        for k in range(wp.static(P)):
+            if load_float(cells, k) <= load_float(cells, wp.static(P) + k):
+                store_few_ray(bounds, wp.min(met, wp.static(MAX_FEW_RAYS - 1)), k)
+                met += 1
+        first, count = kdtree.first_block(node), kdtree.leaf_triangles(node)
+        if met > wp.static(MAX_FEW_RAYS):
+            test_packet(triangles, first, count, packet, bounds, mailbox, work)
+        else:
+            test_few(triangles, first, count, met, packet, bounds, work)
+
+    return visit
+
+
+@cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout = packet_layout(config)
     load, store = load_packet(layout, CULLINGS[config.packet.culling].slopes), store_packet(layout, config.answer.ends_at_first)
     enter, split = enter_cell(layout), split_cell(layout)
-    packet_leaf_step, few_rays_leaf_step = leaf_step(config), few_rays_step(config)
-    counting, size_of_packet, P = config.counters, layout.size, config.packet.rays
+    visit, counting, size_of_packet, P = leaf_of_cell(config), config.counters, layout.size, config.packet.rays
     cell_floats, memory = 2 * P, MAILBOXES[config.mailbox].size
 
     def omnidirectional(
-        first: int,
-        tree: KdNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
+        first: int, tree: KdNodes, triangles: TriangleBlocks, rays: RayBatch, hits: HitBatch, counters: CounterRows
     ):
         begin = (first + wp.tid()) * wp.static(P)
         packet = wp.zeros(shape=(size_of_packet,), dtype=float)
@@ -107,17 +170,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 high = child_high(high, axis, position, go_right)
                 at = wp.where(go_right, right, at + 1)
             else:
-                count = kdtree.leaf_triangles(node)
-                if count > 0:
-                    ray_count = int(0)
-                    for k in range(wp.static(P)):
-                        if load_float(cells, k) <= load_float(cells, wp.static(P) + k):
-                            store_few_ray(bounds, wp.min(ray_count, wp.static(MAX_FEW_RAYS - 1)), k)
-                            ray_count += 1
-                    if ray_count > wp.static(MAX_FEW_RAYS):
-                        packet_leaf_step(triangles, kdtree.first_block(node), count, packet, bounds, mailbox, work)
-                    else:
-                        few_rays_leaf_step(triangles, kdtree.first_block(node), count, ray_count, packet, bounds, work)
+                if kdtree.leaf_triangles(node) > 0:
+                    visit(triangles, node, cells, packet, bounds, mailbox, work)
                 searching = bool(False)
                 while size > 0 and not searching:
                     size -= 1

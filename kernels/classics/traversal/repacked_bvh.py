@@ -3,10 +3,18 @@
 **Problem.** The deeper a packet gets, the fewer of its rays meet a node, but every step still costs lanes for all of them, and
 the bounds of all of them decide.
 
-**Idea.** Count the rays that meet each child. If none does, the child is skipped. If less than half of the packet does, these
-rays move to a packet of half the size. Their ranges are clipped to the child's box, and the bounds are those of the points
-where they enter it (`ray_repacking`). That packet walks the child's subtree and may be repacked in turn, down to one vector;
-then the hits are copied back.
+**Idea.** Count the rays that meet each child. If less than half of the packet does, these rays move to a packet of half the
+size, which walks the child's subtree and may be repacked in turn, down to one vector; then the hits are copied back.
+
+**Steps**, at a child of a node:
+
+1. `list_rays`: how many of the packet's rays meet its box. If none does, it is skipped.
+2. `repack_rays`, if less than half do (`MAX_USE`): they are copied to a packet of half the size, their ranges clipped to
+   [entry, exit] of the box. By the consistency rule (`wrt.kernels.simd.boxes`) every hit below has a t within it. Its bounds
+   are made from the points where the rays enter the box, and count t from there: `kept` holds the t of the entry, and
+   `bounds.t_min` is 0. Entry points are rounded, so their intervals are widened by `MARGIN` slacks. A box that a ray enters at
+   t is then entered by the bounds no later than t minus the entry. With a shared origin the bounds are exact without moving.
+3. The smaller packet walks the subtree; `scatter_rays` copies its hits back, and `shorten_rays` the end of the bounds.
 
 **Differences from the paper.** The paper moves the origins of rays; ours keep them for triangle tests, and only bounds are made
 from the entry points, so hits are the same to the bit. Sizes are halved, so that loops have fixed lengths. Rays of several
@@ -24,17 +32,11 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.classics.traversal.ray_repacking import (
-    bound_entries,
-    gather_rays,
-    list_rays,
-    scatter_rays,
-    shorten_rays,
-)
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import CACHE_LINE, first_line, load_int, store_int
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.traversal.leaf import CounterRows, Counters
@@ -42,7 +44,8 @@ from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, packet_layout
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
-from wrt.kernels.traversal.packet.rays.packet_load import load_packet
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
+from wrt.kernels.traversal.packet.rays.packet_load import bounding, load_packet
 from wrt.kernels.traversal.packet.rays.packet_store import store_packet
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -51,6 +54,92 @@ exact_module(__name__)
 
 MAX_USE = wp.constant(0.5)
 """Share of active rays below which a packet is made again (Boulos et al. 2008)."""
+
+MARGIN = 4.0
+"""Widening of the intervals of entry points, in slacks: their rounding, half a slack, and that of hits and products (2)."""
+
+LONGER = 1.0 + 2.0**-20
+"""Factor on the rest of a ray beyond its entry, against rounding."""
+
+SMALLEST_INVERSE = 2.0**-120
+"""1 / direction below which a component of the direction is not recovered from it."""
+
+GUARDS = f"""
+static_assert(wrt::ENTRY_MARGIN == {MARGIN!r}f && wrt::LONGER == {LONGER!r}f);
+static_assert(wrt::SMALLEST_INVERSE == {SMALLEST_INVERSE!r}f && wrt::MAX_FEW_RAYS == {MAX_FEW_RAYS});
+"""
+"""C++: the constants of repacking have these values."""
+
+
+@cache
+def list_rays(layout: PacketLayout) -> wp.Function:
+    """`wp.func(boxes, node, lane, packet, bounds) -> int`: number of rays that meet the box in a lane of a node.
+
+    They are listed in `bounds.few` if they are at most `MAX_FEW_RAYS`.
+    """
+
+    @native.func_native("packet_culling.h", f"return wrt::list_meeting({layout.box} + lane, {layout.packet}, bounds);")
+    def list_meeting_rays(
+        boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
+    ) -> int: ...
+
+    return list_meeting_rays
+
+
+@cache
+def repack_rays(layout: PacketLayout, inner: PacketLayout, slopes: bool, moved: bool) -> wp.Function:
+    """`wp.func(boxes, node, lane, packet, outer, inner, numbers, first, bounds)`: copies the rays that meet a box to the packet
+    `inner`, clipped to the box, and bounds them, with their origins moved to the box.
+
+    outer: bounds of the packet. numbers: gets the numbers of the rays, from `first` on. bounds: of `inner`."""
+    copied, bounded = f"{cpp(moved)}, {len(layout.components)}", f"{bounding(inner, slopes)}, {cpp(moved)}"
+
+    @native.func_native(
+        "packet_parts.h",
+        f"""{GUARDS}
+        const {layout.type} from(packet.data);
+        const {inner.type} to(inner.data);
+        wrt::gather_rays<{copied}>({layout.box} + lane, from, outer, to, numbers.data + first);
+        wrt::bound_entries<{bounded}>({layout.box} + lane, to, outer, bounds);""",
+    )
+    def repack(
+        boxes: wp.array(dtype=float),
+        node: int,
+        lane: int,
+        packet: wp.array(dtype=float),
+        outer: wp.ref[PacketBounds],
+        inner: wp.array(dtype=float),
+        numbers: wp.array(dtype=int),
+        first: int,
+        bounds: wp.ref[PacketBounds],
+    ): ...
+
+    return repack
+
+
+@cache
+def shorten_rays(layout: PacketLayout, moved: bool, any_hit: bool) -> wp.Function:
+    """`wp.func(packet, bounds)`: sets `bounds.t_max` after rays have found hits."""
+    name = "shorten_moved" if moved else f"shorten<{cpp(any_hit)}>"
+
+    @native.func_native("packet_parts.h", f"wrt::{name}({layout.packet}, bounds);")
+    def shorten_moved_rays(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
+
+    return shorten_moved_rays
+
+
+@cache
+def scatter_rays(layout: PacketLayout, inner: PacketLayout) -> wp.Function:
+    """`wp.func(packet, inner, numbers, first, count)`: copies the hits that the `count` rays of `inner` have found back."""
+
+    @native.func_native(
+        "packet_parts.h", f"wrt::scatter_rays({layout.packet}, {inner.type}(inner.data), numbers.data + first, count);"
+    )
+    def scatter_found_hits(
+        packet: wp.array(dtype=float), inner: wp.array(dtype=float), numbers: wp.array(dtype=int), first: int, count: int
+    ): ...
+
+    return scatter_found_hits
 
 
 def halved(config: TraversalConfig) -> TraversalConfig | None:
@@ -111,9 +200,8 @@ def make_descent(config: TraversalConfig, inner: TraversalConfig) -> wp.Function
     meet a child walks it."""
     layout, small, culling = packet_layout(config), packet_layout(inner), CULLINGS[config.packet.culling]
     moved = moves_origins(config)
-    gather, scatter = gather_rays(layout, small, moved), scatter_rays(layout, small)
-    bound, start = bound_entries(small, culling.slopes, moved), culling.start(small)
-    walk = make_walk(inner, moved)
+    repack, scatter = repack_rays(layout, small, culling.slopes, moved), scatter_rays(layout, small)
+    start, walk = culling.start(small), make_walk(inner, moved)
     size, numbers, step = small.size, config.stack.levels * (config.width + 1), level_memory(config)
 
     @wp.func
@@ -132,8 +220,7 @@ def make_descent(config: TraversalConfig, inner: TraversalConfig) -> wp.Function
         smaller = wp.zeros(shape=(size,), dtype=float)
         own = PacketBounds()
         child = load_int(tree.child, node * wp.static(config.width) + lane)
-        gather(tree.bounds, node, lane, packet, bounds, smaller, memory, base + wp.static(numbers))
-        bound(tree.bounds, node, lane, smaller, bounds, own)
+        repack(tree.bounds, node, lane, packet, bounds, smaller, memory, base + wp.static(numbers), own)
         start(tree.low, tree.high, smaller, own)
         walk(tree, triangles, smaller, memory, base + wp.static(step), child, own, work)
         scatter(packet, smaller, memory, base + wp.static(numbers), met)
@@ -222,12 +309,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     packet_rays, size, memory_size, counting = config.packet.rays, layout.size, walk_memory(config), config.counters
 
     def repacked_packets(
-        first: int,
-        tree: WideNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
+        first: int, tree: WideNodes, triangles: TriangleBlocks, rays: RayBatch, hits: HitBatch, counters: CounterRows
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
         memory = wp.zeros(shape=(memory_size,), dtype=int)

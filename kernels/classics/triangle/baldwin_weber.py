@@ -7,6 +7,15 @@ memory and multiplications.
 normal's largest component, one column of the matrix becomes (0, 0, 1). Nine numbers and the column's index remain, and each row
 needs two multiplications fewer. The third row gives t. The first two rows, applied to the point at t, give u and v.
 
+**Steps.**
+
+1. Once per triangle: the axis k of the normal's largest component; the rows of the inverse of (b - a, c - a, axis k, a).
+2. The third row, for the plane: t = (n - o_k - n_p o_p - n_q o_q) / (d_k + n_p d_p + n_q d_q).
+3. The point's coordinates p and q at t; the first two rows map them to u and v.
+4. u >= 0, v >= 0, u + v <= 1.
+
+**Cost.** 23 operations, one of them a division.
+
 **Data.** Nine floats and the index, 40 bytes: `wrt.kernels.triangle.support.axis_projection`. These are the ten numbers of
 Wald's projection, and the arithmetic is the same; only the final comparisons differ. The paper's contribution is that a
 transformation needs so little memory and no case distinction.
@@ -21,12 +30,11 @@ References: baldwin-weber-2016.
 
 import warp as wp
 
+from wrt.kernels.classics.triangle.published import INSIDE, published
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import PLANE_HIT, ROW_NAMES, RowsOfPlane, derive_rows, plane_hit
-from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Record
-from wrt.kernels.triangle.support.triangle_contract import TriangleTest
-from wrt.kernels.triangle.support.vectors import PlainRay, miss, prepare
+from wrt.kernels.triangle.support.vectors import PlainRay, miss
 
 exact_module(__name__)
 
@@ -40,25 +48,11 @@ def intersect(ray: PlainRay, rows: RowsOfPlane):
     return miss()
 
 
-LANES = LaneForm(
-    ray=(*ORIGIN, *DIRECTION),
-    triangle=ROW_NAMES,
-    steps=(
-        Step(
-            exit="the line meets the plane beside the triangle",
-            code=PLANE_HIT,
-            passes="(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f)",
-        ),
-    ),
+TEST = published(
+    "baldwin_weber",
+    intersect,
+    ("the line meets the plane beside the triangle", PLANE_HIT, INSIDE),
+    record=Record(10, derive_rows),
+    names=ROW_NAMES,
 )
 """If t is not finite, u and v are infinite or NaN, and their sum is not at most 1."""
-
-TEST = TriangleTest(
-    name="baldwin_weber",
-    paper="Baldwin, Weber: Fast ray-triangle intersections by coordinate transformation (2016)",
-    record=Record(10, derive_rows),
-    ray_state=PlainRay,
-    prepare=prepare,
-    intersect=intersect,
-    lanes=LANES,
-)

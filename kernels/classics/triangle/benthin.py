@@ -6,6 +6,15 @@ most of the work, and it is the same for all rays of a camera or a point light.
 **Idea.** Compute the cross product once per triangle and origin. It is the normal of the plane through the edge and the origin.
 A ray then costs three dot products, whose signs decide between inside and outside, and a hit costs a fourth, for the distance.
 
+**Steps.**
+
+1. Once per triangle and origin: the normals of the planes through the origin and the edges, b x c, c x a and a x b relative to
+   the origin; the triangle's normal N and its height N . a.
+2. alpha, beta, gamma = D . (b x c), D . (c x a), D . (a x b). Exit: their signs differ.
+3. t = N . a / N . D; u and v are beta and gamma over alpha + beta + gamma. Exit: t is negative or not finite.
+
+**Cost.** 15 operations up to the first exit, 13 more for a hit.
+
 **Data.** The three planes, the triangle's normal and its distance: 52 bytes, computed for the origin of a batch. The layout and
 its lifetime are those of `wrt.kernels.classics.triangle.komatsu`. (The thesis computes them for each packet of 4 or more rays.)
 
@@ -23,15 +32,17 @@ origin.
 References: benthin-2006.
 """
 
+from dataclasses import replace
+
 import warp as wp
 
 from wrt.kernels.classics.triangle import komatsu
 from wrt.kernels.classics.triangle.komatsu import OriginPlanes, ScaledRay, along_plane, seen_from
+from wrt.kernels.classics.triangle.published import FINITE, in_steps, same_sign, same_signs
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.lane_form import LaneForm, Step
+from wrt.kernels.triangle import CLASSIC_TESTS
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
-from wrt.kernels.triangle.support.triangle_contract import TriangleTest
-from wrt.kernels.triangle.support.vectors import miss
+from wrt.kernels.triangle.support.vectors import dotted, miss
 
 exact_module(__name__)
 
@@ -48,7 +59,7 @@ def intersect(ray: ScaledRay, planes: OriginPlanes):
     alpha = along_plane(ray.direction, planes, 0)
     beta = along_plane(ray.direction, planes, 3)
     gamma = along_plane(ray.direction, planes, 6)
-    if not ((alpha >= 0.0 and beta >= 0.0 and gamma >= 0.0) or (alpha <= 0.0 and beta <= 0.0 and gamma <= 0.0)):
+    if not same_sign(alpha, beta, gamma):
         return miss()
     total = (alpha + beta) + gamma
     t = (planes[12] / along_plane(ray.direction, planes, 9)) / ray.power
@@ -58,40 +69,21 @@ def intersect(ray: ScaledRay, planes: OriginPlanes):
     return wp.vec3(t, beta * scale, gamma * scale)
 
 
-LANES = LaneForm(
-    ray=komatsu.LANES.ray,
-    packet_setup=komatsu.LANES.packet_setup,
-    triangle=komatsu.LANES.triangle,
-    steps=(
-        Step(
-            exit="beyond the plane of an edge",
-            code="""
-                const float alpha = (dx * eax + dy * eay) + dz * eaz;
-                const float beta = (dx * ebx + dy * eby) + dz * ebz;
-                const float gamma = (dx * ecx + dy * ecy) + dz * ecz;
-            """,
-            passes="((alpha >= 0.0f) & (beta >= 0.0f) & (gamma >= 0.0f))"
-            " | ((alpha <= 0.0f) & (beta <= 0.0f) & (gamma <= 0.0f))",
-            keeps=("alpha", "beta", "gamma"),
-        ),
-        Step(
-            exit="the triangle lies behind the origin",
-            code="""
-                const float along = (dx * nx + dy * ny) + dz * nz;
-                const float total = (alpha + beta) + gamma, scale = 1.0f / total;
-                const float t = (height / along) / power, u = beta * scale, v = gamma * scale;
-            """,
-            passes="(t >= 0.0f) & (total != 0.0f) & (t - t == 0.0f)",
+TEST = replace(
+    komatsu.TEST,
+    name="benthin",
+    paper=CLASSIC_TESTS["benthin"].paper,
+    record=Record(13, derive, per_origin=True),
+    intersect=intersect,
+    lanes=replace(
+        komatsu.EXITS,
+        steps=in_steps(
+            (
+                "beyond the plane of an edge",
+                f"const float alpha = {dotted('d', 'ea')}, beta = {dotted('d', 'eb')}, gamma = {dotted('d', 'ec')};",
+                same_signs("alpha", "beta", "gamma"),
+            ),
+            ("the triangle lies behind the origin", komatsu.HIT, f"(t >= 0.0f) & (total != 0.0f) & ({FINITE})"),
         ),
     ),
-)
-
-TEST = TriangleTest(
-    name="benthin",
-    paper="Benthin: Realtime ray tracing on current CPU architectures (2006)",
-    record=Record(13, derive, per_origin=True),
-    ray_state=ScaledRay,
-    prepare=komatsu.prepare,
-    intersect=intersect,
-    lanes=LANES,
 )

@@ -8,6 +8,15 @@ origin, u and v are D . (-S x E2) and D . (S x E1) over -D . N, and t is N . S o
 triangle and origin only and are computed once. A test takes three dot products, and most tests end after the first or the
 second: each comparison is an exit, four in all.
 
+**Steps.**
+
+1. Once per triangle and origin: the normals of the planes through the origin and the edges opposite a, b and c; N; N . S.
+2. alpha = D . (the plane opposite a). Exit: negative. Then beta and gamma likewise, each with an exit of its own.
+3. D . N. Exit: the triangle is seen edge-on.
+4. t = N . S / D . N; u and v are beta and gamma over alpha + beta + gamma.
+
+**Cost.** 5, 10 or 15 operations up to the first three exits, 13 more for a hit.
+
 **Data.** A record belongs to a triangle and an origin: the three vertices (for the triangle's box, and for packet culling), the
 normals of the planes through the origin and the three edges, the triangle's normal N, and N . S: 88 bytes. The records are
 computed for the origin of a batch, and again when the next batch has another origin (`wrt.Scene` keeps the most recent ones).
@@ -37,11 +46,13 @@ References: komatsu-2008; benthin-2006.
 
 import warp as wp
 
+from wrt.kernels.classics.triangle.published import FINITE, in_steps
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.lane_form import LaneForm, RayValue, Step
+from wrt.kernels.triangle import CLASSIC_TESTS
+from wrt.kernels.triangle.support.lane_form import LaneForm, RayValue
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
-from wrt.kernels.triangle.support.vectors import cross, largest, scale_to_one
+from wrt.kernels.triangle.support.vectors import cross, dotted, largest, miss, names, scale_to_one
 
 exact_module(__name__)
 
@@ -107,9 +118,6 @@ def derive(corners: Corners, origin: wp.vec3):
     return seen_from(corners, origin, True)
 
 
-RECORD = Record(13, derive, per_origin=True)
-
-
 @wp.func
 def along_plane(direction: wp.vec3, planes: OriginPlanes, first: int):
     """Dot product of the direction and the normal that begins at `first`."""
@@ -119,24 +127,29 @@ def along_plane(direction: wp.vec3, planes: OriginPlanes, first: int):
 @wp.func
 def intersect(ray: ScaledRay, planes: OriginPlanes):
     """One ray, one triangle: (t, u, v); t is NaN if the ray misses. u and v weigh the vertices b and c."""
-    miss = wp.vec3(wp.nan, 0.0, 0.0)
     alpha = along_plane(ray.direction, planes, 0)
     if not alpha >= 0.0:
-        return miss
+        return miss()
     beta = along_plane(ray.direction, planes, 3)
     if not beta >= 0.0:
-        return miss
+        return miss()
     gamma = along_plane(ray.direction, planes, 6)
     if not gamma >= 0.0:
-        return miss
+        return miss()
     along = along_plane(ray.direction, planes, 9)
     total = (alpha + beta) + gamma
     t = (planes[12] / along) / ray.power
     if not (along > 0.0 and total > 0.0 and t - t == 0.0):
-        return miss
+        return miss()
     scale = 1.0 / total
     return wp.vec3(t, beta * scale, gamma * scale)
 
+
+HIT = f"""
+    const float along = {dotted("d", "n")}, total = (alpha + beta) + gamma, scale = 1.0f / total;
+    const float t = (height / along) / power, u = beta * scale, v = gamma * scale;
+"""
+"""C++ for the values of a hit."""
 
 EXITS = LaneForm(
     ray=(
@@ -147,49 +160,24 @@ EXITS = LaneForm(
         const int exponent = __builtin_bit_cast(int, main_x ? x : main_y ? y : z) & 0x7f800000;
         const float power_k = __builtin_bit_cast(float, exponent);
     """,
-    triangle=("eax", "eay", "eaz", "ebx", "eby", "ebz", "ecx", "ecy", "ecz", "nx", "ny", "nz", "height"),
-    steps=(
-        Step(
-            exit="beyond the plane of the edge from b to c",
-            code="const float alpha = (dx * eax + dy * eay) + dz * eaz;",
-            passes="alpha >= 0.0f",
-            keeps=("alpha",),
-        ),
-        Step(
-            exit="beyond that from c to a",
-            code="const float beta = (dx * ebx + dy * eby) + dz * ebz;",
-            passes="beta >= 0.0f",
-            keeps=("beta",),
-        ),
-        Step(
-            exit="beyond that from a to b",
-            code="const float gamma = (dx * ecx + dy * ecy) + dz * ecz;",
-            passes="gamma >= 0.0f",
-            keeps=("gamma",),
-        ),
-        Step(
-            exit="the triangle is seen edge-on",
-            code="""
-                const float along = (dx * nx + dy * ny) + dz * nz;
-                const float total = (alpha + beta) + gamma, scale = 1.0f / total;
-                const float t = (height / along) / power, u = beta * scale, v = gamma * scale;
-            """,
-            passes="(along > 0.0f) & (total > 0.0f) & (t - t == 0.0f)",
-        ),
+    triangle=(*names("ea"), *names("eb"), *names("ec"), *names("n"), "height"),
+    steps=in_steps(
+        ("beyond the plane of the edge from b to c", f"const float alpha = {dotted('d', 'ea')};", "alpha >= 0.0f"),
+        ("beyond that from c to a", f"const float beta = {dotted('d', 'eb')};", "beta >= 0.0f"),
+        ("beyond that from a to b", f"const float gamma = {dotted('d', 'ec')};", "gamma >= 0.0f"),
+        ("the triangle is seen edge-on", HIT, f"(along > 0.0f) & (total > 0.0f) & ({FINITE})"),
     ),
 )
 """The test with its four exits."""
 
-LANES = EXITS.joined(3, 1)
-"""The first three exits joined into one. Nearly all vectors take it, so the branch is predicted, unlike one after each plane.
-`studies.triangles.komatsu_tables` measures it."""
-
 TEST = TriangleTest(
     name="komatsu",
-    paper="Komatsu, Kaeriyama, Suzuki, Takizawa, Kobayashi: A fast ray frustum-triangle intersection algorithm (2008)",
-    record=RECORD,
+    paper=CLASSIC_TESTS["komatsu"].paper,
+    record=Record(13, derive, per_origin=True),
     ray_state=ScaledRay,
     prepare=prepare,
     intersect=intersect,
-    lanes=LANES,
+    lanes=EXITS.joined(3, 1),
 )
+"""The first three exits are joined into one. Nearly all vectors take it, so the branch is predicted, unlike one after each
+plane. `studies.triangles.komatsu_tables` measures it."""

@@ -6,6 +6,14 @@
 G = S x D: u = G . (c - a), v = G . (a - b), t = N . S, each over N . D. The edges and their normal N are properties of the
 triangle; one cross product per test remains.
 
+**Steps.**
+
+1. Once per triangle: a, E1 = a - b, E2 = c - a, and N.
+2. S = a - O, G = S x D, and 1 / (N . D).
+3. u, v and t by three dot products; then u >= 0, v >= 0, u + v <= 1.
+
+**Cost.** 38 operations, of the plain test's 53.
+
 **Data.** A vertex, two edges and the normal: 48 bytes, a third more than the vertices alone. The normal is computed in float64
 and then rounded.
 
@@ -19,11 +27,10 @@ References: komatsu-2008 (Section 2.2); moeller-trumbore-1997.
 
 import warp as wp
 
+from wrt.kernels.classics.triangle.published import FINITE, INSIDE, published
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
-from wrt.kernels.triangle.support.triangle_contract import TriangleTest
-from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, prepare, three
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, three
 
 exact_module(__name__)
 
@@ -61,29 +68,19 @@ def intersect(ray: PlainRay, edges: Edges):
     return miss()
 
 
-LANES = LaneForm(
-    ray=(*ORIGIN, *DIRECTION),
-    triangle=(*names("p"), *names("e1"), *names("e2"), *names("n")),
-    steps=(
-        Step(
-            exit="the line passes beside the triangle",
-            code=f"""
-                {minus("s", "p", "o")}
-                {crossed("g", "s", "d")}
-                const float scale = 1.0f / {dotted("n", "d")};
-                const float u = {dotted("g", "e2")} * scale, v = {dotted("g", "e1")} * scale, t = {dotted("n", "s")} * scale;
-            """,
-            passes="(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f) & (t - t == 0.0f)",
-        ),
+TEST = published(
+    "moeller_trumbore_precomputed",
+    intersect,
+    (
+        "the line passes beside the triangle",
+        f"""
+            {minus("s", "p", "o")}
+            {crossed("g", "s", "d")}
+            const float scale = 1.0f / {dotted("n", "d")};
+            const float u = {dotted("g", "e2")} * scale, v = {dotted("g", "e1")} * scale, t = {dotted("n", "s")} * scale;
+        """,
+        f"{INSIDE} & ({FINITE})",
     ),
-)
-
-TEST = TriangleTest(
-    name="moeller_trumbore_precomputed",
-    paper="Komatsu, Kaeriyama, Suzuki, Takizawa, Kobayashi: A fast ray frustum-triangle intersection algorithm, 2.2 (2008)",
     record=Record(12, derive),
-    ray_state=PlainRay,
-    prepare=prepare,
-    intersect=intersect,
-    lanes=LANES,
+    names=(*names("p"), *names("e1"), *names("e2"), *names("n")),
 )

@@ -7,6 +7,16 @@ rounds.
 tetrahedra that segment and edges span all have positive volumes if the line passes inside. The first negative volume ends the
 test. There is no division. The point of a hit is computed on demand.
 
+**Steps.**
+
+1. N = (b - a) x (c - a); the sign of N . D tells the end from which the vertices run counterclockwise.
+2. The volume of the line and the edge a b: (D x (a - O)) . (b - a). Exit: it is negative.
+3. That of c a, by the same cross product. Exit: it is negative.
+4. That of b c: (D x (b - O)) . (c - b). Exit: it is negative.
+5. t = N . (a - O) / N . D; u and v are two volumes over the sum of all.
+
+**Cost.** 38 operations up to the first exit, 47 up to the second, 68 up to the third, 12 more for a hit.
+
 **Data.** The three vertices.
 
 **Departures.** The end of the segment lies beyond any triangle, because here the whole line counts. The sign of direction .
@@ -23,11 +33,10 @@ References: segura-feito-2001; segura-feito-1998.
 
 import warp as wp
 
+from wrt.kernels.classics.triangle.published import FINITE, published
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners
-from wrt.kernels.triangle.support.triangle_contract import TriangleTest
-from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, prepare
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss
 
 exact_module(__name__)
 
@@ -59,54 +68,38 @@ def intersect(ray: PlainRay, corners: Corners):
     return wp.vec3(t, volume_b * scale, volume_c * scale)
 
 
-LANES = LaneForm(
-    ray=(*ORIGIN, *DIRECTION),
-    steps=(
-        Step(
-            exit="the volume with the edge from a to b is negative",
-            code=f"""
-                {minus("e1", "b", "a")}{minus("e2", "c", "a")}{crossed("n", "e1", "e2")}{minus("s", "a", "o")}
-                {crossed("m", "d", "s")}
-                const float along = {dotted("n", "d")}, side = along < 0.0f ? -1.0f : 1.0f;
-                const float volume_c = side * {dotted("m", "e1")};
-            """,
-            passes="volume_c >= 0.0f",
-            keeps=("along", "side", "volume_c", *names("m"), *names("n"), *names("s")),
-        ),
-        Step(
-            exit="the volume with the edge from c to a is negative",
-            code=f"""
-                {minus("eb", "a", "c")}
-                const float volume_b = side * {dotted("m", "eb")};
-            """,
-            passes="volume_b >= 0.0f",
-            keeps=("volume_b",),
-        ),
-        Step(
-            exit="the volume with the edge from b to c is negative",
-            code=f"""
-                {minus("q", "b", "o")}{minus("ea", "c", "b")}{crossed("l", "d", "q")}
-                const float volume_a = side * {dotted("l", "ea")};
-            """,
-            passes="volume_a >= 0.0f",
-            keeps=("volume_a",),
-        ),
-        Step(
-            exit="the line lies in the triangle's plane",
-            code=f"""
-                const float t = {dotted("n", "s")} / along, total = (volume_a + volume_b) + volume_c;
-                const float scale = 1.0f / total, u = volume_b * scale, v = volume_c * scale;
-            """,
-            passes="(t - t == 0.0f) & (total != 0.0f)",
-        ),
+TEST = published(
+    "segura_feito",
+    intersect,
+    (
+        "the volume with the edge from a to b is negative",
+        f"""
+            {minus("e1", "b", "a")}{minus("e2", "c", "a")}{crossed("n", "e1", "e2")}{minus("s", "a", "o")}
+            {crossed("m", "d", "s")}
+            const float along = {dotted("n", "d")}, side = along < 0.0f ? -1.0f : 1.0f;
+            const float volume_c = side * {dotted("m", "e1")};
+        """,
+        "volume_c >= 0.0f",
     ),
-)
-
-TEST = TriangleTest(
-    name="segura_feito",
-    paper="Segura, Feito: Algorithms to test ray-triangle intersection. Comparative study (2001)",
-    ray_state=PlainRay,
-    prepare=prepare,
-    intersect=intersect,
-    lanes=LANES,
+    (
+        "the volume with the edge from c to a is negative",
+        f"{minus('eb', 'a', 'c')}const float volume_b = side * {dotted('m', 'eb')};",
+        "volume_b >= 0.0f",
+    ),
+    (
+        "the volume with the edge from b to c is negative",
+        f"""
+            {minus("q", "b", "o")}{minus("ea", "c", "b")}{crossed("l", "d", "q")}
+            const float volume_a = side * {dotted("l", "ea")};
+        """,
+        "volume_a >= 0.0f",
+    ),
+    (
+        "the line lies in the triangle's plane",
+        f"""
+            const float t = {dotted("n", "s")} / along, total = (volume_a + volume_b) + volume_c;
+            const float scale = 1.0f / total, u = volume_b * scale, v = volume_c * scale;
+        """,
+        f"({FINITE}) & (total != 0.0f)",
+    ),
 )

@@ -27,7 +27,7 @@ from studies.triangles.pichler_tables import ROUNDS, SCENES, Case
 from studies.triangles.triangle_precision import leaks, solve
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
-from wrt.kernels.classics.studies.pichler_2018 import STUDIED
+from wrt.kernels.classics.studies.pichler_2018 import STUDIED, UNIT_RAY
 from wrt.kernels.classics.studies.replayed_tests import make_kernel, make_lists
 from wrt.kernels.classics.studies.variants.watertight_pruning import PRUNED, UNPRUNED
 from wrt.kernels.runtime.launch import launch
@@ -46,7 +46,7 @@ RAYS = 1 << 14
 HAVEL_HEROUT = ("wald", "shevtsov", "havel_herout")
 """The three tests of their comparison: they found Shevtsov's the most accurate and Wald's the least, with little between."""
 
-FORMS = {form.name: form for form in (*STUDIED.values(), PRUNED, UNPRUNED, TRIANGLE_TESTS["ferko_prune3"])}
+FORMS = {form.name: form for form in (*STUDIED.values(), UNIT_RAY, PRUNED, UNPRUNED, TRIANGLE_TESTS["ferko_prune3"])}
 """What can be replayed."""
 
 LEAKING = ("woop", "pluecker", "ferko_utm", "ferko_prune3", "ferko_prune4")

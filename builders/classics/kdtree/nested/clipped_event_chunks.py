@@ -1,4 +1,4 @@
-"""The kernels with which a level of the nested build clips triangles (`event_levels`)."""
+"""The kernels with which a level of the nested build clips triangles (`nested`)."""
 
 import warp as wp
 

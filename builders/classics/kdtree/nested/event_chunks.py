@@ -1,4 +1,4 @@
-"""The kernels of a level of the nested build: what each chunk of a node's events and triangles does (`event_levels`).
+"""The kernels of a level of the nested build: what each chunk of a node's events and triangles does (`nested`).
 
 Chunks of events end where the position changes, so no plane is shared between them. The best plane is taken in the order of
 axes and chunks. So the result does not depend on chunks or threads, and a node gets the same split as in a task.
@@ -46,7 +46,7 @@ class LevelLists:
     """Triangle ids, node after node."""
     side: wp.array(dtype=wp.uint8)
     """Of each of these triangles, where its events go: 1 left, 2 right, 3 both; plus 4 times where the triangle goes. They
-    differ if the triangle is clipped, because its parts have events of their own (`event_levels`)."""
+    differ if the triangle is clipped, because its parts have events of their own (`nested`)."""
     right: wp.array(dtype=int)
     """Of each of these triangles, its id on the right; `triangle`, unless triangles are clipped."""
     child: wp.array(dtype=wp.vec2i)

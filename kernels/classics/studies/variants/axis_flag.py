@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import warp as wp
 
 from wrt.kernels.classics.triangle import shevtsov
+from wrt.kernels.classics.triangle.published import in_steps
 from wrt.kernels.classics.triangle.shevtsov import FlatTriangle, weigh
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import turned, turned_lanes
@@ -61,16 +62,22 @@ class FlaggedForm(LaneForm):
         return f"if ({self.flag}) {{ {self.flagged.packet_loops()} }} else {{ {super().packet_loops()} }}\n"
 
 
-_GENERAL, _DIVISION = shevtsov.LANES.steps
-_ALIGNED = replace(
-    _GENERAL,
-    code=f"""
-        {turned_lanes("o")}{turned_lanes("d")}
-        const float det = dk, ahead = n0 - ok;
-        {shevtsov.WEIGHTS}
-    """,
+GENERAL = shevtsov.TEST.lanes
+ALIGNED = replace(
+    GENERAL,
+    steps=in_steps(
+        (
+            GENERAL.steps[0].exit,
+            f"""
+                {turned_lanes("o")}{turned_lanes("d")}
+                const float det = dk, ahead = n0 - ok;
+                {shevtsov.WEIGHTS}
+            """,
+            shevtsov.SIGNS,
+        ),
+        shevtsov.DIVISION,
+    ),
 )
-ALIGNED = replace(shevtsov.LANES, steps=(_ALIGNED, _DIVISION))
 """The lane loops for aligned triangles only."""
 
 TEST = replace(
@@ -78,10 +85,6 @@ TEST = replace(
     name="shevtsov_flag",
     intersect=intersect,
     lanes=FlaggedForm(
-        ray=shevtsov.LANES.ray,
-        triangle=shevtsov.LANES.triangle,
-        steps=shevtsov.LANES.steps,
-        flag="np == 0.0f && nq == 0.0f",
-        flagged=ALIGNED,
+        ray=GENERAL.ray, triangle=GENERAL.triangle, steps=GENERAL.steps, flag="np == 0.0f && nq == 0.0f", flagged=ALIGNED
     ),
 )

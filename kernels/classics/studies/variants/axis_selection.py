@@ -26,11 +26,7 @@ from wrt.kernels.triangle.support.vectors import PlainRay, miss
 exact_module(__name__)
 
 AXES = {
-    "table": (
-        "constexpr int after[5] = {0, 1, 2, 0, 1};",
-        "after[axis_k + 1]",
-        "after[axis_k + 2]",
-    ),
+    "table": ("constexpr int after[5] = {0, 1, 2, 0, 1};", "after[axis_k + 1]", "after[axis_k + 2]"),
     "modulo": ("", "(int)((unsigned)(axis_k + 1) % 3u)", "(int)((unsigned)(axis_k + 2) % 3u)"),
     "shifts": ("", "(1 << axis_k) & 3", "(1 << axis_p) & 3"),
 }

@@ -93,7 +93,7 @@ def single_walk(config: TraversalConfig, kdtree: bool) -> wp.Function:
     walk = single_kdtree.make_kdtree_walk(config) if kdtree else single_bvh.make_bvh_walk(config)
 
     @wp.func
-    def by_kdtree(
+    def walk_ray(
         trees: wp.ref[CoupledTrees],
         triangles: wp.ref[TriangleBlocks],
         ray: Ray,
@@ -101,17 +101,9 @@ def single_walk(config: TraversalConfig, kdtree: bool) -> wp.Function:
         i: int,
         work: wp.ref[Counters],
     ):
-        return walk(trees.kdtree, trees.triangles, ray, hits, i, work)
+        if wp.static(kdtree):
+            return walk(trees.kdtree, trees.triangles, ray, hits, i, work)
+        else:  # decided when the kernel is made
+            return walk(trees.bvh, triangles, ray, hits, i, work)
 
-    @wp.func
-    def by_bvh(
-        trees: wp.ref[CoupledTrees],
-        triangles: wp.ref[TriangleBlocks],
-        ray: Ray,
-        hits: wp.ref[HitBatch],
-        i: int,
-        work: wp.ref[Counters],
-    ):
-        return walk(trees.bvh, triangles, ray, hits, i, work)
-
-    return by_kdtree if kdtree else by_bvh
+    return walk_ray

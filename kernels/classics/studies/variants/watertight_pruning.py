@@ -37,15 +37,18 @@ large, pruning costs time and cuts off nothing.
 References: pichler-2018; woop-2013.
 """
 
+from dataclasses import replace
+
 import warp as wp
 
 from wrt.kernels.classics.triangle.ferko.record_part import Part, join
 from wrt.kernels.classics.triangle.ferko.similarity import IN_PLANE, SIMILARITY, similarity
 from wrt.kernels.classics.triangle.ferko.triangle_bounds import largest_of
 from wrt.kernels.classics.triangle.ferko.variant import PLANE
+from wrt.kernels.classics.triangle.published import in_steps, same_signs
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import turned_lanes
-from wrt.kernels.triangle.support.lane_form import ORIGIN, LaneForm, RayValue, Step
+from wrt.kernels.triangle.support.lane_form import ORIGIN, LaneForm, RayValue
 from wrt.kernels.triangle.support.record_blocks import VERTICES, Corners
 from wrt.kernels.triangle.support.triangle_contract import TestForm
 from wrt.kernels.triangle.support.vectors import dotted, largest
@@ -120,21 +123,20 @@ def cut_off(condition: str) -> str:
 
 
 PRUNING = (
-    Step(
-        exit="below the longest edge",
-        code=f"""
+    (
+        "below the longest edge",
+        f"""
             const float along = {dotted("n", "d")}, at = (n0 - {dotted("n", "o")}) / along;
             const float px = ox + at * dx, py = oy + at * dy, pz = oz + at * dz;
             {IN_PLANE}{largest_of("max_o", "o")}
             const float widening = (spread * (max_o + reach)) / WRT_ABS(along);
         """,
-        passes=cut_off("qy < -widening"),
-        keeps=("qx", "qy", "widening"),
+        cut_off("qy < -widening"),
     ),
-    Step("left of the triangle", "", cut_off("qy * apex_x - qx * apex_y > widening")),
-    Step("right of it", "", cut_off("apex_y * (qx - 1.0f) + qy * (1.0f - apex_x) > widening")),
+    ("left of the triangle", "", cut_off("qy * apex_x - qx * apex_y > widening")),
+    ("right of it", "", cut_off("apex_y * (qx - 1.0f) + qy * (1.0f - apex_x) > widening")),
 )
-"""Three comparisons, in the order that has the fewest (`wrt.kernels.classics.triangle.ferko.rejection_regions`)."""
+"""Three comparisons, in the order that has the fewest (`wrt.kernels.classics.triangle.ferko.pruning`)."""
 
 SHEARED = "".join(
     f"const float z{i} = {v}k - ok, x{i} = ({v}p - op) - dp * z{i}, y{i} = ({v}q - oq) - dq * z{i};\n"
@@ -142,9 +144,9 @@ SHEARED = "".join(
 )
 
 WATERTIGHT = (
-    Step(
-        exit="beside the triangle",
-        code=f"""
+    (
+        "beside the triangle",
+        f"""
             {"".join(turned_lanes(vector) for vector in "odabc")}{SHEARED}
             const float near_a = x3 * y2 - y3 * x2, near_b = x1 * y3 - y1 * x3, near_c = x2 * y1 - y2 * x1;
             const float fine_a = (float)((double)x3 * y2 - (double)y3 * x2);
@@ -154,20 +156,18 @@ WATERTIGHT = (
             const float wa = on_edge ? fine_a : near_a, wb = on_edge ? fine_b : near_b, wc = on_edge ? fine_c : near_c;
             const float size = (WRT_ABS(x3 * y2) + WRT_ABS(x1 * y3)) + WRT_ABS(x2 * y1);
         """,
-        passes="(((wa >= 0.0f) & (wb >= 0.0f) & (wc >= 0.0f)) | ((wa <= 0.0f) & (wb <= 0.0f) & (wc <= 0.0f)))"
-        " & ((wa + wb) + wc != 0.0f)",
-        keeps=("wa", "wb", "wc", "fine_a", "fine_b", "fine_c", "size", "z1", "z2", "z3"),
+        f"({same_signs('wa', 'wb', 'wc')}) & ((wa + wb) + wc != 0.0f)",
     ),
-    Step(
-        exit="without weights",
-        code=f"""
+    (
+        "without weights",
+        f"""
             const bool thin = WRT_ABS((wa + wb) + wc) < {float(THIN)!r}f * size;
             const bool precise = thin & ((fine_a + fine_b) + fine_c != 0.0f);
             const float a = precise ? fine_a : wa, b = precise ? fine_b : wb, c = precise ? fine_c : wc;
             const float scale = 1.0f / ((a + b) + c);
             const float t = inverse * (((a * z1 + b * z2) + c * z3) * scale), u = b * scale, v = c * scale;
         """,
-        passes="t == t",
+        "t == t",
     ),
 )
 """The watertight test as steps, with all areas in float64 too, as lanes cannot branch."""
@@ -181,16 +181,12 @@ PRUNED = TestForm(
         ray=RAY,
         packet_setup=SETUP,
         triangle=(*PLANE.names, *SIMILARITY.names, *MARGIN.names),
-        steps=(*PRUNING, *WATERTIGHT),
+        steps=in_steps(*PRUNING, *WATERTIGHT),
     ),
 )
 """Three comparisons, then the watertight test."""
 
-UNPRUNED = TestForm(
-    name="watertight_steps",
-    record=VERTICES,
-    ray_state=LevelRay,
-    prepare=prepare,
-    lanes=LaneForm(ray=RAY, packet_setup=SETUP, steps=WATERTIGHT),
+UNPRUNED = replace(
+    PRUNED, name="watertight_steps", record=VERTICES, lanes=LaneForm(RAY, in_steps(*WATERTIGHT), packet_setup=SETUP)
 )
 """The same without comparisons."""

@@ -8,8 +8,7 @@ circle. Then continue in two dimensions, by one of two transformations:
     unit triangle   (UTM) to (0, 0), (1, 0), (0, 1): the point's coordinates are u and v   `unit_triangle`
     similarity      (SPTM) the longest edge to the x-axis. Three or four comparisons then prune the regions around the triangle,
                     in a fixed order or in each triangle's own order. That order follows the probability that a comparison
-                    rejects, optionally weighted by the cost of the others   `similarity`, `pruning`,
-                    `rejection_regions`
+                    rejects, optionally weighted by the cost of the others   `similarity`, `pruning`
 
     hybrid          the unit triangle for the closest hit, which needs u and v; pruning for any-hit queries
 

@@ -2,7 +2,7 @@
 
 **Definition.** A' = (0, 0) and B' = (1, 0) are the ends of the longest edge, C' = (x, y) is the third vertex, with y > 0 and
 x >= 1/2. The transformation keeps angles and ratios of lengths, so the regions around the triangle that the comparisons cut off
-keep their shares of the bounding circle. `wrt.kernels.classics.triangle.ferko.rejection_regions` computes these shares.
+keep their shares of the bounding circle. `wrt.kernels.classics.triangle.ferko.pruning` computes these shares.
 
 **Computation.** The thesis multiplies a translation, three rotations, a scaling and two mirrorings: y, if C' came out below the
 axis; x, if it came out left of 1/2, because the comparison with the left edge is the cheaper one. The product has a short form.

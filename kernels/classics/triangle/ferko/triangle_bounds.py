@@ -125,21 +125,26 @@ def largest_of(result: str, v: str) -> str:
     """
 
 
-SPHERE_CODE = f"""
-    {largest_of("max_d", "d")}
-    const float ex = dx / max_d, ey = dy / max_d, ez = dz / max_d;
-    {minus("l", "m", "o")}{crossed("w", "l", "e")}
-"""
-SPHERE_PASSES = f"{dotted('w', 'w')} <= {dotted('e', 'e')} * (1.01f * radius2 + 1e-10f * {dotted('l', 'l')})"
+SPHERE_STEP = (
+    "beside the bounding sphere",
+    f"""
+        {largest_of("max_d", "d")}
+        const float ex = dx / max_d, ey = dy / max_d, ez = dz / max_d;
+        {minus("l", "m", "o")}{crossed("w", "l", "e")}
+    """,
+    f"{dotted('w', 'w')} <= {dotted('e', 'e')} * (1.01f * radius2 + 1e-10f * {dotted('l', 'l')})",
+)
 """C++ for `meets_sphere`."""
 
-CIRCLE_CODE = minus("w", "p", "m")
-CIRCLE_PASSES = f"{dotted('w', 'w')} <= radius2"
+CIRCLE_STEP = ("outside the bounding circle", minus("w", "p", "m"), f"{dotted('w', 'w')} <= radius2")
 """C++ for `in_circle`."""
 
-BOX_CODE = f"""
-    {largest_of("max_o", "o")}{largest_of("max_d", "d")}
-    const float slack = 1e-6f * (max_o + WRT_ABS(t) * max_d);
-"""
-BOX_PASSES = " & ".join(f"(p{a} >= low_{a} - slack) & (p{a} <= high_{a} + slack)" for a in "xyz")
+BOX_STEP = (
+    "outside the bounding box",
+    f"""
+        {largest_of("max_o", "o")}{largest_of("max_d", "d")}
+        const float slack = 1e-6f * (max_o + WRT_ABS(t) * max_d);
+    """,
+    " & ".join(f"(p{a} >= low_{a} - slack) & (p{a} <= high_{a} + slack)" for a in "xyz"),
+)
 """C++ for `in_box`."""

@@ -17,7 +17,6 @@ from wrt.kernels.classics.triangle.ferko.record_part import Part
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support import axis_projection as projection
 from wrt.kernels.triangle.support.axis_projection import turned, turned_lanes
-from wrt.kernels.triangle.support.lane_form import Step
 from wrt.kernels.triangle.support.record_blocks import Corners
 
 exact_module(__name__)
@@ -55,16 +54,7 @@ def in_unit_triangle(point: wp.vec3, own: Any, at: int):
 
 
 STEPS = (
-    Step(
-        exit="u is not from 0 to 1",
-        code=turned_lanes("p") + "const float u = (up * pp + uq * pq) + u0;",
-        passes="(u >= 0.0f) & (u <= 1.0f)",
-        keeps=("u", "pp", "pq"),
-    ),
-    Step(
-        exit="beyond the other two edges",
-        code="const float v = (vp * pp + vq * pq) + v0;",
-        passes="(v >= 0.0f) & (u + v <= 1.0f)",
-        keeps=("v",),
-    ),
+    ("u is not from 0 to 1", turned_lanes("p") + "const float u = (up * pp + uq * pq) + u0;", "(u >= 0.0f) & (u <= 1.0f)"),
+    ("beyond the other two edges", "const float v = (vp * pp + vq * pq) + v0;", "(v >= 0.0f) & (u + v <= 1.0f)"),
 )
+"""The same as steps, after the point."""

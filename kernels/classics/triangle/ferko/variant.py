@@ -1,27 +1,24 @@
 """The variants of Ferko and Ferko's test, generated from the same steps according to switches."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import warp as wp
 
 from wrt.kernels.classics.triangle.ferko import triangle_bounds as bounds
-from wrt.kernels.classics.triangle.ferko.pruning import FIXED_ORDER, prune, pruning_steps
+from wrt.kernels.classics.triangle.ferko.pruning import FIXED_ORDER, order_part, prune, pruning_steps
 from wrt.kernels.classics.triangle.ferko.record_part import Part, join, place
-from wrt.kernels.classics.triangle.ferko.rejection_regions import order_part
 from wrt.kernels.classics.triangle.ferko.similarity import SIMILARITY, WEIGHTS, in_plane, weights
 from wrt.kernels.classics.triangle.ferko.triangle_bounds import BOX, CIRCLE, in_box, in_circle, meets_sphere
 from wrt.kernels.classics.triangle.ferko.unit_triangle import STEPS, UNIT_TRIANGLE, in_unit_triangle
+from wrt.kernels.classics.triangle.published import FINITE, StepText, published
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import main_axis
-from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
-from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, dotted, miss, prepare, three
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, dotted, miss, three
 
 exact_module(__name__)
-
-PAPER = "Pichler: Fast CPU Ray-Triangle Intersection Method, after Ferko and Ferko (2018)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,14 +49,9 @@ class Variant:
     @property
     def parts(self) -> tuple[Part, ...]:
         """The parts of the triangle's record."""
-        parts = [PLANE, SIMILARITY if self.fold else UNIT_TRIANGLE]
-        if self.ordered:
-            parts.append(self.order)
-        if self.sphere or self.circle:
-            parts.append(CIRCLE)
-        if self.box:
-            parts.append(BOX)
-        return tuple(parts)
+        parts = (PLANE, SIMILARITY if self.fold else UNIT_TRIANGLE, self.order)
+        bounds = (CIRCLE if self.sphere or self.circle else None, BOX if self.box else None)
+        return tuple(part for part in (*parts, *bounds) if part is not None)
 
 
 PlaneRow = wp.types.vector(length=4, dtype=wp.float32)
@@ -162,36 +154,18 @@ def make_intersect(variant: Variant) -> wp.Function:
     return by_pruning if pruned else by_unit_triangle
 
 
-def make_lanes(variant: Variant) -> LaneForm:
+def make_steps(variant: Variant) -> list[StepText]:
     """The variant as steps. A point that passes the last comparison is a hit if t is finite."""
-    point = ("px", "py", "pz")
-    bound_steps = [Step("outside the bounding box", bounds.BOX_CODE, bounds.BOX_PASSES)] if variant.box else []
-    if variant.circle:
-        bound_steps.append(Step("outside the bounding circle", bounds.CIRCLE_CODE, bounds.CIRCLE_PASSES))
-    first, *others = [*bound_steps, *(pruning_steps(variant.fold, variant.ordered) if variant.fold else STEPS)]
-    steps = [replace(first, code=POINT + first.code, keeps=("t", *point, *first.keeps)), *others]
-    last = steps[-1]
-    steps[-1] = replace(last, code=last.code + (WEIGHTS if variant.fold else ""), passes=f"({last.passes}) & (t - t == 0.0f)")
-    if variant.sphere:
-        steps.insert(0, Step("beside the bounding sphere", bounds.SPHERE_CODE, bounds.SPHERE_PASSES))
-    steps = [replace(step, keeps=tuple(n for n in step.keeps if needed(n, steps[i + 1 :]))) for i, step in enumerate(steps)]
-    names = tuple(name for part in variant.parts for name in part.names)
-    return LaneForm(ray=(*ORIGIN, *DIRECTION), triangle=names, steps=tuple(steps))
-
-
-def needed(name: str, later: list[Step]) -> bool:
-    """Whether a name is a result or a later step reads it."""
-    return name in ("t", "u", "v") or any(step.reads([name]) for step in later)
+    steps = [bounds.BOX_STEP] * variant.box + [bounds.CIRCLE_STEP] * variant.circle
+    steps += pruning_steps(variant.fold, variant.ordered) if variant.fold else STEPS
+    exits, code, passes = map(list, zip(*steps, strict=True))
+    code[0] = POINT + code[0]
+    code[-1] += WEIGHTS if variant.fold else ""
+    passes[-1] = f"({passes[-1]}) & ({FINITE})"
+    return [bounds.SPHERE_STEP] * variant.sphere + list(zip(exits, code, passes, strict=True))
 
 
 def make_test(name: str, variant: Variant) -> TriangleTest:
     """The triangle test of a variant."""
-    return TriangleTest(
-        name=name,
-        paper=PAPER,
-        record=join(variant.parts),
-        ray_state=PlainRay,
-        prepare=prepare,
-        intersect=make_intersect(variant),
-        lanes=make_lanes(variant),
-    )
+    names = tuple(name for part in variant.parts for name in part.names)
+    return published(name, make_intersect(variant), *make_steps(variant), record=join(variant.parts), names=names)
