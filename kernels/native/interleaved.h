@@ -197,7 +197,7 @@ template <int W> inline CUDA_CALLABLE void push_reversed(int* to, const int* chi
     }
 }
 
-/// The slots of a thread and their lists; see wrt.kernels.traversal.interleaved.ray_slots.
+/// The slots of a thread and their lists; see wrt.kernels.traversal.interleaved.interleaved_bvh.
 template <int W, bool ORDERED, bool COUNTING, int DEPTH, int STRIDE, int LEAF_WORDS, class Ray> struct Walk {
     static constexpr int L = block_lanes(W), SLOTS = 64, SPARE = 16, LIST = SLOTS + SPARE, EMPTY = -1;
     static constexpr int BLOCKS = (63 + W - 1) / W, ROOM = (SLOTS + 1) * BLOCKS;
@@ -401,7 +401,7 @@ template <int W, bool ORDERED, bool COUNTING, int DEPTH, int STRIDE, int LEAF_WO
     }
 };
 
-/// Moves all slots to leaves; see wrt.kernels.traversal.interleaved.ray_slots.walk_to_leaves.
+/// Moves all slots to leaves; see wrt.kernels.traversal.interleaved.interleaved_bvh.walk_to_leaves.
 template <int W, bool ORDERED, bool COUNTING, int DEPTH, int STRIDE, int LEAF_WORDS, class Tree, class Ray>
 inline CUDA_CALLABLE int walk_to_leaves(const Tree& tree, const float* records, const Ray* rays, const int* list, int count,
     int* memory, int& next, int& waiting, int& visited, int& triangles, int* pairs)

@@ -53,6 +53,9 @@ LIST_LANES = 16
 RAY_BITS = 16
 """Bits of a ray's number in a list of the BVH; the bits of the children are above."""
 
+NONE, NEAR, FAR = range(3)
+"""Which child of a node comes first: any, the nearest, the farthest."""
+
 
 @wp.struct
 class StreamCounters:
