@@ -8,6 +8,7 @@ above 1 is a counterexample. The largest ratio shows how much of a constant is s
 * `inputs`: rays, triangles and boxes, random and adversarial: equal exponents, mantissas next to a power of two, needles, rays
   at edges and vertices, scales from 2^-100 to 2^100, subnormal numbers.
 * `box_bounds`: the slab test, also for rays and boxes that were rounded, and the box test of interleaved walks.
-* `triangle_bounds`: the watertight test, edge functions, offsets of spawned rays, points on planes, clipped triangles.
+* `triangle_bounds`: the watertight test, edge functions, vertex culling, offsets of spawned rays, points on planes, clipped
+  triangles.
 * `search`: the loop over batches, and the table of all bounds.
 """

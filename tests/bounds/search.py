@@ -33,6 +33,7 @@ BOUNDS = {
     "hits": Bound("kernels/triangle/watertight/woop_areas.py", triangle_bounds.search_hits),
     "spawn": Bound("kernels/query/spawn.py", triangle_bounds.search_spawned),
     "edges": Bound("kernels/traversal/packet/leaves/edge_functions.py", triangle_bounds.search_edges),
+    "vertices": Bound("kernels/traversal/packet/culling/vertex_culling.py", triangle_bounds.search_vertices),
     "planes": Bound("kernels/query/open_segments.py", triangle_bounds.search_planes),
     "ends": Bound("kernels/traversal/packet/rays/reversed_bounds.py", triangle_bounds.search_ends),
     "clip": Bound("builders/core/clip.py", triangle_bounds.search_clip),

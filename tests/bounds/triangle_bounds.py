@@ -241,6 +241,96 @@ def search_edges(rng: np.random.Generator, count: int, most: int) -> np.ndarray:
 
 
 @native.func_native(
+    "packet_culling.h",
+    """
+    struct Bounds {
+        int main_axes;
+        float plane, t_min, t_max;
+        wp::vec2 through_low, through_high, slope_low, slope_high;
+        wp::vec3 inverse_large, inverse_small, origin_in, origin_out, origin_low, origin_high;
+        wp::vec3i backward;
+    } bounds = {};
+    bounds.main_axes = 1, bounds.t_min = -WRT_INFINITY, bounds.t_max = WRT_INFINITY;
+    const float plane = bounds.plane = 0.5f * (one.c[0] + other.c[0]);
+    for (int a = 0; a < 2; ++a) {
+        const float s = one_slopes.c[a], r = other_slopes.c[a];
+        const float p = one.c[1 + a] - s * (one.c[0] - plane), q = other.c[1 + a] - r * (other.c[0] - plane);
+        bounds.through_low.c[a] = (p < q ? p : q) - slack, bounds.through_high.c[a] = (p > q ? p : q) + slack;
+        bounds.slope_low.c[a] = s < r ? s : r, bounds.slope_high.c[a] = s > r ? s : r;
+    }
+    bounds.inverse_large = bounds.inverse_small = wp::vec3(1.0f, 1.0f, 1.0f);
+    float block[9 * 4];
+    for (int c = 0; c < 9; ++c) for (int i = 0; i < 4; ++i) block[4 * c + i] = corners.data[9 * i0 + c];
+    return (wrt::vertex_mask<4>(block, bounds) & 1u) != 0;
+    """,
+)
+def keeps_vertices(
+    corners: wp.array(dtype=float),
+    i0: int,
+    one: wp.vec3,
+    other: wp.vec3,
+    one_slopes: wp.vec3,
+    other_slopes: wp.vec3,
+    slack: float,
+) -> bool:
+    """Whether vertex culling keeps triangle i0 for a packet of two rays, whose main axis is x."""
+    ...
+
+
+@cache
+def vertex_kernel() -> wp.Kernel:
+    """A kernel that culls triangle i for two rays, with `SHARES` of the slack."""
+
+    def cull_vertices(
+        corners: wp.array(dtype=float),
+        origins: wp.array(dtype=wp.vec3),
+        others: wp.array(dtype=wp.vec3),
+        slopes: wp.array(dtype=wp.vec3),
+        other_slopes: wp.array(dtype=wp.vec3),
+        slacks: wp.array(dtype=float),
+        kept: wp.array(dtype=wp.bool),
+    ):
+        i = wp.tid()
+        kept[i] = keeps_vertices(corners, i, origins[i], others[i], slopes[i], other_slopes[i], slacks[i])
+
+    return wp.kernel(cull_vertices, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+SHARES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1.0)
+"""Parts of the slack with which vertex culling is tried: the largest with which it loses a hit is what it needs."""
+
+
+def search_vertices(rng: np.random.Generator, count: int, most: int) -> np.ndarray:
+    """Vertex culling keeps what a ray of a packet with different origins meets; the ratio is the share of the slack with which
+    it does not, and a little more than 0 if it does with all of it."""
+    given = cases(rng, count, min(most, AREA_SCALES))
+    main = np.abs(given.direction).argmax(axis=1)
+    order = (main[:, None] + [0, 1, 2]) % 3
+    origin, direction = (np.take_along_axis(array, order, 1) for array in (given.origin, given.direction))
+    corners = np.ascontiguousarray(np.take_along_axis(given.corners, order[:, None, :].repeat(3, 1), 2))
+    near = np.exp2(-rng.uniform(0.0, 30.0, (count, 1))) * rng.uniform(-1.0, 1.0, (count, 3)) * given.reach[:, None]
+    other = np.where(rng.random((count, 1)) < 0.5, origin, origin + near).astype(np.float32)
+    other[:, 0] = (origin[:, 0] + given.reach * rng.uniform(-1.0, 1.0, count)).astype(np.float32)
+    reach = np.maximum(given.reach, np.abs(corners - other[:, None].astype(np.float64)).max(axis=(1, 2)))
+    reach = np.maximum(reach, 2.0 * np.abs(other.astype(np.float64)).max(axis=1))
+    with np.errstate(all="ignore"):
+        tested = Tested(Cases(origin, direction, corners, reach))
+        slopes = tested.slopes.astype(np.float32)
+        turn = rng.choice([0.0, 0.0, 2.0**-23, 0.1], (count, 1)) * rng.uniform(-1.0, 1.0, (count, 3))
+        turned = np.clip(slopes + turn, -1.0, 1.0).astype(np.float32)
+        ratio = np.zeros(count)
+        for share in SHARES:
+            slack = (share * 2.0**-20 * reach).astype(np.float32)
+            kinds = [float, wp.vec3, wp.vec3, wp.vec3, wp.vec3, float]
+            inputs = zip([corners.ravel(), origin, other, slopes, turned, slack], kinds, strict=True)
+            kept = wp.zeros(count, dtype=wp.bool, device="cpu")
+            arrays = [wp.array(array, dtype=kind, device="cpu") for array, kind in inputs]
+            wp.launch(vertex_kernel(), count, [*arrays, kept], device="cpu")
+            ratio = np.where(kept.numpy(), ratio, 2.0 if share == 1.0 else max(share, 0.01))
+        return np.where(np.isfinite(tested.hits[:, 0]) & np.isfinite(tested.accepted), np.maximum(ratio, 0.001), 0.0)
+
+
+@native.func_native(
     "clip.h",
     """
     struct Vertex { float c[3]; };

@@ -16,6 +16,7 @@ FOUND = {
     "hits": 0.1,
     "spawn": 0.4,
     "edges": 0.1,
+    "vertices": 0.01,
     "planes": 0.4,
     "ends": 0.3,
     "clip": 0.1,
