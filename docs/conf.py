@@ -11,6 +11,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
 import drawings  # noqa: E402
+import source_links  # noqa: E402
 
 from wrt.references import REFERENCES  # noqa: E402
 
@@ -74,6 +75,7 @@ def as_restructured_text(app, what, name, obj, options, lines: list[str]) -> Non
 def setup(app) -> None:
     """Comes before napoleon, which reads sections by their indentation."""
     app.connect("autodoc-process-docstring", as_restructured_text, priority=400)
+    source_links.connect(app, app.outdir)
 
 
 def draw_pictures() -> None:

@@ -9,11 +9,20 @@ Hodgman 1974), in float64. On each side the reference gets the box of the remain
 for lists that are scanned. `clipped_events` divides sorted events with the same clip, into the same tree.
 
 **No hit is lost.** Cells, and the resulting boxes, are enlarged by `PAD` of the scene: a triangle is in every leaf that comes
-as close to it. A hit is at most 16 u R + 14 u D away from its triangle (`wrt.kernels.triangle.watertight.woop_areas`; u =
-2^-24, R the ray's reach, D twice the triangle's extent). Traversals widen cells by 16 u R (`wrt.kernels.simd.boxes`), of which
-the arithmetic of a plane uses 4. So some leaf comes within 12 u R of the hit and within the pad, 1024 u of the scene's size, of
-the triangle, as long as both together cover the distance: for rays that start up to 200 times the scene's size away. Beyond
-that, a hit is lost only if the roundings of another 4 u R all reach their worst case in the same direction. The interval of
+as close to it.
+
+    u, R, E                       2^-24; the ray's reach; the scene's largest extent
+    16 u R + 14 u D               distance of a hit from its triangle (`wrt.kernels.triangle.watertight.woop_areas`)
+    D <= 2 E                      twice the triangle's extent
+    16 u R                        by which traversals widen cells (`wrt.kernels.simd.boxes`)
+    4 u R                         of this, what the arithmetic of a plane uses
+    pad = 1024 u E                less a rounding of the cell's faces, 1 u E
+    12 u R + 1023 u E             distance that is covered
+    16 u R + 28 u E               distance to be covered
+    R <= 248 E                    is enough: 4 u R <= 995 u E
+
+So no hit is lost for rays that start up to 200 times the scene's size away. Beyond that, one is lost only if the roundings of
+another 4 u R all reach their worst case in the same direction. Searched by `clip` and `hits` of tests/bounds. The interval of
 that leaf contains the hit's t: the leaf is visited before a later hit ends the search, and counts find an owner of the crossing
 (`wrt.kernels.traversal.crossings`), which does not depend on the pad. Triangle tests that are not `accurate` may lose hits
 beside needles.

@@ -5,15 +5,16 @@
 
 **Proof.** The ray ends at o + d = light + e, where e comes from rounding o and d: |e| <= 2^-23 (|o| + |d|), all norms here are
 the largest component. So o + t d = light + e + (1 - t)(-d): seen from light + e, the hit lies *exactly* in the direction -d. A
-hit of an accurate test lies within 2^-20 reach of the triangle (`TriangleTest.accurate`). Hence there is a point p of the
+hit of an accurate test is at most 16 u R + 14 u D away from the triangle (`wrt.kernels.triangle.watertight.woop_areas`), less
+than 2^-19 reach, as the reach that `slack_of` allows for is four times the scene's extent. Hence there is a point p of the
 triangle and an error h with
 
     (1 - t)(-d) = p - light + h,  |h| <= slack,
 
-where slack is at least |e| plus twice the distance of a hit (`slack_of`). Let c be -d scaled to depth 1 and s = (1 - t)|d| the
-depth of the hit: s c = p - light + h. The following tests accept a cell if any c in it satisfies this for any p and h; the cell
-is widened by `CELL_SLACK`, more than the rounding of u and v (three operations on numbers up to 2). Errors of float64 are ten
-thousand times smaller than slack.
+where slack is at least |e| plus that (`slack_of`). Let c be -d scaled to depth 1 and s = (1 - t)|d| the depth of the hit:
+s c = p - light + h. The following tests accept a cell if any c in it satisfies this for any p and h; the cell is widened by
+`CELL_SLACK`, more than the rounding of u and v (three operations on numbers up to 2). Errors of float64 are ten thousand times
+smaller than slack.
 
 * **Rectangle.** The projections of the vertices, each anywhere in a box of radius slack, bound u and v; if the triangle reaches
   behind the light, the projection of its box in front of depth rho does, where rho is a lower bound of s: the distance of the

@@ -11,11 +11,21 @@ ray's reach, also covers the rounding of origin, direction and vertices to float
 its box no later than at its exact t. In the leaf the triangle is tested in float64, with ray and vertices as the caller gave
 them. The result is that of brute force in float64 over all triangles.
 
-**Bounds on t.** The float32 walk uses the rounded t of the best hit and of both ends of the range. These need no margin. Along
-any axis, a hit at t is at most the reach away, so t <= reach |1 / direction|. The slack makes the entry of every box around the
-hit earlier than t by at least 2^-20 t, which is 16 times the rounding of t to float32; the six roundings above leave ten. The
-last step of computing the entry is itself a rounding, and rounding is monotone: the entry is at most float32(t), also near
-zero, where float32 has few digits. Likewise boxes are left no earlier than float32(t_min).
+**Bounds on t.** The float32 walk uses the rounded t of the best hit and of both ends of the range. These need no margin:
+
+    u, R              2^-24; reach of the ray
+    t                 of the exact hit; along any axis t |d| <= R
+    origin            rounded once, |o| <= R                              1 u R
+    direction         rounded once: t d moves by u t |d|                  1 u R
+    vertices          rounded once, |v| <= R                              1 u R
+    in, plane - in    as in the proof of `wrt.kernels.simd.boxes`         2 u R
+    1 / d             likewise                                            1 u R
+    slack                                                               -16 u R
+    entry             is a product, fl(y) with y |d| <= t |d| - 10 u R
+
+The last step of computing the entry is itself a rounding, and rounding is monotone: y <= t, so the entry is at most float32(t),
+also near zero, where float32 has few digits. Likewise boxes are left no earlier than float32(t_min). Ten of 16 roundings are
+slack. Searched by `exact` of tests/bounds.
 
 **Test.** Woop's test: the vertices are sheared so that the ray is an axis; three signed areas decide whether it passes through.
 An area is the difference of two products, and rounding is monotone, so its sign is correct or it is zero. Zero counts as

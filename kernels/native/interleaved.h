@@ -26,16 +26,30 @@ struct Slot {
 // meets a widened box by `slab_interval` meets it here, and enters it no later. Nothing else is asked of a box test
 // (`wrt.kernels.simd.boxes`, the consistency rule): hits are found by the triangles' own boxes.
 //
-// **Margins.** Let e = 2^-24, o the origin, in and out the moved origins (`RaySlabs`), apart = |in - out|, and r the reach of the
-// ray. All planes are within o + r. Roundings of in and out included, r <= 2^19 apart + 2^-4 |o|. In units of 1 / direction, the
-// roundings of c, of the multiply-add (fused or not) and of `slab_interval` add up to at most e (3 |o| + 5 r) <= 0.16 apart +
-// 2^-22 |o|. The margin is apart / 4 + 2^-20 |o|, more than that by at least 2^-23 r. 2^-126 is added to distances and to t, for
-// numbers that are not normal.
+// **Margins.** All errors in units of 1 / direction, along one axis.
+//
+//     u           2^-24
+//     o, r        origin; reach of the ray: planes p have |p - o| <= r, so |p| <= |o| + r
+//     in, out     the moved origins of `RaySlabs`, apart = |in - out|
+//     m           the margin, apart / 4 + 2^-20 |o|
+//
+//     apart >= 2^-19 r - 2 u |o|                          in and out are rounded
+//     r <= 2^19 apart + 2^-4 |o|                          the same, the other way round
+//     u |o|                                               product of c
+//     u (|o| + m)                                         its difference from the margin
+//     u (|o| + r)                                         product of the multiply-add, if that is not fused
+//     u (r + m)                                           its sum
+//     2 u r                                               difference and product of `slab_interval`
+//     sum <= u (3 |o| + 5 r) <= 0.157 apart + 3.4 u |o|   by the second line; u m <= u r / 2
+//     m - sum >= 0.09 apart + 12 u |o| >= 2^-23 r         by the first
+//
+// So the margin is 1.5 times what roundings need, and the entry is earlier than that of `slab_interval` by 2^-23 r at least.
+// 2^-126 is added to distances and to t, for numbers that are not normal. Searched by `fused` of tests/bounds.
 //
 // **Axes along which a ray hardly moves.** 1 / direction may be infinite, and c would be a NaN. |1 / direction| is limited to 2^30
 // times that of the largest component. If the origin is between the widened planes, the ray then leaves them at 2^30 2^-23 r /
-// |largest component| or later, after it has left the scene along the largest. If not, the sign of t is right, and t is no later
-// than it was. Where products would overflow, both planes of an axis are at infinity: such rays (directions shorter than 2^-90 of
+// |largest component| or later, after it has left the scene along the largest. If a plane is in front of it, the sign of t is
+// right, and t is no later than it was; the far plane is apart farther and is left at 2^30 2^-20 r / |largest component| or later. Where products would overflow, both planes of an axis are at infinity: such rays (directions shorter than 2^-90 of
 // the origin's distance) visit boxes that they miss.
 //
 // Empty children have planes at infinity and are never met, because 1 / direction is neither 0 nor infinite here.
@@ -197,7 +211,7 @@ template <int W> inline CUDA_CALLABLE void push_reversed(int* to, const int* chi
     }
 }
 
-/// The slots of a thread and their lists; see wrt.kernels.traversal.interleaved.ray_slots.
+/// The slots of a thread and their lists; see wrt.kernels.traversal.interleaved.interleaved_bvh.
 template <int W, bool ORDERED, bool COUNTING, int DEPTH, int STRIDE, int LEAF_WORDS, class Ray> struct Walk {
     static constexpr int L = block_lanes(W), SLOTS = 64, SPARE = 16, LIST = SLOTS + SPARE, EMPTY = -1;
     static constexpr int BLOCKS = (63 + W - 1) / W, ROOM = (SLOTS + 1) * BLOCKS;
@@ -401,7 +415,7 @@ template <int W, bool ORDERED, bool COUNTING, int DEPTH, int STRIDE, int LEAF_WO
     }
 };
 
-/// Moves all slots to leaves; see wrt.kernels.traversal.interleaved.ray_slots.walk_to_leaves.
+/// Moves all slots to leaves; see wrt.kernels.traversal.interleaved.interleaved_bvh.walk_to_leaves.
 template <int W, bool ORDERED, bool COUNTING, int DEPTH, int STRIDE, int LEAF_WORDS, class Tree, class Ray>
 inline CUDA_CALLABLE int walk_to_leaves(const Tree& tree, const float* records, const Ray* rays, const int* list, int count,
     int* memory, int& next, int& waiting, int& visited, int& triangles, int* pairs)

@@ -1,5 +1,5 @@
-// Streams of a wide BVH, loaded with the list of its root (wrt.kernels.traversal.stream.stream_root), and the boxes around short
-// rays (wrt.kernels.traversal.stream.stream_boxes).
+// Streams of a wide BVH, loaded with the list of its root, and the boxes around short rays
+// (wrt.kernels.traversal.stream.stream_load).
 #pragma once
 #include "stream.h"
 #include "stream_load.h"
@@ -235,7 +235,7 @@ template <int W, int L> struct RootGrid {
 
     /// Compares the `rays.here` rays in lanes, as the caller gives them, and lets them wait; then the lanes hold rays that have
     /// waited, and `number` their numbers. Returns false while these are not enough. count: rays that were loaded; 0 for the
-    /// last. Invalid rays wait, too, or not: they miss. state: see `RootLoad` in wrt.kernels.traversal.stream.stream_root.
+    /// last. Invalid rays wait, too, or not: they miss. state: see `RootLoad` in wrt.kernels.traversal.stream.stream_load.
     template <class State> CUDA_CALLABLE bool exchange(RayLanes<L>& rays, int* number, int count, State& state)
     {
         float* const lanes_of[ROWS] = {rays.given_origin[0], rays.given_origin[1], rays.given_origin[2],

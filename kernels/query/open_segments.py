@@ -9,6 +9,18 @@ but the distance of the end point from the plane stays small. Rounding is bounde
 coordinate of the triangle and of the end point, relative to the scene's centre, plus the rounding of the caller's float32
 coordinates.
 
+    u      2^-24
+    C      largest coordinate of the triangle and of the end point
+    w      weights of a point of the triangle as the caller gave it, sum w = 1
+    n      unit normal of the triangle as it is stored
+
+    |fl(v_i) - v_i| <= u C                           each coordinate of a vertex
+    |fl(p) - p| <= u C                               each coordinate of the end point, p = sum w_i v_i
+    |fl(p) - sum w_i fl(v_i)| <= 2 u C               each coordinate; the second point is in the stored plane
+    |n (fl(p) - fl(v_0))| <= sqrt(3) 2 u C           <= 3.47 u C
+
+`PLANE_TOLERANCE` is 4 u: half a rounding is left. Searched by `planes` of tests/bounds.
+
 **Symmetry.** The rays from a to b and from b to a are rounded differently and may pass an edge on different sides. The ray of a
 pair therefore always starts at the smaller of its end points, ordered by x, then y, then z.
 

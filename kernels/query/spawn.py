@@ -3,23 +3,24 @@
 **Problem.** A ray that starts on a surface must neither hit that surface again (black speckles) nor start behind another
 surface (light leaks). A fixed offset is wrong at some scale.
 
-**Bound.** u = 2^-24, R is the reach of the origin in the scene: the largest distance along an axis to its bounds. Let n be the
-normal, S the direction's components divided by the largest one, and V a vertex of a triangle relative to the origin. The
-watertight test (`wrt.kernels.triangle.watertight.woop`) is exact for vertices that are displaced by e. Along the ray's largest
-axis, z, and along the others, x,
+**Bound.** The watertight test (`wrt.kernels.triangle.watertight.woop`) is exact for vertices that are displaced a little.
 
-    |e_z| <= u |V_z|
-    |e_x| <= u (|V_x| + 2 |S_x V_z| + |V_x - S_x V_z|) <= 5 u R
-    |n e| <= 7.2 u R.
+    u      2^-24, the greatest relative error of a rounding
+    R      reach of the origin in the scene: the largest distance along an axis to its bounds
+    n      unit normal of the triangle
+    e      displacement of a vertex, along the ray's largest axis, z, and along the others, x and y
+    d      distance of the origin from the plane, on the side to which the ray goes
+
+    |e_z| <= u R                                           `wrt.kernels.triangle.watertight.woop_areas`, the vertices
+    |e_x|, |e_y| <= 4.5 u R                                the same
+    |n e| <= sqrt(1 + 2 4.5^2) u R <= 6.45 u R             for any n
+    |n (fl(o) - o)| <= sqrt(3) u R / 2 <= 0.87 u R         the origin is at most R / 2 from the scene's centre
+    d > 7.32 u R                                           is enough
 
 A point of the displaced triangle is a convex combination of its vertices. So it is at most |n e| away from the plane of the
-triangle, whatever the triangle's shape: a long or thin one needs no more than others. The origin is rounded to float32, which
-adds less than 0.9 u R, as it is at most R / 2 from the scene's centre. A ray that starts at a distance d from the plane, on the
-side to which it goes, can thus meet the displaced triangle at a negative t only, if
-
-    d > 8.1 u R.
-
-The distance is `OFFSET` R, 8 u R: the two differ by less than what a rounding in e may be short of its limit.
+triangle, whatever the triangle's shape: a long or thin one needs no more than others. A ray that starts at d can thus meet the
+displaced triangle at a negative t only. The distance is `OFFSET` R, 8 u R: 0.68 u R are left. Searched by `spawn` of
+tests/bounds.
 
 **Steep rays.** The sign of t is that of the sum of three products of areas and depths, which is rounded, too. That matters
 where t is small, which it is for steep rays. If all roundings reached their limits with the same sign, steep rays would need 25
@@ -46,7 +47,7 @@ so 3.5 for 45 degrees, where two walls may meet at 16 degrees. In a sharp corner
 circle has a smaller radius than 14 offsets, half of this radius takes the place of 7 offsets. The point never leaves its
 triangle, and it moves by 14 offsets at most, in corners of nearly 180 degrees. An origin is thus at most
 
-    sqrt(14^2 + 1) OFFSET R < 113 u R < 6.7e-6 R
+    sqrt(14^2 + 1) OFFSET R < 112.4 u R < 6.7e-6 R
 
 from the point of the hit, if the distance was not doubled. Waechter and Binder also bound in units in the last place, but of
 the coordinates of the point alone.

@@ -12,6 +12,24 @@ slack proportional to the reach of the ray, the largest distance along an axis f
 2^-20 reach`. The widening costs nothing per box: near planes are measured from an origin moved forward by the slack, far planes
 from an origin moved backward (`RaySlabs`).
 
+**Proof** that the slack is enough for the box test itself, along one axis.
+
+    u       2^-24, the greatest relative error of a rounding
+    R       reach of the ray; |o| <= R, as the scene's box has its centre at 0
+    o, d    origin and direction, given in float32
+    x       plane - o, |x| <= R; t = x / |d| is where the ray meets the plane, here in front of it (behind it: mirrored)
+    s       slack = 16 u R, a power of two times R
+
+    in = fl(o + s)              |in - (o + s)| <= u (R + s)                          1 u R
+    plane - in                  <= x - s, rounded by u R                             1 u R
+    1 / d                       relative error u, of a number up to x                1 u R
+    product                     relative error u, of a number up to x                1 u R
+    entry |d|                   <= x - 16 u R + 4 u R, and terms in u^2 of less than 2^-18 u R
+
+So the entry is earlier than t by at least 11.9 u R / |d|, the exit later by as much. As |t d| <= R, that is more than any
+rounding of t: the interval contains fl(t). Where numbers are subnormal, sums are exact, and the product is rounded as t is. Of
+the slack, 12 of 16 roundings are left for the triangle test. Searched by `slab` of tests/bounds.
+
 **The consistency rule.** A candidate t of a triangle test is a hit only if the ray meets the triangle's own widened box, and t
 is clamped to the interval in which it does (`clamp_to_box`). Rounding is monotone, so the computed entry of any box or cell
 that contains the triangle's box is never later than this t. A traversal that skips a node only if its entry lies beyond the

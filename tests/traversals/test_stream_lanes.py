@@ -11,21 +11,19 @@ from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, WideNodes
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS, stream_ray
+from wrt.kernels.traversal.stream.stream_candidates import Pairs, load_pair
+from wrt.kernels.traversal.stream.stream_kernel import FAR, LIST_LANES, NEAR, NONE, RAY_BITS, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import (
-    FAR,
-    NEAR,
-    NONE,
+    RayIntervals,
     collect_words,
     filter_boxes,
     filter_hits,
     filter_plane,
     list_leaves,
     next_child,
+    set_arrays,
 )
-from wrt.kernels.traversal.stream.stream_lists import Pairs, RayIntervals, load_pair, set_arrays
-from wrt.kernels.traversal.stream.stream_load import load_stream
-from wrt.kernels.traversal.stream.stream_root import load_root
+from wrt.kernels.traversal.stream.stream_load import load_root, load_stream
 
 pytestmark = pytest.mark.width
 

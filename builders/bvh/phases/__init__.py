@@ -1,1 +1,1 @@
-"""Phases of BVH builds: binning, levels, subtrees, collapse, and reinsertion."""
+"""Phases of BVH builds: binning, levels, subtrees, and collapse."""

@@ -6,6 +6,7 @@
     path_step.py      one step of path tracing (in tiles: `wrt.kernels.shading.paths`)
     path_step_simd.py     the same for W rays in lanes, on matte surfaces, mirrors and smooth glass
     lane_code.py      C++ around calls of what is in lanes
+    scene_light.py    the scene in a step, light that may arrive, and the passage through a boundary
     shading_streams.py  rays filtered by what they hit, and one code for each stream
     texture_demand.py the tiles of images that rays need
     tree_step.py      one step of Whitted's and of distribution ray tracing (in tiles: `wrt.kernels.shading.ray_trees`)

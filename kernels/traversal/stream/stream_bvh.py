@@ -6,7 +6,7 @@ kept. The list of a child is collected from the words of its parent when the chi
 list per level, and `levels` lists of a whole stream are enough memory, with another one for a leaf. Keys give the next child,
 as for a single ray (`wrt.kernels.simd.box_lanes`), but a key is that of the first ray to enter.
 
-The list of the root is written while the rays are loaded (`wrt.kernels.traversal.stream.stream_root`).
+The list of the root is written while the rays are loaded (`wrt.kernels.traversal.stream.stream_load`).
 
 Any-hit queries do not need the nearest child first: their children are visited as they come. But coherent rays to a light start
 on a surface, which is near and occludes nothing, so for these the farthest child is visited first.
@@ -31,8 +31,12 @@ from wrt.kernels.layout.scratch import leave_scratch, take_scratch
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD
+from wrt.kernels.traversal.stream.stream_candidates import Pairs
 from wrt.kernels.traversal.stream.stream_kernel import (
+    FAR,
     LIST_LANES,
+    NEAR,
+    NONE,
     StreamCounterRows,
     StreamCounters,
     ray_words,
@@ -40,10 +44,9 @@ from wrt.kernels.traversal.stream.stream_kernel import (
     store_stream,
     stream_ray,
 )
-from wrt.kernels.traversal.stream.stream_lanes import FAR, NEAR, NONE, collect_words, filter_boxes, next_child
+from wrt.kernels.traversal.stream.stream_lanes import collect_words, filter_boxes, next_child
 from wrt.kernels.traversal.stream.stream_leaves import NodeList, leaf_tester
-from wrt.kernels.traversal.stream.stream_lists import Pairs
-from wrt.kernels.traversal.stream.stream_root import load_root
+from wrt.kernels.traversal.stream.stream_load import load_root
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -62,7 +65,7 @@ def child_order(config: TraversalConfig) -> int:
 
 @cache
 def stream_loader(config: TraversalConfig) -> wp.Function:
-    """The function that loads a stream with the list of its root: `wrt.kernels.traversal.stream.stream_root.load_root`."""
+    """The function that loads a stream with the list of its root: `wrt.kernels.traversal.stream.stream_load.load_root`."""
     order = child_order(config)
     return load_root(config.triangle_test, config.stream.rays, config.width, order, boxes=order == NONE and config.width >= 8)
 

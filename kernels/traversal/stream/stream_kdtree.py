@@ -31,6 +31,7 @@ from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.traversal.stream.stream_candidates import PAIRS, Pairs, pair_tester
 from wrt.kernels.traversal.stream.stream_kernel import (
     LIST_LANES,
     StreamCounterRows,
@@ -39,10 +40,8 @@ from wrt.kernels.traversal.stream.stream_kernel import (
     store_stream,
     stream_ray,
 )
-from wrt.kernels.traversal.stream.stream_lanes import filter_hits, filter_plane
-from wrt.kernels.traversal.stream.stream_lists import RayIntervals, set_arrays
+from wrt.kernels.traversal.stream.stream_lanes import RayIntervals, filter_hits, filter_plane, set_arrays
 from wrt.kernels.traversal.stream.stream_load import load_stream
-from wrt.kernels.traversal.stream.stream_pairs import PAIRS, Pairs, pair_tester
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 

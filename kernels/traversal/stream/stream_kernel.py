@@ -12,12 +12,12 @@ way (Gribble and Ramani 2008; Wald et al. 2007; Rahikainen 2013, section 3.4).
 local array (`stream_ray`); everything else is lists of their numbers.
 * In the wide BVH (`stream_bvh`) the lanes of a box test hold the W children, as for a single ray. The gain of a stream is that
   there is no decision between consecutive tests, and that the children's lists are compacted 16 rays at a time. At the root the
-  lanes hold rays, while they are loaded (`stream_root`).
+  lanes hold rays, while they are loaded (`stream_load`).
 * In the kd-tree (`stream_kdtree`) the lanes hold rays, as in the papers.
-* At leaves, pairs (ray, leaf) are filtered (`stream_pairs`): which triangles of a block does the ray's line meet? One ray is
-  tested against W triangles, because most lists at leaves are too short for W rays x one triangle, and blocks are full. The
-  remaining candidates are evaluated 16 at a time, across rays (`stream_candidates`). In the wide BVH, leaves of few triangles
-  that many rays meet are tested with rays in the lanes (`stream_leaves`).
+* At leaves, pairs (ray, leaf) are filtered (`stream_candidates`): which triangles of a block does the ray's line meet? One ray
+  is tested against W triangles, because most lists at leaves are too short for W rays x one triangle, and blocks are full. The
+  remaining candidates are evaluated 16 at a time, across rays. In the wide BVH, leaves of few triangles that many rays meet are
+  tested with rays in the lanes (`stream_leaves`).
 
 **Differences from the papers.** The papers simulate a machine that gathers and compacts W rays at a time. Current CPUs have
 such instructions; elsewhere the compaction is a loop without branches. Finished rays (any hit), and rays whose best hit lies
@@ -52,6 +52,9 @@ LIST_LANES = 16
 
 RAY_BITS = 16
 """Bits of a ray's number in a list of the BVH; the bits of the children are above."""
+
+NONE, NEAR, FAR = range(3)
+"""Which child of a node comes first: any, the nearest, the farthest."""
 
 
 @wp.struct

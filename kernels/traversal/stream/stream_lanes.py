@@ -1,7 +1,13 @@
-"""The lane loops of streams: lists of rays (`wrt.kernels.traversal.stream.stream_lists`), filtered by boxes and planes.
+"""The lane loops of streams: lists of rays, filtered by boxes and planes, and their compaction.
 
 The arithmetic is that of `wrt.kernels.simd.boxes`: `slab_interval` for the boxes of a wide node, `cross_plane` for the plane of
 a kd-tree's node.
+
+A list is compacted without branches: every number is written to the end of the new list, and the end advances only past those
+that stay. With AVX-512 one instruction does that for 16 numbers. With AVX2 eight numbers at a time are permuted, by an index
+vector that a table holds for each of the 256 masks. (The instructions pdep and pext make the same vector, but take tens of
+cycles on Zen 1 and 2.) All methods write up to 16 numbers past the end, so every list has `LIST_LANES` spare elements. A list
+may be compacted in place, because the writes never pass the reads.
 """
 
 from functools import cache
@@ -10,13 +16,28 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.traversal.stream.stream_candidates import PAIRS, Pairs
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, stream_ray
-from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, RayIntervals
 
 exact_module(__name__)
 
-NONE, NEAR, FAR = range(3)
-"""Which child of a node comes first: any, the nearest, the farthest."""
+
+@wp.struct
+class RayIntervals:
+    """A list of rays of a stream, or a stack of lists, with the interval of t in which each ray is in the list's node."""
+
+    rays: wp.array(dtype=int)
+    """Numbers of the rays in the stream."""
+    entry: wp.array(dtype=float)
+    leave: wp.array(dtype=float)
+
+
+@wp.func_native("list.rays = rays; list.entry = entry; list.leave = leave;")
+def set_arrays(
+    list: wp.ref[RayIntervals], rays: wp.array(dtype=int), entry: wp.array(dtype=float), leave: wp.array(dtype=float)
+):
+    """Makes a list use local arrays; Warp assigns them to no field of a struct."""
+    ...
 
 
 @cache

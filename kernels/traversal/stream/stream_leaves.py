@@ -1,9 +1,9 @@
 """Leaves of a node that a stream has come to.
 
-Most leaves are tested ray by ray, against the triangles of a block (`wrt.kernels.traversal.stream.stream_pairs`). A leaf of few
-triangles leaves most lanes of a block idle. In scenes with walls and floors such leaves are the ones that most rays meet, and
-many rays of a list meet the same. So these are tested with rays in the lanes: 16 of them are read and transposed, and each
-triangle of the leaf is tested against all of them, without looking for candidates first. Figures:
+Most leaves are tested ray by ray, against the triangles of a block (`wrt.kernels.traversal.stream.stream_candidates`). A leaf
+of few triangles leaves most lanes of a block idle. In scenes with walls and floors such leaves are the ones that most rays
+meet, and many rays of a list meet the same. So these are tested with rays in the lanes: 16 of them are read and transposed, and
+each triangle of the leaf is tested against all of them, without looking for candidates first. Figures:
 notebooks/records/2026-11-24-streams.md.
 """
 
@@ -17,11 +17,9 @@ from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lowest_bit
-from wrt.kernels.traversal.stream.stream_candidates import evaluates_in_lanes, lane_form
+from wrt.kernels.traversal.stream.stream_candidates import Pairs, evaluates_in_lanes, lane_form, pair_tester
 from wrt.kernels.traversal.stream.stream_kernel import StreamCounters, round_up, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import collect_words, list_leaves
-from wrt.kernels.traversal.stream.stream_lists import Pairs
-from wrt.kernels.traversal.stream.stream_pairs import pair_tester
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -111,7 +109,7 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, stream, words, list, pairs, hits, first_ray, work)`: tests the leaves of the node of a
     `NodeList`.
 
-    words: the stack of words. hits, first_ray: as `wrt.kernels.traversal.stream.stream_pairs.pair_tester` has them.
+    words: the stack of words. hits, first_ray: as `wrt.kernels.traversal.stream.stream_candidates.pair_tester` has them.
     """
     StreamRay, list_pairs, test_pairs = stream_ray(config.triangle_test), list_leaves(config.width), pair_tester(config)
     in_lanes = evaluates_in_lanes(config) and config.width >= FEW_TRIANGLES

@@ -73,8 +73,9 @@ class TriangleTest(TestForm):
         name: key in `TRIANGLE_TESTS`.
         paper: authors, title, year.
         watertight: whether no ray can pass between two triangles that share an edge or a vertex.
-        accurate: whether every hit lies within `wrt.kernels.simd.boxes.SLACK` times the ray's reach of the triangle. Other
-            tests may report hits beside needles and beside triangles seen edge-on.
+        accurate: whether every hit is near the triangle, whatever its shape: the bound is in
+            `wrt.kernels.triangle.watertight.woop_areas`. Other tests may report hits beside needles and beside triangles seen
+            edge-on.
         two_sided: whether both sides of a triangle are hit.
         intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle` is what `record.load` returns. It
             performs the same operations as the lane loops, in plain Warp.

@@ -10,13 +10,41 @@ that list only the triangles that they meet (`wrt.builders.core.clip`), and pack
 magnitudes of the first products, they are recomputed in float64, in which products of float32 numbers are exact and their
 difference rounds once. In common scenes this concerns about one hit in a hundred.
 
-**Bound.** u = 2^-24, R is the ray's reach, D the extent of the sheared triangle, at most twice that of the triangle. A
-coordinate of a sheared vertex has an error of 6 u R: one rounding each of two differences, a shear and a product, and one of a
-difference of up to 2 R. Let x_i be the vertices as computed, A_i their exact areas, S the sum of these and M that of all six
-products: M <= 2 N + S, as no area is larger than S. The ray meets that triangle, sum A_i x_i = 0. Computed areas have errors
-d_i with sum |d_i| <= u (M + S), so that they miss it by |sum d_i x_i| / S <= u D (M / S + 1) <= 10 u D. Rounding the weights
-adds 4 u D, and the ten roundings of t 10 u R. A hit is at most 16 u R + 14 u D away from its triangle. Measured errors are
-below that (notebooks/records/2026-11-22-thin-triangles.md)."""
+**Bound.** A hit is at most 16 u R + 14 u D away, along each axis, from the point of its triangle that u and v tell.
+
+    u        2^-24, the greatest relative error of a rounding
+    R        largest distance along an axis of a vertex V from the origin, at most the ray's reach
+    s        slope of the ray, |s| <= 1
+    x, z     a coordinate of a sheared vertex across the ray; its depth
+    x_i      the sheared vertices as computed; D: their extent, at most twice that of the triangle
+    A_i, S   the exact areas of those, and their sum; of a hit they have one sign, so that sum |A_i| = |S|
+    N, M     sums of the magnitudes of the first products, and of all six
+    d_i      errors of the computed areas
+
+The vertices:
+
+    z = fl(V_z)                                 u |V_z| <= 1 u R
+    fl(V_x)                                     u |V_x| <= 1 u R
+    fl(s)                                       0.5 u, as |s| <= 1: 0.5 u R
+    fl(s z)                                     1 u R
+    x = fl(V_x - s z)                           |V_x - s z| <= 2 R: 2 u R
+    x, against the exact s and the z above      <= 4.5 u R; with z's own error times s, 5.5 u R
+
+The weights, of which sum A_i x_i = 0, as the ray is at 0:
+
+    M <= 2 N + S                                a second product is a first one less an area
+    M <= 9 S                                    as S >= N / 4, by the rule
+    sum |d_i| <= u (M + S)                      two products and a difference each
+    |sum d_i x_i| / S <= u D (M / S + 1)        <= 10 u D; of areas from float64, 1 u D
+    the weights                                 two sums, a reciprocal and a product: 4 u D
+    t                                           a depth and its product with an area, two sums; two sums of areas, a reciprocal,
+                                                a product; 1 / direction and a product: 10 u R
+    sum                                         15.5 u R + 14 u D
+
+Half a rounding of R is left. It holds for areas and products with depths that are normal numbers: where S and S R are at least
+2^-120, what underflows adds less than u (D + R) / 10. Smaller triangles are hit, but t, u and v may be any in the triangle and
+its widened box. No search comes near the bound: hits are at most 5.5 u R away (`sheared` and `hits` of tests/bounds,
+notebooks/records/2026-11-22-thin-triangles.md)."""
 
 import warp as wp
 

@@ -8,10 +8,24 @@ W triangles are tested at a time, before any ray is.
 that of the slopes, and it is never built: the watertight test's own expression for a sheared vertex, (x - o) - s (z - p), is
 evaluated on intervals, where o is the point in which the ray crosses the plane z = p near the origins. Rays that share an
 origin have the same o and p, and the bounded value is the very number that the test computes. If it is negative for three
-vertices, the ray's point 0 is not in the triangle, to the bit. If origins differ, o changes the rounding by a few units in the
-last place of the ray's reach; o is widened by the slack of `wrt.kernels.simd.boxes`, which is several times as much. This also
-covers every other test that is accurate to within the slack. Triangles that begin behind the farthest of the best hits, or end
-before the rays begin, are culled too. Packets with different main axes are not culled.
+vertices, the ray's point 0 is not in the triangle, to the bit. If origins differ, o is widened by the slack of
+`wrt.kernels.simd.boxes`, as below. Triangles that begin behind the farthest of the best hits, or end before the rays begin, are
+culled too. Packets with different main axes are not culled.
+
+**Proof** for different origins: a vertex beyond a plane by the numbers computed here is beyond it, or on it, by those of the
+test. Where that is in question, the sheared coordinate is at most a slack, so its last rounding, which keeps the sign, does not
+count.
+
+    u, R                     2^-24; reach of the ray
+    s                        slope of the ray as computed, |s| <= 1: the same number in the test and here
+    V, z, p                  vertex less origin; its depth, and that of the plane, which lies between origins
+
+    the test: V_x, V_z, s V_z                             3 u R
+    o: depth from the plane, product, difference          1 u R + 1 u R + 2 u R
+    here: x - o, z - p, s (z - p)                         3 u R
+    sum                                                   10 u R
+
+The slack is 16 u R: six roundings are left. Searched by `vertices` of tests/bounds.
 
 References: reshetov-2007; rahikainen-2013 (section 3.3).
 """

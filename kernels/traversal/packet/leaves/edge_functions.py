@@ -11,17 +11,34 @@ rays to a point light, whose bounds are seen from their ends (`wrt.kernels.trave
 be larger than rounding makes it (`WIDEST`). The rays need one main axis in common. Others are tested by `WoopPairs.may_meet`.
 
 **Exactness.** A pair is left out only if one area is below -e and another above e, where e bounds the difference to the areas
-that the test computes. Let u = 2^-24; M the largest distance along an axis of a vertex from the point or an origin; h the
-largest component of an edge; S the packet's slack, at least 16 u M; d >= S half the size of the box of the lines. To first
-order in u:
-* edges r - q are rounded by u h, vertices relative to the point by u M; so each coefficient, two products of an edge and a
-  vertex, is off by 8 u h M, and the sum of three, with |s| <= 1, by 34 u h M in all, at most 2.2 S h;
-* a line passes the point at a distance of at most 2 d, in the plane of the areas, whose edges are at most 2 h: 8 d h;
-* a hit is accepted only if the ray meets the triangle's box, widened by its slack (`wrt.kernels.simd.boxes`). So its sheared
-  vertices are at most D = 2 h + 3 S; and D <= 2 M, because slopes are at most 1. Each is computed with an error of at most
-  3.1 u M + u D, and an area with one of 12.4 u M D + 8 u D^2, at most 3.6 S h + 5.4 S^2.
-The sum is less than e = 16 d (h + d). `TINY` is for products that underflow; packets whose coordinates are so large that
-products might overflow are not tested this way (`LARGEST`).
+that the test computes. To first order in u:
+
+    u      2^-24
+    M      largest distance along an axis of a vertex from the point or an origin
+    h      largest component of an edge
+    S      the packet's slack, S >= 16 u M
+    d      half the size of the box of the lines; S - u M <= d, as its ends are rounded, so S <= 1.07 d
+    s      slopes of a ray, |s| <= 1
+    D      greatest size of a sheared vertex of a hit
+
+    edge r - q                    u h
+    vertex less the point         u M
+    a coefficient                 two products of an edge and a vertex and their difference: 2 (3 u h M) + 2 u h M = 8 u h M
+    three of them                 24 u h M, and two sums of up to 4 h M and 6 h M: 34 u h M
+                                  <= 2.2 S h
+    a line passes the point       at 2 d, along x and y where z is that of the point
+    edges are sheared to          2 h along each axis, so areas change by 2 d (2 h + 2 h) = 8 d h
+    D <= 2 h + 3 S                a hit is accepted only if the ray meets the triangle's box, widened by its slack
+    D <= 2 M                      |V_x - s V_z|, and slopes are at most 1
+    a sheared vertex              3.1 u M + u D
+    an area                       4 D (3.1 u M + u D) + 4 u D^2 = 12.4 u M D + 8 u D^2
+                                  <= (12.4 / 16) S D + S D = 1.78 S D, by D <= 2 M in one factor of the second term
+                                  <= 3.6 S h + 5.4 S^2
+    sum                           5.8 S h + 8 d h + 5.4 S^2 <= 14.3 d h + 6.2 d^2
+
+That is less than e = 16 d (h + d): a ninth of the first term is slack, and more than half of the second. `TINY` is for products
+that underflow; packets whose coordinates are so large that products might overflow are not tested this way (`LARGEST`).
+Searched by `edges` of tests/bounds.
 
 References: komatsu-2008; woop-2013.
 """

@@ -9,8 +9,16 @@ the light come first. Only the bounds are reversed; triangles are tested with th
 
 **Exactness.** A hit at t is a point origin + t direction within the slack of its triangle's box. The same point is end -
 (t_max - t) direction, where the end origin + t_max direction is rounded, and the direction may be 1 / (1 / direction). The
-slack of the reversed bounds is twice that of the packet, plus that of the ends, plus `ENDS_ERROR` of the largest coordinate, a
-multiple of those roundings. So no hit is culled.
+slack of the reversed bounds is twice that of the packet, plus that of the ends, plus `ENDS_ERROR` of the largest coordinate.
+So no hit is culled.
+
+    u, X                          2^-24; the largest coordinate of origins and ends, so |t_max d| <= 2 X
+    1 / (1 / d)                   two roundings: 4 u X
+    t_max d                       one: 2 u X
+    o + t_max d                   one: 1 u X
+    sum                           7 u X
+
+`ENDS_ERROR` is 16 u: more than half of it is slack. Searched by `ends` of tests/bounds.
 
 A packet keeps its bounds if its ends are not close together against its origins, as with rays that have no common end or end
 nowhere, or if its directions have both signs along some axis. The origins' own interval (`origin_low`, `origin_high`) remains,
@@ -35,7 +43,7 @@ CLOSER = 4.0
 
 ENDS_ERROR = 2.0**-20
 """Greatest error of an end, as a fraction of the largest coordinate of origins and ends: 16 roundings of half a unit in the
-last place, of which a computed end has five."""
+last place, of which a computed end has seven."""
 
 
 @cache
