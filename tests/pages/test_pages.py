@@ -236,8 +236,16 @@ def check_cameras(names: dict) -> None:
     assert 36.0 < names["camera"].fov < 39.0  # 50 degrees are along the longer side
 
 
+def check_tutorial(names: dict) -> None:
+    assert 0.1 < names["hits"].is_hit.mean() < 0.9
+    assert names["share"].shape == (names["hits"].is_hit.sum(),)
+    assert 0.0 <= names["share"].min() < names["share"].max() <= 1.0
+    assert 0.0 < np.nanmin(names["thickness"]) < np.nanmax(names["thickness"]) < np.inf
+
+
 CHECKS = {
     "start.md": check_start,
+    "tutorial.md": check_tutorial,
     "guides/queries.md": check_queries,
     "guides/drop_in.md": check_drop_in,
     "guides/lidar.md": check_lidar,
