@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.accelerators.accelerator import Accelerator
+from wrt.accelerators.accelerator import Accelerator, AcceleratorName
 from wrt.instances.members import Members
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import check_num_threads, refuse_capture, use_threads
@@ -18,7 +18,7 @@ from wrt.meshes.mesh import TriangleMesh
 from wrt.query.api import Queries
 from wrt.scene.instanced_state import build_instanced_state
 from wrt.scene.mesh_state import state_of_meshes
-from wrt.scene.updates import UpdatePolicy, as_policy
+from wrt.scene.updates import UpdatePolicy, When, as_policy
 from wrt.state.query_kinds import AUTO
 from wrt.state.scene_settings import as_settings
 from wrt.state.scene_state import SceneState
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from wrt.builders import tree as common
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.execution.area_trees import AreaTrees
+    from wrt.rays.array_types import ArrayLike
     from wrt.scene.scene_statistics import SceneStatistics
     from wrt.scene.storage import TreeSource
     from wrt.scene.updates import UpdateReport
@@ -69,7 +70,7 @@ class Scene(Queries, Members):
     def __init__(
         self,
         geometry: Any,
-        accelerator: str | Accelerator = AUTO,
+        accelerator: AcceleratorName | Accelerator = AUTO,
         *,
         triangle_test: str = AUTO,
         device: str | wp.Device | None = None,
@@ -94,11 +95,11 @@ class Scene(Queries, Members):
         self,
         index: Any,
         *,
-        vertices: Any = None,
-        transform: Any = None,
+        vertices: ArrayLike | None = None,
+        transform: ArrayLike | None = None,
         mask: int | None = None,
         environment: int | None = None,
-        rebuild: str | UpdatePolicy = "auto",
+        rebuild: When | UpdatePolicy = "auto",
     ) -> None:
         """Moves the vertices of a mesh, whose triangles stay the same, or moves instances.
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -31,7 +31,11 @@ if TYPE_CHECKING:
     from wrt.meshes.placement import PlacedMeshes
 
 NAN = float("nan")
-AUTO, ALWAYS, NEVER = "auto", "always", "never"
+AUTO: Final = "auto"
+ALWAYS: Final = "always"
+NEVER: Final = "never"
+
+When: TypeAlias = Literal["auto", "always", "never"]
 
 SAMPLES = 4096
 """Triangles sampled for the typical motion of a scene."""
@@ -58,7 +62,7 @@ class UpdatePolicy:
         ValueError: an unknown name, or a tolerance below 1.
     """
 
-    when: str = AUTO
+    when: When = AUTO
     tolerance: float = 1.3
     subtrees: bool = True
 
