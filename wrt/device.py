@@ -195,12 +195,12 @@ def handle_of(scene: SceneState, mask: int | None = None, environment: int | Non
     )
     levels = stack_levels(scene.tree.depth) if plan.accelerator == "bvh" or scene.instances else 0
     if scene.instances:
-        handle = launching.specialise(partial(instances_handle_type, plan.accelerator, plan.width), levels)()
+        handle = launching.specialise(partial(instances_handle_type, plan.accelerator, plan.width), levels)()  # type: ignore[arg-type]
         handle.top, handle.parts = scene.upper(), scene.lower(plan, None)
         handle.mask, handle.environment = wp.uint32(mask), environment
     else:
         kind = partial(handle_type, plan.accelerator, plan.width, shared_leaves=scene.shares_leaves)
-        handle = launching.specialise(kind, levels)()
+        handle = launching.specialise(kind, levels)()  # type: ignore[arg-type]
         handle.tree, handle.triangles = scene.tree.struct(), records_of(scene, plan, None)
     handle.mesh = scene.device_mesh
     fill_gaps(handle, scene.device)

@@ -36,7 +36,7 @@ def test_code_of_users(tmp_path):
         if (found := MARK.search(line)) is not None
     }
     assert len(marked) > 10
-    printed = run_mypy(tmp_path, ["--follow-imports=silent", str(HERE / "user_code.py"), str(mistakes)])
+    printed = run_mypy(tmp_path, ["--strict-optional", "--follow-imports=silent", str(HERE / "user_code.py"), str(mistakes)])
     errors = [line for line in printed.splitlines() if ": error:" in line]
     assert [line for line in errors if "user_mistakes.py:" not in line] == []
     numbers = {(int(line.split("user_mistakes.py:")[1].split(":")[0]), line[line.rindex("[") + 1 : -1]) for line in errors}

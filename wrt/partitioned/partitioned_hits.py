@@ -59,7 +59,7 @@ class PartitionedHits(Hits[ArrayT]):
         return wp.array(rows, dtype=int, device=self.batch.device)
 
     @property
-    def _meshes(self) -> NoReturn:
+    def _meshes(self) -> NoReturn:  # type: ignore[override]
         """Not available.
 
         Raises:

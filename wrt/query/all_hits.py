@@ -93,7 +93,7 @@ class AllHits(Generic[ArrayT]):
 
     @property
     def offsets(self) -> ArrayT:
-        return self._offsets if self._form.is_warp else self._offsets.numpy()
+        return shaped(self._offsets, self._form._replace(shape=self._offsets.shape))
 
     @cached_property
     def count(self) -> ArrayT:
@@ -109,7 +109,7 @@ class AllHits(Generic[ArrayT]):
 
         numbers = empty(len(self), wp.int32, self._offsets.device)
         self._for_each_ray(number_rays, numbers)
-        return numbers if self._form.is_warp else numbers.numpy()
+        return shaped(numbers, self._form._replace(shape=numbers.shape))
 
     @property
     def t(self) -> ArrayT:

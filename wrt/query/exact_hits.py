@@ -65,7 +65,7 @@ class PreciseHits(Hits[ArrayT]):
         if len(self._exact_triangles) == 1:
             from wrt.kernels.query import exact_closest as kernels
         else:
-            from wrt.kernels.query import instance_exact as kernels
+            from wrt.kernels.query import instance_exact as kernels  # type: ignore[no-redef]
         return kernels
 
 

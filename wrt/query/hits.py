@@ -42,7 +42,7 @@ def rounds_positions(mesh: SceneMesh) -> bool:
     Args:
         mesh: of a scene, with its centre and the box around it (float32, relative to the centre).
     """
-    center, low, high = unpack("3d", mesh.center), unpack("3f", mesh.low), unpack("3f", mesh.high)
+    center, low, high = unpack("3d", mesh.center), unpack("3f", mesh.low), unpack("3f", mesh.high)  # type: ignore[arg-type]
     reach = max(abs(middle + end) for corner in (low, high) for middle, end in zip(center, corner, strict=True))
     return reach > FAR * math.dist(low, high)
 
@@ -120,7 +120,7 @@ class Hits(Generic[ArrayT]):
             return True
         if any(mesh.vertices is None or mesh.vertices.device != self._device for mesh in (ours, theirs)):
             return False
-        if tuple(ours.center) != tuple(theirs.center):
+        if tuple(ours.center) != tuple(theirs.center):  # type: ignore[arg-type]
             return False
         pairs = ((getattr(ours, name), getattr(theirs, name)) for name in ("geometry_first", "faces", "vertices"))
         return all(one.shape == other.shape and np.array_equal(one.numpy(), other.numpy()) for one, other in pairs)
@@ -346,7 +346,7 @@ class Hits(Generic[ArrayT]):
         """Instance, geometry, and triangle within the geometry."""
         from wrt.kernels.query.hit_attributes import locate_geometry
 
-        found = tuple(self._empty(wp.int32) for _ in range(3))
+        found = (self._empty(wp.int32), self._empty(wp.int32), self._empty(wp.int32))
         self._launch(locate_geometry, self._mesh, self.batch.primitive, *found)
         return found
 

@@ -65,9 +65,11 @@ def checked(query: Query) -> Query:
     Raises:
         TypeError: one is not.
     """
-    kind, traversal, triangle_test, cull_backfaces, counters, *others, precise, max_hits = query
-    switches = (as_bool("cull_backfaces", cull_backfaces), as_bool("counters", counters))
-    return Query(kind, traversal, triangle_test, *switches, *others, as_bool("precise", precise), max_hits)
+    return query._replace(
+        cull_backfaces=as_bool("cull_backfaces", query.cull_backfaces),
+        counters=as_bool("counters", query.counters),
+        precise=as_bool("precise", query.precise),
+    )
 
 
 def chosen(**options: Any) -> dict[str, Any]:

@@ -143,7 +143,7 @@ def _from_dlpack(values: Any, name: str) -> wp.array:
             does not have.
     """
     try:
-        return wp.from_dlpack(resolved(values))
+        return wp.from_dlpack(resolved(values))  # type: ignore[return-value]
     except MemoryError:
         raise
     except Exception as error:  # each library has its own

@@ -68,6 +68,8 @@ class GroupedScene(Scene):
             another kind or width than those of other groups; an unknown `top`, or "list" without kd-trees; a cache.
     """
 
+    state: GroupedState
+
     def __init__(
         self,
         geometry: Any,
@@ -95,7 +97,7 @@ class GroupedScene(Scene):
         """What the last update did to the tree of each mesh that it moved, by the index of the mesh."""
         return self.state.reports
 
-    def move(self, vertices: Mapping[int, Any], *, rebuild: str | UpdatePolicy = "auto") -> None:
+    def move(self, vertices: Mapping[int, Any], *, rebuild: str | UpdatePolicy = "auto") -> None:  # type: ignore[override]
         """Moves several groups at once; errors as in `update`.
 
         Args:

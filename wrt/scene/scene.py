@@ -186,7 +186,7 @@ class Scene(Queries, Members):
         meshes, accelerator, triangle_test, known, graph = load_scene(path)
         scene = cls(meshes, accelerator, triangle_test=triangle_test, device=device, num_threads=num_threads, cache=known)
         if graph is not None:
-            scene.state = replace(scene.state, graph=graph)
+            scene.state = replace(scene.state, graph=graph)  # type: ignore[call-arg]
         return scene
 
     @property

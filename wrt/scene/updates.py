@@ -106,7 +106,7 @@ def as_policy(rebuild: Any) -> UpdatePolicy:
         return rebuild
     if not isinstance(rebuild, str):
         raise TypeError(f"rebuild must be 'auto', 'always', 'never' or a wrt.UpdatePolicy, not {type(rebuild).__name__}")
-    return UpdatePolicy(when=rebuild)
+    return UpdatePolicy(when=rebuild)  # type: ignore[arg-type]  # which it checks
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class TreeRecipe:
         """Builds a new tree. One thread builds each subtree, which suits CPU cores: the tree is built on the CPU and copied."""
         return self.accelerator.build(triangles.boxes(), self.width).to(self.device)
 
-    def costs(self, tree: KdTree | Bvh) -> np.ndarray:
+    def costs(self, tree: Any) -> np.ndarray:
         """(nodes,) cost of each subtree."""
         from wrt.builders.bvh.update.node_costs import node_costs
         from wrt.builders.kdtree import kdtree_statistics as statistics
@@ -200,16 +200,16 @@ class TreeRecipe:
         is_bvh = self.accelerator.kind == "bvh"
         return node_costs(tree, cost) if is_bvh else refill.node_costs(statistics.unpack(tree), cost)
 
-    def reuse_nodes(self, old: KdTree | Bvh, triangles: MovedTriangles) -> RefittedBvh | RefilledKdTree:
+    def reuse_nodes(self, old: Any, triangles: MovedTriangles) -> RefittedBvh | RefilledKdTree:
         """The old nodes with the triangles in their new places."""
         from wrt.builders.bvh.update.bvh_update import RefittedBvh
         from wrt.builders.kdtree import KDTREE_BUILDERS
         from wrt.builders.kdtree.update.kdtree_update import RefilledKdTree
 
-        config = self.accelerator.config(self.width)
+        config: Any = self.accelerator.config(self.width)
         if self.accelerator.kind == "bvh":
             cost = None if self.only_refits else config.cost
-            build = partial(self.accelerator.build, width=self.width)
+            build: Any = partial(self.accelerator.build, width=self.width)
             return RefittedBvh(old, triangles.vertices, triangles.faces, triangles.boxes, cost, build)
         host, build = old.to(wp.get_device("cpu")), KDTREE_BUILDERS[self.accelerator.builder].build
         return RefilledKdTree(host, triangles.boxes(), triangles.shift, config, build)

@@ -10,6 +10,9 @@ if TYPE_CHECKING:
     import numpy as np
     import warp as wp
 
+    from wrt.kernels.query.hit_attributes import SceneMesh
+    from wrt.meshes.instance import Instance
+    from wrt.meshes.mesh import TriangleMesh
     from wrt.planning.plan import Plan
     from wrt.query.hits import Hits
     from wrt.query.verification import Verification
@@ -25,6 +28,19 @@ class PointQueries:
     """
 
     state: SceneState
+
+    if TYPE_CHECKING:  # what every scene has, for functions that take one
+
+        @property
+        def device(self) -> wp.Device: ...
+        @property
+        def meshes(self) -> tuple[TriangleMesh, ...]: ...
+        @property
+        def instances(self) -> tuple[Instance, ...]: ...
+        @property
+        def device_mesh(self) -> SceneMesh: ...
+        @property
+        def exact_vertices(self) -> wp.array: ...
 
     def points_on(
         self,
