@@ -16,6 +16,7 @@ import pytest
 import wrt
 from wrt.accelerators.accelerator import Accelerator
 from wrt.builders.influence.influence_area import InfluenceArea
+from wrt.lights.device_lights import Light
 
 MODULES = ["wrt", *(f"wrt.{name}" for name in wrt.__all__ if isinstance(getattr(wrt, name), ModuleType))]
 TABLES = {module: import_module(module) for module in MODULES}
@@ -26,7 +27,7 @@ OF_OTHERS = {"AbstractContextManager", "Any", "Axes", "Callable", "Future", "Ite
 OF_OTHERS |= {"Self", "Sequence"}
 """Python's, and matplotlib's."""
 
-ALIASES = {"Accelerator", "Array", "Color", "Direction", "InfluenceArea", "Point"}
+ALIASES = {"Accelerator", "Array", "Color", "Direction", "InfluenceArea", "Light", "Point"}
 """Names of arrays, of tuples of numbers, and of what is one of several public classes."""
 
 PLUMBING = {
@@ -90,7 +91,7 @@ def test_what_is_returned_is_public(name):
 
 
 def test_aliases_stand_for_public_classes():
-    for alias in (Accelerator, InfluenceArea):
+    for alias in (Accelerator, InfluenceArea, Light):
         assert {kind.__name__ for kind in get_args(alias)} <= CLASSES
 
 
