@@ -435,6 +435,8 @@ def ambient(**options: Any) -> wrt.pictures.AmbientRendering:
 
 
 def picture_calls() -> Iterator[Call]:
+    axes = {"least_quality": 0.5, "acceptable": 1.25, "excellent": 0.75}
+    yield Call("AxisChoice", wrt.known_rays.AxisChoice, axes)
     yield Call("PinholeCamera", wrt.PinholeCamera, {"width": 4, "height": 3, "fov": 32.0, **POSE})
     yield Call("OrthographicCamera", wrt.OrthographicCamera, {"width": 4, "height": 3, "view_height": 2.0, **POSE})
     options = {"width": 4, "height": 3, "fov": 32.0, "margin": 0.25, "towards": (0.0, 1.0, 0.0), "up": (0.0, 0.0, 1.0)}
@@ -564,7 +566,8 @@ def built_in(made: wrt.TriangleMesh) -> tuple[np.ndarray, np.ndarray]:
 FOR_THE_LIBRARY = {
     "answers and reports": (
         "AreaLight CameraImages JobStatus LidarScan OctreeAnalysis Plan TreeAnalysis Verification InfluenceAreas BuiltinScene "
-        "Blocks Viewer PartitionedHits QueryTraffic"
+        "Blocks Viewer PartitionedHits QueryTraffic AreaBreakEven BreakEven CountedWork BvhStatistics KdTreeStatistics Fault "
+        "InsideCheck MeshMaterials.numbers SceneStatistics UpdateReport"
     ),
     "what trees and scenes ask of descriptions": (
         "Bvh.build Bvh.config Bvh.kernels KdTree.build KdTree.config KdTree.config_for KdTree.start ProjectedBvh.build "

@@ -31,7 +31,15 @@ if TYPE_CHECKING:
 
 
 class PreciseHits(Hits[ArrayT]):
-    """Closest hits in float64: as `Hits`, but t, uv, position and normal are float64, whatever the type of the rays."""
+    """Closest hits in float64: as `Hits`, but t, uv, position and normal are float64, whatever the type of the rays.
+
+    Attributes:
+        t: (...), in units of the direction's length; inf for a miss.
+        uv: (..., 2), weights of the triangle's second and third vertex; 0 for a miss.
+        position: (..., 3); NaN for a miss.
+        normal: (..., 3), unit vectors from the triangle's winding; 0 for a miss.
+        primitive_id, geometry_id, instance_id, is_hit, counters: as in `wrt.Hits`.
+    """
 
     def __init__(
         self, hits: ExactHits, rounded: DeviceHits, triangles: list[Any], form: ResultForm, scene: SceneState, plan: Plan

@@ -164,6 +164,9 @@ class Scene(Queries, Members):
         The file is an .npz archive of plain arrays, whatever its name. An existing file is replaced only once the new one
         is complete; if `path` is a symbolic link, the file that it points to is replaced.
 
+        Materials are written with the meshes, those that emit light, too. Cameras and lights (`wrt.lights`) are arguments of
+        pictures and not in a scene: `wrt.lights.save_lights` writes lights to a file of their own.
+
         Raises:
             OSError: the file cannot be written.
             ValueError: the tree is lazy or has influence areas, which cannot be saved; or `path` is a device, a pipe or a
