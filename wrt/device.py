@@ -101,7 +101,8 @@ __all__ = [
     *_HOME,
 ]
 
-__getattr__, __dir__ = lazy_names(__name__, _HOME)
+if not TYPE_CHECKING:  # type checkers refuse names that are not there
+    __getattr__, __dir__ = lazy_names(__name__, _HOME)
 
 SceneHandle = Any
 """Type of a kernel parameter that takes a scene's handle. (Scenes with different kinds of tree have different handle types.)"""
