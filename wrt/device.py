@@ -73,7 +73,9 @@ from wrt.meshes.instance import EVERY, MAX_MASK, check_environment, check_mask
 from wrt.planning.plan import Plan, stack_levels
 from wrt.tapes import takes_gradients, tape_records
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the first two are the names of `_HOME`, for type checkers
+    from wrt.kernels.compilation.compile_progress import show_compiling as show_compiling
+    from wrt.query.gradients import differentiable_hits as differentiable_hits
     from wrt.state.scene_state import SceneState
 
 _HOME = {
@@ -99,7 +101,8 @@ __all__ = [
     *_HOME,
 ]
 
-__getattr__, __dir__ = lazy_names(__name__, _HOME)
+if not TYPE_CHECKING:  # type checkers refuse names that are not there
+    __getattr__, __dir__ = lazy_names(__name__, _HOME)
 
 SceneHandle = Any
 """Type of a kernel parameter that takes a scene's handle. (Scenes with different kinds of tree have different handle types.)"""
@@ -207,12 +210,12 @@ def handle_of(scene: SceneState, mask: int | None = None, environment: int | Non
     )
     levels = stack_levels(scene.tree.depth) if plan.accelerator == "bvh" or scene.instances else 0
     if scene.instances:
-        handle = launching.specialise(partial(instances_handle_type, plan.accelerator, plan.width), levels)()
+        handle = launching.specialise(partial(instances_handle_type, plan.accelerator, plan.width), levels)()  # type: ignore[arg-type]
         handle.top, handle.parts = scene.upper(), scene.lower(plan, None)
         handle.mask, handle.environment = wp.uint32(mask), environment
     else:
         kind = partial(handle_type, plan.accelerator, plan.width, shared_leaves=scene.shares_leaves)
-        handle = launching.specialise(kind, levels)()
+        handle = launching.specialise(kind, levels)()  # type: ignore[arg-type]
         handle.tree, handle.triangles = scene.tree.struct(), records_of(scene, plan, None)
     handle.mesh = scene.device_mesh
     fill_gaps(handle, scene.device)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-ELEMENTS = {
+ELEMENTS: dict[Any, tuple[str, tuple[int, ...]]] = {
     wp.float32: ("<f4", ()),
     wp.int32: ("<i4", ()),
     wp.bool: ("|b1", ()),
@@ -58,13 +58,13 @@ class HostArray:
         """The elements as a Warp array that shares the memory."""
         if self._array is None:
             self._array = wp.array(ptr=self.ptr, dtype=self.dtype, shape=self.size, device="cpu")
-            self._array.used = self.owner
+            self._array.used = self.owner  # type: ignore[attr-defined]
         return self._array
 
 
 def as_array(values: wp.array | HostArray) -> wp.array:
     """The Warp array of an array of either kind."""
-    return values.array if type(values) is HostArray else values
+    return values.array if type(values) is HostArray else values  # type: ignore[return-value]
 
 
 HEAD = object.__basicsize__

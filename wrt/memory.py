@@ -51,7 +51,7 @@ arrays that a kernel accesses at the same index share the same few cache lines (
 ALIGNED = 256
 """Bytes at whose multiples arrays of one allocation begin, as CUDA's own allocations do."""
 
-ELEMENT_BYTES = {dtype: wp.types.type_size_in_bytes(dtype) for dtype in ELEMENTS}
+ELEMENT_BYTES: dict[Any, int] = {dtype: wp.types.type_size_in_bytes(dtype) for dtype in ELEMENTS}
 
 _begins = cycle(range(0, 16 * STAGGER, STAGGER))
 
@@ -224,15 +224,15 @@ def outputs_of(struct: Any, kinds: Mapping[str, type], count: int, device: wp.De
         arrays = ArraysOfBlock(kinds, count, device)
         arrays.write_to(struct)
         return arrays
-    arrays = {name: empty(count, dtype, device) for name, dtype in kinds.items()}
-    for name, array in arrays.items():
+    single = {name: empty(count, dtype, device) for name, dtype in kinds.items()}
+    for name, array in single.items():
         setattr(struct, name, array)
-    return arrays
+    return single
 
 
 def keep_alive(array: wp.array, used: Any) -> wp.array:
     """Makes an array keep the owner of its memory, or of the addresses that it holds, alive."""
-    array.used = used
+    array.used = used  # type: ignore[attr-defined]
     return array
 
 

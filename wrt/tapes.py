@@ -15,7 +15,7 @@ import warp as wp
 
 def tape_records() -> bool:
     """Whether the calling code is inside a `wp.Tape`. (Warp has no public function for this.)"""
-    return wp._src.context.runtime.tape is not None
+    return wp._src.context.runtime.tape is not None  # type: ignore[attr-defined]
 
 
 def takes_gradients(value: Any) -> bool:
@@ -23,7 +23,7 @@ def takes_gradients(value: Any) -> bool:
     if isinstance(value, wp.array):
         return value.requires_grad
     if isinstance(value, wp._src.codegen.StructInstance):
-        return any(takes_gradients(getattr(value, name)) for name in value._cls.vars)
+        return any(takes_gradients(getattr(value, name)) for name in value._cls.vars)  # type: ignore[attr-defined]
     return False
 
 

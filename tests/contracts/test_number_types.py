@@ -41,6 +41,9 @@ NO_NUMBERS = (
 )
 """What is neither a number nor a switch. Text may be an amount of memory."""
 
+MAY_BE_ARRAYS = ("Any", "Numbers", "Numbers | None")
+"""Annotations of arguments that are one number or an array."""
+
 NAN_IS_FINE = {("Camera.capture", "miss")}
 
 CALLS = list(public_calls.calls())
@@ -171,7 +174,7 @@ def refused(call: public_calls.Call, name: str, plain: Any) -> Iterator[Any]:
         yield from ("four", array.astype(complex), array.astype(object), array.astype(str), array.astype("datetime64[s]"))
         yield from (array.astype(bool), np.ma.array(array, mask=True), array.astype([("x", float)]), [*plain, [1.0, 2.0]])
         return
-    allowed = ((str,) if "str" in declared else ()) + ((list, np.ndarray) if declared == "Any" else ())
+    allowed = ((str,) if "str" in declared else ()) + ((list, np.ndarray) if declared in MAY_BE_ARRAYS else ())
     yield from (value for value in NO_NUMBERS if not isinstance(value, allowed))
     if isinstance(plain, bool):
         yield from (1, 0, 1.0, np.int64(1), np.float32(0))

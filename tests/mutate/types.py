@@ -82,8 +82,8 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/query/query_options.py",
-        old="as_bool(name, options[name])",
-        new="options[name]",
+        old='as_bool("cull_backfaces", query.cull_backfaces)',
+        new="query.cull_backfaces",
         tests=f"{NUMBERS}[Queries.occluded]",
         promise=SAME,
     ),

@@ -20,6 +20,7 @@ ANSWERS = (
     "Hits",
     "batches.Blocks",
     "disk.PartitionedHits",
+    "results.PreciseHits",
     "results.Verification",
     "sensors.CameraImages",
     "sensors.LidarScan",

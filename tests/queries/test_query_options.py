@@ -1,15 +1,23 @@
-"""The options of queries stand once, and the signatures that users see are made of them."""
+"""The options of queries: signatures agree with each other and with what type checkers are told, and help explains them."""
 
 from __future__ import annotations
 
 import inspect
+import re
+import typing
 
 import numpy as np
 import pytest
 
 import wrt
-from wrt.query import query_options
-from wrt.query.query_options import DEFAULTS
+from wrt.accelerators.accelerator import ACCELERATORS, AcceleratorName
+from wrt.disk.partitioned_scene import MODES
+from wrt.disk.queries_of_parts import Mode, Parts
+from wrt.query.blocks import MEMORY
+from wrt.query.hits import SIDES, Side
+from wrt.query.query_options import Closest, Counted, Listed, Occluded, QueryKind
+from wrt.scene.updates import ALWAYS, AUTO, NEVER, When
+from wrt.state.query_kinds import CLOSEST, QUERIES, Query
 
 OF_PLANS = {"traversal", "triangle_test"}
 
@@ -25,6 +33,12 @@ OPTIONS = {
     "occluded_blocks": OF_PLANS | OF_BLOCKS,
     "count_blocks": OF_PLANS | OF_BLOCKS,
 }
+
+OF_CHECKERS = {"intersect": Closest, "occluded": Occluded, "count": Counted, "intersect_all": Listed}
+
+NOT_OF_QUERIES = {"query": CLOSEST, "memory": MEMORY, "progress": False, "executor": None, "reduce": None, "axis": None}
+
+DEFAULTS = {**NOT_OF_QUERIES, **Query._field_defaults}
 
 RAYS = {"origins": inspect.Parameter.empty, "directions": None, "t_min": 0.0, "t_max": float("inf")}
 
@@ -58,16 +72,40 @@ def test_signatures_agree(kind, name):
         assert {one.annotation for one in others} == {option.annotation} != {inspect.Parameter.empty}
 
 
-@pytest.mark.parametrize("name", OPTIONS)
-def test_type_checkers_and_help_see_the_same_options(name):
-    """The annotation, which type checkers read, names the class of which the signature was made."""
-    annotation = getattr(wrt.Scene, name).__annotations__["options"]
-    options = getattr(query_options, annotation.removeprefix("Unpack[").removesuffix("]"))
-    assert set(options.__annotations__) == OPTIONS[name]
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        *((getattr(wrt.Scene, name), options) for name, options in OF_CHECKERS.items()),
+        *((getattr(wrt.disk.PartitionedScene, name), Parts) for name in ("intersect", "occluded", "count")),
+    ],
+    ids=lambda value: getattr(value, "__qualname__", None),
+)
+def test_type_checkers_and_help_see_the_same_options(method, options):
+    """The overloads, which type checkers read, take the class of options that has the names and types of the signature."""
+    told = {name: getattr(kind, "__forward_arg__", kind) for name, kind in options.__annotations__.items()}
+    assert told == {name: option.annotation for name, option in keywords(method).items()}
 
 
-def test_every_option_has_a_default():
-    assert set(DEFAULTS) == set().union(*OPTIONS.values())
+@pytest.mark.parametrize("name", [*OPTIONS, "points_on", "contains", "visible", "verify"])
+def test_help_explains_every_argument(name):
+    method = getattr(wrt.Scene, name)
+    listed = re.search(r"\n {8}Args:\n(.*?)\n\n", method.__doc__, re.DOTALL)
+    explained = {word for line in re.findall(r"^ {12}(\w[\w, ]*): ", listed[1], re.MULTILINE) for word in line.split(", ")}
+    assert explained == set(inspect.signature(method).parameters) - {"self"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        (AcceleratorName, ACCELERATORS),
+        (Side, SIDES),
+        (QueryKind, QUERIES),
+        (Mode, MODES),
+        (When, (AUTO, ALWAYS, NEVER)),
+    ],
+)
+def test_names_that_type_checkers_know(kind, names):
+    assert typing.get_args(kind) == tuple(names)
 
 
 @pytest.mark.parametrize("name", OPTIONS)
@@ -86,11 +124,10 @@ def test_every_option_is_taken(scene, name):
 
 @pytest.mark.parametrize("name", OPTIONS)
 def test_unknown_options_are_refused(scene, name):
-    """At once, before rays are looked at, with the names of the options that there are."""
+    """At once, before rays are looked at."""
     unknown = {"cul_backfaces", "kind", "self_", *DEFAULTS} - OPTIONS[name]
     for key in unknown:
-        with pytest.raises(TypeError, match=rf"^{name}\(\) got an unexpected keyword argument '{key}'") as refused:
+        with pytest.raises(TypeError, match=rf"{name}\(\) got an unexpected keyword argument '{key}'"):
             getattr(scene, name)("no rays", **{key: DEFAULTS.get(key)})
-        assert all(option in str(refused.value) for option in OPTIONS[name])
     with pytest.raises(TypeError, match="positional"):
         getattr(scene, name)(*DOWN, 0.0, 1.0, "single")

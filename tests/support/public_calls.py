@@ -313,14 +313,16 @@ def query_calls() -> Iterator[Call]:
     yield Call("Queries.explain", lambda **o: scene().explain(*rays(), **o), {**bounds, "cull_backfaces": False})
     options = {**bounds, "cull_backfaces": False, "max_hits": 2}
     yield Call("Queries.intersect_all", lambda **o: seen(scene().intersect_all(*rays(), **o)), options)
-    yield Call("Queries.verify", lambda **o: scene().verify(**o), {"samples": 4, "seed": 1})
+    yield Call("PointQueries.verify", lambda **o: scene().verify(**o), {"samples": 4, "seed": 1})
     blocks = {**bounds, "memory": 1 << 16, "progress": False}
     nearest = {**blocks, "precise": False}
-    yield Call("Queries.intersect_blocks", lambda **o: scene().intersect_blocks(*rays(), reduce=LEAST, **o).result(), nearest)
-    yield Call("Queries.occluded_blocks", lambda **o: scene().occluded_blocks(*rays(), **o).result(), blocks)
-    yield Call("Queries.count_blocks", lambda **o: scene().count_blocks(*rays(), **o).result(), blocks)
+    yield Call(
+        "BlockQueries.intersect_blocks", lambda **o: scene().intersect_blocks(*rays(), reduce=LEAST, **o).result(), nearest
+    )
+    yield Call("BlockQueries.occluded_blocks", lambda **o: scene().occluded_blocks(*rays(), **o).result(), blocks)
+    yield Call("BlockQueries.count_blocks", lambda **o: scene().count_blocks(*rays(), **o).result(), blocks)
     for name in ("intersect", "occluded", "count"):
-        yield Call(f"PartitionedScene.{name}", lambda name=name, **o: of_parts(name, o), {**bounds, "cull_backfaces": False})
+        yield Call(f"PartQueries.{name}", lambda name=name, **o: of_parts(name, o), {**bounds, "cull_backfaces": False})
     yield Call("Hits.smooth_normal", lambda **o: hits().smooth_normal(**o), {"crease_angle": 32.0})
     yield Call("GeneratedRays", lambda **o: wrt.batches.GeneratedRays(len, **o), {"shape": 4, **bounds})
     yield Call("launch", launched, {"count": 4, "num_threads": 2, "chunk": 2})
@@ -433,6 +435,8 @@ def ambient(**options: Any) -> wrt.pictures.AmbientRendering:
 
 
 def picture_calls() -> Iterator[Call]:
+    axes = {"least_quality": 0.5, "acceptable": 1.25, "excellent": 0.75}
+    yield Call("AxisChoice", wrt.known_rays.AxisChoice, axes)
     yield Call("PinholeCamera", wrt.PinholeCamera, {"width": 4, "height": 3, "fov": 32.0, **POSE})
     yield Call("OrthographicCamera", wrt.OrthographicCamera, {"width": 4, "height": 3, "view_height": 2.0, **POSE})
     options = {"width": 4, "height": 3, "fov": 32.0, "margin": 0.25, "towards": (0.0, 1.0, 0.0), "up": (0.0, 0.0, 1.0)}
@@ -562,7 +566,8 @@ def built_in(made: wrt.TriangleMesh) -> tuple[np.ndarray, np.ndarray]:
 FOR_THE_LIBRARY = {
     "answers and reports": (
         "AreaLight CameraImages JobStatus LidarScan OctreeAnalysis Plan TreeAnalysis Verification InfluenceAreas BuiltinScene "
-        "Blocks Viewer PartitionedHits QueryTraffic"
+        "Blocks Viewer PartitionedHits QueryTraffic AreaBreakEven BreakEven CountedWork BvhStatistics KdTreeStatistics Fault "
+        "InsideCheck MeshMaterials.numbers SceneStatistics UpdateReport"
     ),
     "what trees and scenes ask of descriptions": (
         "Bvh.build Bvh.config Bvh.kernels KdTree.build KdTree.config KdTree.config_for KdTree.start ProjectedBvh.build "

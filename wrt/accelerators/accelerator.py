@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import get_args
+from typing import Literal, TypeAlias, get_args
 
 from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.tables import lookup
 
-Accelerator = KdTree | Bvh | ProjectedBvh | RayAwareBvh
+Accelerator: TypeAlias = KdTree | Bvh | ProjectedBvh | RayAwareBvh
 
-ACCELERATORS = {"auto": Bvh, "bvh": Bvh, "kdtree": KdTree}
+AcceleratorName: TypeAlias = Literal["auto", "bvh", "kdtree"]
+
+ACCELERATORS: dict[str, type[Bvh | KdTree]] = {"auto": Bvh, "bvh": Bvh, "kdtree": KdTree}
 """Names that `wrt.Scene` takes in place of a description."""
 
 

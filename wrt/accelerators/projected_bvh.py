@@ -98,7 +98,7 @@ class ProjectedBvh:
 
         areas: as in the class; changes: other attributes, by name.
         """
-        costs = {"width": 2, "traversal_cost": 2.0, "triangle_cost": 1.2, "max_leaf_triangles": 2}
+        costs: dict[str, Any] = {"width": 2, "traversal_cost": 2.0, "triangle_cost": 1.2, "max_leaf_triangles": 2}
         return cls(areas=areas, **costs | {"axes": "facing", "bins": 40, "others": 0.0} | changes)
 
     def config(self, width: int) -> ProjectedConfig:

@@ -190,7 +190,7 @@ class KdTree:
         """Starts a lazily built tree over `triangles` on `device`; width: as in `config`; meshes, previous: see `hierarchy`."""
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
-        return KDTREE_BUILDERS[self.builder].start(triangles, self.config(width), device, meshes, previous)
+        return KDTREE_BUILDERS[self.builder].start(triangles, self.config(width), device, meshes, previous)  # type: ignore[call-arg]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,7 +71,7 @@ class FanScene(Scene):
         from wrt.kernels.traversal.fan_trees import FAN_TESTS
 
         lookup(FAN_FORMS, form, "form")
-        tree = DEFAULT_TREES.get(accelerator, accelerator) if isinstance(accelerator, str) else accelerator
+        tree: Any = DEFAULT_TREES.get(accelerator, accelerator) if isinstance(accelerator, str) else accelerator
         settings = as_settings(tree, FAN_TESTS[form], device, num_threads)
         accelerator, meshes = settings.accelerator, as_meshes(geometry)
         if not isinstance(accelerator, Bvh) and not (
@@ -194,7 +194,7 @@ class FanTrees:
         """The tree as a traversal kernel reads it."""
         from wrt.kernels.traversal.fan_trees import FAN_TREES
 
-        made = FAN_TREES[self.kind][0]()
+        made: Any = FAN_TREES[self.kind][0]()
         made.order, made.fans = self.tree.primitive, self.fans
         if self.kind == "bvh":
             made.tree = self.tree.struct()

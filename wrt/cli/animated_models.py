@@ -60,7 +60,7 @@ class Models:
         options = {"device": given["device"], "num_threads": given["threads"]}
         with busy("building the tree"):
             if fuzzy:
-                return FuzzyScene(np.stack(self.moving[0]), self.meshes[0].faces, accelerator=accelerator, **options)
+                return FuzzyScene(np.stack(self.moving[0]), self.meshes[0].faces, accelerator=accelerator, **options)  # type: ignore[arg-type]
             return GroupedScene(self.meshes, accelerator or "auto", **options)
 
     def animation(self, fuzzy: bool) -> Callable[[Any, int], None] | None:
@@ -87,7 +87,7 @@ def load_models(models: tuple[Path, ...], given: Mapping[str, Any], animate: boo
     if not models:
         if animate:
             raise click.UsageError("--animate needs the frames: MODEL... or a folder")
-        mesh, builtin = load_mesh(given | {"model": None}, materials=True)
+        mesh, builtin = load_mesh({**given, "model": None}, materials=True)
         return Models([mesh], builtin)
     groups = [files_of(model) for model in models]
     if animate:
@@ -118,7 +118,7 @@ def read_frames(files: list[Path], given: Mapping[str, Any]) -> tuple[TriangleMe
     """The first mesh, and the (V, 3) vertices of all."""
     first, frames = None, []
     for file in files:
-        mesh, _ = load_mesh(given | {"model": file}, materials=True)
+        mesh, _ = load_mesh({**given, "model": file}, materials=True)
         first = first or mesh
         if mesh.vertices.shape != first.vertices.shape or not np.array_equal(mesh.faces, first.faces):
             raise click.UsageError(

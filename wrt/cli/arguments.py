@@ -67,7 +67,7 @@ def _set_target(ctx: click.Context, param: click.Parameter, value: Any) -> None:
 def target_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Options for the target of CPU kernels (`wrt.kernels.compilation.target`); set while arguments are parsed, before Warp
     starts."""
-    shared = {"expose_value": False, "is_eager": True, "callback": _set_target}
+    shared: dict[str, Any] = {"expose_value": False, "is_eager": True, "callback": _set_target}
     name = "native, x86-64-v3 (AVX2) or x86-64-v4 (AVX-512). [WRT_TARGET, or native]"
     lanes = "Lanes of CPU kernels: 4, 8 or 16. [WRT_WIDTH, or the target's]"
     command = click.option("--lanes", type=Whole(), help=lanes, **shared)(command)
@@ -178,7 +178,8 @@ def check_name(argument: str, name: str) -> str:
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
-    table = {"triangle_test": TRIANGLE_TESTS, "traversal": TRAVERSALS}[argument]
+    tables: dict[str, Mapping[str, Any]] = {"triangle_test": TRIANGLE_TESTS, "traversal": TRAVERSALS}
+    table = tables[argument]
     if name != "auto" and name not in table:
         option = "--" + argument.replace("_", "-")
         raise click.BadParameter(f"{name!r} is unknown; choose from auto, {', '.join(table)}", param_hint=option)
@@ -247,7 +248,7 @@ def sample_progress(title: str, rendering: Any) -> Iterator[Callable[[int, int],
 
         def show(done: int, total: int) -> None:
             nonlocal shown
-            fields = {"samples": f"{rendering.done}/{rendering.samples} samples"}
+            fields: dict[str, Any] = {"samples": f"{rendering.done}/{rendering.samples} samples"}
             if rendering.done >= 2 and rendering.done >= 1.25 * shown:
                 shown, brightness = rendering.done, float(rendering.linear.mean())
                 fields["noise"] = f"noise {float(rendering.noise.mean()) / max(brightness, 1e-30):.1%}"

@@ -119,7 +119,7 @@ def _ambient(
     light: Any,
     name: str | None,
     given: Mapping[str, Any],
-    query: Mapping[str, str],
+    query: Mapping[str, Any],
 ) -> str:
     """Renders and writes a picture by ambient occlusion."""
     from wrt.imaging.image_files import save_image
@@ -155,7 +155,7 @@ def _by_integrator(
     light: Any,
     name: str | None,
     given: Mapping[str, Any],
-    query: Mapping[str, str],
+    query: Mapping[str, Any],
 ) -> str:
     """Renders and writes a picture by another integrator; the number of samples, in words."""
     from wrt.imaging.integrators.rendering_job import Rendering

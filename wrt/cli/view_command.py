@@ -122,7 +122,7 @@ def _viewer(server: WebServer, models: tuple[Path, ...], integrator: str, sample
         options["light"] = builtin.light
     click.echo(f"{scene.triangle_count:,} triangles" + (f", {loaded.frames} frames" if loaded.frames else ""))
     first, frames = first_wish(camera, integrator, samples), loaded.frames
-    shown = {"camera": camera, "up": up, "first": first, "options": {"ambient": options}}
+    shown: dict[str, Any] = {"camera": camera, "up": up, "first": first, "options": {"ambient": options}}
     viewer = Viewer(scene, server, **shown, animate=loaded.animation(fuzzy), frames=frames)
     if frames:
         viewer.play(given["fps"] or DEFAULT_FPS)

@@ -70,7 +70,7 @@ class Samples:
         many = self.camera.rays()
         few = Rays(np.broadcast_to(many.origins, many.directions.shape)[0, :FEW], many.directions[0, :FEW])
         generator = np.random.default_rng(0)
-        scattered = generator.uniform(*self.mesh.bounds, (WIDTH * HEIGHT, 3)), generator.normal(size=(WIDTH * HEIGHT, 3))
+        scattered = generator.uniform(*self.mesh.bounds, (WIDTH * HEIGHT, 3)), generator.normal(size=(WIDTH * HEIGHT, 3))  # type: ignore[call-overload]
         return [few, many, Rays(*(values.astype(np.float32) for values in scattered))]
 
     def ask(self, scene: Any) -> None:
@@ -123,7 +123,7 @@ def _inside(samples: Samples) -> None:
 def _visible(samples: Samples) -> None:
     import numpy as np
 
-    points = np.random.default_rng(0).uniform(*samples.mesh.bounds, (100, 3))
+    points = np.random.default_rng(0).uniform(*samples.mesh.bounds, (100, 3))  # type: ignore[call-overload]
     samples.scene.visible(points[:, None], points)
 
 

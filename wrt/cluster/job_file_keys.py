@@ -193,7 +193,7 @@ def read_job_file(path: Path) -> dict[str, Any]:
         import tomllib
     except ImportError:
         try:
-            import tomli as tomllib
+            import tomli as tomllib  # type: ignore[no-redef]
         except ImportError as error:
             raise ImportError("job files need tomli with this version of Python: pip install 'wrt[cluster-dask]'") from error
     if path.exists() and not path.is_file():

@@ -17,7 +17,7 @@ import json
 import os
 import secrets
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import time
@@ -164,7 +164,7 @@ class JobFolder:
                 return arrays
         return None
 
-    def remove_chunks(self, numbers: Iterator[int] | set[int]) -> None:
+    def remove_chunks(self, numbers: Iterable[int]) -> None:
         """Removes the answers of some blocks."""
         for number in numbers:
             self.chunk_path(number).unlink(missing_ok=True)
@@ -238,7 +238,7 @@ def try_lock(file: Any) -> bool:
 
         file.seek(1 << 20)
         try:
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
         except OSError:
             return False
         return True

@@ -64,7 +64,7 @@ class RayMeshIntersector:
         self.mesh = mesh
         device = None if device is None else as_device(device).alias
         threads = None if num_threads is None else check_num_threads(num_threads, "num_threads")
-        self._options = {"accelerator": accelerator, "device": device, "num_threads": threads}
+        self._options: dict[str, Any] = {"accelerator": accelerator, "device": device, "num_threads": threads}
         self._built: tuple[int, Scene | None] | None = None
 
     def __repr__(self) -> str:

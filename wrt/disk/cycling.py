@@ -47,7 +47,7 @@ def cycle(job: RayJob) -> bool:
     pairs, begins = listed
     entry = pairs.entry.numpy()
     distance = [entry[begin:end].mean() if end > begin else np.inf for begin, end in pairwise(begins)]
-    turns = np.lexsort((distance, ~job.cache.is_loaded))
+    turns = np.lexsort((distance, ~job.cache.is_loaded))  # type: ignore[arg-type]
     turns = turns[np.diff(begins)[turns] > 0]
     with job.cache.one_round():
         for number in turns.tolist():

@@ -157,6 +157,7 @@ class PartLoader:
         arrays = read_archive(file)
         if str(arrays["label"]) != label_of(self.parts.mark, number):
             raise ValueError(f"its label is {arrays['label']}")
+        known: Any
         (mesh,), accelerator, _, known, _ = parse_scene(arrays)
         ids, count = arrays["ids"], int(self.parts.triangles[number])
         if ids.dtype != np.int32 or ids.shape != (count,) or mesh.triangle_count != count:
@@ -177,8 +178,8 @@ class PartLoader:
         self.bytes_read = sum(array.nbytes for array in arrays.values())
         faces = wp.array(mesh.faces, dtype=wp.vec3i, device=as_device("cpu"), copy=False)
         tree = accelerator.build(triangle_boxes(vertices, faces, self.parts.center), width)
-        ids = wp.array(ids, dtype=int, device=as_device("cpu"), copy=False)
-        part = self._placed(replace(tree, low=low, high=high), vertices, faces, ids)
+        numbers = wp.array(ids, dtype=int, device=as_device("cpu"), copy=False)
+        part = self._placed(replace(tree, low=low, high=high), vertices, faces, numbers)  # type: ignore[arg-type]
         return CheckedFile(identity, {}, None), part
 
     def _map(self, file: FileIO, known: CheckedFile, record: Record | None) -> Part:
@@ -296,7 +297,8 @@ def mapped(file: FileIO, places: dict[str, ArrayPlace]) -> dict[str, Any]:
     mapping = mmap.mmap(file.fileno(), end - begin, offset=begin, access=mmap.ACCESS_READ)
     populate(mapping)
     space = np.frombuffer(mapping, dtype=np.uint8)
-    address, arrays, cpu = space.__array_interface__["data"][0] - begin, {}, as_device("cpu")
+    address, cpu = space.__array_interface__["data"][0] - begin, as_device("cpu")
+    arrays: dict[str, Any] = {}
     for name, place in places.items():
         dtype = form[0] if (form := form_of(name)) else None
         if dtype is None or (address + place.offset) % ALIGNED:
@@ -305,8 +307,8 @@ def mapped(file: FileIO, places: dict[str, ArrayPlace]) -> dict[str, Any]:
             arrays[name] = array if dtype is None else wp.array(array, dtype=dtype, device=cpu, copy=False)
             continue
         count = place.bytes // wp.types.type_size_in_bytes(dtype)
-        array = wp.array(ptr=address + place.offset, dtype=dtype, shape=count, capacity=place.bytes, device=cpu)
-        arrays[name] = keep_alive(array, space)
+        mapped = wp.array(ptr=address + place.offset, dtype=dtype, shape=count, capacity=place.bytes, device=cpu)
+        arrays[name] = keep_alive(mapped, space)
     return arrays
 
 

@@ -182,7 +182,7 @@ def distribute(meshes: MeshFiles, grid: Grid, division: Division, folder: Path, 
         order = np.argsort(part, kind="stable")
         begins = np.searchsorted(part[order], np.arange(division.parts + 1))
         place = np.empty(len(vertices), dtype=np.int32)
-        for number in np.flatnonzero(np.diff(begins)):
+        for number in np.flatnonzero(np.diff(begins)).tolist():
             chosen = order[begins[number] : begins[number + 1]]
             used = np.unique(faces[chosen])
             place[used] = np.arange(len(used), dtype=np.int32)

@@ -163,7 +163,7 @@ def check_list(parts: PartList) -> None:
     for name in ("slots", "tree_bytes"):
         if not ((getattr(parts, name) >= 1) & (getattr(parts, name) <= LARGEST)).all():
             raise ValueError(f"its {name} are too large or too small")
-    if not np.isfinite(parts.center).all() or not all(map(is_boxes, ((parts.low, parts.high), parts.bounds))):
+    if not np.isfinite(parts.center).all() or not all(map(is_boxes, ((parts.low, parts.high), parts.bounds))):  # type: ignore[arg-type]
         raise ValueError("its boxes are not finite, or a lower corner is above the upper one")
 
 

@@ -12,6 +12,7 @@ import warp as wp
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.query.hits import Hits
 from wrt.query.pickled_hits import reduce_hits
+from wrt.rays.array_types import ArrayT
 
 if TYPE_CHECKING:
     from wrt.disk.partition_files import PartList
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from wrt.state.device_hits import DeviceHits
 
 
-class PartitionedHits(Hits):
+class PartitionedHits(Hits[ArrayT]):
     """As `wrt.Hits`. What is interpolated between vertices (`smooth_normal`, `interpolate`, `uv_at`) is not available.
 
     Args:
@@ -61,7 +62,7 @@ class PartitionedHits(Hits):
         return wp.array(rows, dtype=int, device=self.batch.device)
 
     @property
-    def _meshes(self) -> NoReturn:
+    def _meshes(self) -> NoReturn:  # type: ignore[override]
         """Not available.
 
         Raises:

@@ -18,7 +18,7 @@ from wrt.disk.part_cache import PartCache
 from wrt.disk.part_query_checks import check_test, check_traversal
 from wrt.disk.partition_build import build_parts
 from wrt.disk.partition_files import PartList, read_list
-from wrt.disk.partitioned_hits import PartitionedHits
+from wrt.disk.queries_of_parts import CYCLE, PartQueries
 from wrt.disk.ray_job import RayJob, UpperTree
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout import bvh_nodes
@@ -31,21 +31,16 @@ from wrt.planning.plan import stack_levels
 from wrt.planning.planner import DEFAULT_TEST
 from wrt.query.all_hits import part_of
 from wrt.query.blocks import parse_memory, progress_bar
-from wrt.query.query_options import PartOptions, check_options, new_query, takes
 from wrt.rays.ray_buffers import RayBuffers, to_device
-from wrt.rays.rays import as_rays
+from wrt.rays.rays import Rays
 from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST, COUNT
+from wrt.state.query_kinds import AUTO, Query
 from wrt.state.scene_settings import as_settings
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
     from wrt.kernels.layout.ray_batch import HitBatch
     from wrt.planning.plan import Plan
-
-INF = float("inf")
 
 MEMORY = "1 GB"
 
@@ -53,9 +48,7 @@ PART_TRIANGLES = 1 << 19
 """Triangles of a part: up to 40 MB. Every visit costs a millisecond or so, and rays pass through more parts if these are small
 (notebooks/records/2026-11-23-parts-on-disk.md)."""
 
-CYCLE = "cycle"
-
-MODES = {CYCLE: cycle, "forward": forward}
+MODES: dict[str, Any] = {CYCLE: cycle, "forward": forward}
 """How rays and parts come together, by name."""
 
 BLOCK = 1 << 21
@@ -80,7 +73,7 @@ class QueryTraffic(NamedTuple):
     peak_bytes: int
 
 
-class PartitionedScene:
+class PartitionedScene(PartQueries):
     """A scene whose triangles need not fit in memory: parts by space, on disk, loaded as rays need them.
 
         scene = wrt.disk.PartitionedScene.build(paths_of_tiles, "city", memory="2 GB")
@@ -175,46 +168,6 @@ class PartitionedScene:
             build_parts(geometry, as_folder(folder), settings, size, stores, lambda count, phase: advance(int(count)))
         return cls(folder, memory=memory, triangle_test=triangle_test, device=device, num_threads=num_threads)
 
-    @takes(PartOptions, mode=CYCLE)
-    def intersect(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[PartOptions]
-    ) -> PartitionedHits:
-        """Closest hits, those of `wrt.Scene.intersect`.
-
-        Args:
-            origins, directions, t_min, t_max, triangle_test, cull_backfaces: as there.
-            mode: "cycle": each part is loaded at most once for every two million rays, and all rays that may hit something
-                in it are traced; or "forward": each ray waits for one part after the other, front to back, and the part with
-                the most waiting rays for the bytes to load is next.
-            traversal: "auto" or a key of `wrt.kernels.traversal.TRAVERSALS`: how rays are traced in a part.
-
-        Raises:
-            TypeError, ValueError: as `wrt.Scene.intersect`; an unknown mode; records of the triangle test with which the
-                largest part exceeds the budget; a damaged part.
-            FileNotFoundError: a part is gone.
-        """
-        check_options(PartitionedScene.intersect, options)
-        buffers, batch, corners, plan = self._answer(as_rays(origins, directions, t_min, t_max), CLOSEST, **options)
-        return PartitionedHits(batch, buffers.form, self._parts, corners, plan, self.num_threads)
-
-    @takes(PartOptions, mode=CYCLE)
-    def occluded(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[PartOptions]
-    ) -> Any:
-        """Whether each ray hits anything, as of `wrt.Scene.occluded`; arguments and errors as in `intersect`."""
-        check_options(PartitionedScene.occluded, options)
-        buffers, batch, _, _ = self._answer(as_rays(origins, directions, t_min, t_max), ANY, **options)
-        return batch.values(ANY, buffers.form)
-
-    @takes(PartOptions, mode=CYCLE)
-    def count(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[PartOptions]
-    ) -> Any:
-        """Number of hits of each ray, as of `wrt.Scene.count`; arguments and errors as in `intersect`."""
-        check_options(PartitionedScene.count, options)
-        buffers, batch, _, _ = self._answer(as_rays(origins, directions, t_min, t_max), COUNT, **options)
-        return batch.values(COUNT, buffers.form)
-
     def release(self) -> None:
         """Drops all parts from memory; later queries load them again."""
         with self._lock:
@@ -301,11 +254,9 @@ class PartitionedScene:
             )
         return needed
 
-    def _answer(
-        self, rays: Any, kind: str, mode: str = CYCLE, **options: Any
-    ) -> tuple[RayBuffers, DeviceHits, wp.array, Plan | None]:
+    def _answer(self, rays: Rays, query: Query, mode: str) -> tuple[RayBuffers, DeviceHits, wp.array, Plan | None]:
         """The answers of all rays: the rays on the device, the answers, the corners of triangles hit, and a plan."""
-        run, query = lookup(MODES, mode, "mode"), new_query(kind, options)
+        run = lookup(MODES, mode, "mode")
         check_traversal(query)
         settings = self._cache.settings
         refuse_capture("a query of parts", settings.device)

@@ -119,7 +119,8 @@ class RayJob:
 
     def _buffers(self, rays: RayBatch) -> RayBuffers:
         """Copies of rays: on the CPU with the layout of their arrays, so that queries about them are prepared."""
-        shape, given = (rays.count,), rays
+        shape = (rays.count,)
+        given: RayArrays | RayBatch = rays
         if self.device.is_cpu:
             arrays = rays.origins, rays.directions, rays.t_min, rays.t_max
             given = RayArrays(*arrays, COPIES, rays.count, ZERO_CENTER, shape, False, np.float32, ())

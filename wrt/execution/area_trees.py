@@ -187,7 +187,7 @@ def assign(scene: SceneState, rays: RayBatch, given: GivenAreas | None = None) -
     left, greatest, fewest, unassigned = sums.numpy().reshape(-1, 4).T
     least_area = len(local) - int(fewest.max(initial=0))
     greatest_area = int(greatest.max(initial=0))
-    return AreaAssignment(*arrays, int(left.sum()), int(unassigned.sum()), least_area, greatest_area)
+    return AreaAssignment(*arrays, int(left.sum()), int(unassigned.sum()), least_area, greatest_area)  # type: ignore[arg-type, call-arg]
 
 
 @dataclass
@@ -232,7 +232,7 @@ class PartialBatch:
 def with_range(rays: RayBatch, bound: str, values: wp.array) -> RayBatch:
     """The same rays with a `t_min` or `t_max` for each ray."""
     other = RayBatch()
-    for name in RayBatch.vars:
+    for name in RayBatch.vars:  # type: ignore[attr-defined]
         setattr(other, name, getattr(rays, name))
     setattr(other, bound, values)
     setattr(other, f"{bound}_stride", 1)

@@ -8,7 +8,7 @@ whose launches Warp must see with all their arrays.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import warp as wp
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from wrt.planning.plan import ChosenPlan, Plan
     from wrt.rays.ray_arrays import RayArrays
     from wrt.rays.rays import Rays, ResultForm
+    from wrt.rays.staged_rays import StagedRays
     from wrt.state.device_hits import DeviceHits
     from wrt.state.scene_state import SceneState
 
@@ -65,7 +66,7 @@ def _answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
 
         scene, given = take_areas(scene, query.areas, rays.shape)
     buffers = on_device(scene, rays, query, may_stage(scene, query))
-    chosen = find_plan(scene, buffers, query)
+    chosen = find_plan(scene, buffers, query)  # type: ignore[arg-type]
     hits, work = trace_chosen(scene, chosen, buffers, query.kind, query.counters, given)
     return Answer(hits, buffers.form, chosen.plan, work)
 
@@ -83,7 +84,11 @@ def may_stage(scene: SceneState, query: Query) -> bool:
     return chosen_by_scene and scene.is_cpu and not query.counters and scene.lazy_tree is None
 
 
-def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool = False) -> RayBuffers:
+@overload
+def on_device(scene: SceneState, rays: Rays, query: Query) -> RayBuffers: ...
+@overload
+def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool) -> RayBuffers | StagedRays: ...
+def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool = False) -> RayBuffers | StagedRays:
     """The rays on the scene's device, with the masks and environments of their query.
 
     Raises:
@@ -118,7 +123,12 @@ def trace(
 
 
 def trace_chosen(
-    scene: SceneState, chosen: ChosenPlan, buffers: RayBuffers, kind: str, counters: bool, given: GivenAreas | None = None
+    scene: SceneState,
+    chosen: ChosenPlan,
+    buffers: RayBuffers | StagedRays,
+    kind: str,
+    counters: bool,
+    given: GivenAreas | None = None,
 ) -> tuple[DeviceHits, wp.array | None]:
     """As `trace`, by a plan from the scene's cache; `given` are the areas of the rays, if they are known."""
     layout = buffers.layout
@@ -134,7 +144,7 @@ def trace_chosen(
     return trace_batch(scene, plan, rays, kind, counters)
 
 
-def run_prepared(scene: SceneState, chosen: ChosenPlan, buffers: RayBuffers, kind: str, layout: Any) -> DeviceHits:
+def run_prepared(scene: SceneState, chosen: ChosenPlan, buffers: Any, kind: str, layout: Any) -> DeviceHits:
     """Answers rays by a prepared query, made if none is free."""
     if chosen.missed_savings:
         scene.cache.missed_savings += chosen.missed_savings * buffers.count

@@ -126,11 +126,11 @@ def query_kernels(
         return []
     found = []
     for expected in rays:
-        plan = plan_for_query(choose_plan(scene, expected, traversal, triangle_test, expected.kind, False), expected.kind)
+        plan = plan_for_query(choose_plan(scene, expected, traversal, triangle_test, expected.kind, False), expected.kind)  # type: ignore[arg-type]
         config = config_for_layout(traversal_config(plan, scene, expected.kind, False), plan, scene)
         kernel = specialise(kernel_factory(plan, scene), config)
         found += [kernel, record_kernel(plan)]
         found += [measure_coherence] if expected.count > scene.few_rays else []
-        sampled = traversal == AUTO and situation_of(scene, expected, expected.kind).needs_sample
+        sampled = traversal == AUTO and situation_of(scene, expected, expected.kind).needs_sample  # type: ignore[arg-type]
         found += [sample_kernel(scene)] if sampled else []
     return [*dict.fromkeys(found), center_float64_points]

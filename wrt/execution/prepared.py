@@ -70,13 +70,13 @@ class PreparedQuery:
         if layout in (STAGED, STAGED_CENTERED):
             center = scene.center if layout == STAGED else np.zeros(3)
             self._staging, self._lease = borrow_staging(self, kind, device, center)
-        rays = new_batch(layout, scene.center) if self._staging is None else self._staging.rays
+        rays = new_batch(layout, scene.center) if self._staging is None else self._staging.rays  # type: ignore[arg-type]
         hits = DeviceHits.new(kind, 1, device) if self._staging is None else self._staging.hits
         work = no_work(traversal_of(self._plan).counters, device.alias)
         kernel, inputs = kernel_and_inputs(scene, self._plan, self._config, rays, hits.struct(), work)
         self._is_cpu = device.is_cpu
         if self._is_cpu:
-            self._launch = PreparedLaunch(kernel, inputs, device)
+            self._launch: PreparedLaunch | RecordedLaunch = PreparedLaunch(kernel, inputs, device)
         else:
             self._launch = RecordedLaunch(kernel, inputs, device, (TREE, RAYS, HITS))
         self._rays, self._hits = self._launch.argument(RAYS), self._launch.argument(HITS)

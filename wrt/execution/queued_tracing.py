@@ -73,7 +73,7 @@ def generations(
     advance = make_advance(plan.width, stack_levels(upper.depth), query, counters)
     records, found, rows = records_of(scene, plan, rays), hits.struct(), counter_rows(work)
     tree = QueuedNodes()
-    tree.nodes, tree.roots, tree.queue = walked_tree(plan, scene).struct(), upper.roots, RayQueue()
+    tree.nodes, tree.roots, tree.queue = walked_tree(plan, scene).struct(), upper.roots, RayQueue()  # type: ignore[assignment]
     tree.queue.entry, tree.queue.point = empty(rays.count, wp.float32, device), empty(rays.count, wp.int32, device)
     tree.order, waiting = wp.empty(0, dtype=int, device=device), rays.count
     while waiting:

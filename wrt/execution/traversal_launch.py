@@ -71,7 +71,7 @@ def kernel_and_inputs(
     if plan.accelerator == "none":
         from wrt.kernels.traversal.brute_force import AllTriangles
 
-        tree = AllTriangles()
+        tree: Any = AllTriangles()
         tree.count, tree.low, tree.high = scene.triangle_count, scene.tree.low, scene.tree.high
     else:
         walked = walked_tree(plan, scene)

@@ -60,7 +60,7 @@ class AmbientRays:
         self._width, self._radius, self.scale = width, radius, int(ambient.SHARES) if radius else 1
         self._expected = expected_rays(points, samples)
         self._origins, self._directions = (empty(self._expected.count, wp.vec3, scene.device) for _ in range(2))
-        self._distance = wp.array(np.float32([distance]), dtype=float, device=scene.device)
+        self._distance = wp.array(np.array([distance], np.float32), dtype=float, device=scene.device)
 
     def count_open(self, surface: Surface, primitive: wp.array, first_pixel: int, sample: int) -> wp.array:
         """(N,) int: rays of each point that leave the scene, times `scale`; 0 for a miss.

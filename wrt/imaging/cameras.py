@@ -100,7 +100,7 @@ class _Camera:
         pose[:3, 3] = self.position
         return pose
 
-    def rays(self, sample: int = 0, samples: int = 1, seed: int = 0) -> Rays:
+    def rays(self, sample: int = 0, samples: int = 1, seed: int = 0) -> Rays[np.ndarray]:
         """One ray per pixel, on the CPU: a `wrt.Rays` of shape (height, width).
 
         Args:
@@ -119,7 +119,9 @@ class _Camera:
         shape = (self.height, self.width, 3)
         return Rays(*(a.reshape(shape) if a.size != 3 else a.reshape(1, 1, 3) for a in arrays))
 
-    def rays_on(self, device: wp.Device, first_pixel: int, count: int, offset: tuple[float, float] = (0.5, 0.5)) -> Rays:
+    def rays_on(
+        self, device: wp.Device, first_pixel: int, count: int, offset: tuple[float, float] = (0.5, 0.5)
+    ) -> Rays[wp.array]:
         """Rays of `count` pixels, row by row from `first_pixel`, as Warp arrays on a device.
 
         Args:
@@ -250,7 +252,9 @@ class PinholeCamera(_Camera):
             up=up,
         )
 
-    def rays_on(self, device: wp.Device, first_pixel: int, count: int, offset: tuple[float, float] = (0.5, 0.5)) -> Rays:
+    def rays_on(
+        self, device: wp.Device, first_pixel: int, count: int, offset: tuple[float, float] = (0.5, 0.5)
+    ) -> Rays[wp.array]:
         """Rays of some pixels, as in the base class: origins of shape (1,), directions of shape (count,)."""
         directions = wp.empty(count, dtype=wp.vec3, device=device)
         launch(pinhole_directions, count, [self._view(offset), first_pixel, directions], device=device, chunk=4096)
@@ -313,7 +317,9 @@ class OrthographicCamera(_Camera):
             f"position={_text(self.position)}, look_at={_text(self.look_at)})"
         )
 
-    def rays_on(self, device: wp.Device, first_pixel: int, count: int, offset: tuple[float, float] = (0.5, 0.5)) -> Rays:
+    def rays_on(
+        self, device: wp.Device, first_pixel: int, count: int, offset: tuple[float, float] = (0.5, 0.5)
+    ) -> Rays[wp.array]:
         """Rays of some pixels, as in the base class: origins of shape (count,), directions of shape (1,)."""
         origins = wp.empty(count, dtype=wp.vec3d, device=device)
         launch(orthographic_origins, count, [self._view(offset), first_pixel, origins], device=device, chunk=4096)

@@ -16,7 +16,11 @@ __all__ = ["check_path", "save_exr", "save_image", "to_bytes"]
 
 _WITHOUT_ALPHA = (".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".ppm")
 
-OPTIONS = {".jpg": {"quality": 95, "subsampling": 0}, ".jpeg": {"quality": 95, "subsampling": 0}, ".j2k": {"no_jp2": True}}
+OPTIONS: dict[str, dict[str, Any]] = {
+    ".jpg": {"quality": 95, "subsampling": 0},
+    ".jpeg": {"quality": 95, "subsampling": 0},
+    ".j2k": {"no_jp2": True},
+}
 """Options of Pillow's by extension."""
 
 

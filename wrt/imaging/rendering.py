@@ -244,7 +244,7 @@ def corner_normals(scene: Scene, crease_angle: float) -> wp.array:
         made = {}
         _corner_normals[scene] = scene.state.device_mesh, made
     if crease_angle not in made:
-        parts = [_smooth_normals(part, crease_angle) for part in scene.state.parts]
+        parts = [_smooth_normals(part, crease_angle) for part in scene.state.parts]  # type: ignore[arg-type]
         made[crease_angle] = parts[0] if len(parts) == 1 else _joined(parts)
     return made[crease_angle]
 
@@ -281,7 +281,7 @@ class _Settings:
     ambient_distance: float
     ambient_radius: int
     seed: int
-    query: dict[str, str]
+    query: dict[str, Any]
 
 
 class _Tile:

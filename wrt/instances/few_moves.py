@@ -116,8 +116,8 @@ def move_few(
         mover = Mover()
     mover.run(state, moves, boxes, [table, low, high, bounds, extremes])
     _free.append(mover)
-    *extremes, nodes, of_instances = extremes.tolist()
-    boxes.__dict__["extremes"] = extremes
+    *corners, nodes, of_instances = extremes.tolist()
+    boxes.__dict__["extremes"] = corners
     if not boxes.are_resolved or boxes.frame != state.boxes.frame:
         return None
     return boxes, table, tree.around(low, high, bounds, cost_of(nodes, of_instances))

@@ -122,7 +122,7 @@ class InstanceBoxes:
             middle = [round(value / step) * step for value in middle]
         reach = max(max(high), -min(low)) + max(map(abs, middle))
         fraction, exponent = frexp(max(reach, TINY))
-        return tuple(middle), 8.0 * EPSILON * 2.0 ** (exponent - (fraction == 0.5))
+        return (middle[0], middle[1], middle[2]), 8.0 * EPSILON * 2.0 ** (exponent - (fraction == 0.5))
 
     def rounded(self, rows: Any = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """(M, 3) float32 corners of the boxes of some instances relative to the centre, rounded outwards."""
@@ -238,9 +238,9 @@ def build_upper(
     forest = build_forest(*corners, environments, width, build)
     order = np.repeat(np.arange(len(environments)) if placed is None else placed, width).astype(np.int32)
     arrays = (forest.child.reshape(-1), order, forest.environments, forest.roots)
-    child, order, numbers, roots = (wp.array(values, dtype=int, device=device) for values in arrays)
+    child, places, numbers, roots = (wp.array(values, dtype=int, device=device) for values in arrays)
     zero = wp.vec3()
-    tree = UpperTree(None, child, order, zero, zero, width, forest.level_first, common.BuildStats(), parts_depth=parts_depth)
+    tree = UpperTree(None, child, places, zero, zero, width, forest.level_first, common.BuildStats(), parts_depth=parts_depth)
     tree.forest, tree.environments, tree.roots = forest, numbers, roots
     tree = tree.with_boxes(*corners)
     tree.built_cost = forest.cost(tree.host)

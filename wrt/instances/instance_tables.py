@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -57,7 +57,8 @@ def part_table(states: Sequence[SceneState], plan: Plan, rays: RayBatch | None, 
     """The trees of meshes and their records for a plan's triangle test."""
     from wrt.kernels.traversal.two_level.instance_single import PARTS
 
-    kind, table, used = PARTS[plan.accelerator], [], []
+    kind: Any = PARTS[plan.accelerator]
+    table, used = [], []
     for mesh in states:
         part, blocks = kind(), records_of(mesh, plan, rays)
         part.tree, part.triangles = mesh.tree.struct(), blocks

@@ -10,7 +10,12 @@ from __future__ import annotations
 from wrt.lazy_names import lazy_names
 
 _HOME = {
+    "AreaBreakEven": "wrt.known_rays.area_break_even",
+    "AxisChoice": "wrt.builders.bvh.phases.split_axes",
+    "BoxMeasures": "wrt.builders.bvh.bvh_analysis",
+    "BreakEven": "wrt.known_rays.area_break_even",
     "CircularCapCaster": "wrt.known_rays.ray_casters",
+    "CountedWork": "wrt.known_rays.tree_analysis",
     "InfluenceAreas": "wrt.known_rays.influence_areas",
     "OctreeAnalysis": "wrt.known_rays.octree_analysis",
     "PlaneCaster": "wrt.known_rays.ray_casters",

@@ -184,7 +184,12 @@ class Parallel:
         middle = (low + high) / 2
         position = np.array([middle[0], middle[1], middle[2] - size[2] / 2]) @ frame
         area = PlaneInfluenceArea(
-            position=position, direction=forward, width=size[0], height=size[1], depth=size[2], up=frame[1]
+            position=position,
+            direction=forward,  # type: ignore[arg-type]
+            width=size[0],
+            height=size[1],
+            depth=size[2],
+            up=frame[1],  # type: ignore[arg-type]
         )
         return [(area, len(origins))]
 
@@ -217,7 +222,7 @@ class Radial:
             return [(self._frustum(frame, np.maximum(PAD * tangents, 1e-3), far), len(ways))]
         side = np.abs(ways).argmax(axis=1)
         sign = np.sign(ways[np.arange(len(ways)), side])
-        sides = []
+        sides: list[tuple[PlaneInfluenceArea | PointInfluenceArea, int]] = []
         for axis in range(3):
             for end in (-1.0, 1.0):
                 count = int(((side == axis) & (sign == end)).sum())
@@ -226,9 +231,9 @@ class Radial:
                     sides.append((self._frustum(frame, np.ones(2), far), count))
         return sides
 
-    def _frustum(self, frame: np.ndarray, tangents: np.ndarray, far: float) -> PointInfluenceArea:
+    def _frustum(self, frame: Any, tangents: np.ndarray, far: float) -> PointInfluenceArea:
         fov = 2.0 * np.degrees(np.arctan(tangents))
-        return PointInfluenceArea(position=self.point, direction=frame[2], fov=fov, near=1e-3 * far, far=far, up=frame[1])
+        return PointInfluenceArea(position=self.point, direction=frame[2], fov=fov, near=1e-3 * far, far=far, up=frame[1])  # type: ignore[arg-type]
 
 
 Distribution = Parallel | Radial
@@ -249,8 +254,10 @@ def find_distributions(
     found: list[tuple[Distribution, np.ndarray]] = []
     while len(rest) >= least:
         left = lines[rest]
-        best, most = None, np.zeros(len(rest), dtype=bool)
-        for candidate in [*parallel_candidates(left, sine, least), *radial_candidates(left, sine, least, rng)]:
+        best: Distribution | None = None
+        most = np.zeros(len(rest), dtype=bool)
+        candidates: list[Distribution] = [*parallel_candidates(left, sine, least), *radial_candidates(left, sine, least, rng)]
+        for candidate in candidates:
             explained = candidate.explains(left, sine)
             worth = explained.sum() / (POINT_MARGIN if isinstance(candidate, Radial) and isinstance(best, Parallel) else 1.0)
             if worth > most.sum():

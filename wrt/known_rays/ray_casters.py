@@ -97,7 +97,7 @@ class PlaneCaster(_Caster):
     @classmethod
     def of(cls, area: PlaneInfluenceArea, tolerance: float = 0.0) -> PlaneCaster:
         """The caster of an influence area's rays; tolerance: as in the class."""
-        sizes = {"width": area.width, "height": area.height, "up": area.up}
+        sizes: dict[str, Any] = {"width": area.width, "height": area.height, "up": area.up}
         return cls(position=area.position, direction=area.direction, tolerance=tolerance, **sizes)
 
     def rays(self, count: int, seed: int = 0) -> Rays:
@@ -116,7 +116,7 @@ class PlaneCaster(_Caster):
         count, seed = _check_batch(count, seed)
         aim = self._aim()
         aim.half = wp.vec2d(self.width / 2, self.height / 2)
-        aim.rise = _rise(self.tolerance)
+        aim.rise = _rise(self.tolerance)  # type: ignore[assignment]
         origins, directions = (wp.empty(count, dtype=kind, device="cpu") for kind in (wp.vec3d, wp.vec3))
         launch(cast_plane, count, [aim, wp.uint32(seed), origins, directions], device=origins.device, chunk=4096)
         return Rays(origins.numpy(), directions.numpy())
@@ -146,7 +146,7 @@ class CircularCapCaster(_Caster):
         from wrt.kernels.influence.ray_casting import cast_circular_cap
 
         aim = self._aim()
-        aim.rise = _rise(self.angle)
+        aim.rise = _rise(self.angle)  # type: ignore[assignment]
         return self._directions(cast_circular_cap, aim, *_check_batch(count, seed))
 
 
@@ -214,7 +214,7 @@ def directional_shadow_rays(hits: Hits, direction: Any) -> Rays:
     Returns:
         Rays of the hits' shape. Rays of misses start at NaN, and so miss.
     """
-    against = -frame_of(check_numbers("direction", direction, 3), None)[2]
+    against = -frame_of(check_numbers("direction", direction, 3), None)[2]  # type: ignore[arg-type]
     directions = np.broadcast_to(against, _positions(hits).shape)
     return Rays(hits.spawn(directions), directions)
 

@@ -4,7 +4,8 @@
     image = wrt.render(scene, camera, integrator="path", lights=[sun, wrt.lights.Sky(0.6)])
 
 What `lights` of `wrt.render` and `wrt.pictures.Rendering` takes: `PointLight`, `SpotLight`, `DirectionalLight`, `AreaLight`
-and `Sky`. Visibility without pictures: `LightBuffer` (of a point) and `AreaLightVisibility` (of a polygon).
+and `Sky`. Lights are arguments of a picture, not part of a scene: `save_lights` and `load_lights` keep them in a file beside
+that of `wrt.Scene.save`. Visibility without pictures: `LightBuffer` (of a point) and `AreaLightVisibility` (of a polygon).
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ _HOME = {
     "PointLight": "wrt.lights.light_sources",
     "Sky": "wrt.lights.sky_image",
     "SpotLight": "wrt.lights.light_sources",
+    "load_lights": "wrt.lights.stored_lights",
+    "save_lights": "wrt.lights.stored_lights",
 }
 
 __all__ = [*_HOME]

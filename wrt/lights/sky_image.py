@@ -37,7 +37,7 @@ class Sky:
     """
 
     def __init__(self, radiance: Any = 1.0) -> None:
-        self._set(np.float32(as_color("radiance", radiance)).reshape(1, 1, 3), (0.0, 0.0, 1.0), None)
+        self._set(np.array(as_color("radiance", radiance), np.float32).reshape(1, 1, 3), (0.0, 0.0, 1.0), None)
 
     @classmethod
     def gradient(cls, horizon: Any, zenith: Any, ground: Any = 0.0, *, up: Any = (0.0, 0.0, 1.0)) -> Sky:

@@ -43,7 +43,7 @@ class MeshMaterials:
             name: None if getattr(self, name) is None else np.ascontiguousarray(getattr(self, name)[:, [0, 2, 1]])
             for name in ("corner_uv", "corner_color")
         }
-        return replace(self, **swapped)
+        return replace(self, **swapped)  # type: ignore[arg-type]
 
 
 def make_mesh_materials(

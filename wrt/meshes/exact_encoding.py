@@ -39,7 +39,7 @@ def encode_mesh(mesh: trimesh.Trimesh, suffix: str) -> bytes:
         return ENCODERS[suffix](np.asarray(mesh.vertices), np.asarray(mesh.faces))
     warn_of_rounding(mesh, suffix)
     if suffix == "gltf":  # else with buffers in files beside it, whose names do not depend on its own
-        data = mesh.export(file_type=suffix, embed_buffers=True)["model.gltf"]
+        data = mesh.export(file_type=suffix, embed_buffers=True)["model.gltf"]  # type: ignore[call-overload, index]
     else:
         data = mesh.export(file_type=suffix)
     if isinstance(data, dict):

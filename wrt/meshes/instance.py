@@ -167,7 +167,7 @@ def check_transforms(transforms: Any, count: int) -> np.ndarray:
         fine &= (np.abs(matrices[:, 3] - (0.0, 0.0, 0.0, 1.0)) <= 1e-12).all(axis=1) & np.isfinite(matrices[:, :3, 3]).all(
             axis=1
         )
-    for number in np.flatnonzero(~fine):
+    for number in np.flatnonzero(~fine).tolist():
         check_transform(matrices[number])
     matrices.flags.writeable = False
     return matrices

@@ -101,7 +101,7 @@ class TriangleMesh:
         materials = None if materials is None else as_bool("materials", materials)
         outside = as_bool("outside", outside)
         if suffix in OWN_FORMATS:
-            found = read_own_format(path, suffix, materials, outside)
+            found: Any = read_own_format(path, suffix, materials, outside)
         elif not path.is_file():
             raise ValueError(f"'{path}' is a pipe or a device, not a regular file; copy its content to a file first")
         else:

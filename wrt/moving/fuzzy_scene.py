@@ -91,7 +91,7 @@ class FuzzyScene(Scene):
             self._centers = np.array([find_center((mesh,)) for mesh in self._meshes])
             motion = find_motion(self._meshes, clusters, transforms, rest)
             self.labels = motion.labels
-            self._fuzzy = FuzzyTree.build(self._meshes, self._centers, motion, settings.accelerator, settings.device)
+            self._fuzzy = FuzzyTree.build(self._meshes, self._centers, motion, settings.accelerator, settings.device)  # type: ignore[arg-type]
             self._show(0, settings, new_mark())
 
     @property
@@ -308,7 +308,7 @@ class FuzzyTree:
 
     def at(self, frame: int) -> FrameTrees:
         """The trees of a frame; only the upper one is built."""
-        return FrameTrees.over(*self.boxes[frame], self.parts, self.table[frame], self.depth)
+        return FrameTrees.over(*self.boxes[frame], self.parts, self.table[frame], self.depth)  # type: ignore[call-arg]
 
 
 def cluster_rows(matrices: np.ndarray, origins: np.ndarray) -> np.ndarray:
@@ -319,7 +319,8 @@ def cluster_rows(matrices: np.ndarray, origins: np.ndarray) -> np.ndarray:
     """
     from wrt.kernels.traversal.two_level.fuzzy_boxes import Cluster
 
-    rows, inverse = np.zeros(origins.shape[:-1], dtype=Cluster.numpy_dtype()), np.linalg.inv(matrices)
+    rows: Any = np.zeros(origins.shape[:-1], dtype=Cluster.numpy_dtype())  # type: ignore[attr-defined]
+    inverse = np.linalg.inv(matrices)
     rows["to_cluster"], rows["origin"] = inverse, origins
     rows["stretch"] = 1.001 * np.abs(inverse).sum(axis=-1).max(axis=-1)
     return rows

@@ -86,7 +86,7 @@ class GroupLayout:
             return self._link(trees, members, device)
         tree = join_bvhs(trees, members, self.hierarchy, device)
         if tree.depth > MAX_WIDE_DEPTH:
-            tree = self.recipes[0].build(MovedTriangles.of(placed, np.zeros(3)))
+            tree = self.recipes[0].build(MovedTriangles.of(placed, np.zeros(3)))  # type: ignore[assignment]
         return tree
 
     def _link(self, trees: Sequence[common.KdTree], members: Sequence[np.ndarray], device: wp.Device) -> LinkedTrees:
@@ -124,9 +124,9 @@ class LinkedTrees:
         """Copies trees to a device."""
         from wrt.kernels.traversal.two_level.linked_kdtrees import Link
 
-        return cls(
+        return cls(  # type: ignore[call-arg]
             wp.array(made.nodes, dtype=wp.vec2i, device=device),
-            wp.array(np.array(made.links, dtype=Link.numpy_dtype()), dtype=Link, device=device),
+            wp.array(np.array(made.links, dtype=Link.numpy_dtype()), dtype=Link, device=device),  # type: ignore[arg-type, attr-defined]
             wp.array(made.primitive, dtype=int, device=device),
             *(wp.vec3(*map(float, corner)) for corner in (made.low, made.high)),
             made.width,

@@ -69,6 +69,8 @@ class GroupedScene(Scene):
             another kind or width than those of other groups; an unknown `top`, or "list" without kd-trees; a cache.
     """
 
+    state: GroupedState
+
     def __init__(
         self,
         geometry: Any,
@@ -111,7 +113,7 @@ class GroupedScene(Scene):
         Raises:
             ValueError: the scene has no nodes.
         """
-        old = nodes if vertices is None else vertices
+        old: Any = nodes if vertices is None else vertices
         if not isinstance(old, Mapping) or any(isinstance(name, str) for name in old):
             super().move(old if nodes is None else nodes)
             return

@@ -125,7 +125,8 @@ class ChosenPlan:
 
 def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) -> TraversalConfig:
     """The specialisation of the traversal that carries out a plan."""
-    traversal, families = traversal_of(plan), {}
+    traversal = traversal_of(plan)
+    families: dict[str, Any] = {}
     if traversal.packets:
         non_temporal = plan.non_temporal and traversal.non_temporal and ANSWERS[query].shortens and not scene.instances
         families["packet"] = PacketConfig(plan.packet, plan.shared_origin, plan.culling, non_temporal)

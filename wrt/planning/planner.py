@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Hashable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.compilation.cache_size import l3_bytes
@@ -162,7 +162,7 @@ def choose_plan(
     accelerator = tree_for(chosen, scene)
     check_answer(scene, query, chosen, accelerator, test, cull_backfaces)
     width = wide_width(scene) if chosen.wide else scene.width
-    options: dict[str, object] = {}
+    options: dict[str, Any] = {}
     if chosen.packets:
         options["packet"] = packet_vectors(scene, rays, query, chosen) * width
         options["culling"] = choose_culling(scene, rays, chosen, test)

@@ -12,7 +12,7 @@ One pass with a few slots is faster than counting all hits first and tracing all
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 import warp as wp
@@ -27,6 +27,7 @@ from wrt.memory import empty
 from wrt.planning.plan import Plan, traversal_of
 from wrt.planning.planner import find_plan
 from wrt.query.hits import Hits
+from wrt.rays.array_types import ArrayT
 from wrt.state.device_hits import DeviceHits, shaped
 from wrt.state.query_kinds import ALL, COUNT, Query
 
@@ -44,7 +45,7 @@ MAX_TOTAL = (1 << 31) - 1
 """Largest number of hits in one result, the length of the longest array."""
 
 
-class AllHits:
+class AllHits(Generic[ArrayT]):
     """All hits of a batch of rays, ray after ray and sorted by t, then geometry, then triangle.
 
     The hits of ray i of the flattened batch are the elements offsets[i] .. offsets[i + 1] - 1 of the arrays of M hits. The
@@ -76,7 +77,7 @@ class AllHits:
     ) -> None:
         self.plan = plan
         self._offsets, self._form, self._num_threads = offsets, form, scene.num_threads
-        self._flat = Hits(batch, form._replace(shape=(batch.count,)), scene, plan)
+        self._flat: Hits[ArrayT] = Hits(batch, form._replace(shape=(batch.count,)), scene, plan)
 
     def __repr__(self) -> str:
         return f"AllHits({len(self)} hits of rays of shape {self.shape})"
@@ -91,11 +92,11 @@ class AllHits:
         return self._form.shape
 
     @property
-    def offsets(self) -> Any:
-        return self._offsets if self._form.is_warp else self._offsets.numpy()
+    def offsets(self) -> ArrayT:
+        return shaped(self._offsets, self._form._replace(shape=self._offsets.shape))
 
     @cached_property
-    def count(self) -> Any:
+    def count(self) -> ArrayT:
         from wrt.kernels.query.hit_lists import count_listed
 
         counts = empty(self._offsets.size - 1, wp.int32, self._offsets.device)
@@ -103,39 +104,39 @@ class AllHits:
         return shaped(counts, self._form)
 
     @cached_property
-    def ray_id(self) -> Any:
+    def ray_id(self) -> ArrayT:
         from wrt.kernels.query.hit_lists import number_rays
 
         numbers = empty(len(self), wp.int32, self._offsets.device)
         self._for_each_ray(number_rays, numbers)
-        return numbers if self._form.is_warp else numbers.numpy()
+        return shaped(numbers, self._form._replace(shape=numbers.shape))
 
     @property
-    def t(self) -> Any:
+    def t(self) -> ArrayT:
         return self._flat.t
 
     @property
-    def primitive_id(self) -> Any:
+    def primitive_id(self) -> ArrayT:
         return self._flat.primitive_id
 
     @property
-    def geometry_id(self) -> Any:
+    def geometry_id(self) -> ArrayT:
         return self._flat.geometry_id
 
     @property
-    def instance_id(self) -> Any:
+    def instance_id(self) -> ArrayT:
         return self._flat.instance_id
 
     @property
-    def uv(self) -> Any:
+    def uv(self) -> ArrayT:
         return self._flat.uv
 
     @property
-    def position(self) -> Any:
+    def position(self) -> ArrayT:
         return self._flat.position
 
     @property
-    def normal(self) -> Any:
+    def normal(self) -> ArrayT:
         return self._flat.normal
 
     def _for_each_ray(self, kernel: wp.Kernel, out: wp.array) -> None:

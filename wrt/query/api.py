@@ -1,48 +1,40 @@
-"""The queries of a scene: closest hits, occlusion, all hits, counts, inside tests, visibility, and a check of itself."""
+"""The queries of a scene: closest hits, occlusion, all hits, counts, and the plan of a query.
+
+The time of a call of few rays is Python's: without options, a query is a row of a table, and is neither made nor checked.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from wrt.execution.executor import on_device
 from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.planner import find_plan
 from wrt.query.answers import closest_hits, ray_values
-from wrt.query.batches.block_rows import as_source
-from wrt.query.blocks import blocks_of
-from wrt.query.query_options import (
-    BlockOptions,
-    ClosestBlockOptions,
-    ClosestOptions,
-    ExplainOptions,
-    ListOptions,
-    OcclusionOptions,
-    ValueOptions,
-    as_query,
-    check_options,
-    new_query,
-    takes,
-)
-from wrt.rays.rays import as_rays
-from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES
+from wrt.query.batches.block_queries import BlockQueries
+from wrt.query.points.point_queries import PointQueries
+from wrt.query.query_options import QueryKind, checked
+from wrt.rays.rays import Rays, as_rays
+from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
 from wrt.tables import lookup
-from wrt.tapes import refuse_tape
+from wrt.tapes import refuse_tape, tape_records
 
 if TYPE_CHECKING:
+    import numpy as np
+    import warp as wp
     from typing_extensions import Unpack
 
     from wrt.planning.plan import Plan
     from wrt.query.all_hits import AllHits
-    from wrt.query.blocks import Blocks
     from wrt.query.hits import Hits
-    from wrt.query.verification import Verification
+    from wrt.query.query_options import Closest, Counted, Listed, Occluded
+    from wrt.rays.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
     from wrt.state.scene_state import SceneState
-
 
 INF = float("inf")
 
 
-class Queries:
+class Queries(BlockQueries, PointQueries):
     """The queries of a `wrt.Scene`. Each takes the rays to the device, makes a plan for them and traces them by it.
 
     Attributes:
@@ -51,9 +43,46 @@ class Queries:
 
     state: SceneState
 
-    @takes(ClosestOptions)
+    @overload
+    def intersect(self, origins: Rays[ArrayT], **options: Unpack[Closest]) -> Hits[ArrayT]: ...
+    @overload
     def intersect(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ClosestOptions]
+        self, origins: NumpyLike, directions: NumpyLike, t_min: Numbers = ..., t_max: Numbers = ..., **options: Unpack[Closest]
+    ) -> Hits[np.ndarray]: ...
+    @overload
+    def intersect(
+        self,
+        origins: WarpLike,
+        directions: ArrayLike,
+        t_min: Numbers = ...,
+        t_max: Numbers = ...,
+        **options: Unpack[Closest],
+    ) -> Hits[wp.array]: ...
+    @overload
+    def intersect(
+        self,
+        origins: NumpyLike,
+        directions: WarpLike,
+        t_min: Numbers = ...,
+        t_max: Numbers = ...,
+        **options: Unpack[Closest],
+    ) -> Hits[wp.array]: ...
+    def intersect(
+        self,
+        origins: Rays | ArrayLike,
+        directions: ArrayLike | None = None,
+        t_min: Numbers = 0.0,
+        t_max: Numbers = INF,
+        *,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+        cull_backfaces: bool = False,
+        counters: bool = False,
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
+        areas: Numbers | None = None,
+        skip: Hits | Numbers | None = None,
+        precise: bool = False,
     ) -> Hits:
         """Closest hits.
 
@@ -81,11 +110,11 @@ class Queries:
                 `precise`.
             cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise
                 order. Not all traversals support this; "auto" chooses one that does.
-            skip: each ray ignores one triangle, usually the one that it starts on. Either the `wrt.Hits` of this scene at
-                which the rays start (a miss skips nothing), or, in a scene of one mesh or instance, (...) primitive ids, -1 for
-                none; the leading shape broadcasts to that of the rays. Neighbouring and coincident triangles are not skipped.
-                Rays are traced one at a time. To leave the surface instead of ignoring one triangle, start rays from
-                `Hits.spawn`.
+            skip: each ray ignores one triangle, usually the one that it starts on; None for none. Either the `wrt.Hits` of this
+                scene at which the rays start (a miss skips nothing), or, in a scene of one mesh or instance, (...) primitive
+                ids, -1 for none; the leading shape broadcasts to that of the rays. Neighbouring and coincident triangles are
+                not skipped. Rays are traced one at a time. To leave the surface instead of ignoring one triangle, start rays
+                from `Hits.spawn`.
             traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `Plan`, such as `explain` returns. A plan
                 also determines the triangle test.
             triangle_test: "auto" for the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
@@ -103,25 +132,116 @@ class Queries:
                 that of the rays; rays that require gradients inside a `wp.Tape` (call `wrt.device.differentiable_hits` for
                 gradients).
         """
-        query = as_query(Queries.intersect, CLOSEST, options)
+        plain = traversal is triangle_test is AUTO and cull_backfaces is counters is precise is False
+        if plain and mask is environment is areas is skip is None:
+            query = QUERIES[CLOSEST]
+        else:
+            options = (traversal, triangle_test, cull_backfaces, counters, mask, environment, areas, skip, precise)
+            query = checked(Query(CLOSEST, *options))
         rays = as_rays(origins, directions, t_min, t_max)
-        refuse_tape("intersect", (rays.origins, rays.directions))
+        if tape_records():
+            refuse_tape("intersect", (rays.origins, rays.directions))
         return closest_hits(self.state, rays, query)
 
-    @takes(OcclusionOptions)
+    @overload
+    def occluded(self, origins: Rays[ArrayT], **options: Unpack[Occluded]) -> ArrayT: ...
+    @overload
     def occluded(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[OcclusionOptions]
+        self, origins: NumpyLike, directions: NumpyLike, t_min: Numbers = ..., t_max: Numbers = ..., **options: Unpack[Occluded]
+    ) -> np.ndarray: ...
+    @overload
+    def occluded(
+        self,
+        origins: WarpLike,
+        directions: ArrayLike,
+        t_min: Numbers = ...,
+        t_max: Numbers = ...,
+        **options: Unpack[Occluded],
+    ) -> wp.array: ...
+    @overload
+    def occluded(
+        self,
+        origins: NumpyLike,
+        directions: WarpLike,
+        t_min: Numbers = ...,
+        t_max: Numbers = ...,
+        **options: Unpack[Occluded],
+    ) -> wp.array: ...
+    def occluded(
+        self,
+        origins: Rays | ArrayLike,
+        directions: ArrayLike | None = None,
+        t_min: Numbers = 0.0,
+        t_max: Numbers = INF,
+        *,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+        cull_backfaces: bool = False,
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
+        areas: Numbers | None = None,
+        skip: Hits | Numbers | None = None,
     ) -> Any:
-        """Whether each ray hits anything: (...) bool, a NumPy array if the rays were, else a Warp array.
+        """Whether each ray hits anything. The search ends at the first hit found.
 
-        Arguments and errors as in `intersect`. The search ends at the first hit found.
+            dark = scene.occluded(points, toward_light, t_max=1.0)
+
+        Args:
+            origins: (..., 3), or a `wrt.Rays`, which replaces the first four arguments.
+            directions: (..., 3), of any length from 2^-126 up; leading shapes broadcast.
+            t_min, t_max: scalars or (...) arrays; hits count if t_min <= t <= t_max (closed interval). 0 <= t_min < inf.
+            traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `wrt.results.Plan`.
+            triangle_test: "auto" for the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
+            cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise
+                order.
+            mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances whose masks have a
+                bit in common with it; None for all bits.
+            environment: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances of its
+                environment and those of environment -1; a ray of environment -1, or None, sees those of all.
+            areas: in a scene of a `wrt.known_rays.RayAwareBvh`, an int or (...) integers: the influence area of each ray,
+                -1 for none; None to find it. Has no effect with `skip`.
+            skip: the triangle that each ray ignores: the `wrt.Hits` of this scene at which the rays start, or, in a scene of
+                one mesh or instance, (...) primitive ids, -1 for none; None for none.
+
+        Returns:
+            (...) bool, a NumPy array if the rays were, else a Warp array.
+
+        Raises:
+            TypeError, ValueError: as `intersect`.
         """
-        query = as_query(Queries.occluded, ANY, options)
+        if traversal is triangle_test is AUTO and cull_backfaces is False and mask is environment is areas is skip is None:
+            query = QUERIES[ANY]
+        else:
+            query = checked(Query(ANY, traversal, triangle_test, cull_backfaces, False, mask, environment, areas, skip))
         return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query)
 
-    @takes(ListOptions)
+    @overload
+    def intersect_all(self, origins: Rays[ArrayT], **options: Unpack[Listed]) -> AllHits[ArrayT]: ...
+    @overload
     def intersect_all(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ListOptions]
+        self, origins: NumpyLike, directions: NumpyLike, t_min: Numbers = ..., t_max: Numbers = ..., **options: Unpack[Listed]
+    ) -> AllHits[np.ndarray]: ...
+    @overload
+    def intersect_all(
+        self, origins: WarpLike, directions: ArrayLike, t_min: Numbers = ..., t_max: Numbers = ..., **options: Unpack[Listed]
+    ) -> AllHits[wp.array]: ...
+    @overload
+    def intersect_all(
+        self, origins: NumpyLike, directions: WarpLike, t_min: Numbers = ..., t_max: Numbers = ..., **options: Unpack[Listed]
+    ) -> AllHits[wp.array]: ...
+    def intersect_all(
+        self,
+        origins: Rays | ArrayLike,
+        directions: ArrayLike | None = None,
+        t_min: Numbers = 0.0,
+        t_max: Numbers = INF,
+        *,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+        cull_backfaces: bool = False,
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
+        max_hits: int | None = None,
     ) -> AllHits:
         """All hits of each ray, sorted by t, then geometry, then triangle.
 
@@ -130,8 +250,19 @@ class Queries:
         A triangle seen edge-on is not hit. (At an edge, `intersect` may return another of the adjacent triangles.)
 
         Args:
-            origins, directions, t_min, t_max, mask, environment, cull_backfaces, traversal, triangle_test: as in `intersect`;
-                not every traversal and triangle test supports this query.
+            origins: (..., 3), or a `wrt.Rays`, which replaces the first four arguments.
+            directions: (..., 3), of any length from 2^-126 up; leading shapes broadcast.
+            t_min, t_max: scalars or (...) arrays; hits count if t_min <= t <= t_max (closed interval). 0 <= t_min < inf.
+            traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `wrt.results.Plan`; not every one supports this
+                query.
+            triangle_test: "auto" for the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`;
+                likewise.
+            cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise
+                order.
+            mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances whose masks have a
+                bit in common with it; None for all bits.
+            environment: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances of its
+                environment and those of environment -1; a ray of environment -1, or None, sees those of all.
             max_hits: largest number of hits kept for each ray, the nearest ones; at least 1, or None for all. This saves
                 memory, not time: all hits are found.
 
@@ -142,203 +273,115 @@ class Queries:
         """
         from wrt.query.all_hits import list_hits
 
-        query = as_query(Queries.intersect_all, ALL, options)
+        query = checked(Query(ALL, traversal, triangle_test, cull_backfaces, False, mask, environment, max_hits=max_hits))
         rays = as_rays(origins, directions, t_min, t_max)
         refuse_tape("intersect_all", (rays.origins, rays.directions))
         return list_hits(self.state, rays, query)
 
-    @takes(ValueOptions)
+    @overload
+    def count(self, origins: Rays[ArrayT], **options: Unpack[Counted]) -> ArrayT: ...
+    @overload
     def count(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ValueOptions]
+        self, origins: NumpyLike, directions: NumpyLike, t_min: Numbers = ..., t_max: Numbers = ..., **options: Unpack[Counted]
+    ) -> np.ndarray: ...
+    @overload
+    def count(
+        self,
+        origins: WarpLike,
+        directions: ArrayLike,
+        t_min: Numbers = ...,
+        t_max: Numbers = ...,
+        **options: Unpack[Counted],
+    ) -> wp.array: ...
+    @overload
+    def count(
+        self,
+        origins: NumpyLike,
+        directions: WarpLike,
+        t_min: Numbers = ...,
+        t_max: Numbers = ...,
+        **options: Unpack[Counted],
+    ) -> wp.array: ...
+    def count(
+        self,
+        origins: Rays | ArrayLike,
+        directions: ArrayLike | None = None,
+        t_min: Numbers = 0.0,
+        t_max: Numbers = INF,
+        *,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+        cull_backfaces: bool = False,
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
+        skip: Hits | Numbers | None = None,
     ) -> Any:
-        """Number of hits of each ray: (...) int32, a NumPy array if the rays were, else a Warp array.
-
-        Equal to the number of hits that `intersect_all` lists. Arguments and errors as there, and `skip` as in `intersect`.
-        """
-        query = as_query(Queries.count, COUNT, options)
-        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query)
-
-    @takes(ClosestBlockOptions)
-    def intersect_blocks(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ClosestBlockOptions]
-    ) -> Blocks:
-        """Closest hits of any number of rays, block by block: iterate over pairs (rows, hits), or call `write` or `result`.
-
-            for rows, hits in scene.intersect_blocks(np.load("origins.npy", mmap_mode="r"), direction, progress=True):
-                nearest[rows] = hits.t
-            scene.intersect_blocks(origins, directions, executor=client.get_executor()).write({"t": t})  # on a cluster
-
-        The hits equal those of `intersect`, whatever the size of the blocks and whoever answers them.
+        """Number of hits of each ray, equal to the number that `intersect_all` lists.
 
         Args:
-            origins, directions, t_min, t_max: as in `intersect`, with at least one leading axis. An array may be any object
-                with a shape whose slices are arrays, such as an np.memmap; only the rows of a block are read and converted
-                at a time. Alternatively, `origins` is an iterable of pairs (origins, directions) or of `wrt.Rays`, and
-                `directions` is left out: items are answered in order, and items larger than a block in parts. Or it is a
-                `wrt.batches.GeneratedRays`: a function that makes the rays of given numbers.
-            mask, environment, skip: as in `intersect`; arrays, and the hits of the whole batch, are cut into blocks with the
-                rays. One number if the rays come from an iterator.
-            memory: bound on the memory for a block, in bytes or as text such as "1.5 GB" or "512 MiB"; about 320 bytes a
-                ray. A block has at least one row.
-            progress: whether to show a progress bar on stderr.
-            executor: who answers blocks, several at a time: a `concurrent.futures.Executor`, such as a ThreadPoolExecutor, a
-                `wrt.cluster.ProcessPool` or Dask's `client.get_executor()`; or a `wrt.cluster.Workers`, which adds options.
-                None for this process, one block after the other. Each worker needs the memory of a block for each task it runs
-                at a time. Hits that come from another process are as those of a pickle.
-            reduce: what is kept of the answers: "sum", "mean", "min", "max", "any", "all", a `wrt.batches.Histogram`, a
-                function(values, axes) that keeps the first axis, or an object with the methods of `wrt.batches.Reduction`. Of
-                closest hits, a dict from attributes to these, such as {"t": "min"}. Integers are summed as int64; sums of
-                floats are exact, and rounded once. None keeps the answers.
-            axis: axes of the rays' leading shape along which answers are reduced: an int, several, or None for all. Without the
-                first axis among them, blocks have reduced rows; with it, only `result` gives the answer.
-            traversal, triangle_test, precise: as in `intersect`.
-
-        Raises:
-            TypeError: an argument has a wrong type.
-            ValueError: as `intersect`; rays without a leading axis, a bound that is not an amount of memory, an unknown
-                reduction or axis. Values and types of arrays are checked block by block.
-            RuntimeError: later, if the workers that took a block died each time.
-        """
-        check_options(Queries.intersect_blocks, options)
-        return blocks_of(self, "intersect", as_source(origins, directions, t_min, t_max), **options)
-
-    @takes(BlockOptions)
-    def occluded_blocks(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[BlockOptions]
-    ) -> Blocks:
-        """Occlusion block by block: pairs (rows, bool array), or call `write`; arguments and errors as in
-        `intersect_blocks`.
-        """
-        check_options(Queries.occluded_blocks, options)
-        return blocks_of(self, "occluded", as_source(origins, directions, t_min, t_max), **options)
-
-    @takes(BlockOptions)
-    def count_blocks(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[BlockOptions]
-    ) -> Blocks:
-        """Numbers of hits block by block: pairs (rows, int32 array), or `write`; arguments and errors as in
-        `intersect_blocks`.
-        """
-        check_options(Queries.count_blocks, options)
-        return blocks_of(self, "count", as_source(origins, directions, t_min, t_max), **options)
-
-    def points_on(self, primitive_id: Any, uv: Any = None, *, points: Any = None, instance_id: Any = None) -> Hits:
-        """Points on triangles as hits that no ray made, so that rays can leave them: `Hits.spawn`, `Hits.faces`.
-
-            facade = scene.points_on(triangles, points=samples)           # (N,), (N, 3)
-            lit = facade.faces(sun) & ~scene.occluded(facade.spawn(sun), sun)
-
-        Args:
-            primitive_id: (...) integers, triangles within their mesh; -1 for none, which is a miss.
-            uv: (..., 2) weights of the second and third vertex, each at least 0, and together at most 1.
-            points: (..., 3) points in the scene's coordinates, in place of `uv`. Each is moved to the nearest point of its
-                triangle. Without both, the points are the centroids.
-            instance_id: (...) integers, the instances, or meshes in a scene without instances, that the triangles are of; may
-                be left out if there is only one.
+            origins: (..., 3), or a `wrt.Rays`, which replaces the first four arguments.
+            directions: (..., 3), of any length from 2^-126 up; leading shapes broadcast.
+            t_min, t_max: scalars or (...) arrays; hits count if t_min <= t <= t_max (closed interval). 0 <= t_min < inf.
+            traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `wrt.results.Plan`; not every one supports this
+                query.
+            triangle_test: "auto" for the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`;
+                likewise.
+            cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise
+                order.
+            mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances whose masks have a
+                bit in common with it; None for all bits.
+            environment: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances of its
+                environment and those of environment -1; a ray of environment -1, or None, sees those of all.
+            skip: the triangle that each ray ignores: the `wrt.Hits` of this scene at which the rays start, or, in a scene of
+                one mesh or instance, (...) primitive ids, -1 for none; None for none.
 
         Returns:
-            Hits of the broadcast leading shape with t = 0, whose `plan` is None and whose positions are float64.
+            (...) int32, a NumPy array if the rays were, else a Warp array.
 
         Raises:
-            TypeError: not numbers, or both `uv` and `points`.
-            ValueError: a triangle or an instance that does not exist, shapes that do not broadcast, weights outside of the
-                triangle, points farther from their triangle than a thousandth of its longest edge, or no `instance_id` in a
-                scene of several.
+            TypeError, ValueError: as `intersect_all`.
         """
-        from wrt.query.points.surface_points import points_on
+        if traversal is triangle_test is AUTO and cull_backfaces is False and mask is environment is skip is None:
+            query = QUERIES[COUNT]
+        else:
+            query = checked(Query(COUNT, traversal, triangle_test, cull_backfaces, False, mask, environment, skip=skip))
+        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query)
 
-        return points_on(self.state, primitive_id, uv, points, instance_id)
-
-    def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
-        """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.
-
-        Decided by parity: a point is inside if a ray from it crosses the surface an odd number of times. If every mesh is
-        closed (`TriangleMesh.is_closed`), the direction of the ray does not matter. Otherwise the majority of three
-        directions decides, which is unreliable near holes. With several meshes, or shells within each other, a point is
-        inside if an odd number of them contain it.
-
-        A triangle that repeats an earlier one exactly, with the same side in front, is left out, unless another body is
-        closed by it; so is an instance of an equal mesh with equal transform and environment. If there are any, the first
-        call builds a second tree. A triangle that is there with both sides in front counts twice, as the common wall of
-        two bodies that touch. `verify` says what a parity cannot answer on a mesh.
-
-        Points whose distance to the surface is within float32 rounding, relative to the scene's centre, may count as inside
-        or outside. A point with a NaN or an infinity is outside.
-
-        Args:
-            points: (..., 3).
-            traversal: as in `count`.
-
-        Raises:
-            TypeError: points are not an array of real numbers.
-            ValueError: wrong shape, an array on another device, or a traversal that does not count.
-        """
-        from wrt.query.inside import contains
-
-        return contains(self.state, points, traversal)
-
-    def visible(self, points_a: Any, points_b: Any) -> Any:
-        """Whether pairs of points see each other: (...) bool, a NumPy array if both points were, else a Warp array.
-
-            matrix = scene.visible(points[:, None], points[None, :])
-
-        A pair is visible if no triangle crosses the open segment between its points. Points may lie on surfaces: a triangle
-        whose plane contains one of the points up to rounding does not block the segment (rounding of float32 relative to
-        the scene's centre, and of the points themselves if they are float32). So two points on one flat wall see each
-        other, and a point on a wall is visible from both sides; `Hits.faces` tells on which side a direction is. A point sees
-        itself. A point with a NaN or an infinity sees nothing. The relation is symmetric: visible(a, b) equals visible(b, a).
-
-        Args:
-            points_a, points_b: (..., 3); leading shapes broadcast. Pairs are processed in blocks of bounded memory.
-
-        Raises:
-            TypeError: points are not arrays of real numbers.
-            ValueError: wrong shapes, shapes that do not broadcast, or an array on another device.
-        """
-        from wrt.query.points.visibility import visible
-
-        return visible(self.state, points_a, points_b)
-
-    def verify(self, samples: int = 1000, seed: int = 0) -> Verification:
-        """Compares `intersect`, `occluded` and `contains` with brute force in float64, on this scene and this machine.
-
-        Uses the scene's triangle test: `wrt.Scene(mesh, triangle_test="moeller_trumbore").verify()` checks another one.
-
-            report = scene.verify()
-            print(report)
-            assert report.ok
-
-        A quarter of the rays is random, a quarter is aimed at vertices, a quarter at edges, and a quarter grazes triangles.
-        The reference tests every triangle against every ray, so the time grows with the number of triangles and of samples.
-        `contains` is compared with winding numbers at as many points, at fewer if there are more than 20,000 triangles.
-
-        Args:
-            samples: number of rays, at least 4.
-            seed: seed of the random rays, at least 0.
-
-        Raises:
-            TypeError: samples or seed is not an int.
-            ValueError: samples or seed is too small, or the scene's triangle test needs rays with a shared origin.
-        """
-        from wrt.query.verification import verify
-
-        return verify(self.state, samples, seed)
-
-    @takes(ExplainOptions)
     def explain(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ExplainOptions]
+        self,
+        origins: Rays | ArrayLike,
+        directions: ArrayLike | None = None,
+        t_min: Numbers = 0.0,
+        t_max: Numbers = INF,
+        *,
+        query: QueryKind = "closest",
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+        cull_backfaces: bool = False,
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
     ) -> Plan:
         """The plan by which these rays would be traced, with the reason for it. Nothing is traced.
 
         Args:
-            origins, directions, t_min, t_max, mask, environment, cull_backfaces, traversal, triangle_test: as in `intersect`.
+            origins: (..., 3), or a `wrt.Rays`, which replaces the first four arguments.
+            directions: (..., 3), of any length from 2^-126 up; leading shapes broadcast.
+            t_min, t_max: scalars or (...) arrays; hits count if t_min <= t <= t_max (closed interval). 0 <= t_min < inf.
             query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
+            traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `wrt.results.Plan`.
+            triangle_test: "auto" for the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
+            cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise
+                order.
+            mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances whose masks have a
+                bit in common with it; None for all bits.
+            environment: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances of its
+                environment and those of environment -1; a ray of environment -1, or None, sees those of all.
 
         Raises:
             TypeError, ValueError: as `intersect`.
         """
-        check_options(Queries.explain, options)
         rays, scene = as_rays(origins, directions, t_min, t_max), self.state
-        query = new_query(lookup(QUERIES, options.pop("query", CLOSEST), "query").kind, options)
+        kind = lookup(QUERIES, query, "query").kind
+        asked = checked(Query(kind, traversal, triangle_test, cull_backfaces, False, mask, environment))
         with use_threads(scene.num_threads):
-            return find_plan(scene, on_device(scene, rays, query), query).plan
+            return find_plan(scene, on_device(scene, rays, asked), asked).plan

@@ -266,7 +266,7 @@ class Piece(NamedTuple):
     """
 
     rows: slice
-    count: int
+    count: int  # type: ignore[assignment]
     sent: Mapping[str, Any]
 
 

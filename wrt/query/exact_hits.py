@@ -16,6 +16,7 @@ from wrt.memory import empty, keep_alive
 from wrt.planning.plan import stack_levels, traversal_config
 from wrt.planning.planner import DEFAULT_TEST, find_plan
 from wrt.query.hits import Hits
+from wrt.rays.array_types import ArrayT
 from wrt.rays.ray_arrays import flatten_shared
 from wrt.rays.rays import as_vectors
 from wrt.state.device_hits import DeviceHits
@@ -29,8 +30,16 @@ if TYPE_CHECKING:
     from wrt.state.scene_state import SceneState
 
 
-class PreciseHits(Hits):
-    """Closest hits in float64: as `Hits`, but t, uv, position and normal are float64, whatever the type of the rays."""
+class PreciseHits(Hits[ArrayT]):
+    """Closest hits in float64: as `Hits`, but t, uv, position and normal are float64, whatever the type of the rays.
+
+    Attributes:
+        t: (...), in units of the direction's length; inf for a miss.
+        uv: (..., 2), weights of the triangle's second and third vertex; 0 for a miss.
+        position: (..., 3); NaN for a miss.
+        normal: (..., 3), unit vectors from the triangle's winding; 0 for a miss.
+        primitive_id, geometry_id, instance_id, is_hit, counters: as in `wrt.Hits`.
+    """
 
     def __init__(
         self, hits: ExactHits, rounded: DeviceHits, triangles: list[Any], form: ResultForm, scene: SceneState, plan: Plan
@@ -39,21 +48,21 @@ class PreciseHits(Hits):
         self._exact, self._exact_triangles = hits, triangles
 
     @cached_property
-    def t(self) -> Any:
+    def t(self) -> ArrayT:
         return self._out(self._exact.t)
 
     @cached_property
-    def uv(self) -> Any:
+    def uv(self) -> ArrayT:
         return self._out(self._exact.uv)
 
     @cached_property
-    def position(self) -> Any:
+    def position(self) -> ArrayT:
         out = self._empty(wp.vec3d)
         self._launch(self._kernels.exact_positions, *self._exact_triangles, self.batch.primitive, self._exact.uv, out)
         return self._out(out)
 
     @cached_property
-    def normal(self) -> Any:
+    def normal(self) -> ArrayT:
         out = self._empty(wp.vec3d)
         self._launch(self._kernels.exact_normals, *self._exact_triangles, self.batch.primitive, out)
         return self._out(out)
@@ -64,7 +73,7 @@ class PreciseHits(Hits):
         if len(self._exact_triangles) == 1:
             from wrt.kernels.query import exact_closest as kernels
         else:
-            from wrt.kernels.query import instance_exact as kernels
+            from wrt.kernels.query import instance_exact as kernels  # type: ignore[no-redef]
         return kernels
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import cached_property
 from struct import unpack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeAlias, overload
 
 import numpy as np
 import warp as wp
@@ -13,6 +13,7 @@ import warp as wp
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_float
 from wrt.memory import empty
+from wrt.rays.array_types import ArrayLike, ArrayT, NumpyLike, WarpLike
 from wrt.state.device_hits import shaped
 from wrt.tables import lookup
 
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
     from wrt.state.device_hits import DeviceHits
     from wrt.state.scene_state import SceneState
 
-SIDES = {"direction": 0, "front": 1, "back": -1}
+Side: TypeAlias = Literal["direction", "front", "back"]
+
+SIDES: dict[str, int] = {"direction": 0, "front": 1, "back": -1}
 """Where rays may start, and how kernels are told."""
 
 
@@ -39,12 +42,12 @@ def rounds_positions(mesh: SceneMesh) -> bool:
     Args:
         mesh: of a scene, with its centre and the box around it (float32, relative to the centre).
     """
-    center, low, high = unpack("3d", mesh.center), unpack("3f", mesh.low), unpack("3f", mesh.high)
+    center, low, high = unpack("3d", mesh.center), unpack("3f", mesh.low), unpack("3f", mesh.high)  # type: ignore[arg-type]
     reach = max(abs(middle + end) for corner in (low, high) for middle, end in zip(center, corner, strict=True))
     return reach > FAR * math.dist(low, high)
 
 
-class Hits:
+class Hits(Generic[ArrayT]):
     """Closest hits of a batch of rays, in its leading shape (...).
 
     The attributes are NumPy arrays if the rays were, else Warp arrays on the scene's device. The traversal stores `t`,
@@ -88,7 +91,7 @@ class Hits:
     def __repr__(self) -> str:
         return f"Hits(shape={self.shape})"
 
-    def __copy__(self) -> Hits:
+    def __copy__(self) -> Hits[ArrayT]:
         """Hits that share the arrays and the triangles."""
         other = object.__new__(type(self))
         other.__dict__ |= self.__dict__
@@ -117,34 +120,34 @@ class Hits:
             return True
         if any(mesh.vertices is None or mesh.vertices.device != self._device for mesh in (ours, theirs)):
             return False
-        if tuple(ours.center) != tuple(theirs.center):
+        if tuple(ours.center) != tuple(theirs.center):  # type: ignore[arg-type]
             return False
         pairs = ((getattr(ours, name), getattr(theirs, name)) for name in ("geometry_first", "faces", "vertices"))
         return all(one.shape == other.shape and np.array_equal(one.numpy(), other.numpy()) for one, other in pairs)
 
     @cached_property
-    def t(self) -> Any:
+    def t(self) -> ArrayT:
         return self.batch.result("t", self._form)
 
     @cached_property
-    def uv(self) -> Any:
+    def uv(self) -> ArrayT:
         return self.batch.result("uv", self._form)
 
     @cached_property
-    def primitive_id(self) -> Any:
+    def primitive_id(self) -> ArrayT:
         alone = self._mesh.geometry_first.shape[0] == 2  # of a single mesh, triangles are numbered as through the scene
         return self.batch.result("primitive", self._form) if alone else self._out(self.located[2])
 
     @cached_property
-    def geometry_id(self) -> Any:
+    def geometry_id(self) -> ArrayT:
         return self._out(self.located[1])
 
     @cached_property
-    def instance_id(self) -> Any:
+    def instance_id(self) -> ArrayT:
         return self._out(self.located[0])
 
     @cached_property
-    def is_hit(self) -> Any:
+    def is_hit(self) -> ArrayT:
         from wrt.kernels.query.hit_attributes import mark_hits
 
         out = self._empty(wp.bool)
@@ -152,7 +155,7 @@ class Hits:
         return self._out(out)
 
     @cached_property
-    def position(self) -> Any:
+    def position(self) -> ArrayT:
         from wrt.kernels.query.hit_attributes import hit_positions
 
         out = self._empty(wp.vec3d)
@@ -160,14 +163,18 @@ class Hits:
         return self._out(out) if self.is_far else self._as_dtype(out)
 
     @cached_property
-    def normal(self) -> Any:
+    def normal(self) -> ArrayT:
         from wrt.kernels.query.hit_attributes import hit_normals
 
         out = self._empty(wp.vec3)
         self._launch(hit_normals, self._mesh, self._triangles, out)
         return self._as_dtype(out)
 
-    def spawn(self, directions: Any, side: str = "direction") -> Any:
+    @overload
+    def spawn(self, directions: NumpyLike, side: Side = "direction") -> ArrayT: ...
+    @overload
+    def spawn(self, directions: WarpLike, side: Side = "direction") -> wp.array: ...
+    def spawn(self, directions: ArrayLike, side: Side = "direction") -> Any:
         """Origins of rays that leave the hits: next to them, on the side of the surface that the direction points to.
 
         The distance from the surface is bounded by rounding (`wrt.kernels.query.spawn`): about 5e-7 times the largest extent of
@@ -207,7 +214,11 @@ class Hits:
             launch(spawn_origins, len(out), inputs, device=self._device, chunk=4096)
         return shaped(out, form._replace(dtype=np.float64))
 
-    def faces(self, directions: Any) -> Any:
+    @overload
+    def faces(self, directions: NumpyLike) -> ArrayT: ...
+    @overload
+    def faces(self, directions: WarpLike) -> wp.array: ...
+    def faces(self, directions: ArrayLike) -> Any:
         """Whether directions point to the front of the triangles: (...) bool, of the shape that `spawn` returns.
 
         The front is the side of `normal`, by the triangle's winding. False for a direction in the plane of the triangle, for a
@@ -248,7 +259,7 @@ class Hits:
             raise ValueError(f"directions have the leading shape {rays.shape}, which neither equals nor ends with {self.shape}")
         return rays, ResultForm(shape, rays.is_warp or self._form.is_warp, np.float32)
 
-    def smooth_normal(self, crease_angle: float = 60.0) -> Any:
+    def smooth_normal(self, crease_angle: float = 60.0) -> ArrayT:
         """(..., 3) float32: normals interpolated between the vertices of smooth surfaces, as `wrt.render` shades by them.
 
         Unit vectors on the side of `normal`; 0 for a miss. A vertex normal is the mean of the triangles around it, weighted by
@@ -273,7 +284,7 @@ class Hits:
         self._launch(smooth_normals_at_hits, self._mesh, self.batch.primitive, self.batch.uv, corners, out)
         return self._out(out)
 
-    def interpolate(self, vertex_values: Any) -> Any:
+    def interpolate(self, vertex_values: ArrayLike) -> ArrayT:
         """Values of vertices, interpolated within the triangles.
 
             heat = hits.interpolate(temperature)        # temperature: (V,), heat: (...)
@@ -295,7 +306,7 @@ class Hits:
         values, corners = corner_table(self._meshes, vertex_values)
         return self._interpolated(values, corners)
 
-    def uv_at(self) -> Any:
+    def uv_at(self) -> ArrayT:
         """(..., 2) float32: texture coordinates (`wrt.TriangleMesh.with_materials`); NaN for a miss.
 
         Raises:
@@ -324,7 +335,7 @@ class Hits:
         return "counters" in self.__dict__ or getattr(self, "_counters", None) is not None
 
     @cached_property
-    def counters(self) -> dict[str, Any]:
+    def counters(self) -> dict[str, np.ndarray]:
         if self._counters is None:
             raise ValueError("no counters were recorded; call scene.intersect(..., counters=True)")
         work = self._counters.numpy()
@@ -335,7 +346,7 @@ class Hits:
         """Instance, geometry, and triangle within the geometry."""
         from wrt.kernels.query.hit_attributes import locate_geometry
 
-        found = tuple(self._empty(wp.int32) for _ in range(3))
+        found = (self._empty(wp.int32), self._empty(wp.int32), self._empty(wp.int32))
         self._launch(locate_geometry, self._mesh, self.batch.primitive, *found)
         return found
 

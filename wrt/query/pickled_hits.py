@@ -73,7 +73,7 @@ class PickledHits(Hits):
         return wp.array(values, dtype=vectors[values.shape[-1], values.itemsize], device=self._home)
 
     @cached_property
-    def batch(self) -> DeviceHits:
+    def batch(self) -> DeviceHits:  # type: ignore[override]
         """As in `Hits`."""
         values = self._state.values
         arrays = {"t": values["t"].reshape(-1), "primitive": self._state.primitive, "uv": values["uv"].reshape(-1, 2)}
@@ -113,7 +113,7 @@ class PickledHits(Hits):
         return not self._state.is_float64 and self._state.values["position"].dtype == np.float64
 
     @property
-    def _meshes(self) -> NoReturn:
+    def _meshes(self) -> NoReturn:  # type: ignore[override]
         """Not available, and so neither are the attributes that are interpolated.
 
         Raises:

@@ -107,7 +107,7 @@ def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.a
             raise ValueError(
                 f"skip holds triangles of one {what}, and the scene has {count}; pass the wrt.Hits where rays start"
             )
-        values, shape = (skip, skip.shape) if isinstance(skip, wp.array) else as_triangles(skip, scene.triangle_count)
+        values, shape = (skip, skip.shape) if isinstance(skip, wp.array) else as_triangles(skip, scene.triangle_count)  # type: ignore[assignment]
     if isinstance(values, wp.array) and values.device != scene.device:
         raise ValueError(f"skip is on {values.device}, the scene on {scene.device}; copy it there, or make the hits there")
     if isinstance(values, wp.array) and values.dtype is not wp.int32:

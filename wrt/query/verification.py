@@ -38,6 +38,8 @@ from wrt.rays.rays import Rays
 from wrt.state.query_kinds import ANY, CLOSEST, Query
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from wrt.state.scene_state import SceneState
 
 TOLERANCE = 2.0**-21
@@ -143,7 +145,7 @@ class Verification:
             self.print(console)
         return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
-    def print(self, console: object) -> None:
+    def print(self, console: Console) -> None:
         """Prints the tables to a `rich.console.Console`."""
         from rich.table import Table
 
@@ -236,7 +238,7 @@ class Check:
         behind[found] = self.t[found] * self.lengths[found] > nearest
         suspects = np.flatnonzero(behind | ((self.expected >= 0) & ~occluded))
         self.missed, self.undecided = np.zeros(len(origins), dtype=bool), np.zeros(len(origins), dtype=bool)
-        for ray in suspects:
+        for ray in suspects.tolist():
             sure = self.is_covered(ray, self.t[ray] if occluded[ray] else np.inf)
             (self.missed if sure else self.undecided)[ray] = True
 

@@ -47,7 +47,7 @@ class Arrangement(NamedTuple):
     """
 
     shape: Shape
-    count: int
+    count: int  # type: ignore[assignment]
     layout: Layout
 
 

@@ -86,7 +86,7 @@ def arrange_rays(
     tags.source = _tag(np.arange(count) if sources is None else sources, "sources", count, device)
     places = find_places(entry, tags, count, packet, device)
     batch, arranged = given.batch(), RayBatch()
-    room = {"origins": (wp.vec3, batch.origin_stride), "directions": (wp.vec3, 1)}
+    room: dict[str, tuple[Any, int]] = {"origins": (wp.vec3, batch.origin_stride), "directions": (wp.vec3, 1)}
     room |= {"t_min": (wp.float32, batch.t_min_stride), "t_max": (wp.float32, batch.t_max_stride)}
     for name, (dtype, stride) in room.items():
         setattr(arranged, name, wp.zeros(len(places), dtype=dtype, device=device) if stride else getattr(batch, name))

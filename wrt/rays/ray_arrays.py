@@ -151,6 +151,8 @@ def _in_place(
     if found is None:
         return None
     shape, count, layout = found
+    points: wp.array | HostArray
+    dtype: type
     given, centered = (origins, directions, t_min, t_max), layout.centered
     if centered:
         points, dtype = shared_point(origins, center), np.float64
@@ -209,7 +211,7 @@ def _vectors(
             with np.errstate(over="ignore"):
                 values = (values - center).astype(np.float32)
         dtype = wp.vec3f if values.dtype == np.float32 else wp.vec3d
-        values = _upload(values, dtype, device)
+        values = _upload(values, dtype, device)  # type: ignore[arg-type]
     if values.dtype is wp.vec3d:
         out = wp.empty(len(values), dtype=wp.vec3f, device=device)
         launch(center_float64_points, len(values), [values, wp.vec3d(*map(float, center)), out], device=device, chunk=4096)
@@ -223,7 +225,7 @@ def repeats_of(values: np.ndarray, shape: tuple[int, ...]) -> tuple[bool, ...] |
     axes = zip(shape[missing:], values.shape[:-1], values.strides[:-1], strict=True)
     found = (*(n > 1 for n in shape[:missing]), *(n > 1 and (own == 1 or stride == 0) for n, own, stride in axes))
     lengthens = [n > 1 for n in shape]
-    return found if len(shape) <= 4 and any(found) and list(found) != lengthens and math.prod(shape) else None
+    return found if len(shape) <= 4 and any(found) and list(found) != lengthens and math.prod(shape) else None  # type: ignore[arg-type]
 
 
 def repeated(
@@ -285,4 +287,4 @@ def _upload(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
 def _number(value: float, device: str) -> wp.array:
     """A cached array of one float32: most batches have the same bounds."""
     with np.errstate(over="ignore"), kept(wp.get_device(device)):
-        return wp.array(np.float32([value]), dtype=float, device=device)
+        return wp.array(np.array([value], dtype=np.float32), dtype=float, device=device)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import warp as wp
@@ -83,6 +83,10 @@ class RayBuffers:
         return self.given.count
 
 
+@overload
+def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers: ...
+@overload
+def to_device(rays: Rays, device: wp.Device, center: np.ndarray, staged: int) -> RayBuffers | StagedRays: ...
 def to_device(rays: Rays, device: wp.Device, center: np.ndarray, staged: int = 0) -> RayBuffers | StagedRays:
     """Brings rays to the device, relative to `center` (origins in float64 become float32 only then).
 
@@ -120,12 +124,12 @@ def set_mask(buffers: RayBuffers, mask: Any, device: wp.Device) -> None:
     if isinstance(mask, wp.array):
         if mask.dtype is not wp.uint32 or mask.device != device:
             raise ValueError(f"mask must be a Warp array of uint32 on {device}, not of {mask.dtype.__name__} on {mask.device}")
-        values, stride = mask, 0 if mask.size == 1 else 1
+        stride = 0 if mask.size == 1 else 1
         if stride and mask.shape != buffers.shape:
             raise ValueError(
                 f"mask has the shape {mask.shape}, the rays {buffers.shape}; Warp arrays broadcast only from one element"
             )
-        buffers.batch.mask, buffers.batch.mask_stride = values.flatten(), stride
+        buffers.batch.mask, buffers.batch.mask_stride = mask.flatten(), stride
         return
     values = host_array("mask", mask)
     if values.dtype.kind not in "iu":
@@ -177,7 +181,7 @@ def set_environment(buffers: RayBuffers, environment: Any, device: wp.Device) ->
     batch.environment, batch.environment_stride = wp.array(each, dtype=int, device=device), stride
 
 
-def shares_origin(batch: RayBatch) -> bool:
+def shares_origin(batch: Any) -> bool:
     """Whether all rays are known to start at one point, as a single ray does."""
     return batch.origin_stride == 0 or batch.count <= 1
 

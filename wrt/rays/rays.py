@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, overload
 
 import numpy as np
 import warp as wp
 
 from wrt.kernels.validation import as_real_array, resolved, unreadable
+from wrt.rays.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
 
 MAX_RAYS = (1 << 31) - 1
 """Largest number of rays of one call: kernels number them with 32 bits."""
@@ -21,7 +22,7 @@ Array = Any
 
 
 @dataclass(frozen=True)
-class Rays:
+class Rays(Generic[ArrayT]):
     """Rays origin + t direction.
 
     Attributes:
@@ -34,6 +35,22 @@ class Rays:
     directions: Array
     t_min: Array = 0.0
     t_max: Array = float("inf")
+
+    if TYPE_CHECKING:  # the kind of the results
+
+        @overload
+        def __init__(
+            self: Rays[np.ndarray], origins: NumpyLike, directions: NumpyLike, t_min: Numbers = 0.0, t_max: Numbers = ...
+        ) -> None: ...
+        @overload
+        def __init__(
+            self: Rays[wp.array], origins: WarpLike, directions: ArrayLike, t_min: Numbers = 0.0, t_max: Numbers = ...
+        ) -> None: ...
+        @overload
+        def __init__(
+            self: Rays[wp.array], origins: NumpyLike, directions: WarpLike, t_min: Numbers = 0.0, t_max: Numbers = ...
+        ) -> None: ...
+        def __init__(self, origins: Array, directions: Array, t_min: Array = 0.0, t_max: Array = ...) -> None: ...
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -126,7 +143,7 @@ def _from_dlpack(values: Any, name: str) -> wp.array:
             does not have.
     """
     try:
-        return wp.from_dlpack(resolved(values))
+        return wp.from_dlpack(resolved(values))  # type: ignore[return-value]
     except MemoryError:
         raise
     except Exception as error:  # each library has its own

@@ -127,7 +127,7 @@ def stage(rays: Rays, device: wp.Device, center: np.ndarray, most: int) -> Stage
     if not 0 < count <= most:
         return None
     dtype = np.float64 if FLOAT64 in (origins.dtype, directions.dtype) else np.float32
-    return StagedRays((origins, directions, t_min, t_max), ResultForm(shape, False, dtype), count, device, center)
+    return StagedRays((origins, directions, t_min, t_max), ResultForm(shape, False, dtype), count, device, center)  # type: ignore[arg-type]
 
 
 def is_small(values: Any, most: int) -> bool:

@@ -17,7 +17,7 @@ import threading
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import IO, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -47,7 +47,7 @@ def checksum(arrays: Mapping[str, np.ndarray]) -> str:
     for name in sorted(arrays.keys() - {CHECKSUM}):
         array = np.asarray(arrays[name])
         state.update(json.dumps([name, array.dtype.str, array.shape]).encode())
-        state.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8))
+        state.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8))  # type: ignore[arg-type]
     return state.hexdigest()
 
 
@@ -126,7 +126,7 @@ def read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
         return array.copy(order="C") if is_fortran else array
 
 
-def read_header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype]:
+def read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Shape, whether the order is Fortran's, and type of the array that begins in a file; reads up to its elements.
 
     Raises:

@@ -140,7 +140,7 @@ class InstancedState(SceneState):
         instances = distinct_instances(self.instances, self.geometry_ids, [part.meshes[0] for part in parts])
         if len(instances) == len(self.instances) and all(one is own for one, own in zip(parts, self.mesh_states, strict=True)):
             return self
-        known = {id(part.meshes[0]): (part, cover) for part, cover in zip(parts, self.covers.each, strict=True)}
+        known: dict[int, Any] = {id(part.meshes[0]): (part, cover) for part, cover in zip(parts, self.covers.each, strict=True)}
         with use_threads(self.num_threads):
             return place_members(tuple(instances), self.settings, None, self.mark, known)
 
@@ -189,7 +189,7 @@ class InstancedState(SceneState):
         states, number = self.mesh_states, self.geometry_ids[chosen[0]]
         if any(self.geometry_ids[one] != number for one in chosen):
             raise ValueError("index names instances of several meshes; pass vertices for the instances of one mesh at a time")
-        part = states[number].updated(0, vertices, None, None, policy)
+        part: Any = states[number].updated(0, vertices, None, None, policy)
         part.complete()
         states = (*states[:number], part, *states[number + 1 :])
         covers = (*self.covers.each[:number], cover(part), *self.covers.each[number + 1 :])
@@ -311,7 +311,7 @@ def place_instances(
     first = first_triangles(states, geometry_ids)
     transforms, known = np.array([instance.transform for instance in instances]), Covers.of(covers, states)
     boxes = InstanceBoxes.of(transforms, np.array(geometry_ids), known)
-    table = np.zeros(len(instances), dtype=Placement.numpy_dtype())
+    table: Any = np.zeros(len(instances), dtype=Placement.numpy_dtype())  # type: ignore[attr-defined]
     write_maps(table, slice(None), transforms)
     table["geometry"], table["first"] = geometry_ids, first[:-1]
     table["mask"] = [instance.mask for instance in instances]
@@ -365,9 +365,9 @@ def place(
     if tree is None:
         depth = max(getattr(state.tree, "depth", 0) for state in old.mesh_states)  # stacks for kd-trees have one size
         environments = np.array([instance.environment for instance in instances], dtype=np.int32)
-        tree = build_upper(corners, environments, max(old.mesh_states[0].width, 2), depth, device)
+        tree = build_upper(corners, environments, max(old.mesh_states[0].width, 2), depth, device)  # type: ignore[arg-type]
     else:
-        tree = tree.with_boxes(*corners, rows)
+        tree = tree.with_boxes(*corners, rows)  # type: ignore[call-arg]
     return assemble(old, instances, boxes, table, tree, moved)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.accelerators.accelerator import Accelerator
+from wrt.accelerators.accelerator import Accelerator, AcceleratorName
 from wrt.instances.members import Members
 from wrt.kernels.runtime.launch import check_num_threads, refuse_capture, use_threads
 from wrt.meshes.instance import Instance, has_instances
@@ -18,7 +18,7 @@ from wrt.meshes.mesh import TriangleMesh
 from wrt.query.api import Queries
 from wrt.scene.instanced_state import build_instanced_state
 from wrt.scene.mesh_state import state_of_meshes
-from wrt.scene.updates import UpdatePolicy, as_policy
+from wrt.scene.updates import UpdatePolicy, When, as_policy
 from wrt.state.query_kinds import AUTO
 from wrt.state.scene_settings import as_settings
 from wrt.state.scene_state import SceneState
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from wrt.builders import tree as common
+    from wrt.rays.array_types import ArrayLike
     from wrt.scene.scene_statistics import SceneStatistics
     from wrt.scene.storage import TreeSource
     from wrt.scene.updates import UpdateReport
@@ -84,7 +85,7 @@ class Scene(Queries, Members):
     def __init__(
         self,
         geometry: Any,
-        accelerator: str | Accelerator = AUTO,
+        accelerator: AcceleratorName | Accelerator = AUTO,
         *,
         triangle_test: str = AUTO,
         device: str | wp.Device | None = None,
@@ -102,11 +103,11 @@ class Scene(Queries, Members):
         self,
         index: Any,
         *,
-        vertices: Any = None,
-        transform: Any = None,
+        vertices: ArrayLike | None = None,
+        transform: ArrayLike | None = None,
         mask: int | None = None,
         environment: int | None = None,
-        rebuild: str | UpdatePolicy = "auto",
+        rebuild: When | UpdatePolicy = "auto",
     ) -> None:
         """Moves the vertices of a mesh, whose triangles stay the same, or moves instances.
 
@@ -163,6 +164,9 @@ class Scene(Queries, Members):
         The file is an .npz archive of plain arrays, whatever its name. An existing file is replaced only once the new one
         is complete; if `path` is a symbolic link, the file that it points to is replaced.
 
+        Materials are written with the meshes, those that emit light, too. Cameras and lights (`wrt.lights`) are arguments of
+        pictures and not in a scene: `wrt.lights.save_lights` writes lights to a file of their own.
+
         Raises:
             OSError: the file cannot be written.
             ValueError: the tree is lazy or has influence areas, which cannot be saved; or `path` is a device, a pipe or a
@@ -194,7 +198,7 @@ class Scene(Queries, Members):
         meshes, accelerator, triangle_test, known, graph = load_scene(path)
         scene = cls(meshes, accelerator, triangle_test=triangle_test, device=device, num_threads=num_threads, cache=known)
         if graph is not None:
-            scene.state = replace(scene.state, graph=graph)
+            scene.state = replace(scene.state, graph=graph)  # type: ignore[call-arg]
         return scene
 
     @property

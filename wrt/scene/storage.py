@@ -152,7 +152,7 @@ def tree_key(vertices: np.ndarray, faces: np.ndarray, accelerator: Accelerator, 
     state = hashlib.sha256(f"{FORMAT} {revision} {accelerator!r} {accelerator.config(width)!r}".encode())
     for array in (vertices, faces):
         state.update(f"{array.shape} {array.dtype.str}".encode())
-        state.update(np.ascontiguousarray(array))
+        state.update(np.ascontiguousarray(array))  # type: ignore[arg-type]
     return state.hexdigest()
 
 
@@ -251,7 +251,7 @@ def save_scene(scene: SceneState, path: str | Path) -> None:
 
 def scene_arrays(scene: SceneState) -> dict[str, np.ndarray]:
     """The arrays of a scene's file."""
-    header = {
+    header: dict[str, Any] = {
         "format": FORMAT,
         "key": "" if scene.instances else key_of(scene),
         "accelerator": asdict(scene.accelerator),
@@ -321,8 +321,8 @@ def parse_scene(arrays: dict[str, np.ndarray]) -> Stored:
     if "keys" in header:
         trees = [arrays_below(arrays, f"tree{number}.") for number in range(len(meshes))]
         counts = [mesh.triangle_count for mesh in meshes]
-        known = StoredTrees(dict(zip(header["keys"], map(unpack_tree, trees, counts), strict=True)))
-        kind, geometry = trees[0]["kind"], instances_of(arrays, meshes)
+        known: TreeSource = StoredTrees(dict(zip(header["keys"], map(unpack_tree, trees, counts), strict=True)))
+        kind, geometry = trees[0]["kind"], list[Any](instances_of(arrays, meshes))
     else:
         tree = arrays_below(arrays, "tree.")
         known = StoredTree(header["key"], unpack_tree(tree, sum(mesh.triangle_count for mesh in meshes)))

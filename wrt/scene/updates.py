@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -31,7 +31,11 @@ if TYPE_CHECKING:
     from wrt.meshes.placement import PlacedMeshes
 
 NAN = float("nan")
-AUTO, ALWAYS, NEVER = "auto", "always", "never"
+AUTO: Final = "auto"
+ALWAYS: Final = "always"
+NEVER: Final = "never"
+
+When: TypeAlias = Literal["auto", "always", "never"]
 
 SAMPLES = 4096
 """Triangles sampled for the typical motion of a scene."""
@@ -58,7 +62,7 @@ class UpdatePolicy:
         ValueError: an unknown name, or a tolerance below 1.
     """
 
-    when: str = AUTO
+    when: When = AUTO
     tolerance: float = 1.3
     subtrees: bool = True
 
@@ -102,7 +106,7 @@ def as_policy(rebuild: Any) -> UpdatePolicy:
         return rebuild
     if not isinstance(rebuild, str):
         raise TypeError(f"rebuild must be 'auto', 'always', 'never' or a wrt.moving.UpdatePolicy, not {type(rebuild).__name__}")
-    return UpdatePolicy(when=rebuild)
+    return UpdatePolicy(when=rebuild)  # type: ignore[arg-type]  # which it checks
 
 
 @dataclass(frozen=True)
@@ -186,7 +190,7 @@ class TreeRecipe:
         """Builds a new tree. One thread builds each subtree, which suits CPU cores: the tree is built on the CPU and copied."""
         return self.accelerator.build(triangles.boxes(), self.width).to(self.device)
 
-    def costs(self, tree: KdTree | Bvh) -> np.ndarray:
+    def costs(self, tree: Any) -> np.ndarray:
         """(nodes,) cost of each subtree."""
         from wrt.builders.bvh.update.node_costs import node_costs
         from wrt.builders.kdtree import kdtree_statistics as statistics
@@ -196,16 +200,16 @@ class TreeRecipe:
         is_bvh = self.accelerator.kind == "bvh"
         return node_costs(tree, cost) if is_bvh else refill.node_costs(statistics.unpack(tree), cost)
 
-    def reuse_nodes(self, old: KdTree | Bvh, triangles: MovedTriangles) -> RefittedBvh | RefilledKdTree:
+    def reuse_nodes(self, old: Any, triangles: MovedTriangles) -> RefittedBvh | RefilledKdTree:
         """The old nodes with the triangles in their new places."""
         from wrt.builders.bvh.update.bvh_update import RefittedBvh
         from wrt.builders.kdtree import KDTREE_BUILDERS
         from wrt.builders.kdtree.update.kdtree_update import RefilledKdTree
 
-        config = self.accelerator.config(self.width)
+        config: Any = self.accelerator.config(self.width)
         if self.accelerator.kind == "bvh":
             cost = None if self.only_refits else config.cost
-            build = partial(self.accelerator.build, width=self.width)
+            build: Any = partial(self.accelerator.build, width=self.width)
             return RefittedBvh(old, triangles.vertices, triangles.faces, triangles.boxes, cost, build)
         host, build = old.to(wp.get_device("cpu")), KDTREE_BUILDERS[self.accelerator.builder].build
         return RefilledKdTree(host, triangles.boxes(), triangles.shift, config, build)

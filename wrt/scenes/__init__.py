@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import Any
 
 from wrt.meshes.mesh import TriangleMesh
-from wrt.scenes.animations import Animation, walking_figure, waving_cloth
+from wrt.scenes.animations import Animation, Skin, walking_figure, waving_cloth
 from wrt.scenes.colonnade import atrium
 from wrt.scenes.cornell_box import cornell_box
 from wrt.scenes.newell_teapot import teapot
@@ -29,6 +29,7 @@ __all__ = [
     "BUILTIN_SCENES",
     "Animation",
     "BuiltinScene",
+    "Skin",
     "atrium",
     "build",
     "cornell_box",

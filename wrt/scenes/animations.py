@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wrt.kernels.validation import as_int, as_numbers
 from wrt.meshes.mesh import TriangleMesh
@@ -82,7 +83,7 @@ class Animation:
         """Number of frames."""
         return len(self.frames)
 
-    def moved(self, offset: tuple[float, float, float]) -> Animation:
+    def moved(self, offset: ArrayLike) -> Animation:
         """The same animation, shifted by `offset`, (3,)."""
         offset = as_numbers("offset", offset, (3,))
         bones = self.bones

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wrt.kernels.validation import as_float, as_int
 from wrt.meshes.mesh import TriangleMesh
@@ -59,7 +60,7 @@ def plane(low: tuple[float, float], high: tuple[float, float], z: float = 0.0, c
     return sheets(np.stack([grid_x, grid_y, np.full_like(grid_x, z)], axis=-1))
 
 
-def boxes(low: np.ndarray, high: np.ndarray) -> TriangleMesh:
+def boxes(low: ArrayLike, high: ArrayLike) -> TriangleMesh:
     """Closed axis-parallel boxes, 12 triangles each; (3,) or (N, 3) lowest and highest corners."""
     low, high = np.broadcast_arrays(np.atleast_2d(low).astype(float), np.atleast_2d(high).astype(float))
     bits = (np.arange(8)[:, None] >> np.arange(3)) & 1  # corner i: high x if bit 0 is set, high y if bit 1, ...

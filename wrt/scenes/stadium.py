@@ -9,6 +9,7 @@ around it, a canopy above them, and four masts with floodlights.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.newell_teapot import teapot
@@ -50,7 +51,7 @@ def teapot_in_stadium(level: int = 24, rows: int = 24, segments: int = 64) -> Tr
     return TriangleMesh.concatenate(parts, name="teapot_in_stadium")
 
 
-def _oval(depth: np.ndarray, height: np.ndarray, segments: int) -> np.ndarray:
+def _oval(depth: ArrayLike, height: ArrayLike, segments: int) -> np.ndarray:
     """(R, segments + 1, 3) ellipses at `depth` metres behind the innermost one, clockwise seen from above."""
     angle = np.linspace(0.0, -2.0 * np.pi, segments + 1)
     half_axes = _FIELD + np.asarray(depth, dtype=float)[:, None]
@@ -119,8 +120,8 @@ def _markings() -> TriangleMesh:
         for y in (-3.66, 3.66):
             posts.append((x - 0.06, y - 0.06, 0.0, x + 0.06, y + 0.06, 2.44))
         posts.append((x - 0.06, -3.72, 2.44, x + 0.06, 3.72, 2.56))
-    posts = np.array(posts)
-    return TriangleMesh.concatenate([boxes(low, high), circle, boxes(posts[:, :3], posts[:, 3:])])
+    ends = np.array(posts)
+    return TriangleMesh.concatenate([boxes(low, high), circle, boxes(ends[:, :3], ends[:, 3:])])
 
 
 def _masts() -> list[TriangleMesh]:

@@ -16,7 +16,8 @@ SAME = 1e-9
 def lens_of(camera: Any) -> LensModel:
     """The lens of `Camera.from_camera`."""
     if isinstance(camera, PinholeCamera):
-        focal, kind = camera.height / 2 / np.tan(np.radians(camera.fov) / 2), BrownConrady
+        focal = camera.height / 2 / np.tan(np.radians(camera.fov) / 2)
+        kind: type[BrownConrady | Orthographic] = BrownConrady
     elif isinstance(camera, OrthographicCamera):
         focal, kind = camera.height / camera.view_height, Orthographic
     else:

@@ -26,14 +26,14 @@ from wrt.sensors.checks import check_at_least
 if TYPE_CHECKING:
     from wrt.kernels.sensors.camera_images import Images
     from wrt.kernels.sensors.lidar_beams import Beams
-    from wrt.query.api import Queries
+    from wrt.scene.scene import Scene
     from wrt.sensors.time_slices import TracedSlice
     from wrt.sensors.trajectory import StillPoses, Trajectory
 
 
 def extra_images(
     camera: Any,
-    scene: Queries,
+    scene: Scene,
     path: Trajectory | StillPoses,
     motions: Mapping[int, Trajectory],
     times: tuple[float, float],
@@ -42,7 +42,8 @@ def extra_images(
     flow: float | None,
 ) -> dict[str, Any]:
     """The images that were asked for, to be filled; arguments and errors as of `Camera.capture`, and times of exposures."""
-    count, found = camera.width * camera.height * math.prod(getattr(path, "shape", ())), {}
+    count = camera.width * camera.height * math.prod(getattr(path, "shape", ()))
+    found: dict[str, Any] = {}
     if albedo:
         found["albedo"] = Albedo(scene, materials, count)
     if flow is not None:
@@ -59,7 +60,7 @@ class Albedo:
         count: number of pixels.
     """
 
-    def __init__(self, scene: Queries, materials: Any, count: int) -> None:
+    def __init__(self, scene: Scene, materials: Any, count: int) -> None:
         from wrt.kernels.shading.wavefront.scene_light import LitScene
 
         self._lit, self.values = LitScene(), empty(count, wp.vec3, scene.device)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from wrt.imaging.integrators.rendering_job import Rendering
     from wrt.kernels.sensors.camera_images import Images
     from wrt.kernels.sensors.lidar_beams import Beams
-    from wrt.query.api import Queries
+    from wrt.scene.scene import Scene
 
 MAX_PIXELS = (1 << 31) - 1
 
@@ -132,7 +132,7 @@ class Camera:
 
     def capture(
         self,
-        scene: Queries,
+        scene: Scene,
         pose: Any,
         *,
         time: float = 0.0,
@@ -382,7 +382,7 @@ def as_miss(miss: Any) -> float:
     return miss if type(miss) is float else float(as_numbers("miss", miss, (), finite=False))
 
 
-def as_labels(labels: Any, scene: Queries) -> np.ndarray:
+def as_labels(labels: Any, scene: Scene) -> np.ndarray:
     """(I,) int32, or (0,) for none.
 
     Raises:

@@ -80,8 +80,8 @@ class LensModel:
 
         lens = Lens()
         lens.model = MODELS.index(self.model)
-        lens.fx, lens.fy, lens.cx, lens.cy, coefficients, lens.max_angle = self._numbers()
-        lens.skew = getattr(self, "skew", 0.0)
+        lens.fx, lens.fy, lens.cx, lens.cy, coefficients, lens.max_angle = self._numbers()  # type: ignore[assignment]
+        lens.skew = getattr(self, "skew", 0.0)  # type: ignore[arg-type]
         lens.c = Coefficients(*coefficients, *(0.0,) * (COEFFICIENTS - len(coefficients)))
         return lens
 
@@ -154,7 +154,7 @@ class BrownConrady(_FocalLens):
             TypeError, ValueError: as the class; a matrix of another form.
         """
         *focal, skew = _focal(matrix)
-        return cls(*focal, distortion, skew)
+        return cls(*focal, distortion, skew)  # type: ignore[arg-type, call-arg]
 
     def _numbers(self) -> tuple[float, float, float, float, tuple[float, ...], float]:
         return self.fx, self.fy, self.cx, self.cy, self.distortion, np.pi / 2
@@ -193,7 +193,7 @@ class KannalaBrandt(_FocalLens):
     def from_matrix(cls, matrix: Any, distortion: Any = (), max_angle: float = np.pi) -> KannalaBrandt:
         """The lens of a camera matrix K; arguments and errors as in `BrownConrady.from_matrix` and the class."""
         *focal, skew = _focal(matrix)
-        return cls(*focal, distortion, max_angle, skew)
+        return cls(*focal, distortion, max_angle, skew)  # type: ignore[arg-type, call-arg]
 
     def _numbers(self) -> tuple[float, float, float, float, tuple[float, ...], float]:
         return self.fx, self.fy, self.cx, self.cy, self.distortion, self.max_angle
@@ -318,7 +318,8 @@ def _focal(matrix: Any) -> tuple[float, float, float, float, float]:
             f"matrix must be [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], not {matrix.tolist()}; divide it by its last number, or "
             "pass rays of wrt.compat.RaycastingScene.create_rays_pinhole, which takes any invertible matrix, to intersect"
         )
-    return (*(float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1))),)
+    fx, fy, cx, cy, skew = (float(matrix[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2), (0, 1)))
+    return fx, fy, cx, cy, skew
 
 
 def _check_angle(angle: float) -> None:

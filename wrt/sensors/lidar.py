@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.kernels.sensors.lidar_returns import Detector, Noise, Returns
     from wrt.memory import ArraysOfBlock
-    from wrt.query.api import Queries
+    from wrt.scene.scene import Scene
 
 KEEP = {"strongest": 0, "first": 1, "last": 2}
 """Which returns of a beam are kept, and their numbers in `wrt.kernels.sensors.lidar_returns`."""
@@ -115,7 +115,7 @@ class Lidar:
         for name in ("range_noise", "angle_noise"):
             check_at_least(name, getattr(self, name), 0.0)
         check_at_least("dropout", self.dropout, 0.0, 1.0)
-        check_at_least("reference_range", self.reference_range, np.finfo(np.float32).tiny)
+        check_at_least("reference_range", self.reference_range, float(np.finfo(np.float32).tiny))
         for name, most in (("bundle", MAX_BUNDLE), ("returns", MAX_RETURNS)):
             as_int(name, getattr(self, name), 1, most)
         if not self.max_range > self.min_range:
@@ -151,7 +151,7 @@ class Lidar:
 
     def scan(
         self,
-        scene: Queries,
+        scene: Scene,
         pose: Any,
         *,
         time: float = 0.0,
@@ -200,13 +200,13 @@ class Lidar:
         slices = check_slices(slices)
         order, parts = self.pattern.cut(sensors, slices if motions else 1)
         parts = [part.later(time) for part in parts]
-        given = {"mask": mask, "environment": environment}
-        each = for_each_ray(given, sensors, len(self.pattern), self.bundle, order, scene.device)
+        seen_by = {"mask": mask, "environment": environment}
+        each = for_each_ray(seen_by, sensors, len(self.pattern), self.bundle, order, scene.device)
         with use_threads(scene.num_threads):
             relative = not (motions or each) and traversal == AUTO and type(scene).intersect is Queries.intersect
             work.fire(order, relative)
             given = work.origins, work.directions, self.bundle, (*sensors, *self.pattern.shape), self.max_range, traversal, each
-            rays = SensorRays(*given, relative)
+            rays = SensorRays(*given, relative)  # type: ignore[arg-type, call-arg]
             for found in trace_slices(work.scene, rays, Bodies(motions, parts), parts):
                 work.describe(found)
         return LidarScan(self.pattern, work.arrays, self.returns, path, time, slice_error(motions, scene, parts))
@@ -288,7 +288,7 @@ class _Work:
     """A scan under way: rays of all beams, and returns as far as they are known."""
 
     def __init__(
-        self, lidar: Lidar, scene: Queries, path: Trajectory | StillPoses, time: float, reflectance: np.ndarray, noise: Noise
+        self, lidar: Lidar, scene: Scene, path: Trajectory | StillPoses, time: float, reflectance: np.ndarray, noise: Noise
     ) -> None:
         self.lidar, self.path, self.time, self.noise = lidar, path, time, noise
         self.scene, self.device = copy(scene), scene.device
@@ -351,7 +351,7 @@ def new_returns(count: int, device: wp.Device) -> tuple[Returns, Mapping[str, wp
     return returns, outputs_of(returns, RETURNS, count, device)
 
 
-def as_reflectance(reflectance: Any, scene: Queries) -> np.ndarray:
+def as_reflectance(reflectance: Any, scene: Scene) -> np.ndarray:
     """(1,) or (I,) float64.
 
     Raises:
@@ -391,6 +391,6 @@ def as_noise(lidar: Lidar, seed: int | None) -> Noise:
     if seed is None:
         return no_noise()
     seed, noise = as_int("seed", seed, 0, (1 << 64) - 1), Noise()
-    noise.range, noise.angle, noise.dropout = lidar.range_noise, lidar.angle_noise, lidar.dropout
+    noise.range, noise.angle, noise.dropout = lidar.range_noise, lidar.angle_noise, lidar.dropout  # type: ignore[assignment]
     noise.key = wp.vec2ui(seed & 0xFFFFFFFF, seed >> 32)
     return noise

@@ -32,7 +32,7 @@ from wrt.state.query_kinds import AUTO
 if TYPE_CHECKING:
     from wrt.kernels.query.hit_attributes import SceneMesh
     from wrt.kernels.sensors.lidar_returns import Motions, Traced
-    from wrt.query.api import Queries
+    from wrt.scene.scene import Scene
     from wrt.state.device_hits import DeviceHits
 
 MAX_SLICES = 4096
@@ -118,7 +118,7 @@ class SensorRays:
     each: Mapping[str, Any]
     is_relative: bool = False
 
-    def hits(self, scene: Queries, begin: int, end: int, shape: tuple[int, ...], **each: Any) -> DeviceHits:
+    def hits(self, scene: Scene, begin: int, end: int, shape: tuple[int, ...], **each: Any) -> DeviceHits:
         """The closest hits of the rays of some beams in a leading shape."""
         shape, rays = (*shape, *((self.bundle,) if self.bundle > 1 else ())), (begin * self.bundle, end * self.bundle)
         if self.is_relative:
@@ -126,7 +126,7 @@ class SensorRays:
             given = self.origins, self.directions, self.t_max, shape, state.device, state.center
             return closest_of_relative(state, relative_rays(*given))
         origins = self.origins if self.origins.size == 1 else part_of(self.origins, *rays).reshape(shape)
-        own = {n: part_of(v, *rays).reshape(shape) if isinstance(v, wp.array) else v for n, v in (self.each | each).items()}
+        own = {n: part_of(v, *rays).reshape(shape) if isinstance(v, wp.array) else v for n, v in {**self.each, **each}.items()}
         if not (isinstance(self.traversal, str) and self.traversal == AUTO):  # few options are checked in less time
             own["traversal"] = self.traversal
         directions = part_of(self.directions, *rays).reshape(shape)
@@ -158,7 +158,7 @@ class TracedSlice(NamedTuple):
     motions: Motions
 
 
-def trace_slices(scene: Queries, rays: SensorRays, bodies: Bodies, parts: Sequence[Slice]) -> Iterator[TracedSlice]:
+def trace_slices(scene: Scene, rays: SensorRays, bodies: Bodies, parts: Sequence[Slice]) -> Iterator[TracedSlice]:
     """Traces the rays of all slices.
 
     All at once, if there are several slices: time slices are environments then (`wrt.scene.sliced_state`). In a scene that has
@@ -179,7 +179,7 @@ def trace_slices(scene: Queries, rays: SensorRays, bodies: Bodies, parts: Sequen
     if bodies.chosen and len(parts) > 1 and few and all(one.environment < 0 for one in scene.instances):
         together = rays.each.get("environment") is None
     if together:
-        scene.state = sliced(scene.state, bodies.chosen, bodies.transforms)
+        scene.state = sliced(scene.state, bodies.chosen, bodies.transforms)  # type: ignore[arg-type]
         lengths = [(part.end - part.begin) * rays.bundle for part in parts]
         numbers = wp.array(np.repeat(np.arange(len(parts), dtype=np.int32), lengths), dtype=int, device=device)
         shapes = {part.shape[1] if part.shape and len(part.shape) == 2 else 0 for part in parts}
@@ -189,7 +189,7 @@ def trace_slices(scene: Queries, rays: SensorRays, bodies: Bodies, parts: Sequen
     for number, part in enumerate(parts):
         own = part.begin * rays.bundle, part.end * rays.bundle
         if together:
-            hits, within, mesh = found, own, slice_mesh(scene.state, number)
+            hits, within, mesh = found, own, slice_mesh(scene.state, number)  # type: ignore[arg-type]
         else:
             if bodies.chosen:
                 scene.update(bodies.chosen, transform=bodies.transforms[number])
@@ -276,7 +276,7 @@ def for_each_ray(
     return found
 
 
-def as_motions(motions: Any, scene: Queries, begin: float, end: float) -> Mapping[int, Trajectory]:
+def as_motions(motions: Any, scene: Scene, begin: float, end: float) -> Mapping[int, Trajectory]:
     """Checked trajectories of instances over a time.
 
     Raises:
@@ -342,7 +342,7 @@ def cut_slices(
     return order.astype(np.int32), parts
 
 
-def slice_error(bodies: Mapping[int, Trajectory], scene: Queries, parts: Sequence[Slice]) -> float:
+def slice_error(bodies: Mapping[int, Trajectory], scene: Scene, parts: Sequence[Slice]) -> float:
     """Bound on the distance between where a point of an instance is and where it was traced, in units of length."""
     worst = 0.0
     for number, body in bodies.items():

@@ -152,7 +152,7 @@ class Trajectory:
         times = check_real("times", times)
         self.check_covers(times.min(initial=np.inf), times.max(initial=-np.inf))
         found = self._evaluate(times.ravel())[2:]
-        return tuple(values.reshape(*times.shape, 3) for values in found)
+        return tuple(values.reshape(*times.shape, 3) for values in found)  # type: ignore[return-value]
 
     def states(self, times: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
         """What `at` and `velocities` give, at (N,) times that the trajectory covers."""
@@ -297,7 +297,7 @@ def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:
     return pose
 
 
-def deskew(points: Any, times: Any, trajectory: Trajectory, time: float) -> Any:
+def deskew(points: Any, times: Any, trajectory: Trajectory | StillPoses, time: float) -> Any:
     """Points that were measured one after the other, as if the sensor had measured all of them at one time.
 
     Each point is transformed to the world by the sensor's pose at its own time, and from there to the sensor's frame at `time`.

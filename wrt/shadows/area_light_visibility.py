@@ -65,7 +65,7 @@ class AreaLightVisibility:
         self.scene = scene
         self._positions = check_samples(positions)
         self._query = Query(ANY, "packet", triangle_test)
-        self._arrays: dict[tuple[bool, str], LightSamples] = {}
+        self._arrays: dict[tuple[Any, ...], LightSamples] = {}
         if triangle_test != AUTO:
             check_test(triangle_test)
 
@@ -184,7 +184,7 @@ class AreaLightVisibility:
         shape = (*rays.shape, self.samples) if each else rays.shape
         if each:
             occluded = wp.array(ptr=answers.ptr, dtype=wp.bool, shape=count, device=device)
-            occluded.used = answers
+            occluded.used = answers  # type: ignore[attr-defined]
             return shaped(occluded, ResultForm(shape, rays.is_warp, rays.dtype))
         fraction = (1.0 - counts.numpy().astype(np.float32) / np.float32(self.samples)).reshape(shape)
         return wp.array(fraction, dtype=wp.float32, device=device) if rays.is_warp else fraction

@@ -192,7 +192,7 @@ class LightBuffer:
         kernel, run = self._kernel()
         launch(kernel, -(-count // run), inputs, device=device, chunk=CHUNK // run)
         occluded = wp.array(ptr=answers.ptr, dtype=wp.bool, shape=count, device=device)
-        occluded.used = answers
+        occluded.used = answers  # type: ignore[attr-defined]
         if count and undecided.numpy()[0]:
             self._trace_rest(rays, answers, skipped.numpy() if skip is not None else None)
         return shaped(occluded, form)
@@ -216,7 +216,7 @@ class LightBuffer:
         def some(array: wp.array, stride: int) -> np.ndarray:
             return array.numpy()[rest * stride]
 
-        points = some(rays.origins, rays.layout.origins)
+        points = some(rays.origins, rays.layout.origins)  # type: ignore[arg-type]
         if rays.layout.centered:
             points = points.astype(np.float64) + self.scene.center
         shadow = self.shadow_rays(points, some(rays.t_min, rays.layout.t_min), some(rays.t_max, rays.layout.t_max))

@@ -43,7 +43,8 @@ class DeviceHits:
 
     def __init__(self, count: int, device: wp.Device) -> None:
         self.count, self.device = count, device
-        self.room, self.begins = 0, None
+        self.room = 0
+        self.begins: wp.array | None = None
         self._block: wp.array | None = None
         self._host: dict[str, np.ndarray | HostArray] = {}
 
@@ -68,7 +69,7 @@ class DeviceHits:
         return hits
 
     @classmethod
-    def of_host(cls, count: int, device: wp.Device, arrays: dict[str, np.ndarray]) -> DeviceHits:
+    def of_host(cls, count: int, device: wp.Device, arrays: dict[str, Any]) -> DeviceHits:
         """Answers that are in NumPy arrays; `device` is the CPU."""
         hits = cls(count, device)
         hits._host = arrays
@@ -108,7 +109,7 @@ class DeviceHits:
             values = self._host[name]
             if type(values) is HostArray:
                 return values.array
-            return wp.array(values, dtype=DTYPES[name], device=self.device, copy=False)
+            return wp.array(values, dtype=DTYPES[name], device=self.device, copy=False)  # type: ignore[arg-type]
         if self._block is None or name not in BLOCK:
             return None
         begin = self._block.ptr + BLOCK[name] * self.count

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from wrt.kernels.answers import all_crossings, any_hit, batch_kinds, closest_hit, crossing_count, exact_hit
 
-AUTO = "auto"
+AUTO: Final = "auto"
 
 CLOSEST, ANY, COUNT, ALL, EXACT = (file.KIND.name for file in (closest_hit, any_hit, crossing_count, all_crossings, exact_hit))
 """Keys in `wrt.kernels.answers.ANSWERS`, for code that asks a query of such a kind."""

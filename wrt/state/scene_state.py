@@ -24,9 +24,11 @@ from wrt.state.scene_settings import Settings
 if TYPE_CHECKING:
     from wrt.accelerators.accelerator import Accelerator
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
-    from wrt.builders.tree import Bvh, KdTree
+    from wrt.builders.tree import Bvh
+    from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.kernels.query.hit_attributes import SceneMesh
     from wrt.meshes.instance import Instance
+    from wrt.meshes.node_graph import NodeGraph
 
 
 def new_mark() -> str:
@@ -42,7 +44,7 @@ class SceneState:
         settings: what the caller chose.
         meshes: the meshes, in the order of their geometry ids.
         center: (3,) float64; geometry is held in float32 relative to this point.
-        built_tree: the tree; if it is built lazily, its initial part (`tree` is the part that exists so far).
+        built_tree: a `wrt.builders.tree`; if it is built lazily, its initial part (`tree` is the part that exists so far).
         device_mesh: all triangles on the device, for kernels.
         lazy_tree: the tree that is built while rays are traced; None if it is complete.
         area_trees: the trees of influence areas; None if there are none (`wrt.execution.area_trees`).
@@ -61,7 +63,7 @@ class SceneState:
     settings: Settings
     meshes: tuple[TriangleMesh, ...]
     center: np.ndarray
-    built_tree: KdTree | Bvh
+    built_tree: Any
     device_mesh: SceneMesh
     lazy_tree: LazyKdTree | None = None
     area_trees: Any = None
@@ -69,6 +71,23 @@ class SceneState:
     only_single: bool = False
     mark: str = field(default_factory=new_mark)
     cache: QueryCache = field(default_factory=QueryCache)
+
+    if TYPE_CHECKING:  # of some kinds of scenes, whose callers know which they have
+
+        @property
+        def last_update(self) -> Any: ...
+        @property
+        def boxes(self) -> Any: ...
+        @property
+        def graph(self) -> NodeGraph | None: ...
+        @property
+        def geometry_ids(self) -> tuple[int, ...]: ...
+        def updated(self, *change: Any) -> SceneState: ...
+        def upper(self) -> Any: ...
+        def lower(self, plan: Any, rays: RayBatch | None) -> wp.array: ...
+        def chosen(self, index: Any) -> np.ndarray: ...
+        def with_instances(self, instances: tuple[Instance, ...], graph: NodeGraph | None) -> SceneState: ...
+        def with_nodes(self, nodes: Mapping[str, Any]) -> SceneState: ...
 
     @cached_property
     def accelerator(self) -> Accelerator:
@@ -96,7 +115,7 @@ class SceneState:
         return self.settings.num_threads
 
     @property
-    def tree(self) -> KdTree | Bvh:
+    def tree(self) -> Any:
         """The tree; if it is built lazily, the part that exists so far."""
         return self.built_tree if self.lazy_tree is None else self.lazy_tree.current.tree
 

@@ -81,7 +81,7 @@ class Viewer:
         server: WebServer,
         *,
         camera: PinholeCamera,
-        up: tuple[float, ...],
+        up: Any,
         first: Wish,
         options: Mapping[str, Mapping[str, Any]],
         animate: Callable[[Scene, int], Any] | None = None,
@@ -168,7 +168,7 @@ class Viewer:
             point_size=1e-3 * size * extent,
             point_shape="circle",
             precision="float32",
-            position=tuple(map(float, center)),
+            position=tuple(map(float, center)),  # type: ignore[arg-type]
         )
 
     def remove_points(self, name: str = "points") -> None:
@@ -410,20 +410,20 @@ def check_integrator(name: str, said: str) -> None:
         raise ValueError(f"{said} {name!r}, which is no integrator; choose from {', '.join(INTEGRATORS)}")
 
 
-def set_camera(server: viser.ViserServer, camera: PinholeCamera, up: tuple[float, ...], scene: Scene) -> None:
+def set_camera(server: viser.ViserServer, camera: PinholeCamera, up: Any, scene: Scene) -> None:
     """The view of new clients."""
     low, high = scene.bounds
     extent = max(float(np.linalg.norm(high - low)), float(np.linalg.norm(camera.look_at - camera.position)))
     server.scene.set_up_direction(up)
     first = server.initial_camera
-    first.position, first.look_at = (tuple(map(float, point)) for point in (camera.position, camera.look_at))
+    first.position, first.look_at = (tuple(map(float, point)) for point in (camera.position, camera.look_at))  # type: ignore[assignment]
     first.up, first.fov = up, float(np.radians(camera.fov))
     first.near, first.far = 1e-4 * extent, 1e2 * extent
 
 
-def place_camera(client: viser.ClientHandle, camera: PinholeCamera, up: tuple[float, ...]) -> None:
+def place_camera(client: viser.ClientHandle, camera: PinholeCamera, up: Any) -> None:
     """Moves a client's camera to the first view."""
     client.camera.up_direction = up
-    client.camera.position = tuple(map(float, camera.position))
-    client.camera.look_at = tuple(map(float, camera.look_at))
+    client.camera.position = tuple(map(float, camera.position))  # type: ignore[assignment]
+    client.camera.look_at = tuple(map(float, camera.look_at))  # type: ignore[assignment]
     client.camera.fov = float(np.radians(camera.fov))

@@ -41,7 +41,7 @@ class SharedScene:
 
     def __init__(self, scene: Scene, animate: Callable[[Scene, int], Any] | None = None, frames: int = 0) -> None:
         if animate is None and isinstance(scene, FuzzyScene):
-            animate, frames = FuzzyScene.show, scene.frame_count
+            animate, frames = FuzzyScene.show, scene.frame_count  # type: ignore[assignment]
         self.scene, self.frames, self.frame = scene, frames if animate else 0, 0
         self.update_seconds = 0.0
         self._animate = animate

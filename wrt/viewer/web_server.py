@@ -260,11 +260,11 @@ def _guarded(gate: Gate, connections: Connections) -> Iterator[None]:
         return serve(handler, *arguments, **options)
 
     with _starting:
-        websockets.serve = serve_guarded
+        websockets.serve = serve_guarded  # type: ignore[assignment, misc]
         try:
             yield
         finally:
-            websockets.serve = serve
+            websockets.serve = serve  # type: ignore[misc]
 
 
 def _around(answer: Callable[[Any, Any], Any], gate: Gate) -> Callable[[Any, Any], Any]:

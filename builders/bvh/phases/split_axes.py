@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.validation import convert_fields
 
 exact_module(__name__)
 
@@ -56,6 +57,7 @@ class AxisChoice:
         excellent: sum up to which no further axis is tried at all.
 
     Raises:
+        TypeError: a quality or a sum is not a number.
         ValueError: an unknown order, or a value out of its range.
     """
 
@@ -65,6 +67,7 @@ class AxisChoice:
     excellent: float = 0.9
 
     def __post_init__(self) -> None:
+        convert_fields(self)
         if self.order not in ORDERS:
             raise ValueError(f"order {self.order!r} is unknown; choose from {', '.join(ORDERS)}")
         if not 0.0 <= self.least_quality <= 1.0:

@@ -11,8 +11,9 @@ Rays of `wrt.bench.core.workloads` but for `scan`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -76,7 +77,7 @@ def cases(mesh: TriangleMesh, kinds: Sequence[str] = KINDS, sizes: Sequence[int]
     """
     for size in sizes:
         rows, tiles = (WorkloadMaker(mesh, size=size, order=order) for order in ("rows", "tiles"))
-        makers: dict[str, Callable[[], Workload]] = {
+        makers: dict[str, Any] = {
             "view": lambda rows=rows: rows.view("far"),
             "scan": lambda size=size: scan(mesh, max(size * size // BEAMS, 1)),
             "random": lambda tiles=tiles: tiles.random("random"),

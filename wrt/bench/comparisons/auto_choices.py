@@ -84,7 +84,7 @@ def compare_choices(
     """
     for case in cases(mesh, kinds, sizes):
         begin = f"{name}, {case.kind}, {case.rays_count:,} rays"
-        yield compare(name, scene, case, rounds, peer, lambda engine, begin=begin: on_turn(f"{begin}: {engine}"))
+        yield compare(name, scene, case, rounds, peer, lambda engine, begin=begin: on_turn(f"{begin}: {engine}"))  # type: ignore[misc]
 
 
 def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn: Callable[[str], None]) -> Choice:

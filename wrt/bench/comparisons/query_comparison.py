@@ -75,7 +75,7 @@ def compare(
     chosen = workload.chosen(timing.items)
     answer = query.read(timing.result)
     if isinstance(answer, np.ndarray):
-        return occlusion_agreement(answer, expected[chosen])
+        return occlusion_agreement(answer, expected[chosen])  # type: ignore[index]
     if isinstance(answer, Lists):
         number = np.full(len(workload), -1)
         number[chosen] = np.arange(len(chosen))

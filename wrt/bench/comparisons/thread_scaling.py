@@ -151,12 +151,12 @@ def make_jobs(mesh: TriangleMesh, embrees: Sequence[int] = ()) -> list[Job]:
         peers = {name: embree.rays(workload) for name, embree in turns.items()}
         return Job(f"{workload.name} {len(workload):,}", "Mrays/s", len(workload), prepare, peers)
 
-    def build_job(kind: str) -> Job:
+    def build_job(kind: Any) -> Job:
         def prepare(threads: int) -> Callable[[], Any]:
             return lambda: Scene(mesh, kind, device="cpu", num_threads=threads)
 
         peers = {name: embree.build for name, embree in turns.items()} if kind == "bvh" else {}
-        return Job(f"build {kind}", "ms", 0, prepare, peers)
+        return Job(f"build {kind}", "ms", 0, prepare, peers)  # type: ignore[arg-type]
 
     rng, (low, high) = np.random.default_rng(0), mesh.bounds
     views = {size: PinholeCamera.framing(mesh, size, size, up=(0, 0, 1)).rays() for size in VIEWS}  # the records' rays

@@ -110,7 +110,7 @@ def new_table(left: Iterable[str], right: Iterable[str], last: Iterable[str] = (
     table = Table(header_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for names, justify in ((left, "left"), (right, "right"), (last, "left")):
         for name in names:
-            table.add_column(name, justify=justify, no_wrap=True, min_width=WIDTHS.get(name))
+            table.add_column(name, justify=justify, no_wrap=True, min_width=WIDTHS.get(name))  # type: ignore[arg-type]
     return table
 
 

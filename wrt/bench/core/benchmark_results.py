@@ -141,7 +141,7 @@ def machine(device: str) -> dict[str, Any]:
         "gpu": found.name if found.is_cuda else None,
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
-        "versions": {name: found for name in PACKAGES if (found := package_version(name)) is not None},
+        "versions": {name: version for name in PACKAGES if (version := package_version(name)) is not None},
     }
 
 

@@ -140,7 +140,7 @@ class WorkloadMaker:
     def random(self, name: str) -> Workload:
         """Rays from anywhere to anywhere."""
         generator = np.random.default_rng(self.seed)
-        origins = generator.uniform(*self.mesh.bounds, (self.size * self.size, 3))
+        origins = generator.uniform(*self.mesh.bounds, (self.size * self.size, 3))  # type: ignore[call-overload]
         directions = normalized(generator.normal(size=origins.shape))
         return Workload(name, CLOSEST, origins.astype(np.float32), directions.astype(np.float32))
 

@@ -48,7 +48,7 @@ class EmbreeArrays(Embree):
     def occluded(self, rays: Workload) -> Query:
         return Query(self._asking("rtcOccluded", rays), lambda found: found["occluded"])
 
-    def _asking(self, function: str, rays: Workload) -> Callable[[], dict[str, np.ndarray]]:
+    def _asking(self, function: str, rays: Workload) -> Callable[[], dict[str, np.ndarray]]:  # type: ignore[override]
         """A function that calls `rtcIntersect` or `rtcOccluded` packet by packet and returns the answers by their names."""
         closest, scene, threads, count = function == "rtcIntersect", self._scene, self.threads, len(rays)
         origins = np.ascontiguousarray(rays.origins[:1] if rays.shares_origin else rays.origins)

@@ -150,7 +150,7 @@ def trace_packets(
         closest: whether packets have hits.
         t_max: end of all rays.
     """
-    trace_packet(function, scene, version, flags, packets, width, fields, closest, t_max, first + wp.tid())
+    trace_packet(function, scene, version, flags, packets, width, fields, closest, t_max, first + wp.tid())  # type: ignore[operator]
 
 
 @wp.func_native(on_cpu(FILL_AND_TRACE))
@@ -227,5 +227,5 @@ def trace_arrays(
         u,
         v,
         occluded,
-        first + wp.tid(),
+        first + wp.tid(),  # type: ignore[operator]
     )

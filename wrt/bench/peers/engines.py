@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from wrt.accelerators.accelerator import Accelerator
+from wrt.accelerators.accelerator import Accelerator, AcceleratorName
 from wrt.bench.core.workloads import ALL, INSIDE, Workload
 from wrt.bench.peers.peer import Answer, Lists, Peer, Query, device_rays
 from wrt.kernels.runtime.launch import get_num_threads
@@ -36,7 +36,7 @@ class Engine(Peer):
         device: str = "cpu",
         *,
         name: str = "wrt",
-        accelerator: str | Accelerator = AUTO,
+        accelerator: AcceleratorName | Accelerator = AUTO,
         traversal: str = AUTO,
         triangle_test: str = AUTO,
     ) -> None:
@@ -109,7 +109,7 @@ class Engine(Peer):
         return max(64, BRUTE_FORCE_PAIRS // triangles) if way is not None and way.trees == ("none",) else None
 
     @property
-    def _options(self) -> dict[str, str]:
+    def _options(self) -> dict[str, Any]:
         """What is chosen; callers who choose nothing pass nothing."""
         options = {"traversal": self.traversal, "triangle_test": self.triangle_test}
         return {name: value for name, value in options.items() if value != AUTO}
@@ -146,7 +146,7 @@ def all_engines(threads: int, device: str) -> list[Engine]:
         for tree in way.trees:
             name = f"wrt, {way.name}" if tree == "none" else f"wrt, {tree}, {way.name}"
             accelerator = AUTO if tree == "none" else tree
-            engines.append(Engine(threads, device, name=name, accelerator=accelerator, traversal=way.name))
+            engines.append(Engine(threads, device, name=name, accelerator=accelerator, traversal=way.name))  # type: ignore[arg-type]
     return engines
 
 

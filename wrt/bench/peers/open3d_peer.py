@@ -21,8 +21,8 @@ class Open3D(Peer):
     def load(self, mesh: TriangleMesh) -> None:
         from open3d import core
 
-        self._mesh = core.Tensor(mesh.vertices.astype(np.float32)), core.Tensor(mesh.faces.astype(np.uint32))
-        self._first_ray = core.Tensor(np.array([[*mesh.center, 1.0, 0.0, 0.0]], dtype=np.float32))
+        self._mesh = core.Tensor(mesh.vertices.astype(np.float32)), core.Tensor(mesh.faces.astype(np.uint32))  # type: ignore[call-overload]
+        self._first_ray = core.Tensor(np.array([[*mesh.center, 1.0, 0.0, 0.0]], dtype=np.float32))  # type: ignore[call-overload]
 
     def construct(self) -> Any:
         from open3d.t.geometry import RaycastingScene
@@ -34,7 +34,7 @@ class Open3D(Peer):
     def _native(self, rays: Workload) -> Any:
         from open3d import core
 
-        return core.Tensor(np.concatenate([rays.origins, rays.directions], axis=1))
+        return core.Tensor(np.concatenate([rays.origins, rays.directions], axis=1))  # type: ignore[call-overload]
 
     def closest(self, rays: Workload) -> Query:
         scene, native = self._scene, self._native(rays)
@@ -61,5 +61,5 @@ class Open3D(Peer):
     def inside(self, points: Workload) -> Query:
         from open3d import core
 
-        scene, native = self._scene, core.Tensor(points.origins)
+        scene, native = self._scene, core.Tensor(points.origins)  # type: ignore[call-overload]
         return Query(lambda: scene.compute_occupancy(native, nthreads=self.threads), lambda result: result.numpy() > 0.5)

@@ -20,7 +20,7 @@ from wrt.tables import lookup
 PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
     "wrt": lambda threads, device: [default_engine(threads, device)],
     "plain": lambda threads, device: [plain_engine(threads, device)],
-    "engines": all_engines,
+    "engines": all_engines,  # type: ignore[dict-item]
     "open3d": lambda threads, device: [Open3D(threads)],
     "embree": lambda threads, device: [Embree(threads, 3), Embree(threads, 4)],
     "embree3": lambda threads, device: [Embree(threads, 3)],

@@ -96,7 +96,7 @@ class TrimeshEmbreex(Trimesh):
         from trimesh.ray.ray_pyembree import RayMeshIntersector
 
         mesh = self._source.copy()
-        self._intersector = RayMeshIntersector(mesh)
+        self._intersector = RayMeshIntersector(mesh)  # type: ignore[assignment]
         return self._intersector.intersects_first([mesh.bounds.mean(axis=0)], [[1.0, 0.0, 0.0]])
 
     def all_hits(self, rays: Workload) -> Query:

@@ -66,7 +66,7 @@ def row_pieces(values: Any, shape: tuple[int, ...]) -> Iterator[Any]:
 
 def piece_hash(piece: Any) -> str:
     """SHA-256 of the bytes of an array."""
-    return hashlib.sha256(np.ascontiguousarray(piece).reshape(-1).view(np.uint8)).hexdigest()
+    return hashlib.sha256(np.ascontiguousarray(piece).reshape(-1).view(np.uint8)).hexdigest()  # type: ignore[arg-type]
 
 
 def map_threads(function: Callable[[Any], str], pieces: Iterator[Any] | list[Any]) -> list[str]:

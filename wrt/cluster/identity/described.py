@@ -85,7 +85,7 @@ def described_array(values: Any, inside: Inside) -> Any:
     array = np.asarray(values.numpy() if isinstance(values, wp.array) else values)
     if array.dtype.hasobject:
         return ["array", list(array.shape), [described(one, inside) for one in array.reshape(-1).tolist()]]
-    content = hashlib.sha256(np.ascontiguousarray(array).reshape(-1).view(np.uint8)).hexdigest()
+    content = hashlib.sha256(np.ascontiguousarray(array).reshape(-1).view(np.uint8)).hexdigest()  # type: ignore[arg-type]
     return ["array", array.dtype.str, list(array.shape), content]
 
 

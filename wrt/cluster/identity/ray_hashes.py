@@ -27,7 +27,7 @@ MADE = 1 << 20
 """Rays that a function makes for the hash at most, but one row a piece."""
 
 
-def named_arrays(rays: Rays, columns: Mapping[str, Any]) -> dict[str, Any]:
+def named_arrays(rays: Any, columns: Mapping[str, Any]) -> dict[str, Any]:
     """The arrays and numbers of some rays by name."""
     columns = {name: one.numbers if isinstance(one, SkippedTriangles) else one for name, one in columns.items()}
     return {**vars(rays), **columns}
@@ -80,14 +80,14 @@ def rays_hash(work: BlockWork, blocks: list[str] | None) -> str:
     if blocks is not None:
         return hashed(["whole", list(work.rays.shape), blocks])
     if isinstance(work.rays, GeneratedRays):
-        arrays, made = named_arrays(Rays(0.0, 0.0), work.columns), generated_hash(work.rays)
+        arrays, made = named_arrays(Rays(0.0, 0.0), work.columns), generated_hash(work.rays)  # type: ignore[call-overload]
     else:
         arrays, made = named_arrays(work.rays, work.columns), None
     each = {name: (array_hash if size_of(one) <= WHOLE else sampled_hash)(one) for name, one in arrays.items()}
     return hashed(["parts", list(work.rays.shape), made, joint_hash(each)])
 
 
-def generated_hash(source: GeneratedRays) -> str:
+def generated_hash(source: Any) -> str:
     """The hash of rays that a function makes, from pieces of them, and of its code.
 
     Raises:

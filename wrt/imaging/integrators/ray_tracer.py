@@ -59,7 +59,7 @@ class RayTracer:
         self._queries = {kind: Query(kind, traversal, triangle_test) for kind in (CLOSEST, ANY)}
         with kept(state.device):
             self._zero, self._one, self._infinity = (
-                wp.array(np.float32([value]), dtype=float, device=state.device) for value in (0.0, 1.0, np.inf)
+                wp.array(np.array([value], np.float32), dtype=float, device=state.device) for value in (0.0, 1.0, np.inf)
             )
 
     def closest(
@@ -90,7 +90,7 @@ class RayTracer:
             expected: the most rays that there can be; the plan is made for them, so that batches of any size have the same.
         """
         rays = self._rays(origins, directions, count, distance, False, False)
-        chosen = find_plan(self._state, expected, self._queries[ANY])
+        chosen = find_plan(self._state, expected, self._queries[ANY])  # type: ignore[arg-type]
         return trace_chosen(self._state, chosen, rays, ANY, False)[0].occluded
 
     def _trace(
@@ -127,7 +127,7 @@ class RayTracer:
             return False
         for query in self._queries.values():
             rays = ExpectedRays(query.kind, count, coherent=False, scattered=True)
-            if is_changing(state, rays) or not find_plan(state, rays, query).prepares:
+            if is_changing(state, rays) or not find_plan(state, rays, query).prepares:  # type: ignore[arg-type]
                 return False
         return True
 

@@ -380,7 +380,7 @@ def camera_model(camera: Camera, settings: RenderSettings, scene: Scene, samples
     focus = float((camera.look_at - camera.position) @ camera.forward) if focus is None else float(focus)
     model.lens_right = wp.vec3d(*(settings.lens_radius * camera.right))
     model.lens_up = wp.vec3d(*(settings.lens_radius * camera.up))
-    model.focus = focus
+    model.focus = focus  # type: ignore[assignment]
     return model
 
 

@@ -30,7 +30,7 @@ class TileRuns:
     def __init__(self, room: int, size: int, device: wp.Device) -> None:
         self.room, self.size = room, size
         self.memories = tile_memories.TileMemories()
-        for name in tile_memories.TileMemories.vars:
+        for name in tile_memories.TileMemories.vars:  # type: ignore[attr-defined]
             setattr(self.memories, name, wp.zeros(get_num_threads(), dtype=int, device=device))
         self._launch: PreparedLaunch | None = None
 

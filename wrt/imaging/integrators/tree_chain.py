@@ -142,7 +142,7 @@ class TreeChain:
         found, blocked = DeviceHits.new(CLOSEST, places, device), DeviceHits.new(ANY, places, device)
         hits = found.struct()
         chain = LaunchChain(ROOM, memories.left, device)
-        chain.keep = (queues, scratch, is_alive, rays, listed, found, blocked)
+        chain.keep = (queues, scratch, is_alive, rays, listed, found, blocked)  # type: ignore[attr-defined]
         self._of_wave.clear()
         inputs: list[Any] = [ROOM, 0, camera, trees.samples, samples, queues[0], trees.radiance, memories, tile_memories.WIDTH]
         self._of_wave.append((chain.add(Stage(tile_memories.start_tile, inputs, ROOM, (STOP, "")))[0], 5))

@@ -145,12 +145,12 @@ class Wave:
         if not tracer.makes_stages(count):
             return None
         if self._is_path:
-            paths = Paths(self.scene, self.samples, self._step, self.settings.depth, self._group, self.radiance)
+            paths = Paths(self.scene, self.samples, self._step, self.settings.depth, self._group, self.radiance)  # type: ignore[arg-type]
             return PathChain(paths, tracer, from_one_point)
         lights = self._lights()
         if len(lights) > MAX_TREE_LIGHTS:
             return None
-        trees = Trees(self.scene, self.samples, self._step, self.settings.depth, self.radiance, lights)
+        trees = Trees(self.scene, self.samples, self._step, self.settings.depth, self.radiance, lights)  # type: ignore[arg-type]
         return TreeChain(trees, tracer, from_one_point)
 
     def start(self, camera: CameraModel, wave: ray_queue.Wave, count: int) -> None:
@@ -261,7 +261,7 @@ def pixel_samples(sampler: int, samples: int, seed: int, device: wp.Device) -> P
     made = PixelSamples()
     made.sampler, made.samples = sampler, samples
     made.columns = max(divisor for divisor in range(1, int(np.sqrt(samples)) + 1) if samples % divisor == 0)
-    made.seed = (seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF
+    made.seed = (seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF  # type: ignore[assignment]
     made.primes = wp.array(np.array(PRIMES, dtype=np.int32), dtype=int, device=device)
     return made
 

@@ -33,7 +33,7 @@ class UvMap:
 
     def __call__(self, uv: np.ndarray) -> np.ndarray:
         with np.errstate(over="ignore", invalid="ignore"):
-            return (uv * np.float32(self.scale) + np.float32(self.offset)).astype(np.float32)
+            return (uv * np.array(self.scale, np.float32) + np.array(self.offset, np.float32)).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def _with_image(entry: Entry, text: str, name: str, source: MeshSource) -> Entry
         if not np.isfinite(pair).all():
             source.warn(f"the image of the material '{name}' has an option -{option} that is not finite; it is ignored")
             continue
-        at = replace(at, **{"scale" if option == "s" else "offset": pair})
+        at = replace(at, **{"scale" if option == "s" else "offset": pair})  # type: ignore[arg-type]
     return replace(entry, image=" ".join(words) or None, clamps=clamps, map=at)
 
 

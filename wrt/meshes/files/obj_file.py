@@ -163,7 +163,7 @@ def _materials(
     order, of_face = np.unique(chosen[face], return_inverse=True)
     listed = [names[number - 1] if number else "" for number in order.tolist()]
     unique = list(dict.fromkeys(listed))
-    of_face = np.array([unique.index(name) for name in listed], dtype=np.int32)[of_face.reshape(-1)]
+    of_face = np.array([unique.index(name) for name in listed], dtype=np.int32)[of_face.reshape(-1)]  # type: ignore[assignment]
     if unique == [""]:
         if uv is None and corner_colors is None:
             return None

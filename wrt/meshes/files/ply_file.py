@@ -62,7 +62,7 @@ Part = tuple[np.ndarray, np.ndarray | None, np.ndarray | None]
 def index_list(rows: Rows, element: str) -> List:
     """The list of vertex indices, whole numbers."""
     lists = {name: one for name, one in rows.items() if isinstance(one, List)}
-    name = next((name for name in ("vertex_indices", "vertex_index") if name in lists), None)
+    name: str | None = next((name for name in ("vertex_indices", "vertex_index") if name in lists), None)
     name = name or next((name for name in lists if not name.startswith("tex")), None)
     if name is None:
         raise ValueError(f"the element '{element}' has no list of vertex indices")
@@ -106,7 +106,7 @@ def _materials(
     elements = {element.name: element for element in header.elements}
     vertex, (_, face, places) = found["vertex"], parts[0]
     only_faces = len(parts) == 1 and face is not None
-    uv = next((np.stack([vertex[n] for n in pair], axis=1)[triangles] for pair in COORDINATES if _numbers(vertex, pair)), None)
+    uv = next((np.stack([vertex[n] for n in pair], axis=1)[triangles] for pair in COORDINATES if _numbers(vertex, pair)), None)  # type: ignore[misc]
     coordinates = found["face"].get("texcoord") if only_faces else None
     if isinstance(coordinates, List) and len(coordinates.values) == 2 * int(index_list(found["face"], "face").lengths.sum()):
         uv = coordinates.values.reshape(-1, 2)[places]
@@ -133,7 +133,7 @@ def _numbers(rows: Rows, names: tuple[str, ...]) -> bool:
 def _colors(rows: Rows, element: Element, source: MeshSource) -> np.ndarray | None:
     """(R, 3) float32, linear."""
     names = next((names for names in COLORS if _numbers(rows, names)), None)
-    if names is None or len(rows[names[0]]) == 0:
+    if names is None or len(rows[names[0]]) == 0:  # type: ignore[arg-type]
         return None
     kinds = {one.name: one.kind for one in element.properties}
     given = np.stack([rows[name].astype(np.float64) / LEVELS.get(kinds[name], 1.0) for name in names], axis=1)

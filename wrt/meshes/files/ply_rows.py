@@ -205,7 +205,7 @@ class Binary(Body):
         if at + size > len(self.data):
             raise _shorter(element)
         little = "little" if self.order == "<" else "big"
-        length = int.from_bytes(self.data[at : at + size], little, signed=one.length[0] == "i")
+        length = int.from_bytes(self.data[at : at + size], little, signed=one.length[0] == "i")  # type: ignore[arg-type]
         if length < 0:
             raise ValueError(f"a list '{one.name}' of the element '{element.name}' has the length {length}")
         if length * np.dtype(one.kind).itemsize > len(self.data) - at:
@@ -262,7 +262,7 @@ class Binary(Body):
                 count = (
                     data[at]
                     if size == 1 and not signed and at < end
-                    else int.from_bytes(data[at : at + size], order, signed=signed)
+                    else int.from_bytes(data[at : at + size], order, signed=signed)  # type: ignore[arg-type]
                 )
                 at += size
                 if count < 0:
@@ -289,7 +289,8 @@ class Binary(Body):
         return before, gap
 
     def _gathered(self, element: Element, starts: np.ndarray, places: list[np.ndarray], lengths: list[np.ndarray]) -> Rows:
-        array, found, at, number = np.frombuffer(self.data, dtype=np.uint8), {}, starts, 0
+        array, at, number = np.frombuffer(self.data, dtype=np.uint8), starts, 0
+        found: Rows = {}
         for one in element.properties:
             size, dtype = np.dtype(one.kind).itemsize, self.order + one.kind
             if one.length is None:

@@ -34,7 +34,7 @@ def check_out(out: Any, answer: Any, length: int, exact: bool) -> None:
         if shape[1:] != wanted[1:] or shape[:1] < wanted[:1] or (exact and shape != wanted):
             raise ValueError(f"{name} has shape {shape}; it must {'be' if exact else 'hold at least'} {wanted}")
         casting = "same_kind" if values.dtype.kind == "f" else "safe"
-        if not np.can_cast(values.dtype, array.dtype, casting):
+        if not np.can_cast(values.dtype, array.dtype, casting):  # type: ignore[arg-type]
             raise ValueError(f"{name} holds {array.dtype}, which does not hold the answer; make it {values.dtype}")
         if values is getattr(answer, "position", None) and array.dtype.itemsize < 8 and answer.is_far:
             raise ValueError(f"{name} holds {array.dtype}, which would move positions so far from 0; make it float64")

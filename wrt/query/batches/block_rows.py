@@ -49,7 +49,7 @@ class GeneratedRays:
 
     def __post_init__(self) -> None:
         convert_fields(self)
-        lengths = self.shape if isinstance(self.shape, Iterable) and np.shape(self.shape) else (self.shape,)
+        lengths = self.shape if isinstance(self.shape, Iterable) and np.shape(self.shape) else (self.shape,)  # type: ignore[call-overload]
         shape = tuple(as_int("shape", length) for length in lengths)
         if not callable(self.function):
             raise TypeError(f"function must be called as function(first, count), not be {type(self.function).__name__}")
@@ -92,7 +92,7 @@ class SkippedTriangles:
 Source = Rays | GeneratedRays | Iterator[Rays]
 
 
-def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Source:
+def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Any:
     """Rays whose arrays can be sliced, a function that makes them, or an iterator over such rays."""
     if isinstance(origins, GeneratedRays):
         if directions is not None:
@@ -124,7 +124,7 @@ def _as_item(item: Any, t_min: float, t_max: float, name: str) -> Rays:
     if isinstance(item, Rays):
         return as_source(item, None, 0.0, 0.0)
     if isinstance(item, (tuple, list)) and len(item) == 2:
-        return as_source(*item, t_min, t_max)
+        return as_source(*item, t_min, t_max)  # type: ignore[call-arg]
     raise TypeError(f"{name} must be (origins, directions) or a wrt.Rays, not {item!r:.60}")
 
 

@@ -194,7 +194,8 @@ class Submitter:
         self._work = replace(work, threads=workers.threads_each(), device=workers.device)
         self._cut: dict[str, Any] = {}
         if workers.in_this_process:
-            self._run, self._common = run_here, self._work
+            self._run: Any = run_here
+            self._common: BlockWork | PickledWork = self._work
             return
         if workers.threads is None and self._work.threads is not None and hasattr(workers.executor, "_threads"):
             self._work = replace(self._work, threads=None)  # its processes were told

@@ -38,7 +38,7 @@ class ExactSum(NamedTuple):
     exponent: int
     special: np.ndarray
 
-    def __add__(self, other: ExactSum) -> ExactSum:
+    def __add__(self, other: ExactSum) -> ExactSum:  # type: ignore[override]
         exponent = min(self.exponent, other.exponent)
         total = np.asarray(shifted(self, exponent) + shifted(other, exponent), dtype=object)
         with np.errstate(invalid="ignore"):

@@ -120,7 +120,7 @@ def _check_weights(weights: np.ndarray) -> None:
 
 def _weights_of(scene: SceneState, number: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(N, 2) weights of the points of triangles that are nearest to given points, which must be close to them."""
-    corners = [_hits(scene, number, np.broadcast_to(np.float64(uv), (len(number), 2)), False).position for uv in CORNERS]
+    corners = [_hits(scene, number, np.broadcast_to(np.float64(uv), (len(number), 2)), False).position for uv in CORNERS]  # type: ignore[arg-type]
     a, b, c = (np.where(number[:, None] >= 0, corner, 0.0) for corner in corners)
     weights = nearest_weights(points, a, b, c)
     distance = np.linalg.norm(a + weights[:, :1] * (b - a) + weights[:, 1:] * (c - a) - points, axis=1)

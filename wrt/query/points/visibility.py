@@ -52,8 +52,8 @@ def visible(scene: SceneState, points_a: Any, points_b: Any) -> Any:
             block = slice(begin, min(begin + BLOCK, count))
             chosen = [(points, wp.array(index[block], dtype=int, device=scene.device)) for points, index in ends]
             result[block] = visible_block(scene, chosen, rounding)
-    result = result.reshape(shape)
-    return wp.array(result, dtype=wp.bool, device=scene.device) if is_warp else result
+    pairs = result.reshape(shape)
+    return wp.array(pairs, dtype=wp.bool, device=scene.device) if is_warp else pairs
 
 
 def visible_block(scene: SceneState, ends: list[tuple[wp.array, wp.array]], rounding: float) -> np.ndarray:

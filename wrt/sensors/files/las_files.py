@@ -12,7 +12,7 @@ import io
 import warnings
 from collections.abc import Callable
 from math import floor, log10
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -32,7 +32,7 @@ OWN_TYPES = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
 """Types of extra bytes."""
 
 
-def las_writer(points: np.ndarray, is_compressed: bool) -> Callable[[BinaryIO], None]:
+def las_writer(points: np.ndarray, is_compressed: bool) -> Callable[[BinaryIO], object]:
     """What writes a table to an open file.
 
     Args:
@@ -111,7 +111,7 @@ def extra_type(points: np.ndarray, name: str) -> np.dtype:
     return np.dtype(kind)
 
 
-def fitting(dimension: object, values: np.ndarray) -> np.ndarray:
+def fitting(dimension: Any, values: np.ndarray) -> np.ndarray:
     """Values of a field that LAS has itself, unchanged.
 
     Raises:

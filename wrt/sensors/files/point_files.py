@@ -61,7 +61,7 @@ def write_points(path: str | Path, points: Any) -> None:
         write(file)
 
 
-Write = Callable[[BinaryIO], None]
+Write = Callable[[BinaryIO], object]
 """Writes a table, which was found to fit, to an open file."""
 
 

@@ -186,7 +186,7 @@ class ScenePanel:
             scale=GIZMO_PIXELS,
             fixed=True,
             translation_limits=((-1e30, 1e30),) * 3,
-            position=tuple(map(float, np.asarray(instance.transform)[:3, 3])),
+            position=tuple(map(float, np.asarray(instance.transform)[:3, 3])),  # type: ignore[arg-type]
             wxyz=quaternion(turn),
             depth_test=False,
         )
@@ -240,4 +240,4 @@ def quaternion(turn: np.ndarray) -> tuple[float, float, float, float]:
     """w, x, y, z of a rotation (3, 3)."""
     from viser.transforms import SO3
 
-    return tuple(map(float, SO3.from_matrix(turn).wxyz))
+    return tuple(map(float, SO3.from_matrix(turn).wxyz))  # type: ignore[return-value]

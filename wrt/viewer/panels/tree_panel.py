@@ -138,7 +138,7 @@ class TreePanel:
                 self._known[version, kind] = tree_boxes(tree_of(state)), np.asarray(state.center)
         return self._known[version, kind]
 
-    def _state(self, scene: Scene, kind: str) -> SceneState:
+    def _state(self, scene: Scene, kind: Any) -> SceneState:
         if kind == SHOWN or kind == scene.accelerator.kind:
             found = scene.state
         elif kind in ("bvh", "kdtree"):
@@ -186,4 +186,4 @@ def tree_of(state: SceneState) -> Any:
         return state.tree
     from wrt.viewer.trees.instance_walk import upper_tree
 
-    return upper_tree(state)
+    return upper_tree(state)  # type: ignore[arg-type]

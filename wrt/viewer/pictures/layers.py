@@ -56,7 +56,8 @@ class Layer:
     def __init__(self, scene: Scene, wish: Wish, camera: PinholeCamera) -> None:
         self._scene, self._wish, self._camera = scene, wish, camera
         self._threads = get_num_threads()
-        self.rays, self.is_complete, self.scale = 0, False, None
+        self.rays, self.is_complete = 0, False
+        self.scale: Scale | None = None
         self._image: wp.array | None = None
 
     def advance(self, check: Callable[..., None]) -> None:
@@ -73,7 +74,8 @@ class Layer:
         raise NotImplementedError
 
     def _hits(self, rays: Rays) -> Hits:
-        wish, traversal = self._wish, self._wish.traversal
+        wish = self._wish
+        traversal: str | Plan = wish.traversal
         packets = wish.traversal != "auto" and TRAVERSALS[wish.traversal].packets
         if wish.culling != "auto" and (packets or wish.traversal == "auto"):
             traversal = packet_plan(self._scene, rays, wish)

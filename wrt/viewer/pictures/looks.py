@@ -52,7 +52,7 @@ class Light:
             if is_coarse:
                 given["ambient_samples"] = min(COARSE_AMBIENT_RAYS, given.get("ambient_samples", COARSE_AMBIENT_RAYS))
                 given["ambient_radius"] = max(COARSE_RADIUS, given.get("ambient_radius", 0))
-            self._made = AmbientRendering(scene, camera, tile_pixels=TILE, **given)
+            self._made: Any = AmbientRendering(scene, camera, tile_pixels=TILE, **given)
             self._rays_a_sample = (2 + given.get("ambient_samples", 16)) * camera.width * camera.height
         else:
             from wrt.imaging.integrators.rendering_job import Rendering  # not needed for the first picture

@@ -43,7 +43,7 @@ def octree_boxes(top: TopLevel) -> TreeBoxes:
             break
         children, *both = top.divide(cells[-1][inner], *(corner[inner] for corner in corners[-1]))
         cells.append(children)
-        corners.append(tuple(both))
+        corners.append(tuple(both))  # type: ignore[arg-type]
     depth = np.repeat(np.arange(len(cells)), [len(level) for level in cells])
     words = child[np.concatenate(cells)]
     low, high = (np.concatenate(part) for part in zip(*corners, strict=True))

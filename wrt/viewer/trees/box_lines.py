@@ -45,4 +45,4 @@ def draw_boxes(client: viser.ClientHandle, name: str, corners: Any, colors: np.n
     points = box_edges(np.asarray(corners) - center).astype(np.float32)
     shades = np.repeat(colors, 12, axis=0)[:, None].repeat(2, axis=1)
     position = tuple(map(float, center))
-    return client.scene.add_line_segments(name, points, shades, thickness=1.5, thickness_units="screen", position=position)
+    return client.scene.add_line_segments(name, points, shades, thickness=1.5, thickness_units="screen", position=position)  # type: ignore[call-overload]

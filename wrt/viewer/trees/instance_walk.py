@@ -51,7 +51,7 @@ class InstanceWalk:
             return
         none = np.empty(0, dtype=np.int32)
         for box in nearest_first(self.tree, self.origin, self.direction, self.root, entry, lambda: self.best):
-            corners = self.center + box_corners(np.float64(box.low), np.float64(box.high))
+            corners = self.center + box_corners(np.float64(box.low), np.float64(box.high))  # type: ignore[arg-type]
             row = int(self.order[box.first_block * self.tree.width]) if box.is_leaf else -1
             yield Visit(corners, box.depth, float(box.entry), box.is_leaf, none, -1, row, box.is_leaf)
             if box.is_leaf:

@@ -29,7 +29,7 @@ def walk(scene: SceneState, origin: Any, direction: Any) -> list[Visit]:
     """
     origin, direction = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
     if scene.instances:
-        return [*islice(InstanceWalk(scene, origin, direction).visits(), MOST_VISITS)]
+        return [*islice(InstanceWalk(scene, origin, direction).visits(), MOST_VISITS)]  # type: ignore[arg-type]
     if not hasattr(scene.tree, "nodes" if scene.accelerator.kind == "kdtree" else "child"):
         raise ValueError("the scene has many trees; pick in a wrt.Scene of meshes or instances")
     center = np.asarray(scene.center, dtype=np.float64)

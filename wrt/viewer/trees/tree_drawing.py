@@ -155,8 +155,8 @@ def _draw_boxes(axes: Axes, boxes: TreeBoxes, deepest: int, center: np.ndarray, 
         corners = np.stack([low, np.c_[high[:, 0], low[:, 1]], high, np.c_[low[:, 0], high[:, 1]]], axis=1)
         faces = np.where(boxes.is_leaf[chosen, None], [*color[:3], 0.18], 0.0)
         width = WIDEST + (THINNEST - WIDEST) * level / max(deepest, 1)
-        style = {"edgecolors": [color], "facecolors": faces, "linewidths": width}
-        axes.add_collection(PolyCollection(corners, zorder=3.0 - level / (deepest + 1), **style))
+        style: dict[str, Any] = {"edgecolors": [color], "facecolors": faces, "linewidths": width}
+        axes.add_collection(PolyCollection(corners, zorder=3.0 - level / (deepest + 1), **style))  # type: ignore[arg-type]
         name = f"level {level}: {len(chosen):,} box{'' if len(chosen) == 1 else 'es'}"
         keys.append(Line2D([], [], color=color, linewidth=width, label=name))
     if boxes.is_leaf[boxes.depth <= deepest].any():
@@ -184,7 +184,7 @@ def _draw_costs(axes: Axes, boxes: TreeBoxes, deepest: int) -> None:
     axes.barh(levels, tests, left=visits, color="tab:orange", label=f"blocks of triangles tested: {tests.sum():.3g}")
     axes.set(xlabel="expected number for a ray\nthat meets the root's box", ylabel="level", title="cost by level")
     axes.set_ylim(boxes.levels - 0.5, -0.5)
-    axes.yaxis.get_major_locator().set_params(integer=True)
+    axes.yaxis.get_major_locator().set_params(integer=True)  # type: ignore[call-arg]
     if deepest < boxes.levels - 1:
         axes.axhline(deepest + 0.5, color="0.6", linewidth=0.8, linestyle=":", label="boxes are drawn down to here")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), fontsize="small", frameon=False)

@@ -97,7 +97,7 @@ class GltfMaterials:
         name = f"'{item['name']}'" if isinstance(item.get("name"), str) else f"number {index}"
         model = item.get("pbrMetallicRoughness") or {}
         base, surface = model.get("baseColorTexture"), model.get("metallicRoughnessTexture")
-        values = {
+        values: dict[str, Any] = {
             "color": self._numbers(model, "baseColorFactor", (1.0, 1.0, 1.0, 1.0), name)[:3],
             "metallic": self._number(model, "metallicFactor", name),
             "roughness": self._number(model, "roughnessFactor", name),
@@ -122,8 +122,8 @@ class GltfMaterials:
 
         def textured() -> Material:
             if not made:
-                images = {"color_texture": self._texture(base, name), "surface_texture": self._texture(surface, name)}
-                made.append(Material("glossy", **values, **images))
+                color, rest = self._texture(base, name), self._texture(surface, name)
+                made.append(Material("glossy", **values, color_texture=color, surface_texture=rest))
             return made[0]
 
         return UsedMaterial(name, plain, textured, places[0])
@@ -166,7 +166,7 @@ class GltfMaterials:
         texcoord = moved.get("texCoord", texcoord)
         if isinstance(texcoord, bool) or not isinstance(texcoord, int):
             raise ValueError(f"the texCoord of material {name} is {texcoord!r}")
-        values = {}
+        values: dict[str, Any] = {}
         for key, default in (("offset", [0.0, 0.0]), ("rotation", 0.0), ("scale", [1.0, 1.0])):
             try:
                 value = np.array(moved.get(key, default), dtype=np.float64)
@@ -197,8 +197,8 @@ class GltfMaterials:
         if isinstance(uri, str) and not uri.startswith("data:"):
             from urllib.parse import unquote
 
-            return self._images.of_file(unquote(uri), what, tuple(wraps))
-        return self._images.of_bytes(number, lambda: self._image_bytes(image, uri, number), what, tuple(wraps))
+            return self._images.of_file(unquote(uri), what, tuple(wraps))  # type: ignore[arg-type]
+        return self._images.of_bytes(number, lambda: self._image_bytes(image, uri, number), what, tuple(wraps))  # type: ignore[arg-type]
 
     def _image_bytes(self, image: dict[str, Any], uri: Any, number: int) -> bytes:
         if uri is not None:

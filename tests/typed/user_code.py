@@ -1,0 +1,112 @@
+"""Code of users, as type checkers must let it pass; `test_types.py` runs mypy over it. It is not executed."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+import wrt
+
+if TYPE_CHECKING:
+    from typing_extensions import assert_type
+
+
+def numpy_in_numpy_out(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray) -> None:
+    hits = scene.intersect(origins, directions, t_max=10.0, traversal="single", cull_backfaces=True)
+    nearest = hits.t.min() if hits.is_hit.any() else np.inf
+    assert_type(hits.position, np.ndarray)
+    assert_type(hits.spawn(directions, side="front"), np.ndarray)
+    assert_type(scene.occluded(origins, (0.0, 0.0, 1.0), t_max=np.full(len(origins), nearest)), np.ndarray)
+    assert_type(scene.count([[0.0, 0.0, 0.0]], [0, 0, 1], skip=hits), np.ndarray)
+    assert_type(scene.intersect_all(origins, directions, max_hits=3).offsets, np.ndarray)
+    assert_type(scene.contains(origins), np.ndarray)
+    assert_type(scene.visible(origins[:, None], origins), np.ndarray)
+    assert_type(hits.interpolate(np.ones(10)), np.ndarray)
+    print(hits.shape, scene.explain(origins, directions, query="any").traversal, scene.verify(samples=100).ok)
+
+
+def one_ray(scene: wrt.Scene) -> float:
+    hit = scene.intersect([0.0, 0.0, 5.0], [0.0, 0.0, -1.0], precise=True)
+    return float(hit.t) if hit.is_hit else float("inf")
+
+
+def warp_in_warp_out(scene: wrt.Scene, origins: wp.array, directions: wp.array) -> None:
+    hits = scene.intersect(origins, directions, mask=1)
+    assert_type(hits.t, wp.array)
+    assert_type(scene.intersect(origins, np.ones(3)).normal, wp.array)
+    assert_type(scene.occluded(hits.spawn(directions), directions), wp.array)
+    assert_type(scene.contains(origins), wp.array)
+    found = wrt.device.differentiable_hits(scene, hits, origins, directions)
+    wp.launch(hits_kernel, dim=hits.t.shape, inputs=[found.t, hits.primitive_id])
+
+
+@wp.kernel
+def hits_kernel(t: wp.array(dtype=float), triangle: wp.array(dtype=int)):  # type: ignore[valid-type]
+    pass
+
+
+class Tensor:
+    """Of a library that hands out its arrays by DLPack."""
+
+    def __dlpack__(self, stream: int | None = None) -> Any:
+        raise NotImplementedError
+
+    def __dlpack_device__(self) -> tuple[Enum, int]:
+        raise NotImplementedError
+
+
+def other_libraries(scene: wrt.Scene, origins: Tensor, directions: Tensor) -> None:
+    assert_type(scene.intersect(origins, directions).t, wp.array)
+
+
+def rays_in_one_object(scene: wrt.Scene, origins: np.ndarray, buffer: wp.array, unknown: wrt.Rays) -> None:
+    assert_type(scene.intersect(wrt.Rays(origins, [0.0, 0.0, 1.0], t_max=5.0)).uv, np.ndarray)
+    assert_type(scene.occluded(wrt.Rays(buffer, buffer)), wp.array)
+    hits = scene.intersect(unknown)
+    print(hits.t.shape, hits.plan)
+
+
+def scenes(path: str) -> wrt.Scene:
+    mesh = wrt.TriangleMesh.load(path)
+    scene = wrt.Scene(mesh, accelerator="kdtree", device="cpu", num_threads=2)
+    scene.update(0, vertices=mesh.vertices + 1.0, rebuild=wrt.moving.UpdatePolicy(when="never"))
+    scene.save("scene.npz")
+    forest = wrt.Scene([wrt.Instance(mesh, np.eye(4)), wrt.Instance(mesh, np.eye(4))], wrt.Bvh())
+    print(forest.instances[0].mesh.triangle_count, scene.bounds.shape, scene.statistics())
+    return wrt.Scene.load("scene.npz", num_threads=None)
+
+
+def pictures(scene: wrt.Scene) -> None:
+    camera = wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0))
+    depth = scene.intersect(camera.rays()).t
+    assert_type(depth, np.ndarray)
+    settings = wrt.pictures.RenderSettings(samples=4)
+    image = wrt.render(scene, camera, integrator="path", settings=settings)
+    wrt.save_image("image.png", image.clip(0.0, 1.0))
+    wrt.save_image("linear.exr", wrt.pictures.Rendering(scene, camera, settings=settings).advance(1).linear)
+
+
+def sensors(scene: wrt.Scene) -> None:
+    scan = wrt.sensors.Lidar.preset("ouster_os1_64").scan(scene, np.eye(4), seed=1)
+    print(scan.range, scan.to_structured())
+    images = wrt.sensors.Camera(64, 48, wrt.sensors.Equirectangular(64, 48)).capture(scene, np.eye(4))
+    print(images.depth, wrt.get_num_threads())
+
+
+def doors(scene: wrt.Scene, rays: wrt.Rays, path: str) -> None:
+    camera = wrt.PinholeCamera(64, 48, position=(0, -3, 1), look_at=(0, 0, 0))
+    assert_type(wrt.lights.PointLight((0.0, 0.0, 3.0)), wrt.lights.PointLight)
+    assert_type(wrt.known_rays.break_even(scene, rays).unassigned_share, float)
+    assert_type(wrt.disk.PartitionedScene(path).occluded(np.zeros(3), [0.0, 0.0, 1.0]), np.ndarray)
+    assert_type(wrt.moving.SkinnedScene, type[wrt.moving.SkinnedScene])
+    job = wrt.cluster.Job(path, scene.occluded_blocks(rays, reduce={"t": wrt.batches.Histogram(np.arange(3.0))}))
+    print(camera, job, wrt.classics.FanScene, wrt.compat.RaycastingScene, wrt.results.Plan, wrt.pictures.draw_tree)
+
+
+def blocks(scene: wrt.Scene, origins: np.memmap, nearest: np.ndarray) -> None:
+    for rows, hits in scene.intersect_blocks(origins, (0.0, 0.0, 1.0), memory="1 GB", progress=True):
+        nearest[rows] = hits.t
+    scene.occluded_blocks(origins, (0.0, 0.0, 1.0), reduce="sum", axis=0).result()

@@ -1,0 +1,36 @@
+"""Mistakes of users: type checkers must find each marked line, and no other; `test_types.py` runs mypy over it."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+import wrt
+
+
+def mistakes(mesh: wrt.TriangleMesh, scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray, buffer: wp.array) -> None:
+    scene.intersect(origins, directions, t_maxx=1.0)  # mistake: call-overload
+    scene.occluded(origins, directions, maks=1)  # mistake: call-overload
+    scene.intersect(origins)  # mistake: call-overload
+    scene.count("origins", directions)  # mistake: call-overload
+    scene.intersect(origins, directions, cull_backfaces="yes")  # mistake: call-overload
+    scene.explain(origins, directions, query="nearest")  # mistake: arg-type
+    scene.explain(origins, directions, samples=1)  # mistake: call-arg
+    wrt.Scene(mesh, acelerator="bvh")  # mistake: call-arg
+    wrt.Scene(mesh, accelerator="bhv")  # mistake: arg-type
+    scene.update(0, vertices=origins, rebuild="sometimes")  # mistake: arg-type
+    wrt.pictures.RenderSettings(samples="four")  # mistake: arg-type
+    wrt.PinholeCamera(640, 480, position=(0, -3, 1), lookat=(0, 0, 0))  # mistake: call-arg
+    wrt.Scenee(mesh)  # mistake: attr-defined
+    print(wrt.sensors.Lidarr)  # mistake: attr-defined
+    print(wrt.lights.PointLigth)  # mistake: attr-defined
+    print(wrt.PointLight)  # mistake: attr-defined
+    wrt.lights.PointLight((0, 0, 1), intensiti=1.0)  # mistake: call-arg
+    wrt.device.differentiable_hit(scene)  # mistake: attr-defined
+    print(scene.device_mesh)  # mistake: attr-defined
+    hits = scene.intersect(origins, directions)
+    print(hits.nonexistent)  # mistake: attr-defined
+    hits.spawn(directions, side="top")  # mistake: call-overload
+    hits.t.numpy()  # mistake: attr-defined
+    scene.occluded(buffer, buffer).any()  # mistake: attr-defined
+    wrt.save_image(3, origins)  # mistake: arg-type

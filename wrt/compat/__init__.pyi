@@ -1,0 +1,8 @@
+# Written by `python -m tests.typed.stubs` from the table of names in wrt/compat/__init__.py.
+from wrt.compat.open3d_rays import RaycastingScene as RaycastingScene
+from wrt.compat.trimesh_rays import RayMeshIntersector as RayMeshIntersector
+
+__all__ = [
+    "RayMeshIntersector",
+    "RaycastingScene",
+]

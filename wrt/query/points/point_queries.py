@@ -1,0 +1,157 @@
+"""The queries of a scene that take points: inside tests, visibility, points on triangles; and a check of itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, overload
+
+from wrt.state.query_kinds import AUTO
+
+if TYPE_CHECKING:
+    import numpy as np
+    import warp as wp
+
+    from wrt.meshes.instance import Instance
+    from wrt.meshes.mesh import TriangleMesh
+    from wrt.planning.plan import Plan
+    from wrt.query.hits import Hits
+    from wrt.query.verification import Verification
+    from wrt.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
+    from wrt.state.scene_state import SceneState
+
+
+class PointQueries:
+    """Queries of points.
+
+    Attributes:
+        state: what a query reads of the scene, once, at its beginning.
+    """
+
+    state: SceneState
+
+    if TYPE_CHECKING:  # what every scene has, for functions that take one
+
+        @property
+        def device(self) -> wp.Device: ...
+        @property
+        def meshes(self) -> tuple[TriangleMesh, ...]: ...
+        @property
+        def instances(self) -> tuple[Instance, ...]: ...
+
+    def points_on(
+        self,
+        primitive_id: Numbers,
+        uv: Numbers | None = None,
+        *,
+        points: ArrayLike | None = None,
+        instance_id: Numbers | None = None,
+    ) -> Hits:
+        """Points on triangles as hits that no ray made, so that rays can leave them: `Hits.spawn`, `Hits.faces`.
+
+            facade = scene.points_on(triangles, points=samples)           # (N,), (N, 3)
+            lit = facade.faces(sun) & ~scene.occluded(facade.spawn(sun), sun)
+
+        Args:
+            primitive_id: (...) integers, triangles within their mesh; -1 for none, which is a miss.
+            uv: (..., 2) weights of the second and third vertex, each at least 0, and together at most 1.
+            points: (..., 3) points in the scene's coordinates, in place of `uv`. Each is moved to the nearest point of its
+                triangle. Without both, the points are the centroids.
+            instance_id: (...) integers, the instances, or meshes in a scene without instances, that the triangles are of; may
+                be left out if there is only one.
+
+        Returns:
+            Hits of the broadcast leading shape with t = 0, whose `plan` is None and whose positions are float64.
+
+        Raises:
+            TypeError: not numbers, or both `uv` and `points`.
+            ValueError: a triangle or an instance that does not exist, shapes that do not broadcast, weights outside of the
+                triangle, points farther from their triangle than a thousandth of its longest edge, or no `instance_id` in a
+                scene of several.
+        """
+        from wrt.query.points.surface_points import points_on
+
+        return points_on(self.state, primitive_id, uv, points, instance_id)
+
+    @overload
+    def contains(self, points: NumpyLike, *, traversal: str | Plan = AUTO) -> np.ndarray: ...
+    @overload
+    def contains(self, points: WarpLike, *, traversal: str | Plan = AUTO) -> wp.array: ...
+    def contains(self, points: ArrayLike, *, traversal: str | Plan = AUTO) -> Any:
+        """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.
+
+        Decided by parity: a point is inside if a ray from it crosses the surface an odd number of times. If every mesh is
+        closed (`TriangleMesh.is_closed`), the direction of the ray does not matter. Otherwise the majority of three
+        directions decides, which is unreliable near holes. With several meshes, or shells within each other, a point is
+        inside if an odd number of them contain it.
+
+        A triangle that repeats an earlier one exactly, with the same side in front, is left out, unless another body is
+        closed by it; so is an instance of an equal mesh with equal transform and environment. If there are any, the first
+        call builds a second tree. A triangle that is there with both sides in front counts twice, as the common wall of
+        two bodies that touch. `verify` says what a parity cannot answer on a mesh.
+
+        Points whose distance to the surface is within float32 rounding, relative to the scene's centre, may count as inside
+        or outside. A point with a NaN or an infinity is outside.
+
+        Args:
+            points: (..., 3).
+            traversal: as in `count`.
+
+        Raises:
+            TypeError: points are not an array of real numbers.
+            ValueError: wrong shape, an array on another device, or a traversal that does not count.
+        """
+        from wrt.query.inside import contains
+
+        return contains(self.state, points, traversal)
+
+    @overload
+    def visible(self, points_a: NumpyLike, points_b: NumpyLike) -> np.ndarray: ...
+    @overload
+    def visible(self, points_a: WarpLike, points_b: ArrayLike) -> wp.array: ...
+    @overload
+    def visible(self, points_a: NumpyLike, points_b: WarpLike) -> wp.array: ...
+    def visible(self, points_a: ArrayLike, points_b: ArrayLike) -> Any:
+        """Whether pairs of points see each other: (...) bool, a NumPy array if both points were, else a Warp array.
+
+            matrix = scene.visible(points[:, None], points[None, :])
+
+        A pair is visible if no triangle crosses the open segment between its points. Points may lie on surfaces: a triangle
+        whose plane contains one of the points up to rounding does not block the segment (rounding of float32 relative to
+        the scene's centre, and of the points themselves if they are float32). So two points on one flat wall see each
+        other, and a point on a wall is visible from both sides; `Hits.faces` tells on which side a direction is. A point sees
+        itself. A point with a NaN or an infinity sees nothing. The relation is symmetric: visible(a, b) equals visible(b, a).
+
+        Args:
+            points_a, points_b: (..., 3); leading shapes broadcast. Pairs are processed in blocks of bounded memory.
+
+        Raises:
+            TypeError: points are not arrays of real numbers.
+            ValueError: wrong shapes, shapes that do not broadcast, or an array on another device.
+        """
+        from wrt.query.points.visibility import visible
+
+        return visible(self.state, points_a, points_b)
+
+    def verify(self, samples: int = 1000, seed: int = 0) -> Verification:
+        """Compares `intersect`, `occluded` and `contains` with brute force in float64, on this scene and this machine.
+
+        Uses the scene's triangle test: `wrt.Scene(mesh, triangle_test="moeller_trumbore").verify()` checks another one.
+
+            report = scene.verify()
+            print(report)
+            assert report.ok
+
+        A quarter of the rays is random, a quarter is aimed at vertices, a quarter at edges, and a quarter grazes triangles.
+        The reference tests every triangle against every ray, so the time grows with the number of triangles and of samples.
+        `contains` is compared with winding numbers at as many points, at fewer if there are more than 20,000 triangles.
+
+        Args:
+            samples: number of rays, at least 4.
+            seed: seed of the random rays, at least 0.
+
+        Raises:
+            TypeError: samples or seed is not an int.
+            ValueError: samples or seed is too small, or the scene's triangle test needs rays with a shared origin.
+        """
+        from wrt.query.verification import verify
+
+        return verify(self.state, samples, seed)

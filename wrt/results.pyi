@@ -1,0 +1,26 @@
+# Written by `python -m tests.typed.stubs` from the table of names in wrt/results.py.
+from wrt.builders.bvh.bvh_statistics import BvhStatistics as BvhStatistics
+from wrt.builders.kdtree.kdtree_statistics import KdTreeStatistics as KdTreeStatistics
+from wrt.materials.mesh_materials import MeshMaterials as MeshMaterials
+from wrt.planning.plan import Plan as Plan
+from wrt.query.checks.inside_check import InsideCheck as InsideCheck
+from wrt.query.exact_hits import PreciseHits as PreciseHits
+from wrt.query.gradients import DifferentiableHits as DifferentiableHits
+from wrt.query.verification import Fault as Fault
+from wrt.query.verification import Verification as Verification
+from wrt.scene.scene_statistics import SceneStatistics as SceneStatistics
+from wrt.scene.updates import UpdateReport as UpdateReport
+
+__all__ = [
+    "BvhStatistics",
+    "DifferentiableHits",
+    "Fault",
+    "InsideCheck",
+    "KdTreeStatistics",
+    "MeshMaterials",
+    "Plan",
+    "PreciseHits",
+    "SceneStatistics",
+    "UpdateReport",
+    "Verification",
+]
