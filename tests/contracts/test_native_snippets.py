@@ -25,6 +25,7 @@ from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
 from wrt.kernels.runtime import native
 from wrt.kernels.simd.box_lanes import ray_boxes
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.shadows.light_buffer_lanes import make_lane_kernel
@@ -46,7 +47,7 @@ def make_all_kernels() -> list[wp.Kernel]:
         way.kernels[tree](TraversalConfig("woop", WIDTH, query)) for way, tree, query in answers if way.supports(query, tree)
     ]
     fronts = TraversalConfig("woop", WIDTH, cull_backfaces=True)
-    kernels += [way.kernels["bvh"](fronts) for way in TRAVERSALS.values() if way.front_faces]
+    kernels += [way.kernels["bvh"](fronts) for way in TRAVERSALS.values() if Capabilities.FRONT_FACES in way.capabilities]
     packets, streams, single = (TRAVERSALS[name].kernels for name in ("packet", "stream", "single"))
     for name, test in TRIANGLE_TESTS.items():
         kernels += [make["bvh"](TraversalConfig(name, WIDTH)) for make in (packets, streams, single)]

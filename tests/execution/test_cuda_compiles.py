@@ -39,6 +39,7 @@ from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.query import instance_exact, instance_gradients
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.fan_brute_force import NORMALS, VERTICES
 from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
@@ -169,7 +170,7 @@ ANSWERS = [
     for tree in way.trees
     for test in map(TRIANGLE_TESTS.get, ENGINE_TESTS)
     for query in (QUERIES if test.name == "woop" else ("closest",))
-    if way.supports(query, tree) and not way.wide  # wide forms have the kernels of a BVH
+    if way.supports(query, tree) and Capabilities.WIDE_FORM not in way.capabilities  # wide forms have the kernels of a BVH
     if test.name == "woop" or (tree == way.trees[0] and name not in OTHER_WAYS_TO_PACKETS)
 ]
 """All queries with one test; one query with the others, once for each way to meet leaves."""

@@ -48,7 +48,7 @@ from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import lowest_bit
 from wrt.kernels.traversal.leaf import CounterRows, Counters
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core.packet_bvh import visit_leaf
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout
 from wrt.kernels.traversal.packet.culling.interval_culling import cull_triangles
@@ -101,7 +101,11 @@ def make_walk(config: TraversalConfig) -> wp.Function:
     Returns those whose rays were made. block: place of the first of them in the order of blocks.
     """
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
-    load, start, visit = load_packet(layout, culling.slopes), culling.start(layout), visit_leaf(config, False)
+    load, start, visit = (
+        load_packet(layout, CullingTraits.SLOPES in culling.traits),
+        culling.start(layout),
+        visit_leaf(config, False),
+    )
     push, meets, order = push_children(config.width), meets_triangles(config), frustum_at(layout.rays)
     width, counting, packet_rays = config.width, config.counters, layout.rays
 

@@ -38,7 +38,7 @@ from wrt.kernels.layout.unchecked import CACHE_LINE, first_line, load_int, store
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.traversal.leaf import CounterRows, Counters
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, packet_layout
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
@@ -112,7 +112,7 @@ def make_descent(config: TraversalConfig, inner: TraversalConfig) -> wp.Function
     layout, small, culling = packet_layout(config), packet_layout(inner), CULLINGS[config.packet.culling]
     moved = moves_origins(config)
     gather, scatter = gather_rays(layout, small, moved), scatter_rays(layout, small)
-    bound, start = bound_entries(small, culling.slopes, moved), culling.start(small)
+    bound, start = bound_entries(small, CullingTraits.SLOPES in culling.traits, moved), culling.start(small)
     walk = make_walk(inner, moved)
     size, numbers, step = small.size, config.stack.levels * (config.width + 1), level_memory(config)
 
@@ -143,7 +143,7 @@ def make_descent(config: TraversalConfig, inner: TraversalConfig) -> wp.Function
 
 def moves_origins(config: TraversalConfig) -> bool:
     """Whether the bounds of repacked packets begin at their entry points; not with one origin, nor without bounds."""
-    return not config.packet.shared_origin and not CULLINGS[config.packet.culling].every_ray
+    return not config.packet.shared_origin and CullingTraits.EVERY_RAY not in CULLINGS[config.packet.culling].traits
 
 
 @cache
@@ -158,7 +158,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
     descend = make_descent(config, inner) if inner else visit  # without smaller packets, never called
     repacks, smaller = inner is not None, inner.packet.rays if inner else 0
     width, counting, row = config.width, config.counters, config.stack.levels * config.width
-    box_tests = config.width * (config.packet.rays if culling.every_ray else 1)
+    box_tests = config.width * (config.packet.rays if CullingTraits.EVERY_RAY in culling.traits else 1)
 
     @wp.func
     def walk(
@@ -217,7 +217,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
-    load, store = load_packet(layout, culling.slopes), store_packet(layout, config.answer.ends_at_first)
+    load, store = load_packet(layout, CullingTraits.SLOPES in culling.traits), store_packet(layout, config.answer.ends_at_first)
     start, walk = culling.start(layout), make_walk(config, False)
     packet_rays, size, memory_size, counting = config.packet.rays, layout.size, walk_memory(config), config.counters
 

@@ -18,6 +18,7 @@ from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.launch import kept
 from wrt.kernels.runtime.launch_chain import Stage
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.planning.answer_checks import can_answer
 from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
 from wrt.planning.planner import find_plan, is_changing
@@ -175,11 +176,12 @@ class RayTracer:
         for plan in plans:
             batch = rays.given.batch()  # one for each plan, as the rays per item differ
             traversal = traversal_of(plan)
-            if traversal.streams:
+            streams = Capabilities.STREAMS in traversal.capabilities
+            if streams:
                 plan = replace(plan, stream=min(plan.stream, STREAM))
             config = config_for_layout(traversal_config(plan, self._state, kind, False), plan, self._state)
-            run = tile if traversal.streams else traversal.rays_per_item(config)
-            batch.run = min(run, tile) if traversal.long_items else run
+            run = tile if streams else traversal.rays_per_item(config)
+            batch.run = min(run, tile) if Capabilities.LONG_ITEMS in traversal.capabilities else run
             work = no_work(traversal.counters, self._state.device.alias)
             kernel, inputs = kernel_and_inputs(self._state, plan, config, batch, hits, work)
             made.append(Stage(kernel, inputs, batch.run, (RAYS, "count"), counts))

@@ -36,7 +36,7 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD, NO_CHILD_CONSTANT, entry_of, nearest_child
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
 from wrt.kernels.traversal.packet.core.joined_packets import answer_together
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel, packet_layout
@@ -76,7 +76,7 @@ def walk_memory(config: TraversalConfig) -> int:
 def finishes_later(config: TraversalConfig) -> bool:
     """Whether the rays of a packet are prepared for tests at its first leaf: those that nothing else needs prepared."""
     culling = CULLINGS[config.packet.culling]
-    return not (culling.every_ray or culling.slopes) and culling.start is no_start
+    return not culling.traits & (CullingTraits.EVERY_RAY | CullingTraits.SLOPES) and culling.start is no_start
 
 
 @cache
@@ -134,7 +134,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     culling, layout = CULLINGS[config.packet.culling], packet_layout(config)
     cull_boxes, visit, nearest = culling.boxes(layout), visit_leaf(config, finishes_later(config)), nearest_child(config.width)
     fetch = fetch_kept(layout)
-    box_tests = config.width * (config.packet.rays if culling.every_ray else 1)
+    box_tests = config.width * (config.packet.rays if CullingTraits.EVERY_RAY in culling.traits else 1)
     mailbox_size = MAILBOXES[config.mailbox].size
     cached_leaf, cache_leaf, any_hit = occluder.cached_leaf(layout), occluder.cache_leaf(layout), config.answer.ends_at_first
     width, counting = config.width, config.counters

@@ -17,7 +17,7 @@ from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import count_bits
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core import packet_splitting
 from wrt.kernels.traversal.packet.culling.back_faces import keep_front_faces
 from wrt.kernels.traversal.packet.leaves.packet_block import test_block
@@ -183,7 +183,7 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
 def reverses_bounds(config: TraversalConfig, reversible: bool) -> bool:
     """Whether packets may be bounded as seen from the ends of their rays; reversible: as of `packet_step`."""
     occlusion = config.answer.ends_at_first and not config.packet.shared_origin
-    return reversible and CULLINGS[config.packet.culling].reversible and occlusion
+    return reversible and CullingTraits.REVERSIBLE in CULLINGS[config.packet.culling].traits and occlusion
 
 
 @cache
@@ -195,7 +195,7 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function,
     """
     layout = packet_layout(config)
     is_wide, finish_loading = packet_splitting.is_wide(layout), finish_packet(layout)
-    activate = packet_splitting.activate_part(layout, CULLINGS[config.packet.culling].slopes, ends)
+    activate = packet_splitting.activate_part(layout, CullingTraits.SLOPES in CULLINGS[config.packet.culling].traits, ends)
     finish, count_single_rays = packet_splitting.finish_part(layout), packet_splitting.count_single_rays(layout)
 
     @wp.func
@@ -298,7 +298,7 @@ def packet_step(
         later: whether `finish_packet` is called before the first leaf.
     """
     layout, parts, culling = packet_layout(config), not config.packet.shared_origin, CULLINGS[config.packet.culling]
-    load = load_packet(layout, culling.slopes, later, reverses_bounds(config, reversible))
+    load = load_packet(layout, CullingTraits.SLOPES in culling.traits, later, reverses_bounds(config, reversible))
     store, fetch = store_packet(layout, config.answer.ends_at_first, config.packet.non_temporal), fetch_hits(layout)
     fetches = not config.answer.ends_at_first and not config.packet.non_temporal
     single_rays, counting = trace_single_rays(config, Tree, walk_ray), config.counters
