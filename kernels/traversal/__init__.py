@@ -26,18 +26,20 @@ import warp as wp
 
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.on_demand import OnDemand
-from wrt.kernels.traversal import brute_force as brute
+from wrt.kernels.traversal.brute_force import make_brute_force_kernel
 from wrt.kernels.traversal.capabilities import Capabilities
-from wrt.kernels.traversal.interleaved import interleaved_bvh
+from wrt.kernels.traversal.interleaved.interleaved_bvh import make_interleaved_bvh_kernel
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
-from wrt.kernels.traversal.packet.core import packet_bvh as packet
-from wrt.kernels.traversal.packet.core import packet_kdtree, packet_kernel
-from wrt.kernels.traversal.queued import queued_bvh
+from wrt.kernels.traversal.packet.core import packet_kernel
+from wrt.kernels.traversal.packet.core.packet_bvh import make_packet_bvh_kernel
+from wrt.kernels.traversal.packet.core.packet_kdtree import make_packet_kdtree_kernel
+from wrt.kernels.traversal.queued.queued_bvh import make_queued_bvh_kernel
 from wrt.kernels.traversal.single.single_bvh import make_single_bvh_kernel
 from wrt.kernels.traversal.single.single_kdtree import make_single_kdtree_kernel
-from wrt.kernels.traversal.stream import stream_bvh, stream_kdtree
 from wrt.kernels.traversal.stream import stream_kernel as stream
+from wrt.kernels.traversal.stream.stream_bvh import make_stream_bvh_kernel
+from wrt.kernels.traversal.stream.stream_kdtree import make_stream_kdtree_kernel
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.traversal_scores import (
     Score,
@@ -144,7 +146,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "brute",
             "every ray against every triangle",
-            {"none": brute.make_kernel},
+            {"none": make_brute_force_kernel},
             capabilities=Capabilities.OWN_SPACES | Capabilities.SHARED_LEAVES,
             each_hit=("none",),
         ),
@@ -166,7 +168,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "lockstep",
             "after Foley, Sugerman: KD-tree acceleration structures for a GPU raytracer (2005), with a stack, on CPU lanes",
-            {"kdtree": lockstep.make_kernel},
+            {"kdtree": lockstep.make_lockstep_kernel},
             lockstep.rays_per_item,
             score=score_lockstep,
         ),
@@ -174,7 +176,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "packet",
             "Wald et al.: Interactive rendering with coherent ray tracing (2001); "
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
-            {"bvh": packet.make_kernel, "kdtree": packet_kdtree.make_kernel},
+            {"bvh": make_packet_bvh_kernel, "kdtree": make_packet_kdtree_kernel},
             packet_kernel.rays_per_item,
             capabilities=Capabilities.PACKETS | Capabilities.NON_TEMPORAL | Capabilities.LONG_ITEMS | Capabilities.MAILBOX,
             orders=(AS_GIVEN, CELLS, TILES),
@@ -184,7 +186,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "repacked_packet",
             "Boulos, Wald, Benthin: Adaptive ray packet reordering (2008)",
-            {"bvh": OnDemand("traversal.repacked_bvh", "make_kernel")},
+            {"bvh": OnDemand("traversal.repacked_bvh", "make_repacked_bvh_kernel")},
             packet_kernel.rays_per_item,
             capabilities=Capabilities.PACKETS | Capabilities.LONG_ITEMS,
             orders=(AS_GIVEN, CELLS, TILES),
@@ -192,7 +194,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "multi_frusta",
             "Benthin, Wald: Efficient ray traced soft shadows using multi-frusta tracing (2009), for rays from one point",
-            {"bvh": OnDemand("traversal.eye_frusta", "make_kernel")},
+            {"bvh": OnDemand("traversal.eye_frusta", "make_eye_frusta_kernel")},
             OnDemand("traversal.eye_frusta", "rays_per_item"),
             capabilities=Capabilities.PACKETS | Capabilities.ONE_VECTOR | Capabilities.SHARED_ORIGIN | Capabilities.FRONT_FACES,
             orders=(AS_GIVEN, TILES),
@@ -216,7 +218,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "omnidirectional",
             "Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees (2006)",
-            {"kdtree": OnDemand("traversal.omnidirectional", "make_kernel")},
+            {"kdtree": OnDemand("traversal.omnidirectional", "make_omnidirectional_kernel")},
             OnDemand("traversal.omnidirectional", "rays_per_item"),
             capabilities=Capabilities.PACKETS | Capabilities.MAILBOX,
             orders=(AS_GIVEN,),
@@ -225,7 +227,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "stream",
             "Wald, Gribble, Boulos, Kensler: SIMD ray stream tracing (2007); "
             "Gribble, Ramani: Coherent ray tracing via stream filtering (2008)",
-            {"kdtree": stream_kdtree.make_kernel, "bvh": stream_bvh.make_kernel},
+            {"kdtree": make_stream_kdtree_kernel, "bvh": make_stream_bvh_kernel},
             stream.rays_per_item,
             capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS,
             each_hit=("bvh",),
@@ -237,7 +239,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "interleaved",
             "single rays that take turns, after Barringer, Akenine-Möller: Dynamic ray stream traversal (2014), "
             "and Fuetterling, Lojewski, Pfreundt, Ebert: Accelerated single ray tracing for wide vector units (2017)",
-            {"bvh": interleaved_bvh.make_kernel},
+            {"bvh": make_interleaved_bvh_kernel},
             stream.rays_per_item,
             capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS | Capabilities.SHORT_ITEMS,
             each_hit=("bvh",),
@@ -249,7 +251,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "queued",
             "Pharr, Kolb, Gershbein, Hanrahan: Rendering complex scenes with memory-coherent ray tracing (1997); "
             "Navrátil, Fussell, Lin, Mark: Dynamic ray scheduling to improve ray coherence and bandwidth utilization (2007)",
-            {"bvh": queued_bvh.make_kernel},
+            {"bvh": make_queued_bvh_kernel},
             capabilities=Capabilities.QUEUED,
             each_hit=("bvh",),
         ),
@@ -257,7 +259,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "wide_stream",
             "stream through the cells of a kd-tree in nodes of W, after Popov, Georgiev, Dimov, Slusallek: "
             "Object partitioning considered harmful: space subdivision for BVHs (2009)",
-            {"kdtree": stream_bvh.make_kernel},
+            {"kdtree": make_stream_bvh_kernel},
             stream.rays_per_item,
             capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS | Capabilities.WIDE_FORM,
             counters=stream.StreamCounters,
@@ -266,7 +268,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "wide_packet",
             "packet through the same",
-            {"kdtree": packet.make_kernel},
+            {"kdtree": make_packet_bvh_kernel},
             packet_kernel.rays_per_item,
             capabilities=Capabilities.PACKETS | Capabilities.NON_TEMPORAL | Capabilities.LONG_ITEMS | Capabilities.WIDE_FORM,
             orders=(AS_GIVEN, TILES),

@@ -8,7 +8,7 @@ from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import INFINITY, greatest, least
+from wrt.kernels.simd.boxes import INFINITY, max_of, min_of
 
 exact_module(__name__)
 
@@ -62,13 +62,13 @@ def empty_box():
 @wp.func
 def enlarged(box: Box, lists: SweepLists, triangle: int):
     """A box that holds a triangle too."""
-    return Box(least(box.low, lists.corner[2 * triangle]), greatest(box.high, lists.corner[2 * triangle + 1]))
+    return Box(min_of(box.low, lists.corner[2 * triangle]), max_of(box.high, lists.corner[2 * triangle + 1]))
 
 
 @wp.func
 def joined(a: Box, b: Box):
     """The box around two boxes."""
-    return Box(least(a.low, b.low), greatest(a.high, b.high))
+    return Box(min_of(a.low, b.low), max_of(a.high, b.high))
 
 
 @wp.func

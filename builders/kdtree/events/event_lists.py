@@ -76,22 +76,21 @@ def sweep_range(
     events: wp.array(dtype=wp.vec2i),
     begin: int,
     end: int,
-    left: int,
-    right: int,
+    counts: wp.vec2i,
     any_planar: bool,
     best: Split,
 ):
     """The better of `best` and the best plane at the events begin .. end - 1: a sweep, from the block of least cost on if that
     is known.
 
-    left: triangles that have begun before them. right: triangles that have not ended before them. any_planar: whether there may
+    counts: triangles that have begun before them, and triangles that have not ended before them. any_planar: whether there may
     be events of planar triangles."""
     start = int(begin)
-    sweep = start_sweep(left, right)
+    sweep = start_sweep(counts[0], counts[1])
     least = LeastPlane()
     least.cost = -INFINITY
     if not any_planar:
-        find_least_plane(cost, along, events, begin, end - begin, left, right, least)
+        find_least_plane(cost, along, events, begin, end - begin, counts[0], counts[1], least)
         start = least.event
         sweep.left = least.left
         sweep.right = least.right
@@ -110,7 +109,7 @@ def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
         begin = frame.first[axis]
         end = begin + frame.count[axis]
         any_planar = end - begin != 2 * frame.triangles
-        best = sweep_range(cost, along, lists.event, begin, end, 0, frame.triangles, any_planar, best)
+        best = sweep_range(cost, along, lists.event, begin, end, wp.vec2i(0, frame.triangles), any_planar, best)
     return best
 
 

@@ -23,7 +23,7 @@ References: komatsu-2008; wald-2004.
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.axis_projection import ROW_NAMES, derive_rows, turned_lanes
+from wrt.kernels.triangle.support.axis_projection import ROW_NAMES, derive_rows, permuted_lanes
 from wrt.kernels.triangle.support.lane_form import DIRECTION, FAR, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TestForm
@@ -155,7 +155,7 @@ PROJECTION = LaneForm(
         Step(
             exit="behind the origin or a closer hit",
             code=f"""
-                {turned_lanes("o")}{turned_lanes("d")}
+                {permuted_lanes("o")}{permuted_lanes("d")}
                 const float t = (n0 - ((ok + np * op) + nq * oq)) / ((dk + np * dp) + nq * dq);
             """,
             passes="(t > 0.0f) & (t < far)",

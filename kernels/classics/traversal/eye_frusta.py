@@ -168,7 +168,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_eye_frusta_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation; its packets are frusta."""
     config = replace(config, packet=replace(config.packet, shared_origin=True))
     layout, waiting = packet_layout(config), most_waiting(config)

@@ -54,7 +54,7 @@ def rays_per_item(config: TraversalConfig) -> int:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_omnidirectional_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout = packet_layout(config)
     load, store = (

@@ -214,7 +214,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_repacked_bvh_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
     load, store = load_packet(layout, CullingTraits.SLOPES in culling.traits), store_packet(layout, config.answer.ends_at_first)

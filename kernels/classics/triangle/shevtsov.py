@@ -24,7 +24,7 @@ References: shevtsov-2007-triangle; rahikainen-2013.
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.axis_projection import main_axis, next_axis, turned, turned_lanes
+from wrt.kernels.triangle.support.axis_projection import main_axis, next_axis, permuted, permuted_lanes
 from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
@@ -81,8 +81,8 @@ def weigh(flat: FlatTriangle, o: wp.vec3, d: wp.vec3, det: float, ahead: float):
 @wp.func
 def intersect(ray: PlainRay, flat: FlatTriangle):
     """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
-    o = turned(ray.origin, int(flat[0]))
-    d = turned(ray.direction, int(flat[0]))
+    o = permuted(ray.origin, int(flat[0]))
+    d = permuted(ray.direction, int(flat[0]))
     det = (d[0] + flat[1] * d[1]) + flat[2] * d[2]
     ahead = flat[3] - ((o[0] + flat[1] * o[1]) + flat[2] * o[2])
     return weigh(flat, o, d, det, ahead)
@@ -101,7 +101,7 @@ LANES = LaneForm(
         Step(
             exit="the line passes beside the triangle",
             code=f"""
-                {turned_lanes("o")}{turned_lanes("d")}
+                {permuted_lanes("o")}{permuted_lanes("d")}
                 const float det = (dk + np * dp) + nq * dq, ahead = n0 - ((ok + np * op) + nq * oq);
                 {WEIGHTS}
             """,

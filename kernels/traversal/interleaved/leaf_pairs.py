@@ -8,12 +8,11 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.interleaved.ray_slots import pair_room
 from wrt.kernels.traversal.stream.stream_candidates import candidate_tester
 from wrt.kernels.traversal.stream.stream_kernel import stream_ray
-from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, append_candidates
+from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, StreamHits, append_candidates
 from wrt.kernels.traversal.stream.stream_pairs import line_lanes
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -24,9 +23,9 @@ exact_module(__name__)
 
 @cache
 def block_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, blocks, count, pairs, hits, begin)`: tests the first `count` pairs of `blocks`.
+    """`wp.func(triangles, stream, blocks, count, pairs, found)`: tests the first `count` pairs of `blocks`.
 
-    hits: destination of the hits in queries for all hits. begin: number of the stream's first ray.
+    found: `StreamHits`.
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     StreamRay, RayState = stream_ray(config.triangle_test), test.ray_state
@@ -69,12 +68,11 @@ def block_tester(config: TraversalConfig) -> wp.Function:
         blocks: wp.array(dtype=int),
         count: int,
         pairs: wp.ref[Pairs],
-        hits: wp.ref[HitBatch],
-        begin: int,
+        found: wp.ref[StreamHits],
     ):
         tested = int(0)
         while tested < count:
-            found = find_candidates(triangles, stream, blocks, count, pairs, tested)
-            test_candidates(triangles, stream, pairs, found, hits, begin)
+            candidates = find_candidates(triangles, stream, blocks, count, pairs, tested)
+            test_candidates(triangles, stream, pairs, candidates, found)
 
     return test_blocks

@@ -26,7 +26,7 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import triangle_step
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, get_ray, ray_number, stream_ray
-from wrt.kernels.traversal.stream.stream_lists import Pairs, load_candidate
+from wrt.kernels.traversal.stream.stream_lists import Pairs, StreamHits, load_candidate
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -117,9 +117,9 @@ def scalar_test_step(config: TraversalConfig) -> wp.Function:
 
 @cache
 def candidate_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pairs, count, hits, begin)`: evaluates the first `count` candidates.
+    """`wp.func(triangles, stream, pairs, count, found)`: evaluates the first `count` candidates.
 
-    hits, begin: as in `wrt.kernels.traversal.stream.stream_pairs.pair_tester`.
+    found: `StreamHits`.
     """
     StreamRay = stream_ray(config.triangle_test)
     if evaluates_in_lanes(config):
@@ -131,8 +131,7 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
             stream: wp.array(dtype=StreamRay),
             pairs: wp.ref[Pairs],
             count: int,
-            hits: wp.ref[HitBatch],
-            begin: int,
+            found: wp.ref[StreamHits],
         ):
             in_lanes(triangles.records, triangles.primitive, stream, pairs, count)
 
@@ -146,14 +145,13 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
         stream: wp.array(dtype=StreamRay),
         pairs: wp.ref[Pairs],
         count: int,
-        hits: wp.ref[HitBatch],
-        begin: int,
+        found: wp.ref[StreamHits],
     ):
         p = int(0)
         while p < count:
             slot = int(0)
             k = load_candidate(pairs, p, slot)
-            test_one(triangles, stream, k, slot, hits, begin + number_of(stream, k))
+            test_one(triangles, stream, k, slot, found.hits, found.begin + number_of(stream, k))
             p += 1
 
     return test_each

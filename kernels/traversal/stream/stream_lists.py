@@ -11,6 +11,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES
@@ -36,6 +37,15 @@ class Pairs:
     """Ray of each candidate: its line meets the triangle."""
     candidates: PairList
     """Slot of the candidate's triangle: block * W + lane."""
+
+
+@wp.struct
+class StreamHits:
+    """Where hits go that are not stored with the rays of a stream: in queries for all hits."""
+
+    hits: HitBatch
+    begin: int
+    """Number of the stream's first ray."""
 
 
 @wp.struct

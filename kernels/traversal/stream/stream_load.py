@@ -43,20 +43,19 @@ def native_form(triangle_test: str) -> str:
 
 @cache
 def load_lanes(triangle_test: str) -> wp.Function:
-    """`func(batch, first, count, low, high, stream, size, place, own) -> bits`: loads the next rays, from `first` on, at most
-    `count` and at most 16 of them, and `place` after the first ray of the stream.
+    """`func(batch, wanted, low, high, stream, size, place, own) -> bits`: loads the next rays, from `wanted[0]` on, at most
+    `wanted[1]` and at most 16 of them, and `place` after the first ray of the stream.
 
     Those that are valid are appended to the `size` rays of the stream; their bits are returned. low, high: bounds of the scene.
     own: receives what `prepare_one_by_one` reads (`KEPT_SIZE`), if it is needed.
     """
     form = f"{native_form(triangle_test)}, {LIST_LANES}"
-    arguments = "batch, first, count, low, high, stream.data + size, place, own.data"
+    arguments = "batch, wanted[0], wanted[1], low, high, stream.data + size, place, own.data"
 
     @native.func_native("stream_load.h", f"{GUARDS}return wrt::load_rays<{form}>({arguments});")
     def load_lanes_native(
         batch: RayBatch,
-        first: int,
-        count: int,
+        wanted: wp.vec2i,
         low: wp.vec3,
         high: wp.vec3,
         stream: wp.array(dtype=stream_ray(triangle_test)),
@@ -132,7 +131,7 @@ def load_stream(triangle_test: str, room: int) -> wp.Function:
         kept = int(0)
         while begin + place < end and kept <= wp.static(room - group):
             count = wp.min(end - begin - place, wp.static(group))
-            bits = load(rays, begin + place, count, low, high, stream, kept, place, own)
+            bits = load(rays, wp.vec2i(begin + place, count), low, high, stream, kept, place, own)
             if wp.static(not prepared):
                 prepare_kept(stream, kept, bits, own)
             place += count

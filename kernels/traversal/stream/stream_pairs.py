@@ -14,13 +14,12 @@ import warp as wp
 
 from wrt.kernels.answers.best_hit import BestHit
 from wrt.kernels.layout import bvh_nodes as bvh
-from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.traversal.stream.stream_candidates import candidate_tester
 from wrt.kernels.traversal.stream.stream_kernel import StreamCounters, get_ray, stream_ray
-from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, append_candidates, load_pair, store_pair
+from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, StreamHits, append_candidates, load_pair, store_pair
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -97,9 +96,9 @@ def line_filter(config: TraversalConfig) -> wp.Function:
 
 @cache
 def pair_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pairs, number, hits, begin, work)`: tests the first `number` pairs completely.
+    """`wp.func(triangles, stream, pairs, number, found, work)`: tests the first `number` pairs completely.
 
-    hits: destination of the hits in queries for all hits. begin: number of the stream's first ray.
+    found: `StreamHits`.
     """
     StreamRay = stream_ray(config.triangle_test)
     find_candidates, test_candidates, counting = line_filter(config), candidate_tester(config), config.counters
@@ -110,8 +109,7 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
         stream: wp.array(dtype=StreamRay),
         pairs: wp.ref[Pairs],
         number: int,
-        hits: wp.ref[HitBatch],
-        begin: int,
+        found: wp.ref[StreamHits],
         work: wp.ref[StreamCounters],
     ):
         count = int(number)
@@ -121,8 +119,8 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
             tested = int(0)
             left = int(0)
             while tested < count:
-                found = find_candidates(triangles, stream, pairs, count, tested, left, work)
-                test_candidates(triangles, stream, pairs, found, hits, begin)
+                candidates = find_candidates(triangles, stream, pairs, count, tested, left, work)
+                test_candidates(triangles, stream, pairs, candidates, found)
             count = left
 
     return test_pairs

@@ -98,27 +98,26 @@ class RootLoad:
 
 @cache
 def load_lanes(triangle_test: str, width: int, order: int, boxes: bool) -> wp.Function:
-    """`func(batch, first, count, low, high, stream, bounds, list, lanes, own, state) -> bits`: loads the next rays, and stores
-    and lists those that meet a child of the root.
+    """`func(batch, wanted, tree, stream, list, lanes, own, state) -> bits`: loads the next rays, from `wanted[0]` on, at most
+    `wanted[1]`, and stores and lists those that meet a child of the root.
 
     Returns the bits of the rays that were stored, of those in the lanes: rays may wait until others fill the lanes
-    (`wrt.kernels.traversal.stream.stream_boxes`), or until there are no more (`count` 0).
+    (`wrt.kernels.traversal.stream.stream_boxes`), or until there are no more (`wanted[1]` 0).
 
-    low, high: bounds of the scene; bounds: of the tree's nodes. list: words of the rays of the stream. lanes: see
+    list: words of the rays of the stream. lanes: see
     `kernels/native/stream_root.h`. own: see `wrt.kernels.traversal.stream.stream_load.KEPT_SIZE`.
     """
     form = f"{native_form(triangle_test)}, {width}, wrt::Order({order}), {int(boxes)}, {LIST_LANES}"
-    arguments = "batch, first, count, low, high, stream.data, bounds.data, list.data, lanes.data, own.data, state"
+    arguments = "stream.data, tree.bounds.data, list.data, lanes.data, own.data, state"
 
-    @native.func_native("stream_root.h", f"{GUARDS}{ORDERS}return wrt::load_root<{form}>({arguments});")
+    rays = "batch, wanted[0], wanted[1], tree.low, tree.high"
+
+    @native.func_native("stream_root.h", f"{GUARDS}{ORDERS}return wrt::load_root<{form}>({rays}, {arguments});")
     def load_native(
         batch: RayBatch,
-        first: int,
-        count: int,
-        low: wp.vec3,
-        high: wp.vec3,
+        wanted: wp.vec2i,
+        tree: wp.ref[WideNodes],
         stream: wp.array(dtype=stream_ray(triangle_test)),
-        bounds: wp.array(dtype=float),
         list: wp.array(dtype=int),
         lanes: wp.array(dtype=float),
         own: wp.array(dtype=float),
@@ -130,8 +129,8 @@ def load_lanes(triangle_test: str, width: int, order: int, boxes: bool) -> wp.Fu
 
 @cache
 def load_root(triangle_test: str, room: int, width: int, order: int, boxes: bool = False) -> wp.Function:
-    """`wp.func(rays, begin, end, tree, stream, list, keys, leaves, size) -> count`: loads rays from `begin` on, until the
-    stream is full or ray `end` is reached.
+    """`wp.func(rays, left, tree, stream, list, keys, leaves, size) -> count`: loads rays from `left[0]` on, until the stream
+    is full or ray `left[1]` is reached.
 
     Returns how many rays were loaded; `size` becomes the number of those that are in the stream. The others miss.
 
@@ -156,8 +155,7 @@ def load_root(triangle_test: str, room: int, width: int, order: int, boxes: bool
     @wp.func
     def load_rays(
         rays: RayBatch,
-        begin: int,
-        end: int,
+        left: wp.vec2i,
         tree: WideNodes,
         stream: wp.array(dtype=StreamRay),
         list: wp.array(dtype=int),
@@ -171,10 +169,10 @@ def load_root(triangle_test: str, room: int, width: int, order: int, boxes: bool
         state.used = begin_list(tree.child, tree.bounds, tree.low, tree.high, rays.center, lanes)
         more = bool(True)
         while more:
-            first = begin + state.loaded
-            more = first < end and state.kept + state.waiting <= wp.static(room - group)
-            count = wp.where(more, wp.min(end - first, wp.static(group)), 0)
-            bits = load(rays, first, count, tree.low, tree.high, stream, tree.bounds, list, lanes, own, state)
+            first = left[0] + state.loaded
+            more = first < left[1] and state.kept + state.waiting <= wp.static(room - group)
+            count = wp.where(more, wp.min(left[1] - first, wp.static(group)), 0)
+            bits = load(rays, wp.vec2i(first, count), tree, stream, list, lanes, own, state)
             if wp.static(not prepared):
                 prepare_kept(stream, state.kept, bits, own)
             state.loaded += count

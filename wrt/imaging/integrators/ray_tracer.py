@@ -6,6 +6,7 @@ They need no conversion, no check and no test for coherence, because the integra
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -45,6 +46,25 @@ they may be (notebooks/records/2026-11-23-last-generation.md)."""
 
 ROUND = 1 << 12
 """Plans are made for numbers of rays rounded up to a power of two, not below this, so that few are made."""
+
+
+class TileRays(NamedTuple):
+    """Rays that a chain traces tile by tile.
+
+    Attributes:
+        origins, directions: (N,) vec3 as of `RayTracer.closest`; origins (1,) if all are the same.
+        count: rays that there may be; plans are made for so many.
+        tile: rays of a tile.
+        similar: whether neighbouring rays are similar.
+        are_segments: whether rays end at t = 1, as those of `RayTracer.blocked` do.
+    """
+
+    origins: wp.array
+    directions: wp.array
+    count: int
+    tile: int
+    similar: bool = False
+    are_segments: bool = False
 
 
 class RayTracer:
@@ -135,13 +155,8 @@ class RayTracer:
     def stages(
         self,
         kind: str,
-        origins: wp.array,
-        directions: wp.array,
-        count: int,
-        tile: int,
+        traced: TileRays,
         hits: HitBatch,
-        similar: bool,
-        are_segments: bool,
         *,
         sample: tuple[wp.array, wp.array] | None = None,
         counts: wp.array | None = None,
@@ -150,15 +165,12 @@ class RayTracer:
 
         Args:
             kind: "closest" or "any".
-            origins, directions: (N,) vec3 as of `closest`; origins (1,) if all are the same.
-            count: rays that there may be; plans are made for so many.
-            tile: rays of a tile.
+            traced: the rays. Where neighbouring ones are similar, the way is chosen by `sample`, or by speed if there is none.
             hits: what is written.
-            similar: whether neighbouring rays are similar. The way is then chosen by `sample`, or by speed if there is none.
-            are_segments: whether rays end at t = 1, as those of `blocked` do.
-            sample: origins and directions of such rays, at least `count` of them.
+            sample: origins and directions of such rays, at least `traced.count` of them.
             counts: as of `Stage`.
         """
+        origins, directions, count, tile, similar, are_segments = traced
         end, shared = self._one if are_segments else self._infinity, len(origins) < len(directions)
         rays = self._rays(origins, directions, count, end, similar, not similar, shared)
         known = rays if sample is None else self._rays(*sample, count, end, similar, not similar, shared)

@@ -151,10 +151,8 @@ def search_chunks(
     if not node.finished and chunk.begin < chunk.end:
         frame = node.frame
         along = axis_frame(cost, chunk.axis, frame.low, frame.high, frame.triangles)
-        right = frame.triangles - sweep.ends
-        sweep.best = sweep_range(
-            cost, along, lists.event, chunk.begin, chunk.end, sweep.begins, right, sweep.any_planar, no_split()
-        )
+        counts = wp.vec2i(sweep.begins, frame.triangles - sweep.ends)
+        sweep.best = sweep_range(cost, along, lists.event, chunk.begin, chunk.end, counts, sweep.any_planar, no_split())
     sweeps[index] = sweep
 
 

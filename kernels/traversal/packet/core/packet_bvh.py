@@ -39,7 +39,7 @@ from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
 from wrt.kernels.traversal.packet.core.joined_packets import answer_together
-from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel, packet_layout
+from wrt.kernels.traversal.packet.core.packet_kernel import PacketWalk, leaf_step, make_packet_kernel, packet_layout
 from wrt.kernels.traversal.packet.culling.culling_hooks import no_start
 from wrt.kernels.traversal.packet.leaves import occluder_cache as occluder
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
@@ -128,7 +128,7 @@ def visit_leaf(config: TraversalConfig, later: bool) -> wp.Function:
 
 
 @cache
-def make_walk_packet(config: TraversalConfig) -> wp.Function:
+def make_packet_bvh_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if its traversal was
     abandoned."""
     culling, layout = CULLINGS[config.packet.culling], packet_layout(config)
@@ -142,7 +142,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     max_steps = (MAX_STEPS_UNSPLIT if config.packet.shared_origin else MAX_STEPS_PER_RAY) * config.packet.rays
 
     @wp.func
-    def walk(
+    def walk_packet_bvh(
         tree: wp.ref[WideNodes],
         triangles: wp.ref[TriangleBlocks],
         packet: wp.array(dtype=float),
@@ -203,14 +203,12 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
             cache_leaf(packet, wp.where(bounds.t_max < 0.0, leaf, 0), at_once)
         return steps <= wp.static(max_steps)
 
-    return walk
+    return walk_packet_bvh
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_packet_bvh_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    walks = make_walk_packet(config), make_bvh_walk(config)
-    memory = walk_memory(config)
     later = finishes_later(config)
-    answer = answer_together(config) if later and not config.counters else None
-    return make_packet_kernel(config, WideNodes, *walks, MIXED_AXES, memory, True, later, answer)
+    walk = PacketWalk(make_packet_bvh_walk(config), make_bvh_walk(config), MIXED_AXES, walk_memory(config), True, later)
+    return make_packet_kernel(config, WideNodes, walk, answer_together(config) if later and not config.counters else None)

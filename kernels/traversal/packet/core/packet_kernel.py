@@ -7,6 +7,7 @@ shared origin, are traced one by one.
 """
 
 from functools import cache
+from typing import NamedTuple
 
 import warp as wp
 
@@ -335,28 +336,38 @@ def packet_step(
     return step
 
 
+class PacketWalk(NamedTuple):
+    """The walks of a kernel for packets.
+
+    Attributes:
+        packet, ray, mixed_axes, reversible, later: `walk_packet`, `walk_ray` and the others as in `packet_step`.
+        memory_size: ints of memory for a walk.
+    """
+
+    packet: wp.Function
+    ray: wp.Function
+    mixed_axes: int
+    memory_size: int
+    reversible: bool = False
+    later: bool = False
+
+
 @cache
 def make_packet_kernel(
-    config: TraversalConfig,
-    Tree: type,
-    walk_packet: wp.Function,
-    walk_ray: wp.Function,
-    mixed_axes: int,
-    memory_size: int,
-    reversible: bool = False,
-    later: bool = False,
-    answer_together: wp.Function | None = None,
+    config: TraversalConfig, Tree: type, walk: PacketWalk, answer_together: wp.Function | None = None
 ) -> wp.Kernel:
     """The kernel for one specialisation.
 
     Args:
-        memory_size: ints of memory for a walk.
-        answer_together: `wp.func(tree, triangles, rays, begin, end, packet, memory, hits, missed) -> packets`: the number of
-            packets from ray `begin` on whose results it stores; 0 if the next one has to be traced. `missed` is the number of
-            packets in succession that have met no leaf. None not to ask.
-        config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later: as in `packet_step`.
+        config: the specialisation.
+        Tree: struct of the tree.
+        walk: how it is walked.
+        answer_together: `wp.func(tree, triangles, rays, left, packet, memory, hits, missed) -> packets`: the number of packets
+            from ray `left[0]` on whose results it stores, up to ray `left[1]`; 0 if the next one has to be traced. `missed` is
+            the number of packets in succession that have met no leaf. None not to ask.
     """
-    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later)
+    step = packet_step(config, Tree, walk.packet, walk.ray, walk.mixed_axes, walk.reversible, walk.later)
+    memory_size = walk.memory_size
     packet_rays, size, non_temporal = config.packet.rays, packet_layout(config).size, config.packet.non_temporal
     joining = answer_together is not None
 
@@ -376,7 +387,7 @@ def make_packet_kernel(
         while begin < end:
             packets = int(0)
             if wp.static(joining):
-                packets = answer_together(tree, triangles, rays, begin, end, packet, memory, hits, missed)
+                packets = answer_together(tree, triangles, rays, wp.vec2i(begin, end), packet, memory, hits, missed)
             if packets == 0:
                 work = Counters()
                 tested = step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)
