@@ -249,8 +249,8 @@ class BinnedBuilder:
         domain = work.empty("subtree domain", 8 * STACK * slots, float)
         stack = work.make("stack", slots, lambda size: wp.empty((size, STACK), dtype=Frame, device=self.device))
         self.subtrees = work.make(f"subtrees {count}", 1, lambda _: wp.empty(count, dtype=wp.vec2i, device=self.device))
-        memory = subtree_memory(self.references, self.triangles.count, scratch, domain, stack)
-        inputs = [self.rules, self.rays, memory, self.tasks, each, self.tree, self.subtrees]
+        memory = subtree_memory(self.references, self.triangles.count, scratch, domain)
+        inputs = [self.rules, self.rays, memory, self.tasks, each, stack, self.tree, self.subtrees]
         work.launch(self.subtree_kernel, slots, inputs, chunk=1, chunks_per_thread=slots)
 
     def result(self) -> BinaryBuild:

@@ -73,7 +73,7 @@ class FewTriangles:
         references, parts = empty(16 * capacity, float), empty(16, float)
         tasks, subtrees, totals = empty(1, Frame), empty(1, wp.vec2i), empty(2, int)
         stack = wp.empty((1, STACK), dtype=Frame, device=device)
-        memory = subtree_memory(references, 0, make_scratch(1, device), empty(8 * STACK, float), stack)
+        memory = subtree_memory(references, 0, make_scratch(1, device), empty(8 * STACK, float))
         tree, wide = empty_tree(capacity, device), empty_levels(capacity + 1, width, device)
         rules, rays = config.struct(), AllDirections()
         points, given, faces, numbers, floats = (
@@ -90,7 +90,7 @@ class FewTriangles:
         self.shift = packed(shift, wp.vec3d(), given, points)
         self.boxes = packed(compute_boxes, points, faces, boxes)
         self.references = packed(make_references, boxes, 0, 0, references, parts)
-        self.subtree = packed(build, rules, rays, memory, tasks, 1, tree, subtrees)
+        self.subtree = packed(build, rules, rays, memory, tasks, 1, stack, tree, subtrees)
         self.solve = packed(solve, rules, rays, tree, subtrees, numbers, references)
         self.pick = packed(pick, 0, rules, rays, tree, references, wide)
         self.scan = packed(scan_level, 0, 0, wide, totals)

@@ -241,6 +241,7 @@ def divide_lists(
     cells: Cells,
     rules: BuildRules,
     memory: SubtreeMemory,
+    stack: wp.array2d(dtype=Frame),
     tree: BinaryTree,
     subtrees: wp.array(dtype=wp.vec2i),
 ):
@@ -254,7 +255,7 @@ def divide_lists(
         task.first = cells.references[at][0]
         task.count = gather(lists, boxes, cells, at, memory.references)
         range_box(memory.references, task.first, task.count, tree.box, task.node)
-        end = build_subtree(rules, AllDirections(), memory, run, task, tree)
+        end = build_subtree(rules, AllDirections(), memory, stack, run, task, tree)
         subtrees[number] = wp.vec2i(task.first + 1, end)
 
 
@@ -309,8 +310,8 @@ def to_wide_bvh(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, undiv
         lists.nodes, lists.primitive, lists.width = nodes, tree.primitive, tree.width
         domain = wp.empty(8 * STACK * runs, dtype=float, device=device)
         stack = wp.empty((runs, STACK), dtype=Frame, device=device)
-        memory = subtree_memory(references, count, make_scratch(runs, device), domain, stack)
-        work = [config.struct(), memory, binary, subtrees]
+        memory = subtree_memory(references, count, make_scratch(runs, device), domain)
+        work = [config.struct(), memory, stack, binary, subtrees]
         launch(divide_lists, runs, [lists, triangles.boxes, cells, *work], device=device, chunk=1)
         launch(join_boxes, 1, [cells, binary], device=device)
     with phase("collapse"):

@@ -46,15 +46,12 @@ class SubtreeMemory:
     scratch: Scratch
     domain: wp.array(dtype=float)
     """(slots * STACK * 8,) centroid boxes of the waiting nodes, followed by that of the current one."""
-    stack: wp.array2d(dtype=Frame)
-    """(slots, STACK) waiting nodes."""
 
 
-def subtree_memory(references: wp.array, triangles: int, scratch: Scratch, domain: wp.array, stack: wp.array) -> SubtreeMemory:
+def subtree_memory(references: wp.array, triangles: int, scratch: Scratch, domain: wp.array) -> SubtreeMemory:
     """The members in one struct."""
     memory = SubtreeMemory()
-    memory.references, memory.triangles, memory.scratch = references, triangles, scratch
-    memory.domain, memory.stack = domain, stack
+    memory.references, memory.triangles, memory.scratch, memory.domain = references, triangles, scratch, domain
     return memory
 
 
@@ -90,11 +87,19 @@ def divide_in_the_middle(memory: SubtreeMemory, left: int, at: int, frame: Frame
 
 @cache
 def make_build_subtree(heuristic: Heuristic) -> wp.Function:
-    """`wp.func(rules, rays, memory, slot, task, tree) -> end` of the pairs made, which begin at `task.first + 1`."""
+    """`wp.func(rules, rays, memory, stack, slot, task, tree) -> end` of the pairs made, which begin at `task.first + 1`."""
     rays_type, search, is_leaf = heuristic.rays, heuristic.search, heuristic.is_leaf
 
     @wp.func
-    def build_subtree(rules: BuildRules, rays: rays_type, memory: SubtreeMemory, slot: int, task: Frame, tree: BinaryTree):
+    def build_subtree(
+        rules: BuildRules,
+        rays: rays_type,
+        memory: SubtreeMemory,
+        stack: wp.array2d(dtype=Frame),
+        slot: int,
+        task: Frame,
+        tree: BinaryTree,
+    ):
         frame = task
         next_pair = frame.first + 1
         waiting = int(0)
@@ -109,7 +114,7 @@ def make_build_subtree(heuristic: Heuristic) -> wp.Function:
                 waiting -= 1
                 building = waiting >= 0
                 if building:
-                    frame = memory.stack[slot, waiting]
+                    frame = stack[slot, waiting]
             else:
                 # search
                 at = slot * STACK + waiting
@@ -129,7 +134,7 @@ def make_build_subtree(heuristic: Heuristic) -> wp.Function:
                     plane.left = middle(frame.count, rules.cost.width_bits)
                     divide_in_the_middle(memory, plane.left, at, frame, pair, tree)
                 # emit
-                memory.stack[slot, waiting] = child_of(frame, plane.left, pair, 1)
+                stack[slot, waiting] = child_of(frame, plane.left, pair, 1)
                 waiting += 1
                 frame = child_of(frame, plane.left, pair, 0)
         return next_pair
@@ -149,17 +154,18 @@ def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
         memory: SubtreeMemory,
         tasks: wp.array(dtype=Frame),
         each: int,
+        stack: wp.array2d(dtype=Frame),
         tree: BinaryTree,
         subtrees: wp.array(dtype=wp.vec2i),
     ):
         """Item: a slot, for `each` tasks, one after the other.
 
-        subtrees: (tasks,) range of the pairs that each task made.
+        stack: (slots, STACK) waiting nodes. subtrees: (tasks,) range of the pairs that each task made.
         """
         slot = first + wp.tid()
         for number in range(slot * each, wp.min((slot + 1) * each, subtrees.shape[0])):
             task = tasks[number]
-            end = build_subtree(rules, rays, memory, slot, task, tree)
+            end = build_subtree(rules, rays, memory, stack, slot, task, tree)
             subtrees[number] = wp.vec2i(task.first + 1, end)
 
     return specialised_kernel(build_subtrees)
