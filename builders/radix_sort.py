@@ -27,46 +27,57 @@ MIN_CHUNK = 4096
 CHUNKS_PER_THREAD = 2
 
 
+@wp.struct
+class KeyChunk:
+    """A chunk of a row's keys."""
+
+    row: int
+    number: int
+    chunks: int
+    """Of each row."""
+    begin: int
+    end: int
+
+
+@wp.func
+def chunk_of(item: int, count: wp.vec3i, size: int, chunks: int):
+    """The chunk of `size` keys of an item."""
+    chunk = KeyChunk()
+    chunk.row = item / chunks
+    chunk.number = item % chunks
+    chunk.chunks = chunks
+    chunk.begin = wp.min(chunk.number * size, count[chunk.row])
+    chunk.end = wp.min(chunk.begin + size, count[chunk.row])
+    return chunk
+
+
 @native.func_native(
     "sorting.h",
-    "const float* from = keys.data + (size_t)row * keys.shape[1] + source + begin;\n"
-    "int* to = places.data + (size_t)row * places.shape[1] + chunk;\n"
-    "wrt::count_digits(from, end - begin, shift, to, chunks);",
+    "const float* from = keys.data + (size_t)chunk.row * keys.shape[1] + source + chunk.begin;\n"
+    "int* to = places.data + (size_t)chunk.row * places.shape[1] + chunk.number;\n"
+    "wrt::count_digits(from, chunk.end - chunk.begin, shift, to, chunk.chunks);",
 )
-def count_range(
-    keys: wp.array2d(dtype=float),
-    places: wp.array2d(dtype=int),
-    row: int,
-    source: int,
-    shift: int,
-    chunk: int,
-    chunks: int,
-    begin: int,
-    end: int,
-):
+def count_range(keys: wp.array2d(dtype=float), places: wp.array2d(dtype=int), chunk: KeyChunk, source: int, shift: int):
     """Counts the digits of a chunk's keys."""
     ...
 
 
 @native.func_native(
     "sorting.h",
-    "const size_t at = (size_t)row * keys.shape[1], from = at + source + begin, to = at + target;\n"
-    "const int* next = places.data + (size_t)row * places.shape[1] + chunk;\n"
+    "const size_t at = (size_t)chunk.row * keys.shape[1], from = at + source + chunk.begin, to = at + target;\n"
+    "const int* next = places.data + (size_t)chunk.row * places.shape[1] + chunk.number;\n"
+    "const int length = chunk.end - chunk.begin;\n"
     "float* keys_to = keys.data + to;\n"
-    "wrt::move_digits(keys.data + from, values.data + from, end - begin, shift, next, chunks, keys_to, values.data + to);",
+    "wrt::move_digits(keys.data + from, values.data + from, length, shift, next, chunk.chunks, keys_to, values.data + to);",
 )
 def move_range(
     keys: wp.array2d(dtype=float),
     values: wp.array2d(dtype=int),
     places: wp.array2d(dtype=int),
-    row: int,
+    chunk: KeyChunk,
     source: int,
     target: int,
     shift: int,
-    chunk: int,
-    chunks: int,
-    begin: int,
-    end: int,
 ):
     """Moves a chunk's keys and values to their positions in the other half of the row."""
     ...
@@ -83,12 +94,7 @@ def count_digits(
     places: wp.array2d(dtype=int),
 ):
     """Item: row * chunks + chunk of `size` keys. Writes its counts to places, (rows, DIGITS * chunks), digit-major."""
-    item = first + wp.tid()
-    chunks = places.shape[1] / DIGITS
-    row = item / chunks
-    chunk = item % chunks
-    begin = wp.min(chunk * size, count[row])
-    count_range(keys, places, row, source, shift, chunk, chunks, begin, wp.min(begin + size, count[row]))
+    count_range(keys, places, chunk_of(first + wp.tid(), count, size, places.shape[1] / DIGITS), source, shift)
 
 
 @wp.kernel
@@ -115,12 +121,8 @@ def move_keys(
     places: wp.array2d(dtype=int),
 ):
     """Item: row * chunks + chunk. Moves its keys and values."""
-    item = first + wp.tid()
-    chunks = places.shape[1] / DIGITS
-    row = item / chunks
-    chunk = item % chunks
-    begin = wp.min(chunk * size, count[row])
-    move_range(keys, values, places, row, source, target, shift, chunk, chunks, begin, wp.min(begin + size, count[row]))
+    chunk = chunk_of(first + wp.tid(), count, size, places.shape[1] / DIGITS)
+    move_range(keys, values, places, chunk, source, target, shift)
 
 
 def sort_rows(keys: wp.array, values: wp.array, count: wp.vec3i) -> None:

@@ -1,9 +1,9 @@
 """Links from pages to lines of code, which are found by name when the site is built.
 
 A page writes `[text](../../kernels/native/box.h#slab "float enter = t_min")`: a file, a function, class, struct or constant in
-it (`Walk.settle` for a member, `make_walk.interleaved_bvh` for a function inside one), and a fragment of its code. `find` gives
-the line of the fragment and fails if there is none, so that a link cannot lead to other code unnoticed. On the site such a link
-leads to that line of a page with the whole file.
+it (`Walk.settle` for a member, `make_loading_kernel.interleaved_bvh` for a function inside one), and a fragment of its code.
+`find` gives the line of the fragment and fails if there is none, so that a link cannot lead to other code unnoticed. On the
+site such a link leads to that line of a page with the whole file.
 """
 
 from __future__ import annotations

@@ -28,8 +28,9 @@ import numpy as np
 import wrt
 from wrt.bench.core.benchmark_results import machine
 from wrt.builders.bvh import BVH_BUILDERS
-from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.state.query_kinds import CLOSEST, COUNT
 
 sys.path.insert(0, str(Path(__file__).parent / "support"))
@@ -67,7 +68,7 @@ def trees(triangles: int) -> dict[str, wrt.KdTree | wrt.Bvh]:
     for name, builder in KDTREE_BUILDERS.items():
         if triangles <= builder.max_triangles:
             found[f"kdtree {name}"] = wrt.KdTree(builder=name)
-            if builder.clips:
+            if BuilderCapabilities.CLIPS in builder.capabilities:
                 found[f"kdtree {name}, clipped"] = wrt.KdTree(builder=name, split_clipping=True)
     return found
 
@@ -76,7 +77,8 @@ def traversals(scene: wrt.Scene, query: str) -> list[str]:
     """Those that answer a query on the scene's tree."""
     kind, lazy = scene.accelerator.kind, scene.state.lazy_tree is not None
     able = {n: way for n, way in TRAVERSALS.items() if kind in way.trees and way.supports(query, kind)}
-    return [n for n, way in able.items() if not (lazy and way.wide) and not way.needs_shared_origin]
+    refused = Capabilities.SHARED_ORIGIN | (Capabilities.WIDE_FORM if lazy else Capabilities.NONE)
+    return [n for n, way in able.items() if not way.capabilities & refused]
 
 
 def check_inside(scene: wrt.Scene, body: Body, rng: np.random.Generator, count: int, ways: tuple[str, str]) -> dict[str, int]:

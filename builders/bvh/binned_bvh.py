@@ -38,7 +38,7 @@ from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import Frame, empty_tree
 from wrt.builders.bvh.phases.bvh_bins import make_scratch
 from wrt.builders.bvh.phases.bvh_levels import BinnedNode, Totals, make_search_planes
-from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees
+from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees, subtree_memory
 from wrt.builders.bvh.phases.collapse import collapse_kernels, improved
 from wrt.builders.core.late_import import classic_module
 from wrt.builders.core.levels import Chunk
@@ -249,19 +249,8 @@ class BinnedBuilder:
         domain = work.empty("subtree domain", 8 * STACK * slots, float)
         stack = work.make("stack", slots, lambda size: wp.empty((size, STACK), dtype=Frame, device=self.device))
         self.subtrees = work.make(f"subtrees {count}", 1, lambda _: wp.empty(count, dtype=wp.vec2i, device=self.device))
-        inputs = [
-            self.rules,
-            self.rays,
-            self.references,
-            self.triangles.count,
-            self.tasks,
-            each,
-            scratch,
-            domain,
-            stack,
-            self.tree,
-            self.subtrees,
-        ]
+        memory = subtree_memory(self.references, self.triangles.count, scratch, domain)
+        inputs = [self.rules, self.rays, memory, self.tasks, each, stack, self.tree, self.subtrees]
         work.launch(self.subtree_kernel, slots, inputs, chunk=1, chunks_per_thread=slots)
 
     def result(self) -> BinaryBuild:

@@ -135,20 +135,18 @@ def add_projected(mixture: Mixture, count: int, boxes: wp.array(dtype=float), we
 @wp.func
 def try_axis(
     rules: BuildRules,
-    mixture: Mixture,
     scratch: Scratch,
     slot: int,
     axis: int,
     bins: int,
     count: int,
-    boxes: wp.array(dtype=float),
     weights: wp.array(dtype=float),
     best: AxisSearch,
 ):
-    """`best`, or the plane of least cost of an axis if that costs less; ties go to the smaller bin."""
+    """`best`, or the plane of least cost of an axis if that costs less; ties go to the smaller bin.
+
+    weights: of the boxes on both sides of the planes, as of `sweep_axis` and `add_projected`."""
     first = slot * SLOT_BINS + axis * bins
-    sweep_axis(scratch, slot, axis, bins, mixture.others, boxes, weights)
-    add_projected(mixture, 2 * bins, boxes, weights)
     for b in range(1, bins):
         left = load_int(scratch.left, first + b)
         if left > 0 and left < count:
@@ -202,7 +200,9 @@ def cheapest_by_projection(
             else:
                 i = wp.where(found, 6, i)
             if i < 6 and (tried >> axis) & 1 == 0:
-                best = try_axis(rules, mixture, scratch, slot, axis, binning.bins, frame.count, boxes, weights, best)
+                sweep_axis(scratch, slot, axis, binning.bins, mixture.others, boxes, weights)
+                add_projected(mixture, 2 * binning.bins, boxes, weights)
+                best = try_axis(rules, scratch, slot, axis, binning.bins, frame.count, weights, best)
                 tried |= 1 << axis
             if i < 3 and last:
                 tried |= USED_FALLBACK

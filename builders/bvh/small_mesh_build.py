@@ -26,7 +26,7 @@ from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections
 from wrt.builders.bvh.phases.binary_tree import Frame, empty_tree
 from wrt.builders.bvh.phases.bvh_bins import make_scratch
 from wrt.builders.bvh.phases.bvh_levels import make_references
-from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees
+from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees, subtree_memory
 from wrt.builders.bvh.phases.collapse import (
     empty_levels,
     list_children,
@@ -72,8 +72,8 @@ class FewTriangles:
         boxes.low, boxes.high = (wp.empty((3, capacity), dtype=float, device=device) for _ in range(2))
         references, parts = empty(16 * capacity, float), empty(16, float)
         tasks, subtrees, totals = empty(1, Frame), empty(1, wp.vec2i), empty(2, int)
-        scratch, domain = make_scratch(1, device), empty(8 * STACK, float)
         stack = wp.empty((1, STACK), dtype=Frame, device=device)
+        memory = subtree_memory(references, 0, make_scratch(1, device), empty(8 * STACK, float))
         tree, wide = empty_tree(capacity, device), empty_levels(capacity + 1, width, device)
         rules, rays = config.struct(), AllDirections()
         points, given, faces, numbers, floats = (
@@ -90,7 +90,7 @@ class FewTriangles:
         self.shift = packed(shift, wp.vec3d(), given, points)
         self.boxes = packed(compute_boxes, points, faces, boxes)
         self.references = packed(make_references, boxes, 0, 0, references, parts)
-        self.subtree = packed(build, rules, rays, references, 0, tasks, 1, scratch, domain, stack, tree, subtrees)
+        self.subtree = packed(build, rules, rays, memory, tasks, 1, stack, tree, subtrees)
         self.solve = packed(solve, rules, rays, tree, subtrees, numbers, references)
         self.pick = packed(pick, 0, rules, rays, tree, references, wide)
         self.scan = packed(scan_level, 0, 0, wide, totals)
@@ -102,6 +102,7 @@ class FewTriangles:
         self.to_levels = packed(run_collapse, searching, totals, level_first, levels)
         self.levels = ctypes.c_int32.from_address(levels.ptr)
         self.level_first = (ctypes.c_int32 * len(level_first)).from_address(level_first.ptr)
+        self.memory = self.subtree.argument(3)
         self.given, self.points = self.shift.argument(2), self.shift.argument(3)
         self.corners, self.faces = self.boxes.argument(1), self.boxes.argument(2)
         self.nodes = [self.write.argument(index) for index in (4, 5, 6)]
@@ -134,7 +135,7 @@ class FewTriangles:
         self.place(center, vertices, faces, relative)
         self.to_references.call()
         referenced = perf_counter()
-        self.subtree.arguments.p4 = count
+        self.memory.triangles = count
         self.subtree.call()
         built = perf_counter()
         bounds, child, primitive, level_first = self.collapse()

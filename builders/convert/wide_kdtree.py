@@ -46,8 +46,8 @@ from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, empty_tree
-from wrt.builders.bvh.phases.bvh_bins import Scratch, make_scratch, range_box
-from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtree
+from wrt.builders.bvh.phases.bvh_bins import make_scratch, range_box
+from wrt.builders.bvh.phases.bvh_subtrees import STACK, SubtreeMemory, make_build_subtree, subtree_memory
 from wrt.builders.bvh.phases.collapse import collapse
 from wrt.builders.tree import Bvh, KdTree, Phases
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
@@ -240,25 +240,22 @@ def divide_lists(
     boxes: Boxes,
     cells: Cells,
     rules: BuildRules,
-    references: wp.array(dtype=float),
-    triangles: int,
-    scratch: Scratch,
-    domain: wp.array(dtype=float),
+    memory: SubtreeMemory,
     stack: wp.array2d(dtype=Frame),
     tree: BinaryTree,
     subtrees: wp.array(dtype=wp.vec2i),
 ):
-    """Item: a run of nodes that are kept whole. triangles: references of all leaves. The other arguments are those of
-    `wrt.builders.bvh.phases.bvh_subtrees`, with scratch memory per run."""
+    """Item: a run of nodes that are kept whole, which has a slot of the memory; its buffers hold the references of all leaves.
+    The other arguments are those of `wrt.builders.bvh.phases.bvh_subtrees`."""
     run = first + wp.tid()
     for number in range(run * LISTS_PER_ITEM, wp.min((run + 1) * LISTS_PER_ITEM, subtrees.shape[0])):
         at = cells.whole[number]
         task = Frame()
         task.node = cells.position[at]
         task.first = cells.references[at][0]
-        task.count = gather(lists, boxes, cells, at, references)
-        range_box(references, task.first, task.count, tree.box, task.node)
-        end = build_subtree(rules, AllDirections(), references, triangles, task, run, scratch, domain, stack, tree)
+        task.count = gather(lists, boxes, cells, at, memory.references)
+        range_box(memory.references, task.first, task.count, tree.box, task.node)
+        end = build_subtree(rules, AllDirections(), memory, stack, run, task, tree)
         subtrees[number] = wp.vec2i(task.first + 1, end)
 
 
@@ -308,12 +305,13 @@ def to_wide_bvh(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, undiv
     with phase("divide"):
         runs = -(-whole // LISTS_PER_ITEM)
         references = wp.empty(16 * max(count, 1), dtype=float, device=device)  # two buffers
-        scratch, domain = make_scratch(runs, device), wp.empty(8 * STACK * runs, dtype=float, device=device)
-        stack = wp.empty((runs, STACK), dtype=Frame, device=device)
         subtrees = wp.empty(whole, dtype=wp.vec2i, device=device)
         lists = LeafLists()
         lists.nodes, lists.primitive, lists.width = nodes, tree.primitive, tree.width
-        work = [config.struct(), references, count, scratch, domain, stack, binary, subtrees]
+        domain = wp.empty(8 * STACK * runs, dtype=float, device=device)
+        stack = wp.empty((runs, STACK), dtype=Frame, device=device)
+        memory = subtree_memory(references, count, make_scratch(runs, device), domain)
+        work = [config.struct(), memory, stack, binary, subtrees]
         launch(divide_lists, runs, [lists, triangles.boxes, cells, *work], device=device, chunk=1)
         launch(join_boxes, 1, [cells, binary], device=device)
     with phase("collapse"):

@@ -86,23 +86,21 @@ def clipped_mesh(triangles: TriangleBoxes, size: float, shrinks: bool = True) ->
 @native.func_native(
     "clip.h",
     "float* range = lists.reference.data + (size_t)begin * 8;\n"
-    "const auto cell = wrt::cell_of(low, high, pad);\n"
+    "const auto cell = wrt::cell_of(frame.low, frame.high, lists.pad);\n"
     "return wrt::clip_range(lists, cell, range, count, axis, beyond_high, inner_low, inner_high);",
 )
 def clip_range(
     lists: ReferenceLists,
+    frame: wp.ref[Frame],
     begin: int,
     count: int,
     axis: int,
     beyond_high: bool,
-    pad: float,
-    low: wp.vec3,
-    high: wp.vec3,
     inner_low: wp.ref[wp.vec3],
     inner_high: wp.ref[wp.vec3],
 ) -> int:
-    """Clips the references of a range that extend beyond one end of a cell along an axis, and drops those without a remaining
-    part.
+    """Clips the references of a range that extend beyond one end of a node's cell along an axis, and drops those without
+    a remaining part.
 
     Returns the number of remaining references. inner_low, inner_high: their box."""
     ...
@@ -113,7 +111,7 @@ def clip_list(lists: ReferenceLists, frame: wp.ref[Frame], begin: int, count: in
     """Clips the straddlers in a child's list to its cell."""
     low = wp.vec3()
     high = wp.vec3()
-    kept = clip_range(lists, begin, count, axis, beyond_high, lists.pad, frame.low, frame.high, low, high)
+    kept = clip_range(lists, frame, begin, count, axis, beyond_high, low, high)
     set_list(frame, begin, kept, wp.max(frame.low, low), wp.min(frame.high, high))
 
 
@@ -129,7 +127,7 @@ def partition_clipping(
     sides = Sides()
     source = lists.reference
     count = frame.count[0]
-    move_range(source, begin, count, split.axis, split.position, split.planar_left, source, to_left, to_right, sides)
+    move_range(source, begin, count, split, source, to_left, to_right, sides)
     clip_list(lists, left, to_left, sides.left, split.axis, True)
     clip_list(lists, right, to_right, sides.right, split.axis, False)
     top = frame.top + wp.where(append_left, left.triangles, right.triangles)

@@ -89,15 +89,13 @@ def measure_sides(
     "scan.h",
     "const float* from = references.data + (size_t)begin * 8;\n"
     "float *left = target.data + (size_t)to_left * 8, *right = target.data + (size_t)to_right * 8;\n"
-    "wrt::move_range(from, count, axis, position, planar_left, left, right, sides);",
+    "wrt::move_range(from, count, split.axis, split.position, split.planar_left, left, right, sides);",
 )
 def move_range(
     references: wp.array(dtype=float),
     begin: int,
     count: int,
-    axis: int,
-    position: float,
-    planar_left: bool,
+    split: Split,
     target: wp.array(dtype=float),
     to_left: int,
     to_right: int,
@@ -118,7 +116,7 @@ def partition(lists: ReferenceLists, task: Task, frame: Frame, split: Split, lef
     sides = Sides()
     source = lists.reference
     count = frame.count[0]
-    move_range(source, begin, count, split.axis, split.position, split.planar_left, source, to_left, to_right, sides)
+    move_range(source, begin, count, split, source, to_left, to_right, sides)
     top = frame.top + wp.where(append_left, sides.left, sides.right)
     set_list(left, to_left, sides.left, wp.max(left.low, sides.left_low), wp.min(left.high, sides.left_high))
     set_list(right, to_right, sides.right, wp.max(right.low, sides.right_low), wp.min(right.high, sides.right_high))

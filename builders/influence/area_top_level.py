@@ -137,7 +137,7 @@ class TopLevel:
         regions: their regions, in the scene's coordinates.
         touch: distance by which regions are widened.
         depth: most levels of the octree below its root; 0 for an array. A kd-tree has up to three times as many.
-        sine: sine of the greatest angle between an affine ray and the area's ray through its origin.
+        sine: sine of the greatest angle between a ray that belongs to the area and the area's ray through its origin.
         center: (3,) the scene's centre.
         device: device on which rays look areas up.
         is_kdtree: whether cells are cut in two (`wrt.builders.influence.area_kdtree`) and not into octants.

@@ -72,16 +72,16 @@ class PlaneInfluenceArea:
         return view
 
     def affine(self, origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
-        """Which rays belong to the area, in either direction: (N,) bool. See `affine_rays`.
+        """Which rays belong to the area, in either direction: (N,) bool. See `rays_of_area`.
 
         Args:
             origins, directions: (N, 3).
             tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
 
         Raises:
-            ValueError: as in `affine_rays`.
+            ValueError: as in `rays_of_area`.
         """
-        return affine_rays(self, origins, directions, tolerance)
+        return rays_of_area(self, origins, directions, tolerance)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,22 +140,22 @@ class PointInfluenceArea:
         return view
 
     def affine(self, origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
-        """Which rays belong to the area, in either direction: (N,) bool. See `affine_rays`.
+        """Which rays belong to the area, in either direction: (N,) bool. See `rays_of_area`.
 
         Args:
             origins, directions: (N, 3).
             tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
 
         Raises:
-            ValueError: as in `affine_rays`.
+            ValueError: as in `rays_of_area`.
         """
-        return affine_rays(self, origins, directions, tolerance)
+        return rays_of_area(self, origins, directions, tolerance)
 
 
 InfluenceArea = PlaneInfluenceArea | PointInfluenceArea
 
 
-def affine_rays(area: InfluenceArea, origins: np.ndarray, directions: np.ndarray, tolerance: float) -> np.ndarray:
+def rays_of_area(area: InfluenceArea, origins: np.ndarray, directions: np.ndarray, tolerance: float) -> np.ndarray:
     """Which rays start in an area and run along its ray through their origin, in the same or the opposite direction.
 
     Args:
@@ -180,9 +180,9 @@ def affine_rays(area: InfluenceArea, origins: np.ndarray, directions: np.ndarray
     with np.errstate(over="ignore"):
         near = np.ascontiguousarray((origins - center).astype(np.float32))
     rays = [wp.array(a, dtype=wp.vec3, device=device) for a in (near, np.ascontiguousarray(directions))]
-    affine = wp.empty(len(near), dtype=wp.bool, device=device)
-    launch(mark_rays_of_area, len(near), [area.view(center), *rays, sin(radians(tolerance)), affine], device=device, chunk=4096)
-    return affine.numpy()
+    belong = wp.empty(len(near), dtype=wp.bool, device=device)
+    launch(mark_rays_of_area, len(near), [area.view(center), *rays, sin(radians(tolerance)), belong], device=device, chunk=4096)
+    return belong.numpy()
 
 
 def frame_of(direction: Point, up: Point | None) -> np.ndarray:

@@ -12,6 +12,7 @@ table. Builders that "auto" does not choose are in `wrt.builders.classics`; thei
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Flag, auto
 
 import warp as wp
 
@@ -24,6 +25,26 @@ from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.kdtree_nodes import MAX_INDEX
 
 
+class BuilderCapabilities(Flag):
+    """What a kd-tree builder can do if the config asks for it, and which planes it finds."""
+
+    NONE = 0
+    CLIPS = auto()
+    """It clips triangles to cells."""
+    LEAST_COST = auto()
+    """It finds the plane of least cost in a node of few triangles, among all planes at which a box begins or ends; without it,
+    it chooses planes by another rule and leaves only the decision to stop to the cost."""
+    ANY_COST = auto()
+    """It evaluates a plane once, with its final counts, so that the cost need not increase with them
+    (`wrt.builders.cost.COST_MODELS`)."""
+    CUTS_EARLY = auto()
+    """It cuts off large empty slabs first."""
+    CLUSTERS = auto()
+    """It splits the first levels at medians."""
+    CHOOSES_AXES = auto()
+    """It takes adaptive samples: on the axes, and in as many scans, as the config says."""
+
+
 @dataclass(frozen=True)
 class KdTreeBuilder:
     """A method of building a kd-tree.
@@ -32,28 +53,16 @@ class KdTreeBuilder:
         name: key in `KDTREE_BUILDERS`.
         paper: authors, title, year.
         build: (boxes, config) -> tree.
+        capabilities: what it can do.
         max_triangles: largest mesh in tests and benchmarks, because larger ones take too long; the builder accepts any size.
-        clips: whether it clips triangles to cells if the config asks for it.
-        least_cost: whether it finds the plane of least cost in a node of few triangles, among all planes at which a box begins
-            or ends. If not, it chooses planes by another rule and leaves only the decision to stop to the cost.
-        any_cost: whether it evaluates a plane once, with its final counts, so that the cost need not increase with them
-            (`wrt.builders.cost.COST_MODELS`).
-        cuts_early: whether it cuts off large empty slabs first if the config asks for it.
-        clusters: whether it splits the first levels at medians if the config asks for it.
-        chooses_axes: whether it takes adaptive samples: on the axes, and in as many scans, as the config says.
         start: (boxes, config, device of the rays) -> a tree that is built on demand; None if the tree is built at once.
     """
 
     name: str
     paper: str
     build: Callable[[TriangleBoxes, KdTreeConfig], KdTree]
+    capabilities: BuilderCapabilities = BuilderCapabilities.NONE
     max_triangles: int = MAX_INDEX
-    clips: bool = False
-    least_cost: bool = False
-    any_cost: bool = False
-    cuts_early: bool = False
-    clusters: bool = False
-    chooses_axes: bool = False
     start: Callable[[TriangleBoxes, KdTreeConfig, wp.Device], lazy.LazyKdTree] | None = None
 
 
@@ -63,76 +72,66 @@ CHOI = "Choi et al.: Parallel SAH k-D tree construction (2010)"
 
 FUSSELL = "Fussell, Subramanian: Fast ray tracing using k-d trees (1988)"
 
+LEAST_COST = BuilderCapabilities.CLIPS | BuilderCapabilities.LEAST_COST
+ANY_COST = LEAST_COST | BuilderCapabilities.ANY_COST
+MEDIANS = BuilderCapabilities.CLIPS | BuilderCapabilities.CUTS_EARLY
+"""What several builders can do: those that find the plane of least cost; those of them that accept any cost; and those that
+split at medians."""
+
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
-        KdTreeBuilder("in_place", f"{CHOI}, in-place", in_place.build, clips=True, least_cost=True),
-        KdTreeBuilder("nested", f"{CHOI}, nested", classic("kdtree.nested.nested"), clips=True, least_cost=True),
+        KdTreeBuilder("in_place", f"{CHOI}, in-place", in_place.build, LEAST_COST),
+        KdTreeBuilder("nested", f"{CHOI}, nested", classic("kdtree.nested.nested"), LEAST_COST),
         KdTreeBuilder(
             "binned",
             "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)",
             binned.build,
-            clips=True,
-            clusters=True,
-            least_cost=True,
-            any_cost=True,
+            ANY_COST | BuilderCapabilities.CLUSTERS,
         ),
         KdTreeBuilder(
             "streaming",
             "Popov, Guenther, Seidel, Slusallek: Experiences with streaming construction of SAH KD-trees (2006)",
             classic("kdtree.streaming"),
-            clips=True,
-            least_cost=True,
+            LEAST_COST,
         ),
         KdTreeBuilder(
             "adaptive_sampling",
             "Hunt, Mark, Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic (2006)",
             classic("kdtree.adaptive_sampling"),
-            clips=True,
-            least_cost=True,
-            any_cost=True,
-            cuts_early=True,
-            chooses_axes=True,
+            ANY_COST | BuilderCapabilities.CUTS_EARLY | BuilderCapabilities.CHOOSES_AXES,
         ),
         KdTreeBuilder(
             "lazy",
             "Hunt, Mark, Fussell: Fast and lazy build of acceleration structures from scene hierarchies (2007)",
             lazy.build,
-            clips=True,
-            least_cost=True,
+            LEAST_COST,
             start=lazy.start,
         ),
         KdTreeBuilder(
-            "sweep", f"{WALD_HAVRAN}, O(N log N)", classic("kdtree.sweep"), clips=True, least_cost=True, cuts_early=True
+            "sweep", f"{WALD_HAVRAN}, O(N log N)", classic("kdtree.sweep"), LEAST_COST | BuilderCapabilities.CUTS_EARLY
         ),
         KdTreeBuilder(
             "sorting_sweep",
             f"{WALD_HAVRAN}, O(N log^2 N)",
             classic("kdtree.sorting_sweep"),
-            clips=True,
-            least_cost=True,
-            any_cost=True,
-            cuts_early=True,
+            ANY_COST | BuilderCapabilities.CUTS_EARLY,
         ),
         KdTreeBuilder(
             "naive",
             f"{WALD_HAVRAN}, O(N^2)",
             classic("kdtree.naive"),
+            ANY_COST | BuilderCapabilities.CUTS_EARLY,
             max_triangles=5000,
-            clips=True,
-            least_cost=True,
-            any_cost=True,
-            cuts_early=True,
         ),
         KdTreeBuilder(
             "between_medians",
             "MacDonald, Booth: Heuristics for ray tracing using space subdivision (1990)",
             classic("kdtree.between_medians"),
-            clips=True,
-            cuts_early=True,
+            MEDIANS,
         ),
-        KdTreeBuilder("spatial_median", FUSSELL, classic("kdtree.medians", "build_spatial"), clips=True, cuts_early=True),
-        KdTreeBuilder("object_median", FUSSELL, classic("kdtree.medians", "build_object"), clips=True, cuts_early=True),
+        KdTreeBuilder("spatial_median", FUSSELL, classic("kdtree.medians", "build_spatial"), MEDIANS),
+        KdTreeBuilder("object_median", FUSSELL, classic("kdtree.medians", "build_object"), MEDIANS),
     )
 }
 

@@ -18,6 +18,7 @@ References: haines-greenberg-1986; rahikainen-2013 (section 2.3).
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -94,11 +95,23 @@ def slack_of(extent: float, light_reach: float) -> float:
     return 2.0**-19 * reach + 2.0**-22 * (2.0 * reach + light_reach) + 1e-37
 
 
+class LitMesh(NamedTuple):
+    """The triangles of a scene.
+
+    Attributes:
+        vertices: (V,) vec3, relative to the scene's centre.
+        faces: (F,) vec3i.
+        low, high: bounds of the scene, relative to its centre.
+    """
+
+    vertices: wp.array
+    faces: wp.array
+    low: wp.vec3
+    high: wp.vec3
+
+
 def build_light_buffer(
-    vertices: wp.array,
-    faces: wp.array,
-    low: wp.vec3,
-    high: wp.vec3,
+    mesh: LitMesh,
     light: np.ndarray,
     resolution: int,
     *,
@@ -111,9 +124,7 @@ def build_light_buffer(
     """Builds the light buffer of a point light on the device that holds the triangles.
 
     Args:
-        vertices: (V,) vec3, relative to the scene's centre.
-        faces: (F,) vec3i.
-        low, high: bounds of the scene, relative to its centre.
+        mesh: its triangles.
         light: (3,) float64, relative to the scene's centre.
         resolution: cells along an edge of a face.
         accurate, watertight: of the triangle test (`wrt.kernels.triangle.support.triangle_contract.TriangleTest`).
@@ -125,6 +136,7 @@ def build_light_buffer(
     Raises:
         MemoryError: cells and lists would take more than `max_bytes`.
     """
+    vertices, faces, low, high = mesh
     device, count = vertices.device, FACES * resolution * resolution
     corners = np.array([low, high], dtype=np.float64)
     extent = float((corners[1] - corners[0]).max())

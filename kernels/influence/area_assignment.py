@@ -29,7 +29,7 @@ References: falcone-2024 (chapter 3, section 5.5).
 
 import warp as wp
 
-from wrt.kernels.influence.area_lanes import LANE_WORDS, MARK_WORDS, load_block, store_block, sum_blocks, try_area
+from wrt.kernels.influence.area_lanes import LANE_WORDS, MARK_WORDS, AreaSplits, load_block, store_block, sum_blocks, try_area
 from wrt.kernels.influence.region_tests import Region
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.layout.ray_batch import RayBatch
@@ -165,9 +165,7 @@ def assign_rays(
     areas: AreaTree,
     low: wp.vec3,
     high: wp.vec3,
-    area: wp.array(dtype=wp.uint16),
-    cut: wp.array(dtype=float),
-    rest: wp.array(dtype=float),
+    splits: AreaSplits,
     sums: wp.array(dtype=wp.vec4i),
 ):
     """Finds the area of each ray and the t at which the ray is split. Item: a chunk of rays, a multiple of the lanes.
@@ -178,10 +176,8 @@ def assign_rays(
         chunk: rays of an item.
         areas: the influence areas.
         low, high: corners of a box that contains all hits.
-        area: (rays,) area of each ray; the number of areas for a ray without one.
-        cut: (rays,) t up to which the area's tree is searched; -1, so that the ray misses, for a ray without an area.
-        rest: (rays,) t from which the scene's tree is searched; inf if nothing is left.
-        sums: (chunks,) per chunk: rays with an area and a second part, greatest number in `area`, `areas` less the least
+        splits: where the rays are split.
+        sums: (chunks,) per chunk: rays with an area and a second part, greatest number of an area, `areas` less the least
             number, rays without an area.
     """
     item = first + wp.tid()
@@ -193,7 +189,7 @@ def assign_rays(
         count = load_block(rays, begin, end - begin, lanes, marks)
         find_lists(areas, count, lanes, marks)
         find_areas(areas, count, lanes, marks)
-        store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, area, cut, rest)
+        store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, splits)
         begin += count
     sums[item] = sum_blocks(marks)
 
@@ -230,9 +226,7 @@ def assign_given_rays(
     stride: int,
     low: wp.vec3,
     high: wp.vec3,
-    area: wp.array(dtype=wp.uint16),
-    cut: wp.array(dtype=float),
-    rest: wp.array(dtype=float),
+    splits: AreaSplits,
     sums: wp.array(dtype=wp.vec4i),
 ):
     """As `assign_rays`, for rays whose areas are known: `given[i * stride]` of ray i, -1 for none.
@@ -247,7 +241,7 @@ def assign_given_rays(
     while begin < end:
         count = load_block(rays, begin, end - begin, lanes, marks)
         take_areas(areas, given, stride, begin, count, lanes, marks)
-        store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, area, cut, rest)
+        store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, splits)
         begin += count
     sums[item] = sum_blocks(marks)
 

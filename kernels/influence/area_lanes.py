@@ -38,6 +38,18 @@ static_assert(sizeof(wrt::AreaMarks<{LIST_LANES}>) == 4 * {MARK_WORDS});
 """C++: the arrays are as long as here."""
 
 
+@wp.struct
+class AreaSplits:
+    """Where rays are split between the tree of their area and that of the scene."""
+
+    area: wp.array(dtype=wp.uint16)
+    """(rays,) area of each ray; the number of areas for a ray without one."""
+    cut: wp.array(dtype=float)
+    """(rays,) t up to which the area's tree is searched; -1, so that the ray misses, for a ray without an area."""
+    rest: wp.array(dtype=float)
+    """(rays,) t from which the scene's tree is searched; inf if nothing is left."""
+
+
 @native.func_native("area_lanes.h", f"{_CHECK}return wrt::load_area_rays(batch, first, count, {_BLOCK});")
 def load_block(batch: RayBatch, first: int, count: int, lanes: wp.array(dtype=float), marks: wp.array(dtype=int)) -> int:
     """Loads up to `count` rays from `first` on, with list 0, and bounds their origins; returns the number of rays."""
@@ -64,7 +76,8 @@ def try_area(
 
 
 @native.func_native(
-    "area_lanes.h", f"wrt::store_area_rays(first, count, areas, low, high, {_BLOCK}, area.data, cut.data, rest.data);"
+    "area_lanes.h",
+    f"wrt::store_area_rays(first, count, areas, low, high, {_BLOCK}, splits.area.data, splits.cut.data, splits.rest.data);",
 )
 def store_block(
     first: int,
@@ -74,9 +87,7 @@ def store_block(
     high: wp.vec3,
     lanes: wp.array(dtype=float),
     marks: wp.array(dtype=int),
-    area: wp.array(dtype=wp.uint16),
-    cut: wp.array(dtype=float),
-    rest: wp.array(dtype=float),
+    splits: AreaSplits,
 ):
     """Writes where the rays are split (`wrt.kernels.influence.area_assignment.assign_rays`) and adds them to the sums of the
     lanes."""

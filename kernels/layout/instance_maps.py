@@ -108,3 +108,25 @@ def object_ray(placement: Placement, origin: wp.vec3d, ray: Ray, t_max: float):
     own.t_max = t_max
     own.valid = is_finite(own.origin) and is_direction(own.direction)
     return own
+
+
+@wp.struct
+class SceneRay:
+    """A ray of a scene of instances."""
+
+    ray: Ray
+    origin: wp.vec3d
+    """Its origin relative to the scene's centre, as instances far from there need it in float64."""
+    mask: wp.uint32
+    environment: int
+
+
+@wp.func
+def scene_ray(rays: RayBatch, i: int, ray: Ray):
+    """Ray number i, of which `load_ray` gave `ray`."""
+    seen = SceneRay()
+    seen.ray = ray
+    seen.origin = centered_origin(rays, i)
+    seen.mask = ray_mask(rays, i)
+    seen.environment = ray_environment(rays, i)
+    return seen

@@ -65,7 +65,7 @@ class RayBatch:
     environment_stride: int
     run: int
     """Rays per item, a multiple of those of a stream or a run of packets. Used by kernels whose items vary in length only
-    (`Traversal.long_items`)."""
+    (`Capabilities.LONG_ITEMS`)."""
     center: wp.vec3d
     """Subtracted from the origins in float64; the geometry of the scene is stored relative to this point."""
 

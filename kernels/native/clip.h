@@ -119,10 +119,10 @@ struct SideTargets {
 };
 
 /// Clips the straddlers of a range to the cells on both sides of a plane, counts the references of both, and computes their
-/// boxes; see `wrt.builders.kdtree.scan.clipped_chunks.clip_range`.
-template <class Mesh, class Sides>
+/// boxes; see `wrt.builders.kdtree.scan.clipped_chunks.clip_chunk`.
+template <class Mesh, class Split, class Sides>
 inline CUDA_CALLABLE void clip_sides(const Mesh& mesh, const ClipCell& left, const ClipCell& right, const float* from,
-    int count, int axis, float position, bool planar_left, SideTargets targets, Sides& sides)
+    int count, const Split& split, SideTargets targets, Sides& sides)
 {
     float low_side[8], high_side[8];
     set_empty(low_side);
@@ -130,7 +130,7 @@ inline CUDA_CALLABLE void clip_sides(const Mesh& mesh, const ClipCell& left, con
     sides.left = 0;
     sides.right = 0;
     for (int i = 0; i < count; ++i, from += 8) {
-        const OnSides on = classify(from, axis, position, planar_left);
+        const OnSides on = classify(from, split.axis, split.position, split.planar_left);
         const bool both = on.left & on.right;
         for (int side = 0; side < (both ? 2 : 1); ++side) {
             float reference[8];

@@ -21,7 +21,7 @@ constexpr float THIN = 0.25f;
 constexpr float SMALL_AREA = 1.1754944e-38f;
 
 /// Brings areas that are too small for a float into its range.
-constexpr double AREA_LIFT = 1.6069380442589903e60;
+constexpr double AREA_SCALE = 1.6069380442589903e60;
 
 /// The vertices of a triangle, sheared so that the ray is the third axis: two coordinates across it, and the depth along it.
 template <class F> struct Sheared {
@@ -135,8 +135,8 @@ struct Crossing {
         const Areas<double> exact = exact_areas(s);
         const int first = side(exact.a, s, 2, 1);
         const bool hit = first != 0 && first == side(exact.b, s, 0, 2) && first == side(exact.c, s, 1, 0);
-        const double total = sum(exact), lift = (total < 0.0 ? -total : total) < SMALL_AREA ? AREA_LIFT : 1.0;
-        w = rounded({exact.a * lift, exact.b * lift, exact.c * lift});
+        const double total = sum(exact), scale = (total < 0.0 ? -total : total) < SMALL_AREA ? AREA_SCALE : 1.0;
+        w = rounded({exact.a * scale, exact.b * scale, exact.c * scale});
         return hit;
     }
 };

@@ -29,6 +29,7 @@ from wrt.kernels.answers import closest_hit as closest_kind
 from wrt.kernels.answers import crossing_count, next_crossing
 from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.answers.next_crossing import PreviousCrossing
+from wrt.kernels.layout.instance_maps import SceneRay
 from wrt.kernels.layout.ray_batch import Ray, checked_ray
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, hit_normal, hit_position
 from wrt.kernels.query.spawn import faces_front, spawn_origin
@@ -180,7 +181,12 @@ def make_instances_search(handle: type, walk: wp.Function, Results: type) -> wp.
             hits.t = ray.t_min
             hits.primitive = after
         work = Counters()
-        return walk(scene.top, scene.parts, origin, ray, scene.mask, scene.environment, hits, 0, work)
+        seen = SceneRay()
+        seen.ray = ray
+        seen.origin = origin
+        seen.mask = scene.mask
+        seen.environment = scene.environment
+        return walk(scene.top, scene.parts, seen, hits, 0, work)
 
     return search
 

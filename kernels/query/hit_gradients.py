@@ -35,12 +35,21 @@ def result_types(double: bool) -> tuple[type, type, type]:
     return (wp.float64, wp.vec2d, wp.vec3d) if double else (wp.float32, wp.vec2, wp.vec3)
 
 
+@wp.struct
+class Edges:
+    """A vertex of a triangle, and the edges there."""
+
+    a: wp.vec3d
+    edge1: wp.vec3d
+    edge2: wp.vec3d
+    winding: wp.float64
+    """1, or -1 to turn the normal."""
+
+
 @cache
 def store_hit(double: bool) -> wp.Function:
-    """`wp.func(i, origin, direction, a, edge1, edge2, winding, t, uv, positions, normals)`.
-
-    Stores where ray i meets the plane of a triangle; nothing for a ray in that plane. winding: 1, or -1 to turn the normal.
-    """
+    """`wp.func(i, origin, direction, triangle, t, uv, positions, normals)`: stores where ray i meets the plane of a triangle;
+    nothing for a ray in that plane."""
     Scalar, Pair, Vector = result_types(double)
 
     @wp.func
@@ -48,31 +57,30 @@ def store_hit(double: bool) -> wp.Function:
         i: int,
         origin: wp.vec3d,
         direction: wp.vec3d,
-        a: wp.vec3d,
-        edge1: wp.vec3d,
-        edge2: wp.vec3d,
-        winding: wp.float64,
+        triangle: Edges,
         t: wp.array(dtype=Scalar),
         uv: wp.array(dtype=Pair),
         positions: wp.array(dtype=Vector),
         normals: wp.array(dtype=Vector),
     ):
+        edge1 = triangle.edge1
+        edge2 = triangle.edge2
         across = wp.cross(direction, edge2)
         det = wp.dot(edge1, across)
         if det != wp.float64(0.0):
-            s = origin - a
+            s = origin - triangle.a
             q = wp.cross(s, edge1)
             at = wp.dot(edge2, q) / det
             t[i] = Scalar(at)
             uv[i] = Pair(Scalar(wp.dot(s, across) / det), Scalar(wp.dot(direction, q) / det))
             positions[i] = Vector(origin + at * direction)
-            normals[i] = Vector(winding * wp.normalize(wp.cross(edge1, edge2)))
+            normals[i] = Vector(triangle.winding * wp.normalize(wp.cross(edge1, edge2)))
 
     return store
 
 
 @cache
-def make_kernel(Origin: type, Direction: type, Vertex: type, double: bool) -> wp.Kernel:
+def make_gradient_kernel(Origin: type, Direction: type, Vertex: type, double: bool) -> wp.Kernel:
     """The kernel for arrays of these types, each vec3 or vec3d; `double`: whether the results are float64.
 
     A stride of 0 shares element 0 among all rays. The kernel does not write the results of rays that hit nothing.
@@ -96,11 +104,13 @@ def make_kernel(Origin: type, Direction: type, Vertex: type, double: bool) -> wp
         i = wp.tid()
         if primitive[i] >= 0:
             face = faces[primitive[i]]
-            a = wp.vec3d(vertices[face[0]])
-            edge1 = wp.vec3d(vertices[face[1]]) - a
-            edge2 = wp.vec3d(vertices[face[2]]) - a
+            triangle = Edges()
+            triangle.a = wp.vec3d(vertices[face[0]])
+            triangle.edge1 = wp.vec3d(vertices[face[1]]) - triangle.a
+            triangle.edge2 = wp.vec3d(vertices[face[2]]) - triangle.a
+            triangle.winding = wp.float64(1.0)
             origin = wp.vec3d(origins[i * origin_stride])
             direction = wp.vec3d(directions[i * direction_stride])
-            store(i, origin, direction, a, edge1, edge2, wp.float64(1.0), t, uv, positions, normals)
+            store(i, origin, direction, triangle, t, uv, positions, normals)
 
     return specialised_kernel(intersect_triangles, gradients=True)

@@ -132,7 +132,7 @@ def make_exact_instance_kernel(config: TraversalConfig, kind: str, levels: int) 
             search.center = center
             search.ray = ray
             search.mask = ray_mask(seen, i)
-            slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
+            slabs = ray_slabs(ray.origin, ray.direction, top.slack_scale * reach(ray.origin, top.tree.low, top.tree.high))
             work = Counters()
             walk_keys(top.tree, root, slabs, ray.t_min, search, exact, i, start(ray.t_max), work)
         store_exact(hits, i, exact)

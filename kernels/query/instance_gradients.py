@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.query.hit_gradients import result_types, store_hit
+from wrt.kernels.query.hit_gradients import Edges, result_types, store_hit
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 
 exact_module(__name__, gradients=True)
@@ -19,8 +19,8 @@ exact_module(__name__, gradients=True)
 @wp.func
 def placed(transform: Any, row: int, point: wp.vec3d):
     """A coordinate of a mapped point; transform: a (4, 4) matrix."""
-    sum = wp.float64(transform[row, 0]) * point[0] + wp.float64(transform[row, 1]) * point[1]
-    return sum + wp.float64(transform[row, 2]) * point[2] + wp.float64(transform[row, 3])
+    first = wp.float64(transform[row, 0]) * point[0] + wp.float64(transform[row, 1]) * point[1]
+    return first + wp.float64(transform[row, 2]) * point[2] + wp.float64(transform[row, 3])
 
 
 @wp.func
@@ -47,7 +47,7 @@ def place_pose(transform: Any, point: wp.vec3d):
 
 
 @cache
-def make_kernel(Origin: type, Direction: type, Vertex: type, Transform: type, double: bool) -> wp.Kernel:
+def make_instance_gradient_kernel(Origin: type, Direction: type, Vertex: type, Transform: type, double: bool) -> wp.Kernel:
     """The kernel for arrays of these types; Transform: mat44, mat44d, transform or transformd; otherwise as on one level."""
     Scalar, Pair, Vector = result_types(double)
     store = store_hit(double)
@@ -73,11 +73,13 @@ def make_kernel(Origin: type, Direction: type, Vertex: type, Transform: type, do
         if face_of[i] >= 0:
             face = faces[face_of[i]]
             own = instance[i]
-            a = to_scene(transforms[own], wp.vec3d(vertices[face[0]]))
-            edge1 = to_scene(transforms[own], wp.vec3d(vertices[face[1]])) - a
-            edge2 = to_scene(transforms[own], wp.vec3d(vertices[face[2]])) - a
+            triangle = Edges()
+            triangle.a = to_scene(transforms[own], wp.vec3d(vertices[face[0]]))
+            triangle.edge1 = to_scene(transforms[own], wp.vec3d(vertices[face[1]])) - triangle.a
+            triangle.edge2 = to_scene(transforms[own], wp.vec3d(vertices[face[2]])) - triangle.a
+            triangle.winding = winding[own]
             origin = wp.vec3d(origins[i * origin_stride])
             direction = wp.vec3d(directions[i * direction_stride])
-            store(i, origin, direction, a, edge1, edge2, winding[own], t, uv, positions, normals)
+            store(i, origin, direction, triangle, t, uv, positions, normals)
 
     return specialised_kernel(intersect_placed_triangles, gradients=True)

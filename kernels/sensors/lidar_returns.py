@@ -236,23 +236,26 @@ def surface_velocity(motions: Motions, instance: int, point: wp.vec3d):
     return velocity
 
 
+@wp.struct
+class FoundReturn:
+    """A return and the triangle from which it comes."""
+
+    beam: int
+    at: int
+    """Its place among the returns."""
+    primitive: int
+    """-1 for a miss."""
+    normal: wp.vec3
+
+
 @wp.func
 def describe_return(
-    beams: Beams,
-    path: PosePath,
-    mesh: SceneMesh,
-    motions: Motions,
-    noise: Noise,
-    number: int,
-    at: int,
-    primitive: int,
-    normal: wp.vec3,
-    returns: Returns,
+    beams: Beams, path: PosePath, mesh: SceneMesh, motions: Motions, noise: Noise, found: FoundReturn, returns: Returns
 ):
-    """Writes point and surface of the return `at` of beam `number`, with noise, from its range and the triangle; -1 for a
-    miss.
-    """
-    beam = number % beams.directions.shape[0]
+    """Writes point and surface of a return, with noise, from its range and the triangle."""
+    at = found.at
+    primitive = found.primitive
+    beam = found.beam % beams.directions.shape[0]
     axis = wp.normalize(wp.vec3d(beams.directions[beam]))
     distance = wp.float64(returns.range[at])
     detected = primitive >= 0
@@ -267,7 +270,7 @@ def describe_return(
         side = across(axis)
         shown = wp.normalize(axis + turns[0] * side + turns[1] * wp.cross(axis, side))
     if detected:
-        pose = pose_of(path, number / beams.directions.shape[0], beams.start + beams.times[beam])
+        pose = pose_of(path, found.beam / beams.directions.shape[0], beams.start + beams.times[beam])
         offset = beam_offset(beams, beam)
         origin = pose.position + wp.quat_rotate(pose.rotation, offset)
         axis = wp.quat_rotate(pose.rotation, axis)
@@ -279,7 +282,7 @@ def describe_return(
         returns.range[at] = wp.float32(distance)
         returns.point[at] = point
         returns.position[at] = pose.position + wp.quat_rotate(pose.rotation, point)
-        returns.normal[at] = normal
+        returns.normal[at] = found.normal
         returns.instance[at] = instance
         returns.geometry[at] = instance
         if mesh.placements.shape[0] > 0:
@@ -306,12 +309,14 @@ def describe_returns(
     i = first + wp.tid()
     place = i / detector.returns
     beam = beam_at(beams, traced.place + place)
-    at = beam * detector.returns + i % detector.returns
-    primitive = int(-1)
-    if returns.ray[at] >= 0:
-        primitive = traced.primitive[place * beams.spread.shape[0] + returns.ray[at]]
-    normal = hit_normal(mesh, primitive)
-    describe_return(beams, path, mesh, motions, noise, beam, at, primitive, normal, returns)
+    found = FoundReturn()
+    found.beam = beam
+    found.at = beam * detector.returns + i % detector.returns
+    found.primitive = -1
+    if returns.ray[found.at] >= 0:
+        found.primitive = traced.primitive[place * beams.spread.shape[0] + returns.ray[found.at]]
+    found.normal = hit_normal(mesh, found.primitive)
+    describe_return(beams, path, mesh, motions, noise, found, returns)
 
 
 @wp.kernel
@@ -339,4 +344,9 @@ def single_returns(
         returns.ray[beam] = 0
         if t < detector.min_range or t > detector.max_range or power < detector.threshold:
             primitive = int(-1)
-    describe_return(beams, path, mesh, motions, noise, beam, beam, primitive, normal, returns)
+    found = FoundReturn()
+    found.beam = beam
+    found.at = beam
+    found.primitive = primitive
+    found.normal = normal
+    describe_return(beams, path, mesh, motions, noise, found, returns)

@@ -63,13 +63,13 @@ class RaySlabs:
 
 
 @wp.func
-def least(a: wp.vec3, b: wp.vec3):
+def min_of(a: wp.vec3, b: wp.vec3):
     """Componentwise minimum of numbers that are not NaN; cheaper than `wp.min`, which also handles NaN."""
     return wp.vec3(wp.where(a[0] < b[0], a[0], b[0]), wp.where(a[1] < b[1], a[1], b[1]), wp.where(a[2] < b[2], a[2], b[2]))
 
 
 @wp.func
-def greatest(a: wp.vec3, b: wp.vec3):
+def max_of(a: wp.vec3, b: wp.vec3):
     """Componentwise maximum of numbers that are not NaN."""
     return wp.vec3(wp.where(a[0] > b[0], a[0], b[0]), wp.where(a[1] > b[1], a[1], b[1]), wp.where(a[2] > b[2], a[2], b[2]))
 
@@ -77,7 +77,7 @@ def greatest(a: wp.vec3, b: wp.vec3):
 @wp.func
 def reach(origin: wp.vec3, low: wp.vec3, high: wp.vec3):
     """Largest distance along an axis from `origin` to a corner of the box."""
-    far = greatest(wp.abs(low - origin), wp.abs(high - origin))
+    far = max_of(wp.abs(low - origin), wp.abs(high - origin))
     return wp.max(far[0], wp.max(far[1], far[2]))
 
 

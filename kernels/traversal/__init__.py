@@ -26,17 +26,20 @@ import warp as wp
 
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.on_demand import OnDemand
-from wrt.kernels.traversal import brute_force as brute
-from wrt.kernels.traversal.interleaved import interleaved_bvh
+from wrt.kernels.traversal.brute_force import make_brute_force_kernel
+from wrt.kernels.traversal.capabilities import Capabilities
+from wrt.kernels.traversal.interleaved.interleaved_bvh import make_interleaved_bvh_kernel
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
-from wrt.kernels.traversal.packet.core import packet_bvh as packet
-from wrt.kernels.traversal.packet.core import packet_kdtree, packet_kernel
-from wrt.kernels.traversal.queued import queued_bvh
+from wrt.kernels.traversal.packet.core import packet_kernel
+from wrt.kernels.traversal.packet.core.packet_bvh import make_packet_bvh_kernel
+from wrt.kernels.traversal.packet.core.packet_kdtree import make_packet_kdtree_kernel
+from wrt.kernels.traversal.queued.queued_bvh import make_queued_bvh_kernel
 from wrt.kernels.traversal.single.single_bvh import make_single_bvh_kernel
 from wrt.kernels.traversal.single.single_kdtree import make_single_kdtree_kernel
-from wrt.kernels.traversal.stream import stream_bvh, stream_kdtree
 from wrt.kernels.traversal.stream import stream_kernel as stream
+from wrt.kernels.traversal.stream.stream_bvh import make_stream_bvh_kernel
+from wrt.kernels.traversal.stream.stream_kdtree import make_stream_kdtree_kernel
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.traversal_scores import (
     Score,
@@ -70,33 +73,13 @@ class Traversal:
         paper: authors, title, year.
         kernels: config -> kernel for each supported tree kind: "kdtree", "bvh" or "none" (all triangles).
         rays_per_item: config -> number of consecutive rays that one item of the kernel traces; the last item may have fewer.
-        packets: whether rays are traced in packets: `packet` of the config applies.
-        non_temporal: whether `packet.non_temporal` of the config applies, in scenes of one level.
-        packet_vectors: vectors of rays of a packet, where the traversal determines it; 0 if it depends on the query.
-        needs_shared_origin: whether all rays of a batch must start at the same point.
-        front_faces: whether it can cull back faces, though it does not answer every query.
-        mailbox: whether `mailbox` of the config applies, on a kd-tree.
-        streams: whether rays are traced in streams: `stream` of the config applies.
-        long_streams: whether streams through the boxes of one level are not in a thread's local memory, so that they may be
-            long.
-        wide: whether it traverses the wide form of a kd-tree, which has the layout of a BVH
-            (`wrt.builders.convert.wide_kdtree`).
-        queued: whether rays wait at subtrees and its kernels trace them generation by generation
-            (`wrt.execution.queued_tracing`).
-        counters: struct of the work counters that its kernels write, at the first ray of an item.
+        capabilities: what it can do.
         each_hit: tree kinds on which it can offer each hit, so that it answers every kind of query; on others it answers the
             `nearest` ones.
         orders: those of `ORDERS` in which it can trace rays.
         two_level: tree kinds of geometries through whose instances it traces rays: one by one, for all that it answers on such
             a tree; else for what parts can answer (`AnswerKind.merge`).
-        two_level_on_cuda: whether it does so on CUDA too.
-        node_orders: whether it can walk the nodes of a kd-tree in another order (`wrt.KdTree(layout=...)`).
-        own_spaces: whether it supports scenes whose trees have their own coordinate spaces (`wrt.moving.FuzzyScene`).
-        shared_leaves: whether `shared_leaves` of the config applies: it reports crossings once where a triangle is in several
-            leaves of a BVH.
-        long_items: whether an item may be several times as many rays (`RayBatch.run`).
-        least_rays_per_item: rays down to which an item is cut where there are few items for each thread; None if that costs
-            more than it balances.
+        counters: struct of the work counters that its kernels write, at the first ray of an item.
         score: how well it suits a query; None if "auto" never chooses it.
     """
 
@@ -104,26 +87,11 @@ class Traversal:
     paper: str
     kernels: Mapping[str, Callable[[TraversalConfig], wp.Kernel]]
     rays_per_item: Callable[[TraversalConfig], int] = one_ray
-    packets: bool = False
-    non_temporal: bool = False
-    packet_vectors: int = 0
-    needs_shared_origin: bool = False
-    front_faces: bool = False
-    mailbox: bool = False
-    streams: bool = False
-    long_streams: bool = False
-    wide: bool = False
-    queued: bool = False
-    counters: type = Counters
+    capabilities: Capabilities = Capabilities.NONE
     each_hit: tuple[str, ...] = ()
     orders: tuple[str, ...] = (AS_GIVEN, CELLS)
     two_level: tuple[str, ...] = ()
-    two_level_on_cuda: bool = False
-    node_orders: bool = False
-    own_spaces: bool = False
-    shared_leaves: bool = False
-    long_items: bool = False
-    least_rays_per_item: int | None = None
+    counters: type = Counters
     score: Score | None = None
 
     def supports(self, query: str, tree: str) -> bool:
@@ -133,22 +101,28 @@ class Traversal:
     def culls_backfaces(self, tree: str) -> bool:
         """Whether it can cull back faces on a tree kind.
 
-        Traversals that answer every query can, because they test hits one by one; so can those that say so (`front_faces`).
+        Traversals that answer every query can, because they test hits one by one; so can those that say so (`FRONT_FACES`).
         """
-        return tree in self.kernels and (self.front_faces or tree in self.each_hit)
+        return tree in self.kernels and (Capabilities.FRONT_FACES in self.capabilities or tree in self.each_hit)
 
     def supports_through_instances(self, query: str, tree: str, is_cuda: bool) -> bool:
         """Whether it answers a query through instances whose trees are of a kind."""
         merges = self.walks_single_rays or ANSWERS[query].merge is not None
-        return tree in self.two_level and self.supports(query, tree) and merges and (self.two_level_on_cuda or not is_cuda)
+        runs = Capabilities.CUDA_INSTANCES in self.capabilities or not is_cuda
+        return tree in self.two_level and self.supports(query, tree) and merges and runs
 
     def has_mailbox(self, tree: str) -> bool:
         """Whether it can use a mailbox on a tree kind: only a kd-tree has triangles in several leaves."""
-        return self.mailbox and tree == "kdtree"
+        return Capabilities.MAILBOX in self.capabilities and tree == "kdtree"
 
     def walks_boxes(self, tree: str) -> bool:
         """Whether the nodes that it walks on a tree kind are boxes: those of a BVH, or of the wide form of a kd-tree."""
-        return self.wide or tree == "bvh"
+        return Capabilities.WIDE_FORM in self.capabilities or tree == "bvh"
+
+    @property
+    def needs_shared_origin(self) -> bool:
+        """Whether all rays of a batch must start at the same point."""
+        return Capabilities.SHARED_ORIGIN in self.capabilities
 
     @property
     def walks_tree(self) -> bool:
@@ -172,28 +146,29 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "brute",
             "every ray against every triangle",
-            {"none": brute.make_kernel},
+            {"none": make_brute_force_kernel},
+            capabilities=Capabilities.OWN_SPACES | Capabilities.SHARED_LEAVES,
             each_hit=("none",),
-            own_spaces=True,
-            shared_leaves=True,
         ),
         Traversal(
             "single",
             "Havran: Heuristic ray shooting algorithms (2001); Wald, Benthin, Boulos: Getting rid of packets (2008)",
             {"kdtree": make_single_kdtree_kernel, "bvh": make_single_bvh_kernel},
-            mailbox=True,
+            capabilities=(
+                Capabilities.MAILBOX
+                | Capabilities.NODE_ORDERS
+                | Capabilities.OWN_SPACES
+                | Capabilities.SHARED_LEAVES
+                | Capabilities.CUDA_INSTANCES
+            ),
             each_hit=("kdtree", "bvh"),
             two_level=("kdtree", "bvh"),
-            two_level_on_cuda=True,
-            node_orders=True,
-            own_spaces=True,
-            shared_leaves=True,
             score=score_single,
         ),
         Traversal(
             "lockstep",
             "after Foley, Sugerman: KD-tree acceleration structures for a GPU raytracer (2005), with a stack, on CPU lanes",
-            {"kdtree": lockstep.make_kernel},
+            {"kdtree": lockstep.make_lockstep_kernel},
             lockstep.rays_per_item,
             score=score_lockstep,
         ),
@@ -201,12 +176,9 @@ TRAVERSALS: dict[str, Traversal] = {
             "packet",
             "Wald et al.: Interactive rendering with coherent ray tracing (2001); "
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
-            {"bvh": packet.make_kernel, "kdtree": packet_kdtree.make_kernel},
+            {"bvh": make_packet_bvh_kernel, "kdtree": make_packet_kdtree_kernel},
             packet_kernel.rays_per_item,
-            long_items=True,
-            packets=True,
-            non_temporal=True,
-            mailbox=True,
+            capabilities=Capabilities.PACKETS | Capabilities.NON_TEMPORAL | Capabilities.LONG_ITEMS | Capabilities.MAILBOX,
             orders=(AS_GIVEN, CELLS, TILES),
             two_level=("bvh",),
             score=score_packet,
@@ -214,21 +186,17 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "repacked_packet",
             "Boulos, Wald, Benthin: Adaptive ray packet reordering (2008)",
-            {"bvh": OnDemand("traversal.repacked_bvh", "make_kernel")},
+            {"bvh": OnDemand("traversal.repacked_bvh", "make_repacked_bvh_kernel")},
             packet_kernel.rays_per_item,
-            long_items=True,
-            packets=True,
+            capabilities=Capabilities.PACKETS | Capabilities.LONG_ITEMS,
             orders=(AS_GIVEN, CELLS, TILES),
         ),
         Traversal(
             "multi_frusta",
             "Benthin, Wald: Efficient ray traced soft shadows using multi-frusta tracing (2009), for rays from one point",
-            {"bvh": OnDemand("traversal.eye_frusta", "make_kernel")},
+            {"bvh": OnDemand("traversal.eye_frusta", "make_eye_frusta_kernel")},
             OnDemand("traversal.eye_frusta", "rays_per_item"),
-            packets=True,
-            packet_vectors=1,
-            needs_shared_origin=True,
-            front_faces=True,
+            capabilities=Capabilities.PACKETS | Capabilities.ONE_VECTOR | Capabilities.SHARED_ORIGIN | Capabilities.FRONT_FACES,
             orders=(AS_GIVEN, TILES),
         ),
         Traversal(
@@ -236,8 +204,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
             {"kdtree": OnDemand("traversal.entry_point", "make_mlrta")},
             OnDemand("traversal.entry_point", "rays_per_item"),
-            packets=True,
-            mailbox=True,
+            capabilities=Capabilities.PACKETS | Capabilities.MAILBOX,
             orders=(AS_GIVEN,),
         ),
         Traversal(
@@ -245,78 +212,65 @@ TRAVERSALS: dict[str, Traversal] = {
             "Fowler, Collins, Manzke: Accelerated entry point search algorithm for real-time ray-tracing (2009)",
             {"kdtree": OnDemand("traversal.entry_point", "make_aepsa")},
             OnDemand("traversal.entry_point", "rays_per_item"),
-            packets=True,
-            mailbox=True,
+            capabilities=Capabilities.PACKETS | Capabilities.MAILBOX,
             orders=(AS_GIVEN,),
         ),
         Traversal(
             "omnidirectional",
             "Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees (2006)",
-            {"kdtree": OnDemand("traversal.omnidirectional", "make_kernel")},
+            {"kdtree": OnDemand("traversal.omnidirectional", "make_omnidirectional_kernel")},
             OnDemand("traversal.omnidirectional", "rays_per_item"),
-            packets=True,
-            mailbox=True,
+            capabilities=Capabilities.PACKETS | Capabilities.MAILBOX,
             orders=(AS_GIVEN,),
         ),
         Traversal(
             "stream",
             "Wald, Gribble, Boulos, Kensler: SIMD ray stream tracing (2007); "
             "Gribble, Ramani: Coherent ray tracing via stream filtering (2008)",
-            {"kdtree": stream_kdtree.make_kernel, "bvh": stream_bvh.make_kernel},
+            {"kdtree": make_stream_kdtree_kernel, "bvh": make_stream_bvh_kernel},
             stream.rays_per_item,
-            long_items=True,
-            streams=True,
-            long_streams=True,
-            counters=stream.StreamCounters,
+            capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS,
             each_hit=("bvh",),
             two_level=("bvh",),
+            counters=stream.StreamCounters,
             score=score_stream,
         ),
         Traversal(
             "interleaved",
             "single rays that take turns, after Barringer, Akenine-Möller: Dynamic ray stream traversal (2014), "
             "and Fuetterling, Lojewski, Pfreundt, Ebert: Accelerated single ray tracing for wide vector units (2017)",
-            {"bvh": interleaved_bvh.make_kernel},
+            {"bvh": make_interleaved_bvh_kernel},
             stream.rays_per_item,
-            long_items=True,
-            streams=True,
-            long_streams=True,
-            counters=stream.StreamCounters,
+            capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS | Capabilities.SHORT_ITEMS,
             each_hit=("bvh",),
             orders=(AS_GIVEN,),
-            least_rays_per_item=256,
+            counters=stream.StreamCounters,
             score=score_interleaved,
         ),
         Traversal(
             "queued",
             "Pharr, Kolb, Gershbein, Hanrahan: Rendering complex scenes with memory-coherent ray tracing (1997); "
             "Navrátil, Fussell, Lin, Mark: Dynamic ray scheduling to improve ray coherence and bandwidth utilization (2007)",
-            {"bvh": queued_bvh.make_kernel},
-            queued=True,
+            {"bvh": make_queued_bvh_kernel},
+            capabilities=Capabilities.QUEUED,
             each_hit=("bvh",),
         ),
         Traversal(
             "wide_stream",
             "stream through the cells of a kd-tree in nodes of W, after Popov, Georgiev, Dimov, Slusallek: "
             "Object partitioning considered harmful: space subdivision for BVHs (2009)",
-            {"kdtree": stream_bvh.make_kernel},
+            {"kdtree": make_stream_bvh_kernel},
             stream.rays_per_item,
-            long_items=True,
-            streams=True,
-            long_streams=True,
-            wide=True,
+            capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS | Capabilities.WIDE_FORM,
             counters=stream.StreamCounters,
             score=score_wide_stream,
         ),
         Traversal(
             "wide_packet",
             "packet through the same",
-            {"kdtree": packet.make_kernel},
+            {"kdtree": make_packet_bvh_kernel},
             packet_kernel.rays_per_item,
-            long_items=True,
-            packets=True,
-            non_temporal=True,
-            wide=True,
+            capabilities=Capabilities.PACKETS | Capabilities.NON_TEMPORAL | Capabilities.LONG_ITEMS | Capabilities.WIDE_FORM,
             orders=(AS_GIVEN, TILES),
             score=score_wide_packet,
         ),

@@ -27,7 +27,7 @@ class AllTriangles:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_brute_force_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation.
 
     It uses the scalar form of the triangle test, so comparisons also check the lane form.

@@ -36,7 +36,7 @@ from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, cross_plane
 from wrt.kernels.simd.lanes import lanes, lowest_bit
-from wrt.kernels.traversal.leaf import clamp_block
+from wrt.kernels.traversal.leaf import Leaf, clamp_block, leaf_search
 from wrt.kernels.traversal.shared_leaves import owns_shared
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -47,13 +47,13 @@ exact_module(__name__)
 
 @cache
 def offering_step(config: TraversalConfig, Tree: type) -> wp.Function:
-    """`wp.func(tree, node, interval, triangles, block, state, slabs, cells, hits, i, best) -> best`: offers a block's hits.
+    """`wp.func(tree, leaf, block, search, cells, hits, i, best) -> best`: offers the hits of a leaf's block.
 
-    node: the leaf. interval: closed interval of t in which ray i is in the leaf. slabs, cells: the ray where the triangles are,
-    and in the tree's space, which may be another. hits: `AnswerKind.Search`.
+    leaf: `Leaf` that ray i is in. search: `leaf_search`, where the triangles are. cells: the ray in the tree's space, which may
+    be another. hits: `AnswerKind.Search`.
     """
     test, width, answer = TRIANGLE_TESTS[config.triangle_test], config.width, config.answer
-    Lanes, RayState = lanes(width), test.ray_state
+    Lanes, LeafSearch = lanes(width), leaf_search(config.triangle_test)
     intersect_block = test.forms(answer.crossings).block_test(width)
     clamp = clamp_block(test.record, width, config.cull_backfaces)
     accept, owns, Search = answer.accept, owns_crossing(width), answer.Search
@@ -64,12 +64,9 @@ def offering_step(config: TraversalConfig, Tree: type) -> wp.Function:
     @wp.func
     def step(
         tree: Tree,
-        node: int,
-        interval: wp.vec2,
-        triangles: TriangleBlocks,
+        leaf: Leaf,
         block: int,
-        state: RayState,
-        slabs: wp.ref[RaySlabs],
+        search: wp.ref[LeafSearch],
         cells: wp.ref[RaySlabs],
         hits: wp.ref[Search],
         i: int,
@@ -78,20 +75,21 @@ def offering_step(config: TraversalConfig, Tree: type) -> wp.Function:
         t_lanes = Lanes()
         u_lanes = Lanes()
         v_lanes = Lanes()
-        mask = intersect_block(triangles.records, block, state, t_lanes, u_lanes, v_lanes)
+        mask = intersect_block(search.triangles.records, block, search.state, t_lanes, u_lanes, v_lanes)
         if mask != wp.uint32(0):
-            mask = clamp(triangles.records, block, slabs, mask, t_lanes, interval[0], interval[1])
+            mask = clamp(search.triangles.records, block, search.slabs, mask, t_lanes, leaf.within[0], leaf.within[1])
         while mask != wp.uint32(0):
             lane = lowest_bit(mask)
             mask = mask & (mask - wp.uint32(1))
             slot = block * wp.static(width) + lane
             owned = bool(True)
             if wp.static(in_cells):
-                owned = owns(tree, node, interval, triangles, slot, cells, t_lanes[lane])
+                owned = owns(tree, leaf.node, leaf.within, search.triangles, slot, cells, t_lanes[lane])
             if wp.static(in_boxes):
-                owned = owns_split(tree, triangles, slot, cells, t_lanes[lane])
+                owned = owns_split(tree, search.triangles, slot, cells, t_lanes[lane])
             if owned:
-                best = accept(hits, i, best, t_lanes[lane], triangles.primitive[slot], u_lanes[lane], v_lanes[lane])
+                primitive = search.triangles.primitive[slot]
+                best = accept(hits, i, best, t_lanes[lane], primitive, u_lanes[lane], v_lanes[lane])
         return best
 
     return step

@@ -33,7 +33,7 @@ import warp as wp
 from wrt.kernels.answers.best_hit import BestHit, improves, start
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray, store_hit
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, greatest, least, ray_slabs, reach
+from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, max_of, min_of, ray_slabs, reach
 from wrt.kernels.triangle.support.vectors import cross, dot, miss
 
 exact_module(__name__)
@@ -144,9 +144,9 @@ def make_fan_step(form: str) -> wp.Function:
                     normal = cross(e, following)
                 hit = meet(ray.direction, s, normal, x, x_following)
             if hit[0] == hit[0]:
-                rim_low = least(centre + e, centre + following)
-                rim_high = greatest(centre + e, centre + following)
-                t = clamp_to_box(slabs, least(centre, rim_low), greatest(centre, rim_high), hit[0])
+                rim_low = min_of(centre + e, centre + following)
+                rim_high = max_of(centre + e, centre + following)
+                t = clamp_to_box(slabs, min_of(centre, rim_low), max_of(centre, rim_high), hit[0])
                 if improves(t, fans.primitive[triangle], ray.t_min, best):
                     corner = fans.corner[triangle]
                     best.t = t
@@ -162,7 +162,7 @@ def make_fan_step(form: str) -> wp.Function:
 
 
 @cache
-def make_kernel(form: str) -> wp.Kernel:
+def make_fan_kernel(form: str) -> wp.Kernel:
     """The kernel for closest hits; form: key in `FAN_FORMS`."""
     step = make_fan_step(form)
 

@@ -17,7 +17,6 @@ import warp as wp
 
 from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout import bvh_nodes as bvh
-from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
@@ -33,7 +32,7 @@ from wrt.kernels.traversal.fan_brute_force import (
     FanSet,
     make_fan_step,
 )
-from wrt.kernels.traversal.leaf import Counters, enter
+from wrt.kernels.traversal.leaf import Counters, Leaf, enter
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_kdtree import Cell
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
@@ -94,7 +93,7 @@ def make_fan_loop(config: TraversalConfig, form: str) -> wp.Function:
 
 
 @cache
-def make_bvh_walk(config: TraversalConfig, form: str) -> wp.Function:
+def make_fan_bvh_walk(config: TraversalConfig, form: str) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     test_fans, width = make_fan_loop(config, form), config.width
 
@@ -113,7 +112,7 @@ def make_bvh_walk(config: TraversalConfig, form: str) -> wp.Function:
     walk_keys = make_key_walk(config, config.stack.levels, FanSearch, visit)
 
     @wp.func
-    def walk(tree: FanBvh, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
+    def walk_fan_bvh(tree: FanBvh, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
         search = FanSearch()
         search.order = tree.order
         search.fans = tree.fans
@@ -121,19 +120,18 @@ def make_bvh_walk(config: TraversalConfig, form: str) -> wp.Function:
         search.slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.fans.low, tree.fans.high))
         return walk_keys(tree.tree, 0, search.slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
 
-    return walk
+    return walk_fan_bvh
 
 
 @cache
-def make_kdtree_walk(config: TraversalConfig, form: str) -> wp.Function:
+def make_fan_kdtree_walk(config: TraversalConfig, form: str) -> wp.Function:
     """The same through a kd-tree."""
     test_fans, width = make_fan_loop(config, form), config.width
 
     @wp.func
     def test_leaf(
         tree: KdNodes,
-        node: wp.vec2i,
-        cell: wp.ref[Cell],
+        leaf: Leaf,
         cells: wp.ref[RaySlabs],
         search: wp.ref[FanSearch],
         hits: wp.ref[HitBatch],
@@ -141,12 +139,14 @@ def make_kdtree_walk(config: TraversalConfig, form: str) -> wp.Function:
         best: BestHit,
         work: wp.ref[Counters],
     ):
-        return test_fans(search, kdtree.first_block(node) * wp.static(width), kdtree.leaf_triangles(node), best, work)
+        return test_fans(search, leaf.block * wp.static(width), leaf.count, best, work)
 
     walk_cells = make_cell_walk(config, MAX_TREE_DEPTH, FanSearch, test_leaf)
 
     @wp.func
-    def walk(tree: FanKdTree, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
+    def walk_fan_kdtree(
+        tree: FanKdTree, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]
+    ):
         search = FanSearch()
         search.order = tree.order
         search.fans = tree.fans
@@ -158,7 +158,7 @@ def make_kdtree_walk(config: TraversalConfig, form: str) -> wp.Function:
         first.leave = interval[1]
         return walk_cells(tree.tree, first, search.slabs, search, hits, i, start(ray.t_max), work)
 
-    return walk
+    return walk_fan_kdtree
 
 
 FAN_TESTS = {
@@ -170,12 +170,12 @@ FAN_TESTS = {
 }
 """The triangle test of which each form of fans (`FAN_FORMS`) is a variant."""
 
-FAN_TREES = {"bvh": (FanBvh, make_bvh_walk), "kdtree": (FanKdTree, make_kdtree_walk)}
+FAN_TREES = {"bvh": (FanBvh, make_fan_bvh_walk), "kdtree": (FanKdTree, make_fan_kdtree_walk)}
 """For each kind of tree its struct and the factory of its walk."""
 
 
 @cache
-def make_kernel(config: TraversalConfig, kind: str, form: str) -> wp.Kernel:
+def make_fan_tree_kernel(config: TraversalConfig, kind: str, form: str) -> wp.Kernel:
     """The kernel for one specialisation; kind: key in `FAN_TREES`; form: key in `FAN_FORMS`.
 
     Raises:

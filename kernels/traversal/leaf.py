@@ -5,6 +5,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.answers.best_hit import BestHit, improves
+from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, slab_interval
@@ -56,6 +57,51 @@ class CounterRows:
 
     rows: wp.array(dtype=Counters)
     """(rays,); any length if counting is off."""
+
+
+@wp.struct
+class Leaf:
+    """A leaf that a ray is in."""
+
+    node: int
+    """Its node, or the child word that leads to it."""
+    within: wp.vec2
+    """Closed interval of t in which the ray is in it."""
+    block: int
+    """Its first block of triangles."""
+    count: int
+    """Number of its triangles."""
+
+
+@cache
+def leaf_search(triangle_test: str) -> type:
+    """The struct of the search state that leaf tests need: the triangles and the ray."""
+
+    class LeafSearch:
+        triangles: TriangleBlocks
+        state: TRIANGLE_TESTS[triangle_test].ray_state
+        slabs: RaySlabs
+        t_min: float
+
+    LeafSearch.__qualname__ = f"LeafSearch_{triangle_test}"
+    return wp.struct(LeafSearch)
+
+
+@cache
+def begin_search(triangle_test: str) -> wp.Function:
+    """`wp.func(triangles, ray, slabs) -> search`: the initial search state of a ray."""
+    LeafSearch, prepare = leaf_search(triangle_test), TRIANGLE_TESTS[triangle_test].prepare
+
+    @wp.func
+    def begin(triangles: TriangleBlocks, ray: Ray, slabs: RaySlabs):
+        search = LeafSearch()
+        search.triangles = triangles
+        search.state = prepare(ray.origin, ray.direction)
+        search.slabs = slabs
+        search.t_min = ray.t_min
+        return search
+
+    return begin
 
 
 @wp.func

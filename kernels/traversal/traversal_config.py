@@ -46,7 +46,7 @@ class PacketConfig:
         rays: rays per packet, a multiple of the width.
         shared_origin: whether all rays of the batch start at the same point.
         culling: key in `wrt.kernels.traversal.packet.CULLINGS`.
-        non_temporal: whether closest hits are written by non-temporal stores (`Traversal.non_temporal`).
+        non_temporal: whether closest hits are written by non-temporal stores (`Capabilities.NON_TEMPORAL`).
     """
 
     rays: int = 64

@@ -24,6 +24,7 @@ from wrt.kernels.classics.studies.cache_model import LINE, count_misses
 from wrt.kernels.classics.studies.visit_log import make_log_kernel
 from wrt.kernels.compilation.cache_size import l2_bytes
 from wrt.kernels.runtime.launch import launch, specialise
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.planning.plan import traversal_config, traversal_of
 from wrt.planning.planner import make_plan
 from wrt.rays.rays import as_rays
@@ -141,7 +142,7 @@ def queued_plan(scene: Scene, buffers: Any) -> Plan:
     """A plan for the traversal whose rays wait in queues."""
     from wrt.kernels.traversal import TRAVERSALS
 
-    name = next(name for name, entry in TRAVERSALS.items() if entry.queued)
+    name = next(name for name, entry in TRAVERSALS.items() if Capabilities.QUEUED in entry.capabilities)
     return make_plan(scene.state, buffers, name, "auto")
 
 

@@ -10,7 +10,7 @@ from conftest import SCENES
 import wrt
 from wrt.builders import tree as trees
 from wrt.builders.bvh import BVH_BUILDERS
-from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities
 
 from .digests import digest
 from .hit_bits import SCENE_NAMES
@@ -20,7 +20,7 @@ def builds(mesh: wrt.TriangleMesh) -> Iterator[tuple[str, wrt.KdTree | wrt.Bvh |
     """A name and a description for every builder, with and without what it can do beside."""
     for name, builder in KDTREE_BUILDERS.items():
         yield f"kdtree {name}", wrt.KdTree(builder=name)
-        if builder.clips:
+        if BuilderCapabilities.CLIPS in builder.capabilities:
             yield f"kdtree {name} clipped", wrt.KdTree(builder=name, split_clipping=True)
     for name in BVH_BUILDERS:
         yield f"bvh {name}", wrt.Bvh(builder=name)

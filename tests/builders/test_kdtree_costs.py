@@ -9,12 +9,12 @@ from test_kdtree_builders import build
 
 import wrt
 from wrt.builders.cost import SplitCost, SurfaceAreaCost, axis_frame, plane_cost
-from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.phases.in_place_levels import may_contain_best
 from wrt.builders.tree import StopRules
 
-LEAST_COST = [name for name, entry in KDTREE_BUILDERS.items() if entry.least_cost]
+LEAST_COST = [name for name, entry in KDTREE_BUILDERS.items() if BuilderCapabilities.LEAST_COST in entry.capabilities]
 
 
 def test_builders_say_whether_they_search_by_cost():

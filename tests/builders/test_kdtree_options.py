@@ -17,7 +17,7 @@ from wrt import scenes
 from wrt.builders.core import levels as levels_engine
 from wrt.builders.core.clip import PAD
 from wrt.builders.cost import Split, SplitCost, SurfaceAreaCost, axis_frame, cheaper_split, no_split
-from wrt.builders.kdtree import KDTREE_BUILDERS, binned
+from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities, binned
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.update.subtree_exchange import subtree_end
 from wrt.kernels.runtime.launch import use_threads
@@ -141,8 +141,11 @@ def test_hits_are_those_of_brute_force(name, builder, option):
     """Closest hits of any option, with one thread and with three, which make the same tree."""
     mesh, options = SCENES[name](), OPTIONS[option]
     able = KDTREE_BUILDERS[builder]
-    lacking = ("cost_model" in options and not able.any_cost) or ("median_levels" in options and not able.clusters)
-    if lacking or (options.get("empty_space") in ("early", "both") and not able.cuts_early):
+    needed = BuilderCapabilities.ANY_COST if "cost_model" in options else BuilderCapabilities.NONE
+    needed |= BuilderCapabilities.CLUSTERS if "median_levels" in options else BuilderCapabilities.NONE
+    if options.get("empty_space") in ("early", "both"):
+        needed |= BuilderCapabilities.CUTS_EARLY
+    if needed not in able.capabilities:
         pytest.skip("an option that this builder does not have")
     origins, directions = rays_at(mesh, 300)
     trees = []

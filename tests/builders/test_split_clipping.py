@@ -15,7 +15,7 @@ from wrt.builders.classics.kdtree import streaming
 from wrt.builders.classics.kdtree.nested import nested
 from wrt.builders.core import levels as levels_engine
 from wrt.builders.core.clip import PAD
-from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place
+from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities, binned, in_place
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.phases import clipped_levels
 from wrt.builders.kdtree.scan import scanning
@@ -119,7 +119,7 @@ def test_no_hit_is_lost(scene_mesh, builder):
     np.testing.assert_array_equal(hits.t[:200], brute.t)
 
 
-CLIPPING = [name for name, builder in KDTREE_BUILDERS.items() if builder.clips]
+CLIPPING = [name for name, builder in KDTREE_BUILDERS.items() if BuilderCapabilities.CLIPS in builder.capabilities]
 
 
 @pytest.mark.parametrize("far", [1.0, 1e2, 1e4])
@@ -251,7 +251,9 @@ def test_small_shares_are_enlarged(builder, module, spare, monkeypatch):
 
 
 def test_builders_that_do_not_clip_say_so(monkeypatch):
-    monkeypatch.setitem(KDTREE_BUILDERS, "sorting_sweep", replace(KDTREE_BUILDERS["sorting_sweep"], clips=False))
+    entry = KDTREE_BUILDERS["sorting_sweep"]
+    without = replace(entry, capabilities=entry.capabilities & ~BuilderCapabilities.CLIPS)
+    monkeypatch.setitem(KDTREE_BUILDERS, "sorting_sweep", without)
     with pytest.raises(
         ValueError, match=r"'sorting_sweep' does not support split_clipping; choose from in_place, nested, binned"
     ):

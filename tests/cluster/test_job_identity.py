@@ -378,8 +378,8 @@ def test_a_worker_with_other_things_is_refused(scene, rays, tmp_path, monkeypatc
         lambda first, count: (rays[0][first : first + count], -rays[1][first : first + count]), COUNT
     )
     job = wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(generated, memory=MEMORY))
-    hash = ray_hashes.generated_hash(generated)
-    examine = job_blocks.ExamineBlock(str(tmp_path / "job"), job.manifest, None, hash, "another process")
+    rays_hash = ray_hashes.generated_hash(generated)
+    examine = job_blocks.ExamineBlock(str(tmp_path / "job"), job.manifest, None, rays_hash, "another process")
 
     def run(scene: wrt.Scene, source: wrt.batches.GeneratedRays) -> None:
         BlockWork(scene, job.blocks.work.query, source, {}, 1, examine=examine).run(slice(0, ROWS), {})

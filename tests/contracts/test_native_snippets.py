@@ -25,14 +25,15 @@ from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
 from wrt.kernels.runtime import native
 from wrt.kernels.simd.box_lanes import ray_boxes
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.shadows.light_buffer_lanes import make_lane_kernel
-from wrt.kernels.traversal.shadows.multi_frusta import make_kernel as make_multi_frusta
+from wrt.kernels.traversal.shadows.multi_frusta import make_multi_frusta_kernel
 from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level.instance_packets import make_instance_packet_kernel
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.support.block_packing import make_kernel as make_packing_kernel
+from wrt.kernels.triangle.support.block_packing import make_packing_kernel
 from wrt.state.query_kinds import QUERIES
 
 WIDTH = 4
@@ -46,7 +47,7 @@ def make_all_kernels() -> list[wp.Kernel]:
         way.kernels[tree](TraversalConfig("woop", WIDTH, query)) for way, tree, query in answers if way.supports(query, tree)
     ]
     fronts = TraversalConfig("woop", WIDTH, cull_backfaces=True)
-    kernels += [way.kernels["bvh"](fronts) for way in TRAVERSALS.values() if way.front_faces]
+    kernels += [way.kernels["bvh"](fronts) for way in TRAVERSALS.values() if Capabilities.FRONT_FACES in way.capabilities]
     packets, streams, single = (TRAVERSALS[name].kernels for name in ("packet", "stream", "single"))
     for name, test in TRIANGLE_TESTS.items():
         kernels += [make["bvh"](TraversalConfig(name, WIDTH)) for make in (packets, streams, single)]
@@ -63,7 +64,9 @@ def make_all_kernels() -> list[wp.Kernel]:
     kernels.append(make_instance_packet_kernel(config, 8))
     kernels += [make_rasteriser(stage, False, True, False) for stage in (COVER, COUNT, FILL)]
     kernels.append(make_lane_kernel("woop"))
-    kernels += [make_multi_frusta(TraversalConfig(name, WIDTH), each) for name in ("woop", "wald") for each in (False, True)]
+    kernels += [
+        make_multi_frusta_kernel(TraversalConfig(name, WIDTH), each) for name in ("woop", "wald") for each in (False, True)
+    ]
     return kernels
 
 

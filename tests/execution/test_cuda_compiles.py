@@ -39,14 +39,14 @@ from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.query import instance_exact, instance_gradients
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.fan_brute_force import NORMALS, VERTICES
-from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel
+from wrt.kernels.traversal.capabilities import Capabilities
+from wrt.kernels.traversal.fan_brute_force import NORMALS, VERTICES, make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.shadows import light_buffer_lanes, light_buffer_query, multi_frusta
 from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level import instance_single
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.support.block_packing import make_kernel as make_packing_kernel
+from wrt.kernels.triangle.support.block_packing import make_packing_kernel
 from wrt.state.query_kinds import ANY, CLOSEST, QUERIES
 
 ARCHITECTURE = 75
@@ -148,11 +148,13 @@ def test_light_buffer_builder(stage, tmp_path):
 
 
 SHADOW_KERNELS = {
-    "light_buffer": lambda: light_buffer_query.make_kernel(TraversalConfig("woop", 2, "any")),
-    "light_buffer, fronts": lambda: light_buffer_query.make_kernel(TraversalConfig("wald", 2, "any", cull_backfaces=True)),
+    "light_buffer": lambda: light_buffer_query.make_light_buffer_kernel(TraversalConfig("woop", 2, "any")),
+    "light_buffer, fronts": lambda: light_buffer_query.make_light_buffer_kernel(
+        TraversalConfig("wald", 2, "any", cull_backfaces=True)
+    ),
     "light_buffer in lanes": lambda: light_buffer_lanes.make_lane_kernel("woop"),
-    "multi_frusta": lambda: multi_frusta.make_kernel(TraversalConfig("woop", 2, "any"), True),
-    "multi_frusta, wald": lambda: multi_frusta.make_kernel(TraversalConfig("wald", 2, "any"), False),
+    "multi_frusta": lambda: multi_frusta.make_multi_frusta_kernel(TraversalConfig("woop", 2, "any"), True),
+    "multi_frusta, wald": lambda: multi_frusta.make_multi_frusta_kernel(TraversalConfig("wald", 2, "any"), False),
 }
 
 
@@ -169,7 +171,7 @@ ANSWERS = [
     for tree in way.trees
     for test in map(TRIANGLE_TESTS.get, ENGINE_TESTS)
     for query in (QUERIES if test.name == "woop" else ("closest",))
-    if way.supports(query, tree) and not way.wide  # wide forms have the kernels of a BVH
+    if way.supports(query, tree) and Capabilities.WIDE_FORM not in way.capabilities  # wide forms have the kernels of a BVH
     if test.name == "woop" or (tree == way.trees[0] and name not in OTHER_WAYS_TO_PACKETS)
 ]
 """All queries with one test; one query with the others, once for each way to meet leaves."""
@@ -190,7 +192,7 @@ THROUGH_INSTANCES = {
     "closest": lambda: instance_single.make_instance_kernel(TraversalConfig("woop", 2, stack=StackConfig(8)), "bvh", 8),
     "skip": lambda: instance_single.make_instance_kernel(SKIPPING, "bvh", 8),
     "precise": lambda: instance_exact.make_exact_instance_kernel(EXACT, "bvh", 8),
-    "gradients": lambda: instance_gradients.make_kernel(wp.vec3, wp.vec3, wp.vec3d, wp.transformf, False),
+    "gradients": lambda: instance_gradients.make_instance_gradient_kernel(wp.vec3, wp.vec3, wp.vec3d, wp.transformf, False),
 }
 
 

@@ -15,6 +15,7 @@ import wrt.kernels
 import wrt.planning
 import wrt.state
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.traversal_scores import limits_for
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.planning.planner import choose_culling, choose_traversal
@@ -142,12 +143,12 @@ def test_choices_of_a_culling(triangle_test):
     pairs are filtered, dense rays do without."""
     test = TRIANGLE_TESTS[triangle_test]
     filtered = bool(test.packet_form.pairs)
-    packets = [way for way in TRAVERSALS.values() if way.packets]
+    packets = [way for way in TRAVERSALS.values() if Capabilities.PACKETS in way.capabilities]
     for way, kind, count, shared in product(packets, ("bvh", "kdtree", "instances bvh"), (999, 1000, 100_000), (False, True)):
         scene, rays = make_scene(kind, 500, False, False, 0.0), make_rays(count, True, shared)
         least = 500 * limits_for(scene.width).rough if filtered else 1000
         dense = shared and count >= least and kind != "instances bvh"
-        boxes = way.wide or kind != "kdtree"
+        boxes = Capabilities.WIDE_FORM in way.capabilities or kind != "kdtree"
         accurate = "vertex" if dense or not boxes else "transient_frustum"
         if filtered:
             accurate = "interval" if dense else "leaf_boxes" if boxes else "vertex"
@@ -165,7 +166,8 @@ def test_a_new_traversal_is_chosen_by_its_entry(monkeypatch):
     assert choose_traversal(scene, rays, "closest", cull_backfaces=True)[0] == "stream", "packets do not cull back faces"
     assert choose_traversal(make_scene("spaces", 500, False, False, 0.0), rays, "closest")[0] == "single"
     assert choose_traversal(make_scene("instances kdtree", 500, False, False, 0.0), rays, "closest")[0] == "single"
-    monkeypatch.setitem(TRAVERSALS, "new", replace(entry, wide=True))
+    wide = replace(entry, capabilities=entry.capabilities | Capabilities.WIDE_FORM)
+    monkeypatch.setitem(TRAVERSALS, "new", wide)
     assert choose_traversal(make_scene("lazy", 500, False, False, 0.0), rays, "closest")[0] == "lockstep", "it is not complete"
 
 

@@ -15,7 +15,7 @@ import warp as wp
 
 import wrt
 from wrt.accelerators.accelerator import Accelerator
-from wrt.builders.kdtree import KDTREE_BUILDERS, LAYOUTS
+from wrt.builders.kdtree import KDTREE_BUILDERS, LAYOUTS, BuilderCapabilities
 from wrt.builders.kdtree.kdtree_config import HIERARCHIES
 from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
 from wrt.builders.tree import Bvh, KdTree
@@ -31,7 +31,7 @@ MAX_REFERENCES = 4096
 KDTREES = tuple(
     {"builder": name, "split_clipping": clips}
     for name, builder in KDTREE_BUILDERS.items()
-    for clips in ((False, True) if builder.clips else (False,))
+    for clips in ((False, True) if BuilderCapabilities.CLIPS in builder.capabilities else (False,))
 )
 BVHS = ({"builder": "binned"}, {"builder": "sweep"}, {"builder": "binned", "reinsertion": 2}, {"builder": "projected"})
 
@@ -75,13 +75,13 @@ def further_options(rng: np.random.Generator, options: dict) -> dict:
     """Some of the options that only some builders have, for a kd-tree with the others."""
     able, further = KDTREE_BUILDERS[options["builder"]], {}
     tests = ["none", "leaves"] if options["split_clipping"] is False else ["none"]
-    tests += ["nodes"] if able.clips and not options["split_clipping"] else []
-    spaces = ["priced", "late"] + (["early", "both"] if able.cuts_early else [])
-    if able.any_cost and not options["mailbox"]:
+    tests += ["nodes"] if BuilderCapabilities.CLIPS in able.capabilities and not options["split_clipping"] else []
+    spaces = ["priced", "late"] + (["early", "both"] if BuilderCapabilities.CUTS_EARLY in able.capabilities else [])
+    if BuilderCapabilities.ANY_COST in able.capabilities and not options["mailbox"]:
         further["cost_model"] = ["surface_area", "blocking"]
-    if able.chooses_axes:
+    if BuilderCapabilities.CHOOSES_AXES in able.capabilities:
         further |= {"resamplings": [1, 2, 4], "searched_axes": ["all", "longest", "mixed"]}
-    if able.clusters:
+    if BuilderCapabilities.CLUSTERS in able.capabilities:
         further["median_levels"] = [0, 1, 3, 12]
     if able.start is None:
         further |= {"cell_tests": tests, "empty_space": spaces, "layout": list(LAYOUTS)}

@@ -205,7 +205,7 @@ def test_groups_that_are_occluded_are_found(picture, sun):
         keys = wp.zeros(shape=(memory,), dtype=int)
         cache_leaf(packet, leaf, True)
         first, missed = wp.tid() * group, int(0)
-        answered[wp.tid()] += answer(tree, triangles, rays, first, first + group, packet, keys, hits, missed)
+        answered[wp.tid()] += answer(tree, triangles, rays, wp.vec2i(first, first + group), packet, keys, hits, missed)
 
     groups, kernel = pixels**2 // group, wp.kernel(run, **OPTIONS)
     batch, tree = lay_out(rays, wp.get_device("cpu"), scene.center).batch(), scene.state.tree

@@ -22,7 +22,7 @@ from conftest import SCENES
 
 import wrt
 from studies.kdtrees.kdtree_pictures import color_of
-from wrt.builders.kdtree import KDTREE_BUILDERS, KdTreeBuilder
+from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities, KdTreeBuilder
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -120,7 +120,8 @@ def test_query_kind_needs_a_traversal_that_offers_each_hit(odd):
 
 def entry_of(name: str, folder: Path):
     """The entry that the tutorial adds to a table."""
-    return eval(block(f"entry: {EXAMPLES[name]}"), {name: module_of(name, folder), "KdTreeBuilder": KdTreeBuilder})
+    names = {"KdTreeBuilder": KdTreeBuilder, "BuilderCapabilities": BuilderCapabilities}
+    return eval(block(f"entry: {EXAMPLES[name]}"), {name: module_of(name, folder), **names})
 
 
 @pytest.fixture(scope="module")
@@ -149,8 +150,8 @@ def triangle_test(entries, monkeypatch) -> str:
 
 def test_entries_are_named_as_their_files(entries):
     assert {name: entry.name for name, entry in entries.items()} == {name: name for name in EXAMPLES}
-    assert entries["mean_split"].clips
-    assert not entries["mean_split"].least_cost
+    assert BuilderCapabilities.CLIPS in entries["mean_split"].capabilities
+    assert BuilderCapabilities.LEAST_COST not in entries["mean_split"].capabilities
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

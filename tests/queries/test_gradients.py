@@ -8,7 +8,7 @@ import warp as wp
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
-from wrt.kernels.query.hit_gradients import make_kernel
+from wrt.kernels.query.hit_gradients import make_gradient_kernel
 
 OUTPUTS = ("t", "uv", "position", "normal")
 
@@ -132,7 +132,7 @@ def test_bad_arguments(mesh, values):
 
 
 def test_cuda(tmp_path):
-    text = compile_to_ptx(make_kernel(wp.vec3f, wp.vec3f, wp.vec3d, False).module, tmp_path)
+    text = compile_to_ptx(make_gradient_kernel(wp.vec3f, wp.vec3f, wp.vec3d, False).module, tmp_path)
     assert "backward" in text
 
 

@@ -114,7 +114,7 @@ def interleaved_rays() -> tuple[set[str], set[str]]:
     from wrt.kernels.traversal.interleaved import interleaved_bvh
     from wrt.kernels.traversal.traversal_config import TraversalConfig
 
-    return modules_behind(lambda: interleaved_bvh.make_kernel(TraversalConfig("woop", 8)))
+    return modules_behind(lambda: interleaved_bvh.make_interleaved_bvh_kernel(TraversalConfig("woop", 8)))
 
 
 def in_place_build() -> tuple[set[str], set[str]]:

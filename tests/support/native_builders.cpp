@@ -56,6 +56,11 @@ struct Plane {
     float cost;
     int axis, bin, left, right, event;
 };
+struct Split {
+    int axis;
+    float position;
+    bool planar_left;
+};
 struct Sides {
     int left, right;
     Vec3 left_low, left_high, right_low, right_high;
@@ -120,7 +125,7 @@ Vec2i clipped(const Mesh& mesh, const Boxes& boxes, Vec3& low, Vec3& high, const
     unsigned char* keeps, Sides& sides)
 {
     const ClipCell cell = cell_of(low, high, 0.1f);
-    clip_sides(mesh, cell, cell, list, 3, 1, 0.5f, true, {true, list, list, {}}, sides);
+    clip_sides(mesh, cell, cell, list, 3, Split {1, 0.5f, true}, {true, list, list, {}}, sides);
     counts[0] = clip_range(mesh, cell, list, 3, 1, true, low, high) + clip_straddlers(mesh, cell, list, 3, counts, list)
         + clip_part(mesh, cell, boxes, 1, 2, 3) + measure_leaf(mesh, cell, boxes, counts, 3, true, keeps, low, high);
     bin_parts(mesh, list, 3, slabs, list, counts, counts);

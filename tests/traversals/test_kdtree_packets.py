@@ -206,7 +206,7 @@ def test_mailboxes_that_do_not_fit():
     other = wrt.Scene(mesh, "bvh", device="cpu")
     with pytest.raises(ValueError, match="kdtree"):
         other.intersect(rays, traversal=replace(other.explain(rays), mailbox="hashed"))
-    assert all(TRAVERSALS[name].mailbox for name in ("single", "packet", *ENTRY_POINTS, "omnidirectional"))
+    assert all(TRAVERSALS[name].has_mailbox("kdtree") for name in ("single", "packet", *ENTRY_POINTS, "omnidirectional"))
 
 
 def test_coupled_trees_equal_brute_force():

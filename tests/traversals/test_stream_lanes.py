@@ -75,8 +75,8 @@ def loops(order: int) -> wp.Kernel:
     def run(lists: Lists, stage: int):
         i = wp.tid()
         stream, words, keys, size = lists.stream[i], lists.words[i], lists.keys[i], lists.sizes[i]
-        list, stack = RayIntervals(), RayIntervals()
-        set_arrays(list, words, lists.entry[i], lists.leave[i])
+        near, stack = RayIntervals(), RayIntervals()
+        set_arrays(near, words, lists.entry[i], lists.leave[i])
         set_arrays(stack, lists.far_rays[i], lists.far_entry[i], lists.far_leave[i])
         leaves = wp.uint32(0)
         begin, kept = i * SIZE, int(0)
@@ -86,18 +86,18 @@ def loops(order: int) -> wp.Kernel:
             lists.answers[i, 1] = kept
         elif stage == ROOT:
             tree = lists.trees[i]
-            lists.answers[i, 0] = load_small(lists.rays, begin, end, tree, stream, words, keys, leaves, kept)
+            lists.answers[i, 0] = load_small(lists.rays, wp.vec2i(begin, end), tree, stream, words, keys, leaves, kept)
             lists.answers[i, 1] = kept
             lists.answers[i, 2] = wp.int(leaves)
         elif stage == PLANE:
             behind = int(0)
-            lists.answers[i, 0] = split(lists.axes[i], lists.positions[i], stream, list, size, stack, 5, behind)
+            lists.answers[i, 0] = split(lists.axes[i], lists.positions[i], stream, near, size, stack, 5, behind)
             lists.answers[i, 1] = behind
         elif stage == HITS:
-            lists.answers[i, 0] = pop(stream, stack, 5, size, list)
+            lists.answers[i, 0] = pop(stream, stack, 5, size, near)
         else:
             tree = lists.trees[i]
-            survivors = filter_node(tree.bounds, tree.child, 0, stream, words, 0, size, keys, 0, leaves)
+            survivors = filter_node(tree, 0, stream, words, wp.vec2i(0, size), keys, 0, leaves)
             listed, total = int(0), int(0)
             while listed < survivors:
                 pairs = Pairs()

@@ -14,11 +14,16 @@ if TYPE_CHECKING:
 
     from wrt.builders import tree as common
     from wrt.builders.bvh.bvh_config import BvhConfig
-    from wrt.builders.kdtree import KdTreeBuilder
+    from wrt.builders.kdtree import BuilderCapabilities, KdTreeBuilder
     from wrt.builders.kdtree.kdtree_config import KdTreeConfig
     from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.builders.triangle_boxes import TriangleBoxes
+
+
+def able_to(capability: BuilderCapabilities) -> Callable[[KdTreeBuilder], bool]:
+    """Whether a builder has a capability."""
+    return lambda builder: capability in builder.capabilities
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,23 +96,23 @@ class KdTree:
 
     def __post_init__(self) -> None:
         from wrt.builders.cost import COST_MODELS
-        from wrt.builders.kdtree import KDTREE_BUILDERS, LAYOUTS, NATIVE
+        from wrt.builders.kdtree import KDTREE_BUILDERS, LAYOUTS, NATIVE, BuilderCapabilities
 
         convert_fields(self)
         lookup(KDTREE_BUILDERS, self.builder, "builder")
         lookup(LAYOUTS, self.layout, "layout")
         lookup(COST_MODELS, self.cost_model, "cost_model")
         config = self.config(width=8)
-        self._require("split_clipping", self.split_clipping, "off", lambda builder: builder.clips)
-        self._require("searched_axes", self.searched_axes != "all", "out", lambda builder: builder.chooses_axes)
-        self._require("resamplings", self.resamplings != 1, "out", lambda builder: builder.chooses_axes)
-        self._require("median_levels", self.median_levels != 0, "out", lambda builder: builder.clusters)
+        self._require("split_clipping", self.split_clipping, "off", able_to(BuilderCapabilities.CLIPS))
+        self._require("searched_axes", self.searched_axes != "all", "out", able_to(BuilderCapabilities.CHOOSES_AXES))
+        self._require("resamplings", self.resamplings != 1, "out", able_to(BuilderCapabilities.CHOOSES_AXES))
+        self._require("median_levels", self.median_levels != 0, "out", able_to(BuilderCapabilities.CLUSTERS))
         self._require(
             f"hierarchy={self.hierarchy!r}", self.hierarchy != "grid", "out", lambda builder: builder.start is not None
         )
-        self._require(f"cost_model={self.cost_model!r}", self.ends_rays, "out", lambda builder: builder.any_cost)
-        self._require(f"cell_tests={self.cell_tests!r}", self.cell_tests == "nodes", "out", lambda builder: builder.clips)
-        self._require(f"empty_space={self.empty_space!r}", config.cuts_early, "out", lambda builder: builder.cuts_early)
+        self._require(f"cost_model={self.cost_model!r}", self.ends_rays, "out", able_to(BuilderCapabilities.ANY_COST))
+        self._require(f"cell_tests={self.cell_tests!r}", self.cell_tests == "nodes", "out", able_to(BuilderCapabilities.CLIPS))
+        self._require(f"empty_space={self.empty_space!r}", config.cuts_early, "out", able_to(BuilderCapabilities.CUTS_EARLY))
         for name, plain in (("cell_tests", "none"), ("empty_space", "priced"), ("layout", NATIVE)):
             value = getattr(self, name)
             self._require(f"{name}={value!r}", value != plain, "out", lambda builder: builder.start is None)

@@ -10,7 +10,7 @@ import warp as wp
 from wrt.builders.triangle_fans import TriangleFans, build_fans
 from wrt.execution.traversal_launch import BRUTE_FORCE_TESTS
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.traversal.fan_brute_force import FanSet, make_kernel
+from wrt.kernels.traversal.fan_brute_force import FanSet, make_fan_kernel
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
 from wrt.state.device_hits import DeviceHits
@@ -88,5 +88,5 @@ def closest_by_fans(scene: Any, fans: FanSet, rays: Rays, form: str) -> tuple[np
     hits = DeviceHits.new("closest", buffers.batch.count, scene.device)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count)
     inputs = [fans, buffers.batch, hits.struct()]
-    launch(make_kernel(form), buffers.batch.count, inputs, device=scene.device, chunk=64, longest=longest)
+    launch(make_fan_kernel(form), buffers.batch.count, inputs, device=scene.device, chunk=64, longest=longest)
     return hits.t.numpy(), hits.primitive.numpy(), hits.uv.numpy()

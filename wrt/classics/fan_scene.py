@@ -186,9 +186,9 @@ class FanTrees:
     @property
     def kernel_factory(self) -> Callable[[Any], wp.Kernel]:
         """Makes the kernel that walks the tree, from a `TraversalConfig`."""
-        from wrt.kernels.traversal.fan_trees import make_kernel
+        from wrt.kernels.traversal.fan_trees import make_fan_tree_kernel
 
-        return partial(make_kernel, kind=self.kind, form=self.form)
+        return partial(make_fan_tree_kernel, kind=self.kind, form=self.form)
 
     def struct(self) -> Any:
         """The tree as a traversal kernel reads it."""

@@ -185,7 +185,7 @@ class Job:
         blocks.work = replace(blocks.work, scene=copy(blocks.work.scene))
         self._refuse_other_scene(blocks.work.scene)
         sent = [{} if self._hashes is None else {BLOCK_HASH: self._hashes[number]} for number in numbers]
-        pieces = [Piece(part, (part.stop - part.start) * each, hash) for part, hash in zip(rows, sent, strict=True)]
+        pieces = [Piece(part, (part.stop - part.start) * each, options) for part, options in zip(rows, sent, strict=True)]
         before = [rows_of_block(self.manifest, number) for number in self.folder.done()]
         done = sum(part.stop - part.start for part in before) * each
         examine = ExamineBlock.of(str(self.folder.path), self.manifest, self._attributes, blocks)

@@ -99,7 +99,7 @@ class ExamineBlock:
         Raises:
             ValueError: they differ from those that the job began with.
         """
-        id, number = self.manifest["id"], rows.start // self.manifest["rows"]
+        job_id, number = self.manifest["id"], rows.start // self.manifest["rows"]
         if (began := self.manifest["answers"]) != ANSWER_REVISION:
             raise ValueError(
                 f"a worker has another version of wrt, whose answers have revision {ANSWER_REVISION}, and the job began with "
@@ -113,7 +113,7 @@ class ExamineBlock:
         expected = sent.get(BLOCK_HASH, "")
         refuse_other_rays(rows, rays, columns, expected)
         label = chunk_label(self.manifest, number)
-        return WriteChunk(self.folder, id, number, label, expected, self.attributes, rays, columns)
+        return WriteChunk(self.folder, job_id, number, label, expected, self.attributes, rays, columns)
 
 
 def refuse_other_rays(rows: slice, rays: Rays, columns: Mapping[str, Any], expected: str) -> None:

@@ -33,6 +33,7 @@ from wrt.builders.influence.area_top_level import (
 )
 from wrt.execution.batch import trace_batch
 from wrt.kernels.influence.area_assignment import assign_given_rays, assign_rays, mark_unassigned
+from wrt.kernels.influence.area_lanes import AreaSplits
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.ordering.ray_order import sort_buckets, sort_rays, unsort_hits
 from wrt.kernels.runtime.launch import launch
@@ -179,14 +180,16 @@ def assign(scene: SceneState, rays: RayBatch, given: GivenAreas | None = None) -
     device, local = scene.device, scene.area_trees
     chunk = CUDA_CHUNK if device.is_cuda else CHUNK
     chunks = -(-rays.count // chunk)
-    arrays = [empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32)]
+    splits = AreaSplits()
+    splits.area, splits.cut, splits.rest = (empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32))
     sums = wp.empty(chunks, dtype=wp.vec4i, device=device)
     known = [] if given is None else [given.areas, given.stride]
-    inputs = [rays, chunk, local.top.struct, *known, local.low, local.high, *arrays, sums]
+    inputs = [rays, chunk, local.top.struct, *known, local.low, local.high, splits, sums]
     launch(assign_rays if given is None else assign_given_rays, chunks, inputs, device=device, chunk=1)
     left, greatest, fewest, unassigned = sums.numpy().reshape(-1, 4).T
     least_area = len(local) - int(fewest.max(initial=0))
     greatest_area = int(greatest.max(initial=0))
+    arrays = splits.area, splits.cut, splits.rest
     return AreaAssignment(*arrays, int(left.sum()), int(unassigned.sum()), least_area, greatest_area)  # type: ignore[arg-type, call-arg]
 
 

@@ -9,6 +9,7 @@ import warp as wp
 from wrt.execution.instance_rounds import trace_rounds
 from wrt.execution.lazy_tracing import trace_lazily
 from wrt.execution.traversal_launch import no_work, run_kernel
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.memory import empty
 from wrt.planning.plan import Plan, traversal_of
 from wrt.state.device_hits import DeviceHits
@@ -57,7 +58,7 @@ def run(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: 
             raise ValueError("work on two levels is counted ray by ray; pass traversal='single' with counters=True")
         trace_rounds(scene, plan, rays, hits, query)
         return
-    if traversal_of(plan).queued:
+    if Capabilities.QUEUED in traversal_of(plan).capabilities:
         from wrt.execution.queued_tracing import trace_queued
 
         trace_queued(scene, plan, rays, hits, query, work, counters)

@@ -17,6 +17,7 @@ import warp as wp
 from wrt.execution.traversal_launch import counter_rows, no_work, run_kernel
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import get_num_threads, launch, specialise
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.memory import empty, new_rays
 from wrt.planning.plan import Plan, stack_levels, traversal_config, traversal_of
 from wrt.state.device_hits import DeviceHits
@@ -50,7 +51,7 @@ def trace_rounds(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits
         hits: receives the answers.
         query: the query.
     """
-    if traversal_of(plan).packets:
+    if Capabilities.PACKETS in traversal_of(plan).capabilities:
         trace_packets(scene, plan, rays, hits, query)
         return
     hits.clear(query)

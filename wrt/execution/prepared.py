@@ -113,7 +113,7 @@ class PreparedQuery:
             point_at(upper.tree.bounds, scene.tree.bounds)
             upper.tree.low[:], upper.tree.high[:] = scene.tree.low[:], scene.tree.high[:]
             point_at(upper.placements, scene.device_mesh.placements)
-            upper.stretch, self._used = scene.boxes.stretch, (scene.tree, scene.device_mesh)
+            upper.slack_scale, self._used = scene.boxes.slack_scale, (scene.tree, scene.device_mesh)
         else:
             self._launch.replace(TREE, scene.upper())
             self._forest = scene.tree.forest

@@ -11,6 +11,7 @@ import warp as wp
 from wrt.execution.triangle_records import record_kernel, records_of
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime.launch import CHUNKS_PER_THREAD, MAX_CHUNK, Chunks, expect, get_num_threads, kept, launch, specialise
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.planning.plan import (
     Plan,
     config_for_layout,
@@ -40,6 +41,9 @@ ITEMS_PER_THREAD = 32
 
 MIN_ITEMS_PER_THREAD = 6
 """Items that a thread has at least, if they can be cut: with fewer, threads wait for the last one."""
+
+MIN_RAYS_PER_ITEM = 256
+"""Rays down to which items are cut."""
 
 TREE, RECORDS, RAYS, HITS = 1, 2, 3, 4
 """Which of a traversal kernel's arguments they are, the number of the first item counted."""
@@ -88,12 +92,12 @@ def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -
     traversal = traversal_of(plan)
     grain = traversal.rays_per_item(config)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
-    if traversal.long_items and scene.device.is_cpu:
+    if Capabilities.LONG_ITEMS in traversal.capabilities and scene.device.is_cpu:
         grain *= groups_per_item(count, grain)
-    if traversal.least_rays_per_item is not None and scene.device.is_cpu:
+    if Capabilities.SHORT_ITEMS in traversal.capabilities and scene.device.is_cpu:
         share = count // (MIN_ITEMS_PER_THREAD * get_num_threads()) // 64 * 64  # whole groups of slots
-        grain = min(grain, max(share, traversal.least_rays_per_item))
-    chunks_per_thread = ITEMS_PER_THREAD if traversal.streams else CHUNKS_PER_THREAD
+        grain = min(grain, max(share, MIN_RAYS_PER_ITEM))
+    chunks_per_thread = ITEMS_PER_THREAD if Capabilities.STREAMS in traversal.capabilities else CHUNKS_PER_THREAD
     return grain, -(-count // grain), Chunks(max(1, MIN_CHUNK // grain), max(1, longest // grain), chunks_per_thread)
 
 

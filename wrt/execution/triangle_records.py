@@ -9,7 +9,7 @@ import warp as wp
 
 from wrt.kernels.runtime.launch import specialise
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.support.block_packing import make_kernel, pack_blocks
+from wrt.kernels.triangle.support.block_packing import make_packing_kernel, pack_blocks
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 from wrt.memory import empty
 from wrt.planning.plan import walked_tree
@@ -47,7 +47,7 @@ def records_of(scene: SceneState, plan: Plan, rays: RayBatch | None) -> Triangle
 
 def record_kernel(plan: Plan) -> wp.Kernel:
     """The kernel that makes the records of a plan's triangle test."""
-    return specialise(make_kernel, TRIANGLE_TESTS[plan.triangle_test].record)
+    return specialise(make_packing_kernel, TRIANGLE_TESTS[plan.triangle_test].record)
 
 
 def in_order(count: int, width: int, device: wp.Device) -> wp.array:

@@ -60,9 +60,9 @@ def save_image(path: str | Path, image: Any) -> None:
 
     if suffix in _WITHOUT_ALPHA and array.ndim == 3 and array.shape[2] == 4:
         raise ValueError(f"'{suffix}' has no alpha channel; save image[..., :3] or use .png")
-    content, format = io.BytesIO(), Image.registered_extensions()[suffix]
+    content, file_format = io.BytesIO(), Image.registered_extensions()[suffix]
     try:
-        Image.fromarray(to_bytes(array)).save(content, format, **OPTIONS.get(suffix, {}))
+        Image.fromarray(to_bytes(array)).save(content, file_format, **OPTIONS.get(suffix, {}))
     except (KeyError, ValueError, OSError) as error:  # a Pillow format that does not support this kind of image
         raise ValueError(f"cannot write '{path}' ({error}); use .png") from error
     with replaced(path, streams=True) as file:

@@ -88,7 +88,7 @@ class InstanceBoxes:
         return [*self.box[:3].min(axis=1).tolist(), *self.box[3:].max(axis=1).tolist(), float(self.norms.max()), float(size)]
 
     @property
-    def stretch(self) -> float:
+    def slack_scale(self) -> float:
         """By what the slack of boxes grows for the worst of the maps."""
         return 2.0 * self.extremes[6]
 

@@ -41,13 +41,13 @@ def first_triangles(states: Sequence[SceneState], numbers: Sequence[int]) -> np.
     return first
 
 
-def upper_struct(tree: UpperTree, mesh: SceneMesh, stretch: float) -> InstanceTree:
-    """The upper level; stretch: by what the slack of its boxes grows."""
+def upper_struct(tree: UpperTree, mesh: SceneMesh, slack_scale: float) -> InstanceTree:
+    """The upper level; slack_scale: by what the slack of its boxes grows."""
     from wrt.kernels.traversal.two_level.instance_single import InstanceTree
 
     top = InstanceTree()
     top.tree, top.order = tree.struct(), tree.primitive
-    top.placements, top.stretch = mesh.placements, stretch
+    top.placements, top.slack_scale = mesh.placements, slack_scale
     top.environments, top.roots = tree.environments, tree.roots
     top.root, top.shared_root = tree.forest.root, tree.forest.shared_root
     return top

@@ -105,7 +105,7 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
         raise ValueError(f"{name} must be a finite (4, 4) matrix, not of shape {matrix.shape}: {matrix.tolist()}")
     if not (np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)) <= 1e-12).all():
         raise ValueError(f"{name} must be affine, its last row (0, 0, 0, 1); got {matrix[3].tolist()}")
-    if is_surely_regular(*matrix.ravel().tolist()[:11]):
+    if is_surely_regular(matrix.ravel().tolist()):
         matrix.flags.writeable = False
         return matrix
     sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
@@ -123,10 +123,12 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
     return matrix
 
 
-def is_surely_regular(
-    a: float, b: float, c: float, _x: float, d: float, e: float, f: float, _y: float, g: float, h: float, i: float
-) -> bool:
-    """Whether the linear part of a finite map is far from singular, by bounds on its singular values that take no time."""
+def is_surely_regular(matrix: list[float]) -> bool:
+    """Whether the linear part of a finite map is far from singular, by bounds on its singular values that take no time.
+
+    matrix: (4, 4), row by row.
+    """
+    a, b, c, _x, d, e, f, _y, g, h, i = matrix[:11]
     square = a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + i * i
     largest = sqrt(square)  # at least the largest singular value
     least = abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) / max(square, TINY)  # at most the smallest one
@@ -155,7 +157,7 @@ def check_transforms(transforms: Any, count: int) -> np.ndarray:
     matrices = matrices.astype(np.float64)
     if count <= FEW:
         for number, row in enumerate(matrices.reshape(-1, 16).tolist()):
-            if not (is_surely_regular(*row[:11]) and row[12:] == LAST_ROW and all(map(isfinite, row[3:12:4]))):
+            if not (is_surely_regular(row) and row[12:] == LAST_ROW and all(map(isfinite, row[3:12:4]))):
                 check_transform(matrices[number])
         matrices.flags.writeable = False
         return matrices

@@ -322,7 +322,7 @@ def cluster_rows(matrices: np.ndarray, origins: np.ndarray) -> np.ndarray:
     rows: Any = np.zeros(origins.shape[:-1], dtype=Cluster.numpy_dtype())  # type: ignore[attr-defined]
     inverse = np.linalg.inv(matrices)
     rows["to_cluster"], rows["origin"] = inverse, origins
-    rows["stretch"] = 1.001 * np.abs(inverse).sum(axis=-1).max(axis=-1)
+    rows["norm"] = 1.001 * np.abs(inverse).sum(axis=-1).max(axis=-1)
     return rows
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.traversal import TRAVERSALS, Traversal
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.rays.ray_buffers import shares_origin
 from wrt.state.wide_trees import can_be_wide
@@ -25,9 +26,9 @@ def can_answer(traversal: Traversal, scene: SceneState, query: str, cull_backfac
         and traversal.supports(query, kind)
         and (not cull_backfaces or traversal.culls_backfaces(kind))
         and (not scene.instances or traversal.supports_through_instances(query, kind, scene.device.is_cuda))
-        and (not scene.only_single or traversal.own_spaces)
-        and (not traversal.wide or can_be_wide(scene))
-        and (traversal.shared_leaves or not ANSWERS[query].once or not scene.shares_leaves)
+        and (not scene.only_single or Capabilities.OWN_SPACES in traversal.capabilities)
+        and (Capabilities.WIDE_FORM not in traversal.capabilities or can_be_wide(scene))
+        and (Capabilities.SHARED_LEAVES in traversal.capabilities or not ANSWERS[query].once or not scene.shares_leaves)
     )
 
 
@@ -54,8 +55,8 @@ def check_leaves(scene: SceneState, query: str, traversal: Traversal) -> None:
     Raises:
         ValueError: the scene's BVH was built with spatial splits.
     """
-    if ANSWERS[query].once and scene.shares_leaves and not traversal.shared_leaves:
-        able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.shared_leaves)
+    if ANSWERS[query].once and scene.shares_leaves and Capabilities.SHARED_LEAVES not in traversal.capabilities:
+        able = ", ".join(name for name, entry in TRAVERSALS.items() if Capabilities.SHARED_LEAVES in entry.capabilities)
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on a BVH with spatial splits; "
             f"choose from auto, {able}"
@@ -88,7 +89,7 @@ def check_wide(scene: SceneState, traversal: Traversal) -> None:
     Raises:
         ValueError: the scene's kd-tree is built lazily.
     """
-    if traversal.wide and not can_be_wide(scene):
+    if Capabilities.WIDE_FORM in traversal.capabilities and not can_be_wide(scene):
         raise ValueError(
             f"traversal {traversal.name!r} walks the wide form of a complete kd-tree, and this one is lazy; "
             "choose from auto, lockstep, packet, or another builder"
@@ -101,8 +102,8 @@ def check_spaces(scene: SceneState, traversal: Traversal) -> None:
     Raises:
         ValueError: the scene has such trees (`wrt.moving.FuzzyScene`).
     """
-    if scene.only_single and not traversal.own_spaces:
-        able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.own_spaces)
+    if scene.only_single and Capabilities.OWN_SPACES not in traversal.capabilities:
+        able = ", ".join(name for name, entry in TRAVERSALS.items() if Capabilities.OWN_SPACES in entry.capabilities)
         raise ValueError(f"traversal {traversal.name!r} does not support trees with their own spaces; choose from auto, {able}")
 
 

@@ -15,7 +15,7 @@ from wrt.kernels.query.ordering.packet_overlap import (
     SampleConfig,
     SampledScene,
     SampledTree,
-    make_kernel,
+    make_overlap_kernel,
 )
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, specialise
 from wrt.kernels.traversal.traversal_scores import Overlap
@@ -48,7 +48,7 @@ def measure_overlap(scene: SceneState, rays: RayBatch, packet: int, query: str) 
 
 def sample_kernel(scene: SceneState) -> wp.Kernel:
     """The kernel for a scene's trees."""
-    return specialise(make_kernel, SampleConfig(scene.tree.width, bool(scene.instances)))
+    return specialise(make_overlap_kernel, SampleConfig(scene.tree.width, bool(scene.instances)))
 
 
 def sampled_scene(scene: SceneState) -> SampledScene:

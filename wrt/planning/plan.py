@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS, Traversal
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.traversal_config import (
     PacketConfig,
     SingleConfig,
@@ -67,7 +68,7 @@ class Plan:
     @property
     def is_wide(self) -> bool:
         """Whether the wide form of the scene's kd-tree is traversed."""
-        return traversal_of(self).wide
+        return Capabilities.WIDE_FORM in traversal_of(self).capabilities
 
     def __str__(self) -> str:
         parts = [self.accelerator, self.traversal]
@@ -127,10 +128,11 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
     """The specialisation of the traversal that carries out a plan."""
     traversal = traversal_of(plan)
     families: dict[str, Any] = {}
-    if traversal.packets:
-        non_temporal = plan.non_temporal and traversal.non_temporal and ANSWERS[query].shortens and not scene.instances
+    if Capabilities.PACKETS in traversal.capabilities:
+        able = Capabilities.NON_TEMPORAL in traversal.capabilities and not scene.instances
+        non_temporal = plan.non_temporal and able and ANSWERS[query].shortens
         families["packet"] = PacketConfig(plan.packet, plan.shared_origin, plan.culling, non_temporal)
-    if traversal.streams:
+    if Capabilities.STREAMS in traversal.capabilities:
         families["stream"] = StreamConfig(plan.stream)
     if traversal.walks_boxes(plan.accelerator) or (scene.only_single and traversal.walks_tree):
         levels = stack_levels(walked_tree(plan, scene).depth)
@@ -151,7 +153,8 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
 
 def config_for_layout(config: TraversalConfig, plan: Plan, scene: SceneState) -> TraversalConfig:
     """The specialisation for the order of the tree's nodes: single rays walk pairs for their nearest hits, if there are any."""
-    alone = not (scene.instances or scene.only_single) and plan.accelerator == "kdtree" and traversal_of(plan).node_orders
+    able = plan.accelerator == "kdtree" and Capabilities.NODE_ORDERS in traversal_of(plan).capabilities
+    alone = able and not (scene.instances or scene.only_single)
     if alone and config.answer.nearest and scene.tree.pairs is not None:
         return replace(config, single=SingleConfig(pair_words=1))
     return config

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.traversal import ORDERS, TRAVERSALS, Traversal
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS, Culling
 from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
@@ -39,7 +40,8 @@ def longest_stream(scene: SceneState, traversal: Traversal) -> int:
     """Largest number of rays of a stream."""
     if scene.device.is_cuda:
         return MAX_CUDA_STREAM
-    is_long = traversal.long_streams and traversal.walks_boxes(scene.accelerator.kind) and not scene.instances
+    able = Capabilities.LONG_STREAMS in traversal.capabilities
+    is_long = able and traversal.walks_boxes(scene.accelerator.kind) and not scene.instances
     return MAX_STREAM if is_long else MAX_LOCAL_STREAM
 
 
@@ -59,7 +61,7 @@ def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> P
     if plan.accelerator not in ("none", scene.accelerator.kind):
         raise ValueError(f"plan.accelerator is {plan.accelerator!r}, but the scene has a {scene.accelerator.kind}")
     check_answer(scene, query, traversal, plan.accelerator, test, plan.cull_backfaces)
-    width = wide_width(scene) if traversal.wide else scene.width
+    width = wide_width(scene) if Capabilities.WIDE_FORM in traversal.capabilities else scene.width
     if plan.width != width:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {width}")
     if plan.shared_origin and (rays.arrays_or_batch.origin_stride != 0 or scene.instances):
@@ -85,9 +87,9 @@ def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> P
     if plan.reorder == "tiles" and rays.columns == 0:
         raise ValueError(f"plan.reorder is 'tiles', but rays of shape {rays.shape} are not the pixels of an image")
     most = longest_stream(scene, traversal)
-    if traversal.streams and not 1 <= plan.stream <= most:
+    if Capabilities.STREAMS in traversal.capabilities and not 1 <= plan.stream <= most:
         raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {most}")
-    if not traversal.packets:
+    if Capabilities.PACKETS not in traversal.capabilities:
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:
         raise ValueError(f"plan.packet is {plan.packet}; it must be a multiple of {plan.width}, at most {MAX_PACKET}")

@@ -11,6 +11,7 @@ from wrt.kernels.answers import ANSWERS
 from wrt.kernels.compilation.cache_size import l3_bytes
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS, Traversal
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.traversal_scores import Situation, limits_for
 from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
@@ -137,7 +138,7 @@ def choose_for(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> Ch
     through_instances = bool(scene.instances) and not traversal_of(carried_out).walks_single_rays
     by_area = scene.area_trees is not None and (scene.device.is_cuda or rays.count > scene.few_rays)
     by_origin = TRIANGLE_TESTS[carried_out.triangle_test].record.per_origin
-    by_steps = carried_out.reorder == "cells" or traversal_of(carried_out).queued
+    by_steps = carried_out.reorder == "cells" or Capabilities.QUEUED in traversal_of(carried_out).capabilities
     prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or by_steps)
     no_savings = carried_out.is_wide or not can_be_wide(scene)
     missed_savings = 0.0 if no_savings else wide_form_savings(1, carried_out.coherent)
@@ -161,16 +162,16 @@ def choose_plan(
     check_origins(test, chosen, rays)
     accelerator = tree_for(chosen, scene)
     check_answer(scene, query, chosen, accelerator, test, cull_backfaces)
-    width = wide_width(scene) if chosen.wide else scene.width
+    width = wide_width(scene) if Capabilities.WIDE_FORM in chosen.capabilities else scene.width
     options: dict[str, Any] = {}
-    if chosen.packets:
+    if Capabilities.PACKETS in chosen.capabilities:
         options["packet"] = packet_vectors(scene, rays, query, chosen) * width
         options["culling"] = choose_culling(scene, rays, chosen, test)
-    if chosen.streams:
+    if Capabilities.STREAMS in chosen.capabilities:
         options["stream"] = stream_size(scene, rays, chosen)
     if traversal == AUTO or "tiles" in chosen.orders:
         options["reorder"] = choose_order(scene, rays, chosen, test)
-    if chosen.non_temporal and options["reorder"] != "tiles":
+    if Capabilities.NON_TEMPORAL in chosen.capabilities and options["reorder"] != "tiles":
         options["non_temporal"] = stores_past_caches(scene, rays, query)
     return Plan(
         accelerator=accelerator,
@@ -255,8 +256,8 @@ def stream_size(scene: SceneState, rays: RayBuffers, traversal: Traversal) -> in
 
 def packet_vectors(scene: SceneState, rays: RayBuffers, query: str, traversal: Traversal) -> int:
     """Rays of a packet, in vectors of the tree's width."""
-    if traversal.packet_vectors:
-        return traversal.packet_vectors
+    if Capabilities.ONE_VECTOR in traversal.capabilities:
+        return 1
     limits = limits_for(scene.width)
     if is_dense(scene, rays, limits.crowded):
         return max(CROWDED_PACKET // scene.width, PACKET_VECTORS)

@@ -97,10 +97,10 @@ def differentiable_hits(
     ]
     inputs = [start, origin_stride, toward, direction_stride, points]
     if scene.instances:
-        kernel = instance_gradients.make_kernel(start.dtype, toward.dtype, points.dtype, places.dtype, double)
+        kernel = instance_gradients.make_instance_gradient_kernel(start.dtype, toward.dtype, points.dtype, places.dtype, double)
         inputs += [places, *_placed_triangles(scene, hits)]
     else:
-        kernel = hit_gradients.make_kernel(start.dtype, toward.dtype, points.dtype, double)
+        kernel = hit_gradients.make_gradient_kernel(start.dtype, toward.dtype, points.dtype, double)
         inputs += [scene.state.device_mesh.faces, hits.batch.primitive]
     load([kernel], device)
     wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=device)

@@ -125,7 +125,7 @@ class InstancedState(SceneState):
 
     def upper(self) -> InstanceTree:
         """The upper level, as traversals read it."""
-        return upper_struct(self.tree, self.device_mesh, self.boxes.stretch)
+        return upper_struct(self.tree, self.device_mesh, self.boxes.slack_scale)
 
     def lower(self, plan: Plan, rays: RayBatch) -> wp.array:
         """The trees of the meshes and their records for the plan's triangle test, as traversals of `rays` read them; cached."""

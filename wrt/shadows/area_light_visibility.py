@@ -204,7 +204,7 @@ class AreaLightVisibility:
         return wp.array(values, device=self.scene.device) if rays.is_warp else values
 
     def _launch(self, rays: RayArrays, each: bool, answers: wp.array, counts: wp.array) -> None:
-        from wrt.kernels.traversal.shadows.multi_frusta import FRUSTA, make_kernel
+        from wrt.kernels.traversal.shadows.multi_frusta import FRUSTA, make_multi_frusta_kernel
 
         state = self.scene.state
         buffers = RayBuffers(rays, rays.shape, rays.is_warp, rays.dtype, True, False, list(rays.keep))
@@ -213,7 +213,7 @@ class AreaLightVisibility:
         light = self._samples(rays.layout.centered)
         items = -(-rays.count // max(FRUSTA // light.groups, 1))
         inputs = [state.tree.struct(), records_of(state, plan, rays.batch()), rays.batch(), light, answers, counts]
-        kernel = specialise(lambda config: make_kernel(plain(config), each), config)
+        kernel = specialise(lambda config: make_multi_frusta_kernel(plain(config), each), config)
         launch(kernel, items, inputs, device=state.device, chunk=CHUNK)
 
     def _samples(self, centered: bool) -> LightSamples:

@@ -178,33 +178,36 @@ class LightBuffer:
             return self._answer(rays, skip)
 
     def _answer(self, rays: RayArrays, skip: Any) -> Any:
+        from wrt.kernels.traversal.shadows.light_buffer_query import Skipped
+
         state, device, count = self.scene.state, self.scene.device, rays.count
         form = ResultForm(rays.shape, rays.is_warp, rays.dtype)
         answers, undecided = empty(count, wp.uint8, device), wp.zeros(1, dtype=int, device=device)
+        skipped = Skipped()
         if skip is None:
-            skipped, stride = self._no_skip, 0
+            skipped.triangles, skipped.stride = self._no_skip, 0
         else:
             check_skip(state, {"triangle_test": self._query.triangle_test})
-            skipped, stride = skipped_triangles(skip, state, buffers_of(rays)), 1
+            skipped.triangles, skipped.stride = skipped_triangles(skip, state, buffers_of(rays)), 1
         target = self._position - (state.center if rays.layout.centered else 0.0)
         batch = rays.batch()
-        inputs = [self._cells, self._records, batch, wp.vec3d(*map(float, target)), skipped, stride, answers, undecided]
+        inputs = [self._cells, self._records, batch, wp.vec3d(*map(float, target)), skipped, answers, undecided]
         kernel, run = self._kernel()
         launch(kernel, -(-count // run), inputs, device=device, chunk=CHUNK // run)
         occluded = wp.array(ptr=answers.ptr, dtype=wp.bool, shape=count, device=device)
         occluded.used = answers  # type: ignore[attr-defined]
         if count and undecided.numpy()[0]:
-            self._trace_rest(rays, answers, skipped.numpy() if skip is not None else None)
+            self._trace_rest(rays, answers, skipped.triangles.numpy() if skip is not None else None)
         return shaped(occluded, form)
 
     def _kernel(self) -> tuple[wp.Kernel, int]:
         """The kernel that answers rays, and the number of rays of its items."""
         from wrt.kernels.traversal.shadows.light_buffer_lanes import RUN, make_lane_kernel
-        from wrt.kernels.traversal.shadows.light_buffer_query import make_kernel
+        from wrt.kernels.traversal.shadows.light_buffer_query import make_light_buffer_kernel
 
         if self._in_lanes:
             return specialise(make_lane_kernel, self._config.triangle_test), RUN
-        return specialise(make_kernel, self._config), 1
+        return specialise(make_light_buffer_kernel, self._config), 1
 
     def _trace_rest(self, rays: RayArrays, answers: wp.array, skipped: np.ndarray | None) -> None:
         """Traces the rays that the lists do not decide, and writes their answers."""
@@ -230,7 +233,7 @@ class LightBuffer:
             answers.assign(values)
 
     def _build(self) -> None:
-        from wrt.builders.lights.light_cube import build_light_buffer
+        from wrt.builders.lights.light_cube import LitMesh, build_light_buffer
         from wrt.kernels.triangle import TRIANGLE_TESTS
 
         state = self.scene.state
@@ -245,10 +248,7 @@ class LightBuffer:
             config: TraversalConfig = traversal_config(plan, state, ANY, False)
             mesh, tree = state.device_mesh, state.tree
             cells: LightCells = build_light_buffer(
-                mesh.vertices,
-                mesh.faces,
-                tree.low,
-                tree.high,
+                LitMesh(mesh.vertices, mesh.faces, tree.low, tree.high),
                 self._position - state.center,
                 self._resolution or default_resolution(state.triangle_count),
                 accurate=test.accurate,

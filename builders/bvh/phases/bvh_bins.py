@@ -171,22 +171,21 @@ def write_child_boxes(scratch: Scratch, slot: int, bins: int, axis: int, plane: 
 
 @native.func_native(
     "bins.h",
-    f"float *left = {AT.format('to_left')}, *right = {AT.format('to_right')};\n"
-    "float *left_box = domain.data + (size_t)left_at * 8, *right_box = domain.data + (size_t)right_at * 8;\n"
-    f"wrt::partition_range({RANGE}, count, binning, axis, plane, left, right, left_box, right_box);",
+    f"float *left = {AT.format('to[0]')}, *right = {AT.format('to[1]')};\n"
+    "float *left_box = domain.data + (size_t)at[0] * 8, *right_box = domain.data + (size_t)at[1] * 8;\n"
+    f"wrt::partition_range({RANGE}, count, binning, plane.axis, plane.bin, left, right, left_box, right_box);",
 )
 def partition_range(
     references: wp.array(dtype=float),
     begin: int,
     count: int,
     binning: Binning,
-    axis: int,
-    plane: int,
-    to_left: int,
-    to_right: int,
+    plane: Plane,
+    to: wp.vec2i,
     domain: wp.array(dtype=float),
-    left_at: int,
-    right_at: int,
+    at: wp.vec2i,
 ):
-    """Moves a range to the two sides of a plane, in order, and writes the boxes of their doubled centroids to `domain`."""
+    """Moves a range to the two sides of a plane, in order, and writes the boxes of their doubled centroids to `domain`.
+
+    to: where the references of the left and of the right side go. at: where their boxes go."""
     ...

@@ -35,86 +35,82 @@ exact_module(__name__)
 STACK = MAX_WIDE_DEPTH + 2
 
 
+@wp.struct
+class SubtreeMemory:
+    """What builders of subtrees read and write; each has a slot."""
+
+    references: wp.array(dtype=float)
+    """Two buffers of references."""
+    triangles: int
+    """References in a buffer."""
+    scratch: Scratch
+    domain: wp.array(dtype=float)
+    """(slots * STACK * 8,) centroid boxes of the waiting nodes, followed by that of the current one."""
+
+
+def subtree_memory(references: wp.array, triangles: int, scratch: Scratch, domain: wp.array) -> SubtreeMemory:
+    """The members in one struct."""
+    memory = SubtreeMemory()
+    memory.references, memory.triangles, memory.scratch, memory.domain = references, triangles, scratch, domain
+    return memory
+
+
 @wp.func
 def divide_at_plane(
-    references: wp.array(dtype=float),
-    triangles: int,
-    binning: Binning,
-    plane: Plane,
-    scratch: Scratch,
-    slot: int,
-    domain: wp.array(dtype=float),
-    at: int,
-    frame: Frame,
-    pair: int,
-    tree: BinaryTree,
+    memory: SubtreeMemory, slot: int, binning: Binning, plane: Plane, at: int, frame: Frame, pair: int, tree: BinaryTree
 ):
     """Moves a node's triangles to the other buffer, those on the left of the plane first."""
-    write_child_boxes(scratch, slot, binning.bins, plane.axis, plane.bin, tree.box, pair)
-    to = triangles - frame.buffer + frame.first
+    write_child_boxes(memory.scratch, slot, binning.bins, plane.axis, plane.bin, tree.box, pair)
+    begin = frame.buffer + frame.first
+    to = memory.triangles - frame.buffer + frame.first
     partition_range(
-        references,
-        frame.buffer + frame.first,
+        memory.references,
+        begin,
         frame.count,
         binning,
-        plane.axis,
-        plane.bin,
-        to,
-        to + plane.left,
-        domain,
-        at + 1,
-        at,
+        plane,
+        wp.vec2i(to, to + plane.left),
+        memory.domain,
+        wp.vec2i(at + 1, at),
     )
 
 
 @wp.func
-def divide_in_the_middle(
-    references: wp.array(dtype=float),
-    left: int,
-    domain: wp.array(dtype=float),
-    at: int,
-    frame: Frame,
-    pair: int,
-    tree: BinaryTree,
-):
+def divide_in_the_middle(memory: SubtreeMemory, left: int, at: int, frame: Frame, pair: int, tree: BinaryTree):
     """Splits a node's list without moving it: the first `left` triangles belong to the left child."""
     begin = frame.buffer + frame.first
-    range_box(references, begin, left, tree.box, 2 * pair)
-    range_box(references, begin + left, frame.count - left, tree.box, 2 * pair + 1)
-    centroid_domain(references, begin, left, domain, at + 1)
-    centroid_domain(references, begin + left, frame.count - left, domain, at)
+    range_box(memory.references, begin, left, tree.box, 2 * pair)
+    range_box(memory.references, begin + left, frame.count - left, tree.box, 2 * pair + 1)
+    centroid_domain(memory.references, begin, left, memory.domain, at + 1)
+    centroid_domain(memory.references, begin + left, frame.count - left, memory.domain, at)
 
 
 @cache
 def make_build_subtree(heuristic: Heuristic) -> wp.Function:
-    """`wp.func(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree) -> end` of the pairs made, which
-    begin at `task.first + 1`. The other arguments are those of the kernel below."""
+    """`wp.func(rules, rays, memory, stack, slot, task, tree) -> end` of the pairs made, which begin at `task.first + 1`."""
     rays_type, search, is_leaf = heuristic.rays, heuristic.search, heuristic.is_leaf
 
     @wp.func
     def build_subtree(
         rules: BuildRules,
         rays: rays_type,
-        references: wp.array(dtype=float),
-        triangles: int,
-        task: Frame,
-        slot: int,
-        scratch: Scratch,
-        domain: wp.array(dtype=float),
+        memory: SubtreeMemory,
         stack: wp.array2d(dtype=Frame),
+        slot: int,
+        task: Frame,
         tree: BinaryTree,
     ):
         frame = task
         next_pair = frame.first + 1
         waiting = int(0)
-        centroid_domain(references, frame.buffer + frame.first, frame.count, domain, slot * STACK)
+        centroid_domain(memory.references, frame.buffer + frame.first, frame.count, memory.domain, slot * STACK)
         building = bool(True)
         while building:
             tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
             if is_small(rules, tree, frame.node, frame.count) or is_leaf(rules, rays, tree, frame):
                 # stop, emit
                 tree.pair[frame.node] = LEAF
-                write_order(references, frame.buffer + frame.first, frame.count, tree.order, frame.first)
+                write_order(memory.references, frame.buffer + frame.first, frame.count, tree.order, frame.first)
                 waiting -= 1
                 building = waiting >= 0
                 if building:
@@ -122,21 +118,21 @@ def make_build_subtree(heuristic: Heuristic) -> wp.Function:
             else:
                 # search
                 at = slot * STACK + waiting
-                binning = make_binning(domain, at, bins_for(rules, frame.count))
+                binning = make_binning(memory.domain, at, bins_for(rules, frame.count))
                 plane = no_plane()
                 if half_area(tree.box, frame.node) > 0.0 and not must_split_at_median(frame.depth, frame.count):
-                    bin_range(references, frame.buffer + frame.first, frame.count, binning, scratch, slot)
-                    plane = search(rules, rays, binning, scratch, slot, tree, frame)
+                    bin_range(memory.references, frame.buffer + frame.first, frame.count, binning, memory.scratch, slot)
+                    plane = search(rules, rays, binning, memory.scratch, slot, tree, frame)
                 # partition
                 pair = next_pair
                 next_pair += 1
                 tree.pair[frame.node] = pair
                 if plane.cost < INFINITY:
-                    divide_at_plane(references, triangles, binning, plane, scratch, slot, domain, at, frame, pair, tree)
-                    frame.buffer = triangles - frame.buffer
+                    divide_at_plane(memory, slot, binning, plane, at, frame, pair, tree)
+                    frame.buffer = memory.triangles - frame.buffer
                 else:
                     plane.left = middle(frame.count, rules.cost.width_bits)
-                    divide_in_the_middle(references, plane.left, domain, at, frame, pair, tree)
+                    divide_in_the_middle(memory, plane.left, at, frame, pair, tree)
                 # emit
                 stack[slot, waiting] = child_of(frame, plane.left, pair, 1)
                 waiting += 1
@@ -155,25 +151,21 @@ def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
         first: int,
         rules: BuildRules,
         rays: rays_type,
-        references: wp.array(dtype=float),
-        triangles: int,
+        memory: SubtreeMemory,
         tasks: wp.array(dtype=Frame),
         each: int,
-        scratch: Scratch,
-        domain: wp.array(dtype=float),
         stack: wp.array2d(dtype=Frame),
         tree: BinaryTree,
         subtrees: wp.array(dtype=wp.vec2i),
     ):
         """Item: a slot, for `each` tasks, one after the other.
 
-        stack: (slots, STACK) waiting nodes. domain: (slots * STACK * 8,) centroid boxes of the waiting nodes, followed by that
-        of the current one. subtrees: (tasks,) range of the pairs that each task made.
+        stack: (slots, STACK) waiting nodes. subtrees: (tasks,) range of the pairs that each task made.
         """
         slot = first + wp.tid()
         for number in range(slot * each, wp.min((slot + 1) * each, subtrees.shape[0])):
             task = tasks[number]
-            end = build_subtree(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree)
+            end = build_subtree(rules, rays, memory, stack, slot, task, tree)
             subtrees[number] = wp.vec2i(task.first + 1, end)
 
     return specialised_kernel(build_subtrees)

@@ -66,25 +66,24 @@ class WideLevels:
 @native.func_native(
     "bins.h",
     f"constexpr int W = {MAX_WIDTH};\n"
-    "const float *a = left ? costs.data + (size_t)left * W : nullptr, *b = right ? costs.data + (size_t)right * W : nullptr;\n"
-    "wrt::combine<W>(costs.data + (size_t)pair * W, width, a, left_leaf, b, right_leaf, inner, leaf, holds_large);",
+    "const float *a = pairs[0] ? costs.data + (size_t)pairs[0] * W : nullptr;\n"
+    "const float *b = pairs[1] ? costs.data + (size_t)pairs[1] * W : nullptr;\n"
+    "wrt::combine<W>(costs.data + (size_t)pair * W, width, a, leaves[0], b, leaves[1], inner, leaf, holds_large);",
 )
 def combine(
     costs: wp.array(dtype=float),
     pair: int,
     width: int,
-    left: int,
-    left_leaf: float,
-    right: int,
-    right_leaf: float,
+    pairs: wp.vec2i,
+    leaves: wp.vec2,
     inner: float,
     leaf: float,
     holds_large: bool,
 ):
     """Computes F(n, 1 .. W - 1) of the parent of a pair from those of the pair's nodes.
 
-    left, right: indices of their costs; LEAF for leaves, which cost left_leaf and right_leaf. inner: A(n) C_t. holds_large:
-    what `holds_large_part` is to say of the parent; it takes the place of F(n, W), which is never needed."""
+    pairs: indices of their costs; LEAF for leaves. leaves: what they cost as leaves. inner: A(n) C_t. holds_large: what
+    `holds_large_part` is to say of the parent; it takes the place of F(n, W), which is never needed."""
     ...
 
 
@@ -136,10 +135,8 @@ def make_solve(heuristic: Heuristic) -> wp.Kernel:
             costs,
             pair,
             1 << rules.cost.width_bits,
-            tree.pair[left],
-            cost_as_leaf(rules, rays, tree, costs, left),
-            tree.pair[right],
-            cost_as_leaf(rules, rays, tree, costs, right),
+            wp.vec2i(tree.pair[left], tree.pair[right]),
+            wp.vec2(cost_as_leaf(rules, rays, tree, costs, left), cost_as_leaf(rules, rays, tree, costs, right)),
             area * rules.cost.traversal,
             leaf,
             holds_large,

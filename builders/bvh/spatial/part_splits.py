@@ -58,9 +58,14 @@ class Branch:
 
 
 @wp.struct
-class PartScratch:
-    """Scratch memory of all slots."""
+class PartMemory:
+    """The triangles, their references, and scratch memory of all slots."""
 
+    mesh: ClippedMesh
+    references: wp.array(dtype=float)
+    """Two buffers of references."""
+    capacity: int
+    """References in a buffer."""
     bins: Scratch
     leaving: wp.array(dtype=int)
     """(slots * SLOT_BINS,) triangles that leave in each slab."""
@@ -82,13 +87,15 @@ class PartPlane:
     right: int
 
 
-def make_part_scratch(slots: int, device: wp.Device) -> PartScratch:
-    """Scratch memory for a number of slots."""
-    scratch = PartScratch()
-    scratch.bins = make_scratch(slots, device)
-    scratch.leaving = wp.empty(slots * SLOT_BINS, dtype=int, device=device)
-    scratch.domain = wp.empty(3 * 8 * slots, dtype=float, device=device)
-    return scratch
+def make_part_memory(mesh: ClippedMesh, references: wp.array, capacity: int, slots: int) -> PartMemory:
+    """Memory for a number of slots."""
+    device = references.device
+    memory = PartMemory()
+    memory.mesh, memory.references, memory.capacity = mesh, references, capacity
+    memory.bins = make_scratch(slots, device)
+    memory.leaving = wp.empty(slots * SLOT_BINS, dtype=int, device=device)
+    memory.domain = wp.empty(3 * 8 * slots, dtype=float, device=device)
+    return memory
 
 
 # -- search --------------------------------------------------------------------------------------------------------------
@@ -109,10 +116,8 @@ def overlap_is_met(rays: KnownRays, tree: BinaryTree, pair: int, depth: int):
 def cheapest_part_plane(
     rules: BuildRules,
     rays: KnownRays,
-    mesh: ClippedMesh,
-    references: wp.array(dtype=float),
+    memory: PartMemory,
     branch: Branch,
-    scratch: PartScratch,
     slot: int,
     tree: BinaryTree,
 ):
@@ -128,17 +133,17 @@ def cheapest_part_plane(
     bins = bins_for(rules, frame.count)
     tried = int(rays.tried[frame.node])
     for axis in range(3):
-        slabs = make_slabs(axis, low[axis], high[axis], bins, mesh.pad)
+        slabs = make_slabs(axis, low[axis], high[axis], bins, memory.mesh.pad)
         if (tried >> axis) & 1 != 0 and slabs.scale > 0.0:
             begin = frame.buffer + frame.first
-            bin_parts(mesh, references, begin, frame.count, slabs, scratch.bins, scratch.leaving, slot)
-            sweep_axis(scratch.bins, slot, axis, bins, mixture.others, boxes, weights)
+            bin_parts(memory.mesh, memory.references, begin, frame.count, slabs, memory.bins, memory.leaving, slot)
+            sweep_axis(memory.bins, slot, axis, bins, mixture.others, boxes, weights)
             add_projected(mixture, 2 * bins, boxes, weights)
             first = slot * SLOT_BINS + axis * bins
             right = int(frame.count)
             for b in range(1, bins):
-                left = load_int(scratch.bins.left, first + b)
-                right -= load_int(scratch.leaving, first + b - 1)
+                left = load_int(memory.bins.left, first + b)
+                right -= load_int(memory.leaving, first + b - 1)
                 if left < frame.count and right < frame.count and left + right <= branch.room:
                     cost = split_cost(weights[b], leaf_cost(rules.cost, left), weights[bins + b], leaf_cost(rules.cost, right))
                     if cost < best.cost:
@@ -170,11 +175,8 @@ def pair_at(branch: Branch, left_room: int):
 def split(
     rules: BuildRules,
     rays: KnownRays,
-    mesh: ClippedMesh,
-    references: wp.array(dtype=float),
-    capacity: int,
+    memory: PartMemory,
     branch: Branch,
-    scratch: PartScratch,
     slot: int,
     tree: BinaryTree,
     left: wp.ref[Branch],
@@ -186,30 +188,30 @@ def split(
     plane = no_plane()
     parts = PartPlane()
     parts.cost = INFINITY
-    centroid_domain(references, begin, frame.count, scratch.domain, 3 * slot)
-    binning = make_binning(scratch.domain, 3 * slot, bins_for(rules, frame.count))
+    centroid_domain(memory.references, begin, frame.count, memory.domain, 3 * slot)
+    binning = make_binning(memory.domain, 3 * slot, bins_for(rules, frame.count))
     if half_area(tree.box, frame.node) > 0.0 and not must_split_at_median(frame.depth, frame.count):
-        bin_range(references, begin, frame.count, binning, scratch.bins, slot)
-        plane = cheapest_by_projection(rules, rays, binning, scratch.bins, slot, tree, frame)
+        bin_range(memory.references, begin, frame.count, binning, memory.bins, slot)
+        plane = cheapest_by_projection(rules, rays, binning, memory.bins, slot, tree, frame)
         if frame.count > rules.max_leaf and branch.room > frame.count and frame.depth + halvings(frame.count) < rays.max_depth:
             overlap = plane.cost == INFINITY
             if not overlap:
                 pair = pair_at(branch, plane.left)
-                write_child_boxes(scratch.bins, slot, binning.bins, plane.axis, plane.bin, tree.box, pair)
+                write_child_boxes(memory.bins, slot, binning.bins, plane.axis, plane.bin, tree.box, pair)
                 overlap = overlap_is_met(rays, tree, pair, frame.depth)
             if overlap:
-                parts = cheapest_part_plane(rules, rays, mesh, references, branch, scratch, slot, tree)
+                parts = cheapest_part_plane(rules, rays, memory, branch, slot, tree)
     left.room = room_of_left(branch, plane.left, frame.count - plane.left)
     counts = wp.vec2i(plane.left, frame.count - plane.left)
-    to = capacity - frame.buffer + frame.first
-    buffer = capacity - frame.buffer
+    to = memory.capacity - frame.buffer + frame.first
+    buffer = memory.capacity - frame.buffer
     if parts.cost < plane.cost:
         left.room = room_of_left(branch, parts.left, parts.right)
-        counts = divide_parts(mesh, references, begin, frame.count, parts.slabs, parts.plane, to, to + left.room)
+        counts = divide_parts(memory.mesh, memory.references, begin, frame.count, parts.slabs, parts.plane, to, to + left.room)
     elif plane.cost < INFINITY:
-        at = 3 * slot + 1
-        side = to + left.room
-        partition_range(references, begin, frame.count, binning, plane.axis, plane.bin, to, side, scratch.domain, at, at + 1)
+        sides = wp.vec2i(to, to + left.room)
+        boxes = wp.vec2i(3 * slot + 1, 3 * slot + 2)
+        partition_range(memory.references, begin, frame.count, binning, plane, sides, memory.domain, boxes)
     else:  # stays where it is, so all of the spare room goes to the right
         half = middle(frame.count, rules.cost.width_bits)
         left.room = half
@@ -227,5 +229,5 @@ def split(
     right.frame.first = frame.first + left.room
     right.frame.count = counts[1]
     right.room = branch.room - left.room
-    range_box(references, buffer + left.frame.first, counts[0], tree.box, 2 * pair)
-    range_box(references, buffer + right.frame.first, counts[1], tree.box, 2 * pair + 1)
+    range_box(memory.references, buffer + left.frame.first, counts[0], tree.box, 2 * pair)
+    range_box(memory.references, buffer + right.frame.first, counts[1], tree.box, 2 * pair + 1)

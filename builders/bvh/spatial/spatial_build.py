@@ -33,7 +33,10 @@ less seldom saves a block.
 References: stich-2009; falcone-2024.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -47,7 +50,7 @@ from wrt.builders.bvh.phases.collapse import collapse, wide_cost
 from wrt.builders.bvh.phases.depth_first import DepthFirstTree, lay_out
 from wrt.builders.bvh.projected_binned import PROJECTED, ProjectedBuilder, is_cheap_leaf, weigh_nodes
 from wrt.builders.bvh.projected_binned import build as build_without
-from wrt.builders.bvh.spatial.part_splits import Branch, PartScratch, make_part_scratch, split
+from wrt.builders.bvh.spatial.part_splits import Branch, PartMemory, make_part_memory, split
 from wrt.builders.core.clip import ClippedMesh, clipped_mesh
 from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import CHUNK, Boxes, TriangleBoxes
@@ -76,12 +79,9 @@ def build_branches(
     first: int,
     rules: BuildRules,
     rays: KnownRays,
-    mesh: ClippedMesh,
-    references: wp.array(dtype=float),
-    capacity: int,
+    memory: PartMemory,
     branches: wp.array(dtype=Branch),
     once: bool,
-    scratch: PartScratch,
     stack: wp.array2d(dtype=Branch),
     tree: BinaryTree,
 ):
@@ -101,9 +101,9 @@ def build_branches(
         if leaf:
             tree.pair[branch.frame.node] = LEAF
             begin = branch.frame.buffer + branch.frame.first
-            write_order(references, begin, branch.frame.count, tree.order, branch.frame.first)
+            write_order(memory.references, begin, branch.frame.count, tree.order, branch.frame.first)
         else:
-            split(rules, rays, mesh, references, capacity, branch, scratch, slot, tree, left, right)
+            split(rules, rays, memory, branch, slot, tree, left, right)
         if once:
             stack[slot, 0] = left
             stack[slot, 1] = right
@@ -117,6 +117,15 @@ def build_branches(
             stack[slot, waiting] = right
             waiting += 1
             branch = left
+
+
+class Work(NamedTuple):
+    """What all launches of `build_branches` share; memory: slots -> memory."""
+
+    rules: BuildRules
+    rays: KnownRays
+    tree: BinaryTree
+    memory: Callable[[int], PartMemory]
 
 
 # -- the build -----------------------------------------------------------------------------------------------------------
@@ -154,11 +163,11 @@ def build(triangles: TriangleBoxes, config: ProjectedConfig) -> Bvh:
         launch(begin_references, -(-count // CHUNK), inputs, device=device, chunk=1)
         root = np.concatenate([triangles.low, [0.0], -triangles.high, [0.0]]).astype(np.float32)
         wp.copy(tree.box, wp.array(root, dtype=float, device=device), count=8)
-    given = [rules, rays, mesh, references, capacity]
+    work = Work(rules, rays, tree, partial(make_part_memory, mesh, references, capacity))
     with phase("top levels"):
-        tasks = split_levels(given, tree, count, capacity)
+        tasks = split_levels(work, count, capacity)
     with phase("subtrees"):
-        run_branches(given, tree, tasks, False)
+        run_branches(work, tasks, False)
     with phase("order"):
         binary = BinaryBuild(tree, wp.empty(0, dtype=wp.vec2i, device=device), None, references, PROJECTED, rays)
         binary = DepthFirstTree.of(binary, capacity).binary
@@ -174,17 +183,17 @@ def build(triangles: TriangleBoxes, config: ProjectedConfig) -> Bvh:
     return replace(made, shared=pays and int((made.primitive.numpy() >= 0).sum()) > count)
 
 
-def run_branches(given: list, tree: BinaryTree, branches: np.ndarray, once: bool) -> wp.array:
+def run_branches(work: Work, branches: np.ndarray, once: bool) -> wp.array:
     """Launches `build_branches`; returns its stack."""
-    device, count = tree.box.device, len(branches)
+    device, count = work.tree.box.device, len(branches)
     stack = wp.empty((count, 2 if once else STACK), dtype=Branch, device=device)
     listed = wp.array(branches, dtype=Branch, device=device)
-    inputs = [*given, listed, once, make_part_scratch(count, device), stack, tree]
+    inputs = [work.rules, work.rays, work.memory(count), listed, once, stack, work.tree]
     launch(build_branches, count, inputs, device=device, chunk=1, chunks_per_thread=max(1, count))
     return stack
 
 
-def split_levels(given: list, tree: BinaryTree, count: int, capacity: int) -> np.ndarray:
+def split_levels(work: Work, count: int, capacity: int) -> np.ndarray:
     """Divides large nodes, level after level; returns the tasks, structured as `Branch`, the largest first."""
     large = largest_task(count)
     level = np.zeros(1, dtype=Branch.numpy_dtype())
@@ -195,7 +204,7 @@ def split_levels(given: list, tree: BinaryTree, count: int, capacity: int) -> np
         tasks.append(level[~is_large])
         level = level[is_large]
         if len(level):
-            level = run_branches(given, tree, level, True).numpy().ravel()
+            level = run_branches(work, level, True).numpy().ravel()
             level = level[level["frame"]["count"] > 0]
     found = np.concatenate(tasks)
     return found[np.argsort(-found["frame"]["count"], kind="stable")]

@@ -12,7 +12,7 @@ from wrt.builders.tree import Bvh
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, leaf_triangles
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import INFINITY, greatest, least
+from wrt.kernels.simd.boxes import INFINITY, max_of, min_of
 
 exact_module(__name__)
 
@@ -46,8 +46,8 @@ def sum_costs(
             at = node * 6 * width + lane
             own_low = wp.vec3(bounds[at], bounds[at + width], bounds[at + 2 * width])
             own_high = wp.vec3(bounds[at + 3 * width], bounds[at + 4 * width], bounds[at + 5 * width])
-            low = least(low, own_low)
-            high = greatest(high, own_high)
+            low = min_of(low, own_low)
+            high = max_of(high, own_high)
             cost = leaf_cost(model, leaf_triangles(word))
             if word >= 0:
                 cost = costs[word]

@@ -14,7 +14,7 @@ from wrt.builders.tree import BuildStats, Bvh
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, first_block, leaf_triangles
 from wrt.kernels.runtime.launch import launch, load
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import INFINITY, greatest, least
+from wrt.kernels.simd.boxes import INFINITY, max_of, min_of
 
 exact_module(__name__)
 
@@ -49,8 +49,8 @@ def refit_nodes(
                 face = faces[primitive[slot]]
                 for corner in range(3):
                     point = vertices[face[corner]]
-                    low = least(low, point)
-                    high = greatest(high, point)
+                    low = min_of(low, point)
+                    high = max_of(high, point)
         # adding 0 turns -0 into +0, as in `compute_boxes`
         for axis in range(3):
             bounds[(node * 6 + axis) * width + lane] = low[axis] + 0.0

@@ -41,7 +41,7 @@ from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import get_num_threads, launch, load
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import INFINITY, greatest, least
+from wrt.kernels.simd.boxes import INFINITY, max_of, min_of
 
 exact_module(__name__)
 
@@ -102,7 +102,7 @@ def empty_box():
 @wp.func
 def enlarged(box: Box, lists: SweepLists, triangle: int):
     """A box that holds a triangle too."""
-    return Box(least(box.low, lists.corner[2 * triangle]), greatest(box.high, lists.corner[2 * triangle + 1]))
+    return Box(min_of(box.low, lists.corner[2 * triangle]), max_of(box.high, lists.corner[2 * triangle + 1]))
 
 
 @wp.func

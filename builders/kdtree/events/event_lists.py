@@ -76,29 +76,23 @@ def sweep_range(
     events: wp.array(dtype=wp.vec2i),
     begin: int,
     end: int,
-    left: int,
-    right: int,
     any_planar: bool,
-    best: Split,
+    sweep: wp.ref[Sweep],
 ):
-    """The better of `best` and the best plane at the events begin .. end - 1: a sweep, from the block of least cost on if that
-    is known.
+    """Improves the best plane of a sweep by the best plane at the events begin .. end - 1: passes them, from the block of least
+    cost on if that is known.
 
-    left: triangles that have begun before them. right: triangles that have not ended before them. any_planar: whether there may
-    be events of planar triangles."""
+    any_planar: whether there may be events of planar triangles."""
     start = int(begin)
-    sweep = start_sweep(left, right)
     least = LeastPlane()
     least.cost = -INFINITY
     if not any_planar:
-        find_least_plane(cost, along, events, begin, end - begin, left, right, least)
+        find_least_plane(cost, along, events, begin, end - begin, sweep.left, sweep.right, least)
         start = least.event
         sweep.left = least.left
         sweep.right = least.right
-    sweep.best = best
-    if least.cost < best.cost:
+    if least.cost < sweep.best.cost:
         sweep_until(cost, along, events, start, end, least.cost, sweep)
-    return sweep.best
 
 
 @wp.func
@@ -110,7 +104,10 @@ def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
         begin = frame.first[axis]
         end = begin + frame.count[axis]
         any_planar = end - begin != 2 * frame.triangles
-        best = sweep_range(cost, along, lists.event, begin, end, 0, frame.triangles, any_planar, best)
+        sweep = start_sweep(0, frame.triangles)
+        sweep.best = best
+        sweep_range(cost, along, lists.event, begin, end, any_planar, sweep)
+        best = sweep.best
     return best
 
 

@@ -85,20 +85,20 @@ class Clusters:
     "const size_t cells = grid.cells.c[0] * (size_t)grid.cells.c[1] * grid.cells.c[2];\n"
     "int* counter = counts.data + chunk * cells;\n"
     "float* table = corners.data + chunk * cells * 8;\n"
+    "const int begin = chunk * size, end = begin + size < ids.shape[0] ? begin + size : ids.shape[0];\n"
     "wrt::count_cells(boxes, ids.data, begin, end, grid, cell_of.data, counter, table, cells);",
 )
 def count_range(
     boxes: Boxes,
     ids: wp.array(dtype=int),
-    begin: int,
-    end: int,
+    size: int,
     grid: Grid,
     chunk: int,
     cell_of: wp.array(dtype=int),
     counts: wp.array2d(dtype=int),
     corners: wp.array2d(dtype=float),
 ):
-    """Computes the cells of the triangles ids[begin .. end - 1] and, per cell, their number and their box, (low, -high)."""
+    """Computes the cells of a chunk of `size` triangles and, per cell, their number and their box, (low, -high)."""
     ...
 
 
@@ -133,9 +133,7 @@ def count_cells(
     corners: wp.array2d(dtype=float),
 ):
     """Item: a chunk of `size` triangles. Computes their cells, and counts and boxes per cell."""
-    chunk = first + wp.tid()
-    end = wp.min(ids.shape[0], (chunk + 1) * size)
-    count_range(boxes, ids, chunk * size, end, grid, chunk, cell_of, counts, corners)
+    count_range(boxes, ids, size, grid, first + wp.tid(), cell_of, counts, corners)
 
 
 @wp.kernel

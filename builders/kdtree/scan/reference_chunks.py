@@ -149,11 +149,10 @@ def move_chunks(
     count = chunk.end - begin
     left = chunk.to_left
     right = chunk.to_right
-    split = node.split
     sides = Sides()
     if node.finished:
         copy_references(references, begin, count, target, left)
     elif mesh.clips:
         clip_chunk(mesh, references, node, chunk, True, target, sides)
     else:
-        move_range(references, begin, count, split.axis, split.position, split.planar_left, target, left, right, sides)
+        move_range(references, begin, count, node.split, target, left, right, sides)

@@ -27,7 +27,7 @@ import warp as wp
 
 from wrt.kernels.classics.triangle.published import FINITE, StepText, in_steps
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.axis_projection import ROW_NAMES, derive_rows, turned_lanes
+from wrt.kernels.triangle.support.axis_projection import ROW_NAMES, derive_rows, permuted_lanes
 from wrt.kernels.triangle.support.lane_form import DIRECTION, FAR, ORIGIN, LaneForm
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TestForm
@@ -151,7 +151,7 @@ PROJECTION = ray_form(
     (
         "behind the origin or a closer hit",
         f"""
-            {turned_lanes("o")}{turned_lanes("d")}
+            {permuted_lanes("o")}{permuted_lanes("d")}
             const float t = (n0 - ((ok + np * op) + nq * oq)) / ((dk + np * dp) + nq * dq);
         """,
         "(t > 0.0f) & (t < far)",

@@ -52,7 +52,7 @@ from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
-from wrt.kernels.traversal.packet.core.packet_kdtree import MIXED_AXES, make_walk_packet, walk_memory
+from wrt.kernels.traversal.packet.core.packet_kdtree import MIXED_AXES, make_packet_kdtree_walk, walk_memory
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, packet_step
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.tile_bounds import bound_rays
@@ -233,7 +233,7 @@ def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
 def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     """The kernel for one specialisation; `accelerated` selects AEPSA."""
     search = make_search(config, accelerated)
-    trace_packet = packet_step(config, KdNodes, make_walk_packet(config), make_kdtree_walk(config), MIXED_AXES)
+    trace_packet = packet_step(config, KdNodes, make_packet_kdtree_walk(config), make_kdtree_walk(config), MIXED_AXES)
     store, counting = config.answer.store, config.counters
     packet_rays, large, levels, split = config.packet.rays, rays_per_item(config), config.tiles.levels, config.tiles.split
     small = config.tiles.packets * packet_rays

@@ -64,7 +64,7 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import lowest_bit
 from wrt.kernels.traversal.leaf import CounterRows, Counters
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core.packet_bvh import visit_leaf
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout
 from wrt.kernels.traversal.packet.culling.interval_culling import cull_triangles
@@ -201,7 +201,8 @@ def make_rays(config: TraversalConfig) -> wp.Function:
     begin: its first ray. bounds: those of its directions, which become those of the rays.
     """
     layout, culling, width = packet_layout(config), CULLINGS[config.packet.culling], config.width
-    load, start, cull = load_packet(layout, culling.slopes), culling.start(layout), cull_triangles(layout)
+    load = load_packet(layout, CullingTraits.SLOPES in culling.traits)
+    start, cull = culling.start(layout), cull_triangles(layout)
 
     @wp.func
     def meets(triangles: TriangleBlocks, first: int, count: int, bounds: wp.ref[PacketBounds]):
@@ -292,7 +293,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_eye_frusta_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation; its packets are frusta."""
     config = replace(config, packet=replace(config.packet, shared_origin=True))
     layout, waiting = packet_layout(config), most_waiting(config)

@@ -44,7 +44,7 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step, store_few_ray
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, packet_layout
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
@@ -123,10 +123,13 @@ def leaf_of_cell(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_omnidirectional_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout = packet_layout(config)
-    load, store = load_packet(layout, CULLINGS[config.packet.culling].slopes), store_packet(layout, config.answer.ends_at_first)
+    load, store = (
+        load_packet(layout, CullingTraits.SLOPES in CULLINGS[config.packet.culling].traits),
+        store_packet(layout, config.answer.ends_at_first),
+    )
     enter, split = enter_cell(layout), split_cell(layout)
     visit, counting, size_of_packet, P = leaf_of_cell(config), config.counters, layout.size, config.packet.rays
     cell_floats, memory = 2 * P, MAILBOXES[config.mailbox].size

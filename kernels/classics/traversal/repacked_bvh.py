@@ -40,7 +40,7 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.traversal.leaf import CounterRows, Counters
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, packet_layout
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
@@ -88,15 +88,17 @@ def list_rays(layout: PacketLayout) -> wp.Function:
 
 @cache
 def repack_rays(layout: PacketLayout, inner: PacketLayout, slopes: bool, moved: bool) -> wp.Function:
-    """`wp.func(boxes, node, lane, packet, outer, inner, numbers, first, bounds)`: copies the rays that meet a box to the packet
+    """`wp.func(boxes, at, packet, outer, inner, numbers, first, bounds)`: copies the rays that meet a box to the packet
     `inner`, clipped to the box, and bounds them, with their origins moved to the box.
 
-    outer: bounds of the packet. numbers: gets the numbers of the rays, from `first` on. bounds: of `inner`."""
+    at: node and lane of the box. outer: bounds of the packet. numbers: gets the numbers of the rays, from `first` on. bounds:
+    of `inner`."""
     copied, bounded = f"{cpp(moved)}, {len(layout.components)}", f"{bounding(inner, slopes)}, {cpp(moved)}"
 
     @native.func_native(
         "packet_parts.h",
         f"""{GUARDS}
+        const int node = at[0], lane = at[1];
         const {layout.type} from(packet.data);
         const {inner.type} to(inner.data);
         wrt::gather_rays<{copied}>({layout.box} + lane, from, outer, to, numbers.data + first);
@@ -104,8 +106,7 @@ def repack_rays(layout: PacketLayout, inner: PacketLayout, slopes: bool, moved: 
     )
     def repack(
         boxes: wp.array(dtype=float),
-        node: int,
-        lane: int,
+        at: wp.vec2i,
         packet: wp.array(dtype=float),
         outer: wp.ref[PacketBounds],
         inner: wp.array(dtype=float),
@@ -200,7 +201,7 @@ def make_descent(config: TraversalConfig, inner: TraversalConfig) -> wp.Function
     meet a child walks it."""
     layout, small, culling = packet_layout(config), packet_layout(inner), CULLINGS[config.packet.culling]
     moved = moves_origins(config)
-    repack, scatter = repack_rays(layout, small, culling.slopes, moved), scatter_rays(layout, small)
+    repack, scatter = repack_rays(layout, small, CullingTraits.SLOPES in culling.traits, moved), scatter_rays(layout, small)
     start, walk = culling.start(small), make_walk(inner, moved)
     size, numbers, step = small.size, config.stack.levels * (config.width + 1), level_memory(config)
 
@@ -220,7 +221,7 @@ def make_descent(config: TraversalConfig, inner: TraversalConfig) -> wp.Function
         smaller = wp.zeros(shape=(size,), dtype=float)
         own = PacketBounds()
         child = load_int(tree.child, node * wp.static(config.width) + lane)
-        repack(tree.bounds, node, lane, packet, bounds, smaller, memory, base + wp.static(numbers), own)
+        repack(tree.bounds, wp.vec2i(node, lane), packet, bounds, smaller, memory, base + wp.static(numbers), own)
         start(tree.low, tree.high, smaller, own)
         walk(tree, triangles, smaller, memory, base + wp.static(step), child, own, work)
         scatter(packet, smaller, memory, base + wp.static(numbers), met)
@@ -230,7 +231,7 @@ def make_descent(config: TraversalConfig, inner: TraversalConfig) -> wp.Function
 
 def moves_origins(config: TraversalConfig) -> bool:
     """Whether the bounds of repacked packets begin at their entry points; not with one origin, nor without bounds."""
-    return not config.packet.shared_origin and not CULLINGS[config.packet.culling].every_ray
+    return not config.packet.shared_origin and CullingTraits.EVERY_RAY not in CULLINGS[config.packet.culling].traits
 
 
 @cache
@@ -245,7 +246,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
     descend = make_descent(config, inner) if inner else visit  # without smaller packets, never called
     repacks, smaller = inner is not None, inner.packet.rays if inner else 0
     width, counting, row = config.width, config.counters, config.stack.levels * config.width
-    box_tests = config.width * (config.packet.rays if culling.every_ray else 1)
+    box_tests = config.width * (config.packet.rays if CullingTraits.EVERY_RAY in culling.traits else 1)
 
     @wp.func
     def walk(
@@ -301,10 +302,10 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_repacked_bvh_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
-    load, store = load_packet(layout, culling.slopes), store_packet(layout, config.answer.ends_at_first)
+    load, store = load_packet(layout, CullingTraits.SLOPES in culling.traits), store_packet(layout, config.answer.ends_at_first)
     start, walk = culling.start(layout), make_walk(config, False)
     packet_rays, size, memory_size, counting = config.packet.rays, layout.size, walk_memory(config), config.counters
 

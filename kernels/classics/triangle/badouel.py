@@ -31,7 +31,7 @@ import warp as wp
 
 from wrt.kernels.classics.triangle.published import INSIDE, published
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.axis_projection import main_axis, turned, turned_lanes
+from wrt.kernels.triangle.support.axis_projection import main_axis, permuted, permuted_lanes
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss
 
@@ -47,10 +47,10 @@ def intersect(ray: PlainRay, corners: Corners):
     s = ray.origin - corners.a
     t = (0.0 - dot(normal, s)) / dot(normal, ray.direction)
     axis = main_axis(normal)
-    n = turned(normal, axis)
-    b = turned(edge_b, axis)
-    c = turned(edge_c, axis)
-    h = turned(s, axis) + t * turned(ray.direction, axis)
+    n = permuted(normal, axis)
+    b = permuted(edge_b, axis)
+    c = permuted(edge_c, axis)
+    h = permuted(s, axis) + t * permuted(ray.direction, axis)
     u = (c[2] * h[1] - c[1] * h[2]) / n[0]
     v = (b[1] * h[2] - b[2] * h[1]) / n[0]
     if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
@@ -68,7 +68,7 @@ TEST = published(
             const float t = (0.0f - {dotted("n", "s")}) / {dotted("n", "d")};
             const float size_x = WRT_ABS(nx), size_y = WRT_ABS(ny), size_z = WRT_ABS(nz);
             const float axis = ((size_x >= size_y) & (size_x >= size_z)) ? 0.0f : size_y >= size_z ? 1.0f : 2.0f;
-            {turned_lanes("n")}{turned_lanes("e1")}{turned_lanes("e2")}{turned_lanes("s")}{turned_lanes("d")}
+            {permuted_lanes("n")}{permuted_lanes("e1")}{permuted_lanes("e2")}{permuted_lanes("s")}{permuted_lanes("d")}
             const float x = sp + t * dp, y = sq + t * dq;
             const float u = (e2q * x - e2p * y) / nk, v = (e1p * y - e1q * x) / nk;
         """,

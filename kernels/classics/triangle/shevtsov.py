@@ -34,7 +34,7 @@ import warp as wp
 
 from wrt.kernels.classics.triangle.published import FINITE, published
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.axis_projection import main_axis, next_axis, turned, turned_lanes
+from wrt.kernels.triangle.support.axis_projection import main_axis, next_axis, permuted, permuted_lanes
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, miss
 
@@ -83,7 +83,7 @@ def divide(u: float, v: float, w: float, det: float, ahead: float):
 
 @wp.func
 def weigh(flat: FlatTriangle, o: wp.vec3, d: wp.vec3, det: float, ahead: float):
-    """(t, u, v) of a turned ray, with t = ahead / det; t is NaN if the line passes beside the triangle or is parallel to it."""
+    """(t, u, v) of a permuted ray, with t = ahead / det; t is NaN if the line misses the triangle or is parallel to it."""
     x = ahead * d[1] - det * (flat[4] - o[1])
     y = ahead * d[2] - det * (flat[5] - o[2])
     u = flat[9] * x - flat[8] * y
@@ -94,8 +94,8 @@ def weigh(flat: FlatTriangle, o: wp.vec3, d: wp.vec3, det: float, ahead: float):
 @wp.func
 def intersect(ray: PlainRay, flat: FlatTriangle):
     """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
-    o = turned(ray.origin, int(flat[0]))
-    d = turned(ray.direction, int(flat[0]))
+    o = permuted(ray.origin, int(flat[0]))
+    d = permuted(ray.direction, int(flat[0]))
     det = (d[0] + flat[1] * d[1]) + flat[2] * d[2]
     ahead = flat[3] - ((o[0] + flat[1] * o[1]) + flat[2] * o[2])
     return weigh(flat, o, d, det, ahead)
@@ -129,7 +129,7 @@ TEST = published(
     (
         "the line passes beside the triangle",
         f"""
-            {turned_lanes("o")}{turned_lanes("d")}
+            {permuted_lanes("o")}{permuted_lanes("d")}
             const float det = (dk + np * dp) + nq * dq, ahead = n0 - ((ok + np * op) + nq * oq);
             {WEIGHTS}
         """,

@@ -122,7 +122,7 @@ def visit_triangles(width: int) -> wp.Function:
 @cache
 def visit_instance(width: int) -> wp.Function:
     """The same for a leaf of the upper tree: walks the tree of an instance."""
-    walk = make_walk(width, visit_triangles(width))
+    walk = make_overlap_walk(width, visit_triangles(width))
 
     @wp.func
     def visit(
@@ -147,7 +147,7 @@ def visit_instance(width: int) -> wp.Function:
 
 
 @cache
-def make_walk(width: int, visit: wp.Function) -> wp.Function:
+def make_overlap_walk(width: int, visit: wp.Function) -> wp.Function:
     """`wp.func(scene, part, root, salt, ray, any_hit, seen, steps) -> t`: walks the tree below node `root` up to the closest
     hit, or to any.
 
@@ -158,7 +158,7 @@ def make_walk(width: int, visit: wp.Function) -> wp.Function:
     test_boxes, nearest, row = ray_boxes(width), nearest_child(width), MAX_WIDE_DEPTH * width
 
     @wp.func
-    def walk(
+    def walk_sample(
         scene: SampledScene,
         part: SampledTree,
         root: int,
@@ -196,7 +196,7 @@ def make_walk(width: int, visit: wp.Function) -> wp.Function:
                     key = nearest(keys, level * wp.static(width))
         return ray.t_max
 
-    return walk
+    return walk_sample
 
 
 class SampleConfig(NamedTuple):
@@ -207,10 +207,10 @@ class SampleConfig(NamedTuple):
 
 
 @cache
-def make_kernel(config: SampleConfig) -> wp.Kernel:
+def make_overlap_kernel(config: SampleConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     width = config.width
-    walk = make_walk(width, visit_instance(width) if config.instances else visit_triangles(width))
+    walk = make_overlap_walk(width, visit_instance(width) if config.instances else visit_triangles(width))
 
     @specialised_kernel
     def measure_overlap(

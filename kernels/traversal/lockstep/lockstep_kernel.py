@@ -37,7 +37,7 @@ import warp as wp
 
 from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout.kdtree_nodes import LEAF, KdNodes
-from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import count_bits, lowest_bit
@@ -101,7 +101,7 @@ def leaf_phase(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_refill(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, rays, i, lane, group, states, slabs, t_min, best) -> bool`: loads ray number i into a lane.
+    """`wp.func(tree, ray, lane, group, states, slabs, t_min, best) -> bool`: puts a ray into a lane.
 
     Returns False if the ray misses the scene; `best` is then its result.
     """
@@ -112,8 +112,7 @@ def make_refill(config: TraversalConfig) -> wp.Function:
     @wp.func
     def refill_lane(
         tree: KdNodes,
-        rays: RayBatch,
-        i: int,
+        ray: Ray,
         lane: int,
         group: wp.ref[Walks],
         states: wp.array(dtype=RayState),
@@ -121,7 +120,6 @@ def make_refill(config: TraversalConfig) -> wp.Function:
         t_min: wp.array(dtype=float),
         best: wp.array(dtype=BestHit),
     ):
-        ray = load_ray(rays, i)
         best[lane] = start(ray.t_max)
         interval = wp.vec2(1.0, 0.0)
         ray_slab = RaySlabs()
@@ -140,7 +138,7 @@ def make_refill(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_lockstep_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     RayState, counting = TRIANGLE_TESTS[config.triangle_test].ray_state, config.counters
     count, run = lane_count(config), rays_per_item(config)
@@ -178,7 +176,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             idle = wp.static(wp.uint32(all_lanes)) & ~busy
             while idle != wp.uint32(0) and next_ray < end:
                 lane = lowest_bit(idle)
-                if refill_lane(tree, rays, next_ray, lane, group, states, slabs, t_min, best):
+                ray = load_ray(rays, next_ray)
+                if refill_lane(tree, ray, lane, group, states, slabs, t_min, best):
                     number[lane] = next_ray
                     idle &= idle - wp.uint32(1)
                     busy |= wp.uint32(1) << wp.uint32(lane)

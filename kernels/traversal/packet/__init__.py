@@ -21,6 +21,7 @@ References: wald-2001; boulos-2006; rahikainen-2013 (chapter 3, a survey of pack
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Flag, auto
 
 import warp as wp
 
@@ -34,6 +35,21 @@ from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle import TriangleTest
 
 
+class CullingTraits(Flag):
+    """What the functions of a culling read, and for which packets they hold."""
+
+    NONE = 0
+    VERTICES = auto()
+    """`triangles` uses the vertices, so that it is valid only for triangle tests that find no hits outside the triangle."""
+    SLOPES = auto()
+    """It needs bounds of the slopes, or of the points in which lines cross a plane normal to the main axis."""
+    EVERY_RAY = auto()
+    """`boxes` tests each ray instead of the packet as a whole."""
+    REVERSIBLE = auto()
+    """Its functions also hold for bounds as seen from the ends of the rays
+    (`wrt.kernels.traversal.packet.rays.reversed_bounds`)."""
+
+
 @dataclass(frozen=True)
 class Culling:
     """A culling method for whole packets; its functions are made for a layout.
@@ -43,17 +59,11 @@ class Culling:
         paper: authors, title, year.
         boxes: `wp.func(boxes, node, packet, bounds, keys, first) -> key of the nearest child`.
         triangles: `wp.func(records, block, bounds) -> mask` of the triangles that must be tested.
-        accurate: whether `triangles` uses the vertices, so that it is valid only for triangle tests that find no hits outside
-            the triangle.
-        slopes: whether the culling needs bounds of the slopes, or of the points in which lines cross a plane normal to the main
-            axis.
-        every_ray: whether `boxes` tests each ray instead of the packet as a whole.
+        traits: what the functions read, and for which packets they hold.
         start: `wp.func(low, high, packet, bounds)`, called once per packet; low, high: bounds of the scene.
         leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, called once per leaf, whose box is a lane of a node: the
             number of rays that meet the box, or any number above `MAX_FEW_RAYS`. If it is at most `MAX_FEW_RAYS`, the rays
             are listed in `bounds.few`, and no other bounds are updated. 0 skips the leaf.
-        reversible: whether its functions also hold for bounds as seen from the ends of the rays
-            (`wrt.kernels.traversal.packet.rays.reversed_bounds`).
         scores: how well it suits dense rays from one point, and other rays. "auto" takes the highest score among the cullings
             that fit, and never one whose score is 0.
         filtered_scores: the same if the test lists pairs of rays and triangles (`PacketForm.pairs`), after which a triangle
@@ -64,12 +74,9 @@ class Culling:
     paper: str
     boxes: Callable[[PacketLayout], wp.Function]
     triangles: Callable[[PacketLayout], wp.Function]
-    accurate: bool = False
-    slopes: bool = False
-    every_ray: bool = False
+    traits: CullingTraits = CullingTraits.NONE
     start: Callable[[PacketLayout], wp.Function] = no_start
     leaf: Callable[[PacketLayout], wp.Function] = no_leaf
-    reversible: bool = False
     scores: tuple[float, float] = (0.0, 0.0)
     filtered_scores: tuple[float, float] = (0.0, 0.0)
 
@@ -80,7 +87,7 @@ class Culling:
 
     def holds_for(self, test: TriangleTest) -> bool:
         """Whether the culling keeps every hit that the test may find."""
-        return test.accurate or not self.accurate
+        return test.accurate or CullingTraits.VERTICES not in self.traits
 
 
 EVERY_RAY, CORNER_RAYS = "culling.every_ray", "culling.corner_rays"
@@ -95,14 +102,14 @@ CULLINGS: dict[str, Culling] = {
             "Wald, Slusallek, Benthin, Wagner: Interactive rendering with coherent ray tracing (2001)",
             OnDemand(EVERY_RAY, "cull_boxes"),
             OnDemand(EVERY_RAY, "cull_triangles"),
-            every_ray=True,
+            traits=CullingTraits.EVERY_RAY,
         ),
         Culling(
             "interval",
             "Boulos, Wald, Shirley: Geometric and arithmetic culling methods for entire ray packets (2006)",
             interval.cull_boxes,
             interval.cull_triangles,
-            reversible=True,
+            traits=CullingTraits.REVERSIBLE,
             scores=(1.0, 1.0),
             filtered_scores=(4.0, 1.0),
         ),
@@ -111,8 +118,8 @@ CULLINGS: dict[str, Culling] = {
             "Reshetov: Faster ray packets - triangle intersection through vertex culling (2007), rays at leaves, interval",
             interval.cull_boxes,
             interval.cull_triangles,
+            traits=CullingTraits.REVERSIBLE,
             leaf=leaf_boxes.leaf,
-            reversible=True,
             filtered_scores=(1.0, 4.0),
         ),
         Culling(
@@ -120,15 +127,14 @@ CULLINGS: dict[str, Culling] = {
             "Dmitriev, Havran, Seidel: Faster ray tracing with SIMD shaft culling (2004), boxes as interval",
             interval.cull_boxes,
             OnDemand(CORNER_RAYS, "cull_triangles"),
-            accurate=True,
-            slopes=True,
+            traits=CullingTraits.VERTICES | CullingTraits.SLOPES,
         ),
         Culling(
             "frustum",
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005), inverse frustum culling",
             OnDemand(FRUSTUM, "cull_boxes"),
             OnDemand(FRUSTUM, "cull_triangles"),
-            slopes=True,
+            traits=CullingTraits.SLOPES,
             start=OnDemand(FRUSTUM, "start"),
         ),
         Culling(
@@ -136,9 +142,7 @@ CULLINGS: dict[str, Culling] = {
             "Reshetov: Faster ray packets - triangle intersection through vertex culling (2007)",
             interval.cull_boxes,
             vertices.cull_triangles,
-            accurate=True,
-            slopes=True,
-            reversible=True,
+            traits=CullingTraits.VERTICES | CullingTraits.SLOPES | CullingTraits.REVERSIBLE,
             scores=(3.0, 2.0),
             filtered_scores=(3.0, 2.0),
         ),
@@ -147,10 +151,9 @@ CULLINGS: dict[str, Culling] = {
             "Reshetov: Faster ray packets - triangle intersection through vertex culling (2007), a frustum a leaf",
             interval.cull_boxes,
             side_planes.cull_triangles,
-            accurate=True,
+            traits=CullingTraits.VERTICES | CullingTraits.REVERSIBLE,
             start=transient.start,
             leaf=transient.leaf,
-            reversible=True,
             scores=(2.0, 3.0),
             filtered_scores=(2.0, 3.0),
         ),
@@ -159,7 +162,7 @@ CULLINGS: dict[str, Culling] = {
             "Overbeck, Ramamoorthi, Mark: Large ray packets for real-time Whitted ray tracing (2008)",
             OnDemand(FRUSTUM, "cull_boxes"),
             side_planes.cull_triangles,
-            accurate=True,
+            traits=CullingTraits.VERTICES,
             start=OnDemand(TWO_PLANE, "start"),
         ),
         Culling(
@@ -167,7 +170,7 @@ CULLINGS: dict[str, Culling] = {
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005), frustum with two tests at leaves",
             OnDemand(FRUSTUM, "cull_boxes"),
             OnDemand(FRUSTUM, "cull_triangles"),
-            slopes=True,
+            traits=CullingTraits.SLOPES,
             start=OnDemand(FRUSTUM, "start"),
             leaf=OnDemand(ENTRY_EXIT, "leaf"),
         ),

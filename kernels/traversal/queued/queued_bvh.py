@@ -28,10 +28,10 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
-from wrt.kernels.traversal.leaf import CounterRows, Counters
+from wrt.kernels.traversal.leaf import CounterRows, Counters, begin_search, leaf_search
 from wrt.kernels.traversal.queued.next_queue import RayQueue
 from wrt.kernels.traversal.single.key_walk import make_key_walk
-from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf
+from wrt.kernels.traversal.single.single_bvh import make_leaf
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -52,7 +52,7 @@ class QueuedNodes:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_queued_bvh_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel that traces each waiting ray through its subtree. Item: a place in the order."""
     Search, begin, leaf = leaf_search(config.triangle_test), begin_search(config.triangle_test), make_leaf(config)
     walk_keys = make_key_walk(config, config.stack.levels, Search, leaf)

@@ -20,6 +20,7 @@ from wrt.kernels.layout.light_cells import CELL_WORDS, DEPTH_SLACK, LightCells
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.traversal.shadows.light_buffer_query import Skipped
 from wrt.kernels.traversal.shadows.light_rays import LIT, OCCLUDED, UNDECIDED
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -34,9 +35,9 @@ RECORD_FLOATS = 16
 
 @cache
 def make_answer(triangle_test: str) -> wp.Function:
-    """`wp.func(cells, records, batch, target, skipped, skip_stride, begin, count, answers, undecided)`: the rays of an item."""
+    """`wp.func(cells, records, batch, target, skipped, items, answers, undecided)`: the rays of an item."""
     sizes = f"{TRIANGLE_TESTS[triangle_test].native}, {RUN}, {RECORD_FLOATS}"
-    arguments = "cells, records.data, batch, target, skipped.data, skip_stride, begin, count, answers.data"
+    arguments = "cells, records.data, batch, target, skipped.triangles.data, skipped.stride, items[0], items[1], answers.data"
 
     @native.func_native(
         "light_buffer.h",
@@ -51,10 +52,8 @@ def make_answer(triangle_test: str) -> wp.Function:
         records: wp.array(dtype=float),
         batch: RayBatch,
         target: wp.vec3d,
-        skipped: wp.array(dtype=int),
-        skip_stride: int,
-        begin: int,
-        count: int,
+        skipped: Skipped,
+        items: wp.vec2i,
         answers: wp.array(dtype=wp.uint8),
         undecided: wp.array(dtype=int),
     ): ...
@@ -64,7 +63,7 @@ def make_answer(triangle_test: str) -> wp.Function:
 
 @cache
 def make_lane_kernel(triangle_test: str) -> wp.Kernel:
-    """The kernel for a triangle test with a `native` form; arguments as of `light_buffer_query.make_kernel`."""
+    """The kernel for a triangle test with a `native` form; arguments as of `light_buffer_query.make_light_buffer_kernel`."""
     answer = make_answer(triangle_test)
 
     def light_buffer_lanes(
@@ -73,15 +72,14 @@ def make_lane_kernel(triangle_test: str) -> wp.Kernel:
         records: wp.array(dtype=float),
         rays: RayBatch,
         target: wp.vec3d,
-        skipped: wp.array(dtype=int),
-        skip_stride: int,
+        skipped: Skipped,
         answers: wp.array(dtype=wp.uint8),
         undecided: wp.array(dtype=int),
     ):
         """Item: a run of rays; records are those of `pack_lines`."""
         begin = (first + wp.tid()) * wp.static(RUN)
         count = wp.min(wp.static(RUN), rays.count - begin)
-        answer(cells, records, rays, target, skipped, skip_stride, begin, count, answers, undecided)
+        answer(cells, records, rays, target, skipped, wp.vec2i(begin, count), answers, undecided)
 
     return specialised_kernel(light_buffer_lanes)
 

@@ -41,11 +41,21 @@ def triangle_in(entry: wp.uint64):
     return int(wp.uint32(entry))
 
 
+@wp.struct
+class Skipped:
+    """The triangle that each ray ignores."""
+
+    triangles: wp.array(dtype=int)
+    """(N,) or (1,), -1 for none."""
+    stride: int
+    """1, or 0 if all rays ignore the same one."""
+
+
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_light_buffer_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel that tests the triangles of a list one by one, for any triangle test and device.
 
-    records: the triangles in the order of their numbers. skipped: (N,) or (1,) the triangle that each ray ignores, -1 for none.
+    records: the triangles in the order of their numbers.
     """
     test, candidate = TRIANGLE_TESTS[config.triangle_test], triangle_step(config)
     prepare = test.prepare
@@ -56,8 +66,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         records: wp.array(dtype=float),
         rays: RayBatch,
         target: wp.vec3d,
-        skipped: wp.array(dtype=int),
-        skip_stride: int,
+        skipped: Skipped,
         answers: wp.array(dtype=wp.uint8),
         undecided: wp.array(dtype=int),
     ):
@@ -73,7 +82,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             nearest = wp.cast(cells.cells[at + 3], wp.float32)
             if far <= query.most and not (query.least <= nearest):
                 query.decided = False
-            skip = skipped[i * skip_stride]
+            skip = skipped.triangles[i * skipped.stride]
             if not query.decided:
                 answer = wp.static(UNDECIDED)
             elif far <= query.sure and skip < 0:

@@ -55,7 +55,7 @@ FLUSHED = 2.0**-90
 
 @cache
 def make_trace(config: TraversalConfig, each: bool) -> wp.Function:
-    """`wp.func(tree, boxes, records, ids, rays, light, begin, count, occluded, counts)`: traces frusta begin .. begin + count -
+    """`wp.func(tree, triangles, rays, light, begin, count, occluded, counts)`: traces frusta begin .. begin + count -
     1."""
     layout, test = PacketLayout(GROUP, config.width, True, config.triangle_test), TRIANGLE_TESTS[config.triangle_test]
     sizes = f"{FRUSTA}, {GROUP}, {config.width}, {len(layout.components)}, {layout.record}, {config.stack.levels}"
@@ -64,7 +64,9 @@ def make_trace(config: TraversalConfig, each: bool) -> wp.Function:
 
     @native.func_native(
         f"multi_frusta.h {layout.headers}",
-        f"""static_assert(wrt::FLUSHED == {FLUSHED!r}f);
+        f"""const auto &records = triangles.records, &boxes = tree.bounds;
+        const auto& ids = triangles.primitive;
+        static_assert(wrt::FLUSHED == {FLUSHED!r}f);
         wrt::MultiFrusta<{sizes}, {cpp(test.accurate)}> all;
         const auto make = [&](int f) {{ {make} }};
         const auto test = [&](int f, int block, unsigned mask) {{ {check} }};
@@ -73,9 +75,7 @@ def make_trace(config: TraversalConfig, each: bool) -> wp.Function:
     )
     def trace_native(
         tree: WideNodes,
-        boxes: wp.array(dtype=float),
-        records: wp.array(dtype=float),
-        ids: wp.array(dtype=int),
+        triangles: TriangleBlocks,
         rays: RayBatch,
         light: LightSamples,
         begin: int,
@@ -88,7 +88,7 @@ def make_trace(config: TraversalConfig, each: bool) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig, each: bool) -> wp.Kernel:
+def make_multi_frusta_kernel(config: TraversalConfig, each: bool) -> wp.Kernel:
     """The kernel for one specialisation; each: whether it answers each ray, or counts those that are occluded.
 
     Points are the origins of `rays`, whose directions are not read. The frusta of a point are in one item.
@@ -111,7 +111,7 @@ def make_kernel(config: TraversalConfig, each: bool) -> wp.Kernel:
         end = wp.min(begin + points, rays.count) * light.groups
         while frustum < end:
             count = wp.min(wp.static(FRUSTA), end - frustum)
-            trace(tree, tree.bounds, triangles.records, triangles.primitive, rays, light, frustum, count, occluded, counts)
+            trace(tree, triangles, rays, light, frustum, count, occluded, counts)
             frustum += count
 
     return specialised_kernel(multi_frusta)

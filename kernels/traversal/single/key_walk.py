@@ -40,7 +40,7 @@ def make_key_walk(
     test_boxes, nearest, row, noting = ray_boxes(width), nearest_child(width), levels * width, enter_node is not None
 
     @wp.func
-    def walk(
+    def walk_keys(
         tree: WideNodes,
         root: int,
         slabs: wp.ref[RaySlabs],
@@ -86,4 +86,4 @@ def make_key_walk(
                     key = nearest(keys, level * wp.static(width))
         return best
 
-    return walk
+    return walk_keys

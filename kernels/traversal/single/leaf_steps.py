@@ -9,10 +9,9 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.crossings import offering_step
-from wrt.kernels.traversal.leaf import clamp_block
+from wrt.kernels.traversal.leaf import Leaf, clamp_block, leaf_search
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
 
@@ -24,32 +23,30 @@ def make_leaf_step(config: TraversalConfig, Tree: type) -> wp.Function:
 
 @cache
 def own_test_step(config: TraversalConfig, Tree: type) -> wp.Function:
-    """The step of a kind with a test of its own: it gets the triangles whose boxes the ray meets; `hits` is the search."""
+    """The step of a kind with a test of its own: it gets the triangles whose boxes the ray meets; `hits` is its search."""
     test, width, answer = TRIANGLE_TESTS[config.triangle_test], config.width, config.answer
-    Lanes, RayState, meet_boxes = lanes(width), test.ray_state, clamp_block(test.record, width)
+    Lanes, LeafSearch, meet_boxes = lanes(width), leaf_search(config.triangle_test), clamp_block(test.record, width)
     lane_mask, Search, test_triangle, best_of = (1 << width) - 1, answer.Search, answer.own_test, answer.best_of
 
     @wp.func
     def step(
         tree: Tree,
-        node: int,
-        interval: wp.vec2,
-        triangles: TriangleBlocks,
+        leaf: Leaf,
         block: int,
-        state: RayState,
-        slabs: wp.ref[RaySlabs],
+        search: wp.ref[LeafSearch],
         cells: wp.ref[RaySlabs],
-        search: wp.ref[Search],
+        hits: wp.ref[Search],
         i: int,
         best: BestHit,
     ):
-        starts = Lanes(interval[0])
-        mask = meet_boxes(triangles.records, block, slabs, wp.uint32(wp.static(lane_mask)), starts, interval[0], best.t)
+        starts = Lanes(leaf.within[0])
+        mask = wp.uint32(wp.static(lane_mask))
+        mask = meet_boxes(search.triangles.records, block, search.slabs, mask, starts, leaf.within[0], best.t)
         while mask != wp.uint32(0):
-            primitive = triangles.primitive[block * wp.static(width) + lowest_bit(mask)]
+            primitive = search.triangles.primitive[block * wp.static(width) + lowest_bit(mask)]
             mask = mask & (mask - wp.uint32(1))
             if primitive >= 0:
-                test_triangle(search, primitive)
-        return best_of(search, best)
+                test_triangle(hits, primitive)
+        return best_of(hits, best)
 
     return step

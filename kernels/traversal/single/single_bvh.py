@@ -26,13 +26,12 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import INFINITY, RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes
-from wrt.kernels.traversal.leaf import Counters, block_step
+from wrt.kernels.traversal.leaf import Counters, Leaf, begin_search, block_step, leaf_search
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.leaf_steps import make_leaf_step
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.single.traversal_stack import WaitingStack, waiting_stack
 from wrt.kernels.traversal.traversal_config import TraversalConfig
-from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -48,42 +47,10 @@ def make_bvh_walk(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def leaf_search(triangle_test: str) -> type:
-    """The struct of the search state that leaf tests need: the triangles and the ray."""
-
-    class LeafSearch:
-        triangles: TriangleBlocks
-        state: TRIANGLE_TESTS[triangle_test].ray_state
-        slabs: RaySlabs
-        t_min: float
-
-    LeafSearch.__qualname__ = f"LeafSearch_{triangle_test}"
-    return wp.struct(LeafSearch)
-
-
-@cache
-def begin_search(triangle_test: str) -> wp.Function:
-    """`wp.func(triangles, ray, slabs) -> search`: the initial search state of a ray."""
-    LeafSearch, prepare = leaf_search(triangle_test), TRIANGLE_TESTS[triangle_test].prepare
-
-    @wp.func
-    def begin(triangles: TriangleBlocks, ray: Ray, slabs: RaySlabs):
-        search = LeafSearch()
-        search.triangles = triangles
-        search.state = prepare(ray.origin, ray.direction)
-        search.slabs = slabs
-        search.t_min = ray.t_min
-        return search
-
-    return begin
-
-
-@cache
 def make_leaf_loop(config: TraversalConfig, Tree: type) -> wp.Function:
-    """`wp.func(tree, leaf, within, block, count, cells, search, hits, i, best, work) -> best`: tests the triangles of a leaf.
+    """`wp.func(tree, leaf, cells, search, hits, i, best, work) -> best`: tests the triangles of a leaf.
 
-    leaf: its node, or the child word that leads to it. within: closed interval of t in which ray i is in it. block, count: its
-    first block and number of triangles. cells: the ray in the space of the tree. search: of the triangles, in theirs.
+    leaf: `Leaf` that ray i is in. cells: the ray in the space of the tree. search: of the triangles, in theirs.
     """
     LeafSearch, nearest, Results = leaf_search(config.triangle_test), config.answer.nearest, config.answer.Search
     test_block = block_step(config) if nearest else make_leaf_step(config, Tree)
@@ -92,10 +59,7 @@ def make_leaf_loop(config: TraversalConfig, Tree: type) -> wp.Function:
     @wp.func
     def test_blocks(
         tree: Tree,
-        leaf: int,
-        within: wp.vec2,
-        block: int,
-        count: int,
+        leaf: Leaf,
         cells: wp.ref[RaySlabs],
         search: wp.ref[LeafSearch],
         hits: wp.ref[Results],
@@ -103,12 +67,14 @@ def make_leaf_loop(config: TraversalConfig, Tree: type) -> wp.Function:
         best: BestHit,
         work: wp.ref[Counters],
     ):
+        block = int(leaf.block)
+        count = int(leaf.count)
         if wp.static(counting):
             work.leaves += 1
             work.triangles += count
         while count > 0:
             if wp.static(not nearest):
-                best = test_block(tree, leaf, within, search.triangles, block, search.state, search.slabs, cells, hits, i, best)
+                best = test_block(tree, leaf, block, search, cells, hits, i, best)
             else:
                 best = test_block(search.triangles, block, search.state, search.slabs, search.t_min, best)
             block += 1
@@ -134,10 +100,12 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
         best: BestHit,
         work: wp.ref[Counters],
     ):
-        within = wp.vec2(search.t_min, best.t)
-        block = bvh.first_block(child)
-        count = bvh.leaf_triangles(child)
-        return test_blocks(tree, child, within, block, count, search.slabs, search, hits, i, best, work)
+        leaf = Leaf()
+        leaf.node = child
+        leaf.within = wp.vec2(search.t_min, best.t)
+        leaf.block = bvh.first_block(child)
+        leaf.count = bvh.leaf_triangles(child)
+        return test_blocks(tree, leaf, search.slabs, search, hits, i, best, work)
 
     return test_leaf
 
@@ -197,7 +165,9 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
     counting, any_hit, Results = config.counters, config.answer.ends_at_first, config.answer.Search
 
     @wp.func
-    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
+    def walk_with_stack(
+        tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]
+    ):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         search = begin(triangles, ray, slabs)
@@ -222,7 +192,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
                 searching = entry <= best.t
         return best
 
-    return walk
+    return walk_with_stack
 
 
 @cache
@@ -232,12 +202,14 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
     walk_keys = make_key_walk(config, config.stack.levels, LeafSearch, make_leaf(config))
 
     @wp.func
-    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
+    def walk_with_keys(
+        tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]
+    ):
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         search = begin(triangles, ray, slabs)
         return walk_keys(tree, 0, slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
 
-    return walk
+    return walk_with_keys
 
 
 @cache

@@ -38,7 +38,7 @@ from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, cross_plane, ray_slabs, reach
-from wrt.kernels.traversal.leaf import Counters, block_step, enter
+from wrt.kernels.traversal.leaf import Counters, Leaf, begin_search, block_step, enter
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
 from wrt.kernels.traversal.single.leaf_steps import make_leaf_step
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
@@ -158,7 +158,7 @@ def node_order(single: SingleConfig) -> tuple[wp.Function, wp.Function, int]:
 def make_kdtree_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    nearest, Results = config.answer.nearest, config.answer.Search
+    nearest, Results, begin = config.answer.nearest, config.answer.Search, begin_search(config.triangle_test)
     test_block = block_step(config) if nearest else make_leaf_step(config, KdNodes)
     step = step_guessing if config.coherent else step_selecting
     load, children_of, root = node_order(config.single)
@@ -167,10 +167,13 @@ def make_kdtree_walk(config: TraversalConfig) -> wp.Function:
     remembering = config.mailbox != NONE
 
     @wp.func
-    def walk(tree: KdNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
+    def walk_kdtree(tree: KdNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
-        state = prepare(ray.origin, ray.direction)
+        if wp.static(nearest):
+            state = prepare(ray.origin, ray.direction)
+        else:
+            search = begin(triangles, ray, slabs)
         interval = enter(slabs, tree.low, tree.high, ray.t_min, ray.t_max)
         cell = Cell()
         cell.node = wp.static(root)
@@ -199,8 +202,10 @@ def make_kdtree_walk(config: TraversalConfig) -> wp.Function:
                     work.triangles += count
                 while count > 0:
                     if wp.static(not nearest):
-                        within = wp.vec2(cell.entry, cell.leave)
-                        best = test_block(tree, cell.node, within, triangles, block, state, slabs, slabs, hits, i, best)
+                        leaf = Leaf()
+                        leaf.node = cell.node
+                        leaf.within = wp.vec2(cell.entry, cell.leave)
+                        best = test_block(tree, leaf, block, search, slabs, hits, i, best)
                     elif wp.static(remembering):
                         fresh = forget(triangles.primitive, block, ALL_LANES, mailbox)
                         if fresh != wp.uint32(0):
@@ -220,7 +225,7 @@ def make_kdtree_walk(config: TraversalConfig) -> wp.Function:
                     searching = cell.entry <= best.t
         return best
 
-    return walk
+    return walk_kdtree
 
 
 @cache

@@ -6,7 +6,7 @@ import warp as wp
 
 from wrt.kernels.answers.best_hit import start
 from wrt.kernels.answers.skipped_triangle import skip_for
-from wrt.kernels.layout.instance_maps import centered_origin, ray_environment, ray_mask
+from wrt.kernels.layout.instance_maps import scene_ray
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows, Counters
@@ -46,8 +46,7 @@ def make_ray_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Part
         work = Counters()
         if ray.valid:
             if wp.static(two_level):
-                origin = centered_origin(rays, i)
-                best = walk(tree, triangles, origin, ray, ray_mask(rays, i), ray_environment(rays, i), hits, i, work)
+                best = walk(tree, triangles, scene_ray(rays, i, ray), hits, i, work)
             else:
                 best = walk(tree, triangles, ray, hits, i, work)
             if wp.static(lists):
@@ -83,8 +82,7 @@ def make_skipping_kernel(config: TraversalConfig, Tree: type, walk: wp.Function,
             search = skip_for(skipped, i, ray.t_min)
             work = Counters()
             if wp.static(two_level):
-                origin = centered_origin(rays, i)
-                best = walk(tree, triangles, origin, ray, ray_mask(rays, i), ray_environment(rays, i), search, i, work)
+                best = walk(tree, triangles, scene_ray(rays, i, ray), search, i, work)
             else:
                 best = walk(tree, triangles, ray, search, i, work)
         store(hits, i, best)

@@ -31,7 +31,7 @@ from wrt.kernels.layout.scratch import leave_scratch, take_scratch
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD
-from wrt.kernels.traversal.stream.stream_candidates import Pairs
+from wrt.kernels.traversal.stream.stream_candidates import Pairs, StreamHits
 from wrt.kernels.traversal.stream.stream_kernel import (
     FAR,
     LIST_LANES,
@@ -72,10 +72,10 @@ def stream_loader(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_trace(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, words, keys, rays, leaves, hits, first_ray, work)`: traces the `rays` rays of a stream.
+    """`wp.func(tree, triangles, stream, words, keys, listed, found, work)`: traces a stream.
 
-    Args (of the function): words, keys, leaves: the list of the root, keys and leaves of its children, as `stream_loader`
-        writes them, with room for those of other nodes. first_ray: number of the first ray that was loaded.
+    Args (of the function): words, keys: the list of the root and the keys of its children, as `stream_loader` writes them, with
+        room for those of other nodes. listed: `NodeList` of the root; it changes. found: `StreamHits`.
     """
     StreamRay, test_leaves = stream_ray(config.triangle_test), leaf_tester(config)
     filter_list, following = filter_boxes(config.width, config.triangle_test, child_order(config)), next_child(config.width)
@@ -88,10 +88,8 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         stream: wp.array(dtype=StreamRay),
         words: wp.array(dtype=int),
         keys: wp.array(dtype=int),
-        rays: int,
-        leaves: wp.uint32,
-        hits: wp.ref[HitBatch],
-        first_ray: int,
+        listed: wp.ref[NodeList],
+        found: wp.ref[StreamHits],
         work: wp.ref[StreamCounters],
     ):
         path = wp.zeros(shape=(levels,), dtype=int)
@@ -99,17 +97,14 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         sizes = wp.zeros(shape=(levels,), dtype=int)
         lasts = wp.zeros(shape=(levels,), dtype=int)
         pairs = Pairs()
-        list = NodeList()
-        list.size = rays
-        list.leaves = leaves
         level = int(0)
         if wp.static(counting):
-            work.nodes += rays
+            work.nodes += listed.size
         while level >= 0:
-            test_leaves(tree, triangles, stream, words, list, pairs, hits, first_ray, work)
-            store_int(path, level, list.node)
-            store_int(begins, level, list.begin)
-            store_int(sizes, level, list.size)
+            test_leaves(tree, triangles, stream, words, listed, pairs, found, work)
+            store_int(path, level, listed.node)
+            store_int(begins, level, listed.begin)
+            store_int(sizes, level, listed.size)
             store_int(lasts, level, BELOW_ALL_KEYS)
             incoming = int(0)
             while level >= 0 and incoming == 0:
@@ -117,23 +112,22 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                 if key != NO_CHILD:
                     lane = key & wp.static(width - 1)
                     store_int(lasts, level, key)
-                    list.node = load_int(tree.child, load_int(path, level) * wp.static(width) + lane)
-                    incoming = collect_words(words, list.begin, list.size, wp.uint32(1) << wp.uint32(lane))
+                    listed.node = load_int(tree.child, load_int(path, level) * wp.static(width) + lane)
+                    incoming = collect_words(words, listed.begin, listed.size, wp.uint32(1) << wp.uint32(lane))
                     if wp.static(counting):
-                        work.traversal_slots += round_up(list.size)
-                        work.traversal_active += list.size
+                        work.traversal_slots += round_up(listed.size)
+                        work.traversal_active += listed.size
                 else:
                     level -= 1
                     if level >= 0:
-                        list.begin = load_int(begins, level)
-                        list.size = load_int(sizes, level)
+                        listed.begin = load_int(begins, level)
+                        listed.size = load_int(sizes, level)
             if incoming > 0:
                 level += 1
-                list.begin += list.size
+                listed.begin += listed.size
                 row = level * wp.static(width)
-                list.size = filter_list(
-                    tree.bounds, tree.child, list.node, stream, words, list.begin, incoming, keys, row, list.leaves
-                )
+                arrived = wp.vec2i(listed.begin, incoming)
+                listed.size = filter_list(tree, listed.node, stream, words, arrived, keys, row, listed.leaves)
                 if wp.static(counting):
                     work.nodes += incoming
 
@@ -141,13 +135,13 @@ def make_trace(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_stream_bvh_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     StreamRay = stream_ray(config.triangle_test)
     counting, size = config.counters, config.stream.rays
     load, store, trace = stream_loader(config), store_stream(config), make_trace(config)
     key_room = config.stack.levels * config.width
-    bytes, on_cuda = 4 * ray_words(config.triangle_test), config.stack.block > 0
+    ray_bytes, on_cuda = 4 * ray_words(config.triangle_test), config.stack.block > 0
     room = (config.stack.levels + 1) * size + LIST_LANES
 
     def stream_bvh(
@@ -163,18 +157,22 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             stream = wp.zeros(shape=(size,), dtype=StreamRay)
             words = wp.zeros(shape=(room,), dtype=int)
         else:
-            scratch = take_scratch(wp.static(size * bytes + 4 * room))
+            scratch = take_scratch(wp.static(size * ray_bytes + 4 * room))
             stream = wp.array(ptr=scratch, shape=(size,), dtype=StreamRay)
-            words = wp.array(ptr=scratch + wp.uint64(wp.static(size * bytes)), shape=(room,), dtype=int)
+            words = wp.array(ptr=scratch + wp.uint64(wp.static(size * ray_bytes)), shape=(room,), dtype=int)
         keys = wp.zeros(shape=(key_room,), dtype=int)
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
+        found = StreamHits()
+        found.hits = hits
         while begin < end:
             work = StreamCounters()
             kept = int(0)
-            leaves = wp.uint32(0)
-            count = load(rays, begin, end, tree, stream, words, keys, leaves, kept)
-            trace(tree, triangles, stream, words, keys, kept, leaves, hits, begin, work)
+            root = NodeList()
+            count = load(rays, wp.vec2i(begin, end), tree, stream, words, keys, root.leaves, kept)
+            root.size = kept
+            found.begin = begin
+            trace(tree, triangles, stream, words, keys, root, found, work)
             store(stream, kept, begin, count, hits)
             if wp.static(counting):
                 counters.rows[begin] = work

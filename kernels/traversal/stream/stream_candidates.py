@@ -66,6 +66,15 @@ class Pairs:
     """Slot of the candidate's triangle: block * W + lane."""
 
 
+@wp.struct
+class StreamHits:
+    """Where hits go that are not stored with the rays of a stream: in queries for all hits."""
+
+    hits: HitBatch
+    begin: int
+    """Number of the stream's first ray."""
+
+
 @wp.func_native("leaf = pairs.leaves.c[p]; return pairs.rays.c[p];")
 def load_pair(pairs: wp.ref[Pairs], p: int, leaf: wp.ref[int]) -> int:
     """Ray and leaf of a pair."""
@@ -190,9 +199,9 @@ def scalar_test_step(config: TraversalConfig) -> wp.Function:
 
 @cache
 def candidate_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pairs, count, hits, begin)`: evaluates the first `count` candidates.
+    """`wp.func(triangles, stream, pairs, count, found)`: evaluates the first `count` candidates.
 
-    hits, begin: as in `pair_tester`.
+    found: `StreamHits`.
     """
     StreamRay = stream_ray(config.triangle_test)
     if evaluates_in_lanes(config):
@@ -204,8 +213,7 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
             stream: wp.array(dtype=StreamRay),
             pairs: wp.ref[Pairs],
             count: int,
-            hits: wp.ref[HitBatch],
-            begin: int,
+            found: wp.ref[StreamHits],
         ):
             in_lanes(triangles.records, triangles.primitive, stream, pairs, count)
 
@@ -219,14 +227,13 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
         stream: wp.array(dtype=StreamRay),
         pairs: wp.ref[Pairs],
         count: int,
-        hits: wp.ref[HitBatch],
-        begin: int,
+        found: wp.ref[StreamHits],
     ):
         p = int(0)
         while p < count:
             slot = int(0)
             k = load_candidate(pairs, p, slot)
-            test_one(triangles, stream, k, slot, hits, begin + number_of(stream, k))
+            test_one(triangles, stream, k, slot, found.hits, found.begin + number_of(stream, k))
             p += 1
 
     return test_each
@@ -301,9 +308,9 @@ def line_filter(config: TraversalConfig) -> wp.Function:
 
 @cache
 def pair_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pairs, number, hits, begin, work)`: tests the first `number` pairs completely.
+    """`wp.func(triangles, stream, pairs, number, found, work)`: tests the first `number` pairs completely.
 
-    hits: destination of the hits in queries for all hits. begin: number of the stream's first ray.
+    found: `StreamHits`.
     """
     StreamRay = stream_ray(config.triangle_test)
     find_candidates, test_candidates, counting = line_filter(config), candidate_tester(config), config.counters
@@ -314,8 +321,7 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
         stream: wp.array(dtype=StreamRay),
         pairs: wp.ref[Pairs],
         number: int,
-        hits: wp.ref[HitBatch],
-        begin: int,
+        found: wp.ref[StreamHits],
         work: wp.ref[StreamCounters],
     ):
         count = int(number)
@@ -325,8 +331,8 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
             tested = int(0)
             left = int(0)
             while tested < count:
-                found = find_candidates(triangles, stream, pairs, count, tested, left, work)
-                test_candidates(triangles, stream, pairs, found, hits, begin)
+                candidates = find_candidates(triangles, stream, pairs, count, tested, left, work)
+                test_candidates(triangles, stream, pairs, candidates, found)
             count = left
 
     return test_pairs

@@ -31,7 +31,7 @@ from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.traversal.stream.stream_candidates import PAIRS, Pairs, pair_tester
+from wrt.kernels.traversal.stream.stream_candidates import PAIRS, Pairs, StreamHits, pair_tester
 from wrt.kernels.traversal.stream.stream_kernel import (
     LIST_LANES,
     StreamCounterRows,
@@ -81,7 +81,7 @@ def enter_scene(triangle_test: str) -> wp.Function:
 
 @cache
 def leaf_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, list, size, node, pairs, hits, first_ray, work)`: tests the rays of a list against a leaf."""
+    """`wp.func(triangles, stream, list, size, node, pairs, found, work)`: tests the rays of a list against a leaf."""
     StreamRay, test_pairs, width = stream_ray(config.triangle_test), pair_tester(config), config.width
     max_triangles = MAX_LEAF_TRIANGLES // width * width
 
@@ -93,8 +93,7 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
         size: int,
         node: wp.vec2i,
         pairs: wp.ref[Pairs],
-        hits: wp.ref[HitBatch],
-        first_ray: int,
+        found: wp.ref[StreamHits],
         work: wp.ref[StreamCounters],
     ):
         triangle = int(0)
@@ -106,7 +105,7 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
             while first < size:
                 number = wp.min(size - first, PAIRS)
                 fill_pairs(list, first, number, leaf, pairs)
-                test_pairs(triangles, stream, pairs, number, hits, first_ray, work)
+                test_pairs(triangles, stream, pairs, number, found, work)
                 first += PAIRS
             triangle += wp.static(max_triangles)
 
@@ -115,10 +114,11 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_trace(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, list, count, stack, hits, first_ray, work)`: traces the `count` rays of a list, all of
+    """`wp.func(tree, triangles, stream, list, count, stack, found, work)`: traces the `count` rays of a list, all of
     one octant, from the root.
 
-    list: rays and their intervals in the scene's box; it is overwritten. stack: memory for the lists of far children.
+    list: rays and their intervals in the scene's box; it is overwritten. stack: memory for the lists of far children. found:
+    `StreamHits`.
     """
     StreamRay = stream_ray(config.triangle_test)
     split, pop_list = filter_plane(config.triangle_test), filter_hits(config.triangle_test)
@@ -135,8 +135,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         list: wp.ref[RayIntervals],
         count: int,
         stack: wp.ref[RayIntervals],
-        hits: wp.ref[HitBatch],
-        first_ray: int,
+        found: wp.ref[StreamHits],
         work: wp.ref[StreamCounters],
     ):
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
@@ -169,7 +168,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                     top += far_count
                 at = near
             else:
-                test_leaf(triangles, stream, list, size, node, pairs, hits, first_ray, work)
+                test_leaf(triangles, stream, list, size, node, pairs, found, work)
                 size = int(0)
             while size == 0 and waiting > 0:
                 waiting -= 1
@@ -182,7 +181,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_stream_kdtree_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     StreamRay, enter = stream_ray(config.triangle_test), enter_scene(config.triangle_test)
     counting, size = config.counters, config.stream.rays
@@ -204,11 +203,11 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         order = wp.zeros(shape=(size,), dtype=int)
         ends = wp.zeros(shape=(8,), dtype=int)
-        list = RayIntervals()
+        rays_in_node = RayIntervals()
         list_rays = wp.zeros(shape=(list_size,), dtype=int)
         list_entry = wp.zeros(shape=(list_size,), dtype=float)
         list_leave = wp.zeros(shape=(list_size,), dtype=float)
-        set_arrays(list, list_rays, list_entry, list_leave)
+        set_arrays(rays_in_node, list_rays, list_entry, list_leave)
         stack = RayIntervals()
         stack_rays = wp.zeros(shape=(stack_size,), dtype=int)
         stack_entry = wp.zeros(shape=(stack_size,), dtype=float)
@@ -216,8 +215,11 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         set_arrays(stack, stack_rays, stack_entry, stack_leave)
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
+        found = StreamHits()
+        found.hits = hits
         while begin < end:
             work = StreamCounters()
+            found.begin = begin
             kept = int(0)
             count = load(rays, begin, end, tree.low, tree.high, stream, kept)
             sort_by_octant(stream, kept, order, ends)
@@ -227,8 +229,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 last = load_int(ends, octant)
                 piece_end = wp.min(last, done + wp.static(piece))
                 if done < piece_end:
-                    listed = enter(stream, order, done, piece_end, tree.low, tree.high, list)
-                    trace(tree, triangles, stream, list, listed, stack, hits, begin, work)
+                    listed = enter(stream, order, done, piece_end, tree.low, tree.high, rays_in_node)
+                    trace(tree, triangles, stream, rays_in_node, listed, stack, found, work)
                 done = piece_end
                 octant += wp.where(done == last, 1, 0)
             store(stream, kept, begin, count, hits)

@@ -14,6 +14,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.stream.stream_candidates import PAIRS, Pairs
@@ -42,26 +43,24 @@ def set_arrays(
 
 @cache
 def filter_boxes(width: int, triangle_test: str, order: int) -> wp.Function:
-    """`func(bounds, children, node, rays, words, first, count, keys, row, leaves) -> survivors`.
+    """`func(tree, node, rays, words, listed, keys, row, leaves) -> survivors`.
 
-    Filters the list words[first .. first + count - 1] by the W boxes of a node. A ray is active in a child if its interval, up
-    to its best hit, meets the child's box; the bit of the child is then set in the ray's word above its number. Words without a
-    bit are removed in place. keys[row ..] become keys of the inner children that a ray meets: of the ray that enters first
-    (`NEAR`), of the one that enters last, in reverse (`FAR`), or the number of the lane (`NONE`). `leaves` becomes the bits of
-    the leaves that a ray meets.
+    Filters the list of `listed[1]` words, from words[listed[0]] on, by the W boxes of a node. A ray is active in a child if its
+    interval, up to its best hit, meets the child's box; the bit of the child is then set in the ray's word above its number.
+    Words without a bit are removed in place. keys[row ..] become keys of the inner children that a ray meets: of the ray that
+    enters first (`NEAR`), of the one that enters last, in reverse (`FAR`), or the number of the lane (`NONE`). `leaves` becomes
+    the bits of the leaves that a ray meets.
     """
     StreamRay = stream_ray(triangle_test)
-    arguments = "bounds.data, children.data, node, rays.data, words.data + first, count, keys.data + row, leaves"
+    arguments = "tree.bounds.data, tree.child.data, node, rays.data, words.data + listed[0], listed[1], keys.data + row, leaves"
 
     @native.func_native("stream.h", f"return wrt::filter_boxes<{width}, wrt::Order({order})>({arguments});")
     def filter_boxes_native(
-        bounds: wp.array(dtype=float),
-        children: wp.array(dtype=int),
+        tree: wp.ref[WideNodes],
         node: int,
         rays: wp.array(dtype=StreamRay),
         words: wp.array(dtype=int),
-        first: int,
-        count: int,
+        listed: wp.vec2i,
         keys: wp.array(dtype=int),
         row: int,
         leaves: wp.ref[wp.uint32],

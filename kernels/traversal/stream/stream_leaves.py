@@ -12,12 +12,11 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import WideNodes, leaf_triangles
-from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lowest_bit
-from wrt.kernels.traversal.stream.stream_candidates import Pairs, evaluates_in_lanes, lane_form, pair_tester
+from wrt.kernels.traversal.stream.stream_candidates import Pairs, StreamHits, evaluates_in_lanes, lane_form, pair_tester
 from wrt.kernels.traversal.stream.stream_kernel import StreamCounters, round_up, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import collect_words, list_leaves
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -106,10 +105,10 @@ def small_leaf_tester(config: TraversalConfig) -> wp.Function:
 
 @cache
 def leaf_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, words, list, pairs, hits, first_ray, work)`: tests the leaves of the node of a
+    """`wp.func(tree, triangles, stream, words, list, pairs, found, work)`: tests the leaves of the node of a
     `NodeList`.
 
-    words: the stack of words. hits, first_ray: as `wrt.kernels.traversal.stream.stream_candidates.pair_tester` has them.
+    words: the stack of words. found: `StreamHits`.
     """
     StreamRay, list_pairs, test_pairs = stream_ray(config.triangle_test), list_leaves(config.width), pair_tester(config)
     in_lanes = evaluates_in_lanes(config) and config.width >= FEW_TRIANGLES
@@ -123,8 +122,7 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
         words: wp.array(dtype=int),
         list: NodeList,
         pairs: wp.ref[Pairs],
-        hits: wp.ref[HitBatch],
-        first_ray: int,
+        found: wp.ref[StreamHits],
         work: wp.ref[StreamCounters],
     ):
         left = wp.uint32(list.leaves)
@@ -136,6 +134,6 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
             listed = int(0)
             while listed < met:
                 paired = list_pairs(tree.child, list.node, words, behind, met, left, listed, pairs)
-                test_pairs(triangles, stream, pairs, paired, hits, first_ray, work)
+                test_pairs(triangles, stream, pairs, paired, found, work)
 
     return test_leaves

@@ -102,20 +102,19 @@ def native_form(triangle_test: str) -> str:
 
 @cache
 def load_lanes(triangle_test: str) -> wp.Function:
-    """`func(batch, first, count, low, high, stream, size, place, own) -> bits`: loads the next rays, from `first` on, at most
-    `count` and at most 16 of them, and `place` after the first ray of the stream.
+    """`func(batch, wanted, low, high, stream, size, place, own) -> bits`: loads the next rays, from `wanted[0]` on, at most
+    `wanted[1]` and at most 16 of them, and `place` after the first ray of the stream.
 
     Those that are valid are appended to the `size` rays of the stream; their bits are returned. low, high: bounds of the scene.
     own: receives what `prepare_one_by_one` reads (`KEPT_SIZE`), if it is needed.
     """
     form = f"{native_form(triangle_test)}, {LIST_LANES}"
-    arguments = "batch, first, count, low, high, stream.data + size, place, own.data"
+    arguments = "batch, wanted[0], wanted[1], low, high, stream.data + size, place, own.data"
 
     @native.func_native("stream_load.h", f"{GUARDS}return wrt::load_rays<{form}>({arguments});")
     def load_lanes_native(
         batch: RayBatch,
-        first: int,
-        count: int,
+        wanted: wp.vec2i,
         low: wp.vec3,
         high: wp.vec3,
         stream: wp.array(dtype=stream_ray(triangle_test)),
@@ -191,7 +190,7 @@ def load_stream(triangle_test: str, room: int) -> wp.Function:
         kept = int(0)
         while begin + place < end and kept <= wp.static(room - group):
             count = wp.min(end - begin - place, wp.static(group))
-            bits = load(rays, begin + place, count, low, high, stream, kept, place, own)
+            bits = load(rays, wp.vec2i(begin + place, count), low, high, stream, kept, place, own)
             if wp.static(not prepared):
                 prepare_kept(stream, kept, bits, own)
             place += count
@@ -268,27 +267,24 @@ class RootLoad:
 
 @cache
 def load_root_lanes(triangle_test: str, width: int, order: int, boxes: bool) -> wp.Function:
-    """`func(batch, first, count, low, high, stream, bounds, list, lanes, own, state) -> bits`: loads the next rays, and stores
-     and lists those that meet a child of the root.
+    """`func(batch, wanted, tree, stream, list, lanes, own, state) -> bits`: loads the next rays, from `wanted[0]` on, at most
+    `wanted[1]`, and stores and lists those that meet a child of the root.
 
-     Returns the bits of the rays that were stored, of those in the lanes: rays may wait until others fill the lanes
-    , or until there are no more (`count` 0).
+    Returns the bits of the rays that were stored, of those in the lanes: rays may wait until others fill the lanes, or until
+    there are no more (`wanted[1]` 0).
 
-     low, high: bounds of the scene; bounds: of the tree's nodes. list: words of the rays of the stream. lanes: see
-     `kernels/native/stream_root.h`. own: see `KEPT_SIZE`.
+    list: words of the rays of the stream. lanes: see `kernels/native/stream_root.h`. own: see `KEPT_SIZE`.
     """
     form = f"{native_form(triangle_test)}, {width}, wrt::Order({order}), {int(boxes)}, {LIST_LANES}"
-    arguments = "batch, first, count, low, high, stream.data, bounds.data, list.data, lanes.data, own.data, state"
+    rays = "batch, wanted[0], wanted[1], tree.low, tree.high"
+    arguments = "stream.data, tree.bounds.data, list.data, lanes.data, own.data, state"
 
-    @native.func_native("stream_root.h", f"{GUARDS}{ORDERS}return wrt::load_root<{form}>({arguments});")
+    @native.func_native("stream_root.h", f"{GUARDS}{ORDERS}return wrt::load_root<{form}>({rays}, {arguments});")
     def load_native(
         batch: RayBatch,
-        first: int,
-        count: int,
-        low: wp.vec3,
-        high: wp.vec3,
+        wanted: wp.vec2i,
+        tree: wp.ref[WideNodes],
         stream: wp.array(dtype=stream_ray(triangle_test)),
-        bounds: wp.array(dtype=float),
         list: wp.array(dtype=int),
         lanes: wp.array(dtype=float),
         own: wp.array(dtype=float),
@@ -300,8 +296,8 @@ def load_root_lanes(triangle_test: str, width: int, order: int, boxes: bool) -> 
 
 @cache
 def load_root(triangle_test: str, room: int, width: int, order: int, boxes: bool = False) -> wp.Function:
-    """`wp.func(rays, begin, end, tree, stream, list, keys, leaves, size) -> count`: loads rays from `begin` on, until the
-    stream is full or ray `end` is reached.
+    """`wp.func(rays, left, tree, stream, list, keys, leaves, size) -> count`: loads rays from `left[0]` on, until the stream
+    is full or ray `left[1]` is reached.
 
     Returns how many rays were loaded; `size` becomes the number of those that are in the stream. The others miss.
 
@@ -326,8 +322,7 @@ def load_root(triangle_test: str, room: int, width: int, order: int, boxes: bool
     @wp.func
     def load_rays(
         rays: RayBatch,
-        begin: int,
-        end: int,
+        left: wp.vec2i,
         tree: WideNodes,
         stream: wp.array(dtype=StreamRay),
         list: wp.array(dtype=int),
@@ -341,10 +336,10 @@ def load_root(triangle_test: str, room: int, width: int, order: int, boxes: bool
         state.used = begin_list(tree.child, tree.bounds, tree.low, tree.high, rays.center, lanes)
         more = bool(True)
         while more:
-            first = begin + state.loaded
-            more = first < end and state.kept + state.waiting <= wp.static(room - group)
-            count = wp.where(more, wp.min(end - first, wp.static(group)), 0)
-            bits = load(rays, first, count, tree.low, tree.high, stream, tree.bounds, list, lanes, own, state)
+            first = left[0] + state.loaded
+            more = first < left[1] and state.kept + state.waiting <= wp.static(room - group)
+            count = wp.where(more, wp.min(left[1] - first, wp.static(group)), 0)
+            bits = load(rays, wp.vec2i(first, count), tree, stream, list, lanes, own, state)
             if wp.static(not prepared):
                 prepare_kept(stream, state.kept, bits, own)
             state.loaded += count

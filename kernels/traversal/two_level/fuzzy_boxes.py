@@ -11,7 +11,7 @@ different clusters.
 
 **Why no hit is lost.** A fuzzy box encloses the image of the box of its triangle in the scene, not only the image of the
 triangle. Boxes in the scene are widened by a slack (`wrt.kernels.simd.boxes`), a fraction of the reach there. The image of the
-slack is at most the slack times the greatest row sum of the absolute values of the map (`Cluster.stretch`). Boxes in the
+slack is at most the slack times the greatest row sum of the absolute values of the map (`Cluster.norm`). Boxes in the
 cluster's space are widened by that amount and, as everywhere, by the same fraction of the reach in that space, which covers the
 rounding of the transformed ray. The boxes on the path to a triangle are therefore entered no later than the triangle's own, and
 everything that a walk skips lies beyond its best hit.
@@ -31,18 +31,17 @@ import warp as wp
 from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
-from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH
+from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import ray_slabs, reach
-from wrt.kernels.traversal.leaf import Counters, enter
+from wrt.kernels.traversal.leaf import Counters, begin_search, enter, leaf_search
 from wrt.kernels.traversal.single.key_walk import make_key_walk
-from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf
+from wrt.kernels.traversal.single.single_bvh import make_leaf, make_leaf_loop
 from wrt.kernels.traversal.single.single_kdtree import Cell
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.traversal_config import TraversalConfig
-from wrt.kernels.traversal.two_level import linked_kdtrees
 from wrt.kernels.traversal.two_level.linked_kdtrees import LinkedNodes, make_cell_walk
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -56,7 +55,7 @@ class Cluster:
     to_cluster: wp.mat33d
     """A point p relative to the scene's centre maps to to_cluster (p - origin) in the cluster's space."""
     origin: wp.vec3d
-    stretch: float
+    norm: float
     """Greatest row sum of the absolute values of `to_cluster`."""
     root: int
     """Root of its tree among the nodes of all clusters."""
@@ -94,7 +93,7 @@ def cluster_slabs(cluster: Cluster, ray: Ray, far: float):
     """The ray in a cluster's space, for tests of its fuzzy boxes; far: reach of the ray in the scene."""
     origin = wp.vec3(cluster.to_cluster * (wp.vec3d(ray.origin) - cluster.origin))
     direction = wp.vec3(cluster.to_cluster * wp.vec3d(ray.direction))
-    return ray_slabs(origin, direction, reach(origin, cluster.low, cluster.high) + cluster.stretch * far)
+    return ray_slabs(origin, direction, reach(origin, cluster.low, cluster.high) + cluster.norm * far)
 
 
 @cache
@@ -119,7 +118,7 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
     if in_boxes:
         walk_below = make_key_walk(config, config.stack.levels, LeafSearch, make_leaf(config))
     else:
-        walk_below = make_cell_walk(config, MAX_TREE_DEPTH, LeafSearch, linked_kdtrees.make_leaf(config))
+        walk_below = make_cell_walk(config, MAX_TREE_DEPTH, LeafSearch, make_leaf_loop(config, KdNodes))
 
     @wp.func
     def visit(
@@ -156,7 +155,9 @@ def make_fuzzy_walk(config: TraversalConfig, kind: str) -> wp.Function:
     walk_keys = make_key_walk(config, config.stack.levels, FuzzySearch, make_visit(config, kind))
 
     @wp.func
-    def walk(tree: Tree, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
+    def walk_fuzzy_boxes(
+        tree: Tree, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]
+    ):
         far = reach(ray.origin, tree.top.low, tree.top.high)
         slabs = ray_slabs(ray.origin, ray.direction, far)
         search = FuzzySearch()
@@ -166,7 +167,7 @@ def make_fuzzy_walk(config: TraversalConfig, kind: str) -> wp.Function:
         search.leaf = begin(triangles, ray, slabs)
         return walk_keys(tree.top, 0, slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
 
-    return walk
+    return walk_fuzzy_boxes
 
 
 @cache

@@ -25,7 +25,7 @@ from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.traversal.leaf import Counters
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core import packet_bvh as packet
 from wrt.kernels.traversal.packet.core import packet_splitting
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, ray_continuation, rays_per_item, trace_packet
@@ -78,8 +78,8 @@ def packet_loader(config: TraversalConfig) -> wp.Function:
     def load_and_bound(batch: wp.ref[InstanceBatch], memory: wp.ref[PacketMemory], begin: int, bounds: wp.ref[PacketBounds]):
         size = wp.max(wp.max(wp.abs(batch.top.tree.low)), wp.max(wp.abs(batch.top.tree.high)))
         farthest = keep(batch.rays, begin, memory)
-        # each ray's reach in this box is at least `stretch` times its reach in the scene
-        corner = batch.top.stretch * (size + farthest)
+        # each ray's reach in this box is at least `slack_scale` times its reach in the scene
+        corner = batch.top.slack_scale * (size + farthest)
         load(batch.rays, begin, wp.vec3(-corner, -corner, -corner), wp.vec3(corner, corner, corner), memory.packet, bounds)
         keep_bounds(memory)
 
@@ -166,8 +166,8 @@ def trace_left_rays(config: TraversalConfig) -> wp.Function:
 def make_visit(config: TraversalConfig) -> wp.Function:
     """`wp.func(batch, memory, instance, work) -> t_max`: traces the packet through one instance."""
     layout = packet_layout(config)
-    load = load_instance(layout, CULLINGS[config.packet.culling].slopes)
-    trace = trace_packet(config, WideNodes, packet.make_walk_packet(config), packet.MIXED_AXES)
+    load = load_instance(layout, CullingTraits.SLOPES in CULLINGS[config.packet.culling].traits)
+    trace = trace_packet(config, WideNodes, packet.make_packet_bvh_walk(config), packet.MIXED_AXES)
     forget_extent = packet_splitting.forget_extent(layout)
     cache_leaf, trace_left, merge = (
         occluder.cache_leaf(layout),

@@ -10,8 +10,9 @@ kind, is walked by the same function as in a scene of one mesh, with t_max at th
 (`wrt.kernels.simd.boxes`), whose slack is a fraction of the reach in the geometry's space. In the scene the map stretches that
 slack by at most the product of the norms of the map and of its inverse, where the norm is the greatest row sum of absolute
 values. Twice that fraction of the reach in the scene (the factor 2 leaves room for the rounding of the transformed ray and of
-the instance's box) is the slack of the upper tree's boxes, for the worst of all instances (`InstanceTree.stretch`). No instance
-is therefore skipped, or entered too late, if its own tree finds a hit: the result is that of visiting every instance in turn.
+the instance's box) is the slack of the upper tree's boxes, for the worst of all instances (`InstanceTree.slack_scale`). No
+instance is therefore skipped, or entered too late, if its own tree finds a hit: the result is that of visiting every instance
+in turn.
 
 References: rubin-whitted-1980 (a hierarchy of spaces, rays transformed on the way down); wald-2003 (two levels of trees, of
     which only the upper is rebuilt).
@@ -24,9 +25,8 @@ import warp as wp
 from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
-from wrt.kernels.layout.instance_maps import Placement, object_ray
+from wrt.kernels.layout.instance_maps import Placement, SceneRay, object_ray
 from wrt.kernels.layout.kdtree_nodes import KdNodes
-from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import ray_slabs, reach
@@ -49,7 +49,7 @@ class InstanceTree:
     order: wp.array(dtype=int)
     """(leaves * width,) instance of each leaf, at the first element of its block."""
     placements: wp.array(dtype=Placement)
-    stretch: float
+    slack_scale: float
     """Factor of a ray's reach for the slack of the boxes."""
     root: int
     """Node above all instances."""
@@ -123,9 +123,7 @@ def instance_search(kind: str) -> type:
     class InstanceSearch:
         top: InstanceTree
         parts: wp.array(dtype=PARTS[kind])
-        origin: wp.vec3d
-        ray: Ray
-        mask: wp.uint32
+        seen: SceneRay
 
     InstanceSearch.__qualname__ = f"InstanceSearch_{kind}"
     return wp.struct(InstanceSearch)
@@ -149,17 +147,17 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
         work: wp.ref[Counters],
     ):
         placement = search.top.placements[load_int(search.top.order, bvh.first_block(child) * wp.static(width))]
-        if (placement.mask & search.mask) != wp.uint32(0):
-            object_space_ray = object_ray(placement, search.origin, search.ray, best.t)
+        if (placement.mask & search.seen.mask) != wp.uint32(0):
+            object_space_ray = object_ray(placement, search.seen.origin, search.seen.ray, best.t)
             if object_space_ray.valid:
                 part = search.parts[placement.geometry]
                 if wp.static(numbered):
                     own = within(placement.first, hits)
                     found = walk(part.tree, part.triangles, object_space_ray, own, i, work)
-                    best = join(placement.first, found, search.ray.t_min, hits, i, best)
+                    best = join(placement.first, found, search.seen.ray.t_min, hits, i, best)
                 else:
                     found = walk(part.tree, part.triangles, object_space_ray, hits, i, work)
-                    best = join(placement.first, found, search.ray.t_min, hits, i, best)
+                    best = join(placement.first, found, search.seen.ray.t_min, hits, i, best)
         return best
 
     return visit
@@ -167,9 +165,7 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
 
 @cache
 def make_instance_walk(config: TraversalConfig, kind: str, levels: int) -> wp.Function:
-    """`wp.func(top, parts, origin, ray, mask, environment, hits, i, work) -> best` for a valid ray.
-
-    Its origin relative to the scene's centre is also given in float64, as instances far from there need it.
+    """`wp.func(top, parts, seen, hits, i, work) -> best` for a valid ray, `SceneRay`.
 
     Args:
         config: the specialisation of the walks through geometries.
@@ -180,31 +176,27 @@ def make_instance_walk(config: TraversalConfig, kind: str, levels: int) -> wp.Fu
     walk_keys = make_key_walk(config, levels, InstanceSearch, make_visit(config, kind))
 
     @wp.func
-    def walk(
+    def walk_instances(
         top: InstanceTree,
         parts: wp.array(dtype=Part),
-        origin: wp.vec3d,
-        ray: Ray,
-        mask: wp.uint32,
-        environment: int,
+        seen: SceneRay,
         hits: wp.ref[Results],
         i: int,
         work: wp.ref[Counters],
     ):
+        ray = seen.ray
         best = start(ray.t_max)
-        root = root_of(top, environment)
+        root = root_of(top, seen.environment)
         if root < 0:
             return best
-        slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
+        slabs = ray_slabs(ray.origin, ray.direction, top.slack_scale * reach(ray.origin, top.tree.low, top.tree.high))
         search = InstanceSearch()
         search.top = top
         search.parts = parts
-        search.origin = origin
-        search.ray = ray
-        search.mask = mask
+        search.seen = seen
         return walk_keys(top.tree, root, slabs, ray.t_min, search, hits, i, best, work)
 
-    return walk
+    return walk_instances
 
 
 @cache

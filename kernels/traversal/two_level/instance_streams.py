@@ -31,7 +31,9 @@ from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.stream import stream_bvh
+from wrt.kernels.traversal.stream.stream_candidates import StreamHits
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, StreamCounterRows, StreamCounters, store_stream, stream_ray
+from wrt.kernels.traversal.stream.stream_leaves import NodeList
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree, root_of
 
@@ -124,7 +126,7 @@ def make_list_instances(width: int, levels: int) -> wp.Kernel:
         else:
             search.bound[place] = bound
         mask = ray_mask(rays, i)
-        slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
+        slabs = ray_slabs(ray.origin, ray.direction, top.slack_scale * reach(ray.origin, top.tree.low, top.tree.high))
         entries = wp.zeros(shape=(MAX_LISTED,), dtype=float)
         instances = wp.zeros(shape=(MAX_LISTED,), dtype=int)
         size = int(0)
@@ -228,12 +230,16 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
         words = wp.zeros(shape=(stack_size,), dtype=int)
         keys = wp.zeros(shape=(key_room,), dtype=int)
         begin = segment[1]
+        found = StreamHits()
+        found.hits = hits
         while begin < segment[2]:
             work = StreamCounters()
             kept = int(0)
-            leaves = wp.uint32(0)
-            count = load(rays, begin, segment[2], part.tree, stream, words, keys, leaves, kept)
-            trace(part.tree, part.triangles, stream, words, keys, kept, leaves, hits, begin, work)
+            root = NodeList()
+            count = load(rays, wp.vec2i(begin, segment[2]), part.tree, stream, words, keys, root.leaves, kept)
+            root.size = kept
+            found.begin = begin
+            trace(part.tree, part.triangles, stream, words, keys, root, found, work)
             store(stream, kept, begin, count, hits)
             begin += count
 

@@ -32,8 +32,8 @@ from wrt.kernels.layout.ray_batch import HitBatch, Ray
 from wrt.kernels.layout.unchecked import store_float, store_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach, slab_interval
-from wrt.kernels.traversal.leaf import Counters, enter
-from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf_loop
+from wrt.kernels.traversal.leaf import Counters, Leaf, begin_search, enter, leaf_search
+from wrt.kernels.traversal.single.single_bvh import make_leaf_loop
 from wrt.kernels.traversal.single.single_kdtree import Cell, pop_cell, split_cell, step_guessing, step_selecting
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -73,34 +73,6 @@ class LinkedNodes:
 
 
 @cache
-def make_leaf(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, node, cell, cells, search, hits, i, best, work) -> best`: tests the triangles of a leaf.
-
-    tree: the `KdNodes` that the leaf belongs to. node: the leaf's words. cells: the ray in the space of the cells.
-    """
-    LeafSearch, test_blocks = leaf_search(config.triangle_test), make_leaf_loop(config, KdNodes)
-
-    @wp.func
-    def test_leaf(
-        tree: KdNodes,
-        node: wp.vec2i,
-        cell: wp.ref[Cell],
-        cells: wp.ref[RaySlabs],
-        search: wp.ref[LeafSearch],
-        hits: wp.ref[HitBatch],
-        i: int,
-        best: BestHit,
-        work: wp.ref[Counters],
-    ):
-        within = wp.vec2(cell.entry, cell.leave)
-        block = kdtree.first_block(node)
-        count = kdtree.leaf_triangles(node)
-        return test_blocks(tree, cell.node, within, block, count, cells, search, hits, i, best, work)
-
-    return test_leaf
-
-
-@cache
 def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf: wp.Function) -> wp.Function:
     """`wp.func(tree, first, cells, search, hits, i, best, work) -> best`: traverses what is below a cell, for ray number i.
 
@@ -110,13 +82,13 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
         config: the specialisation.
         levels: most cells that wait at a time.
         Search: struct of the search state that leaves need.
-        test_leaf: tests a leaf, as that of `make_leaf` does.
+        test_leaf: tests a leaf, as that of `make_leaf_loop` does.
     """
     step = step_guessing if config.coherent else step_selecting
     counting, any_hit = config.counters, config.answer.ends_at_first
 
     @wp.func
-    def walk(
+    def walk_cells(
         tree: LinkedNodes,
         first: Cell,
         cells: wp.ref[RaySlabs],
@@ -165,7 +137,12 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
                 elif kdtree.leaf_triangles(node) < 0:
                     cell.node = -1 - kdtree.first_block(node)
                 else:
-                    best = test_leaf(own, node, cell, cells, search, hits, i, best, work)
+                    leaf = Leaf()
+                    leaf.node = cell.node
+                    leaf.within = wp.vec2(cell.entry, cell.leave)
+                    leaf.block = kdtree.first_block(node)
+                    leaf.count = kdtree.leaf_triangles(node)
+                    best = test_leaf(own, leaf, cells, search, hits, i, best, work)
                     if wp.static(any_hit):
                         size = wp.where(best.primitive < 0, size, 0)
                     searching = bool(False)
@@ -174,7 +151,7 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
                 searching = cell.entry <= best.t
         return best
 
-    return walk
+    return walk_cells
 
 
 @cache
@@ -182,10 +159,12 @@ def make_linked_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     begin, crossing = begin_search(config.triangle_test), config.answer.crossings
     levels = max(config.stack.levels, MAX_TREE_DEPTH)
-    walk_cells = make_cell_walk(config, levels, leaf_search(config.triangle_test), make_leaf(config))
+    walk_cells = make_cell_walk(config, levels, leaf_search(config.triangle_test), make_leaf_loop(config, KdNodes))
 
     @wp.func
-    def walk(tree: LinkedNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
+    def walk_linked_kdtrees(
+        tree: LinkedNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]
+    ):
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         search = begin(triangles, ray, slabs)
         interval = enter(slabs, tree.low, tree.high, ray.t_min, ray.t_max)
@@ -197,7 +176,7 @@ def make_linked_walk(config: TraversalConfig) -> wp.Function:
         first.leave = interval[1]
         return walk_cells(tree, first, slabs, search, hits, i, start(ray.t_max), work)
 
-    return walk
+    return walk_linked_kdtrees
 
 
 @cache

@@ -67,7 +67,7 @@ def derive_rows(corners: Corners, origin: wp.vec3):
 
 
 @wp.func
-def turned(v: wp.vec3, axis: int):
+def permuted(v: wp.vec3, axis: int):
     """Components of a vector along k = `axis`, p and q."""
     p = next_axis(axis)
     return wp.vec3(v[axis], v[p], v[next_axis(p)])
@@ -76,16 +76,16 @@ def turned(v: wp.vec3, axis: int):
 @wp.func
 def plane_hit(origin: wp.vec3, direction: wp.vec3, rows: RowsOfPlane):
     """(t, u, v) at which the line meets the plane of a triangle; some are not finite if the line is parallel to it."""
-    o = turned(origin, int(rows[0]))
-    d = turned(direction, int(rows[0]))
+    o = permuted(origin, int(rows[0]))
+    d = permuted(direction, int(rows[0]))
     t = (rows[3] - ((o[0] + rows[1] * o[1]) + rows[2] * o[2])) / ((d[0] + rows[1] * d[1]) + rows[2] * d[2])
     x = o[1] + t * d[1]
     y = o[2] + t * d[2]
     return wp.vec3(t, (rows[4] * x + rows[5] * y) + rows[6], (rows[7] * x + rows[8] * y) + rows[9])
 
 
-def turned_lanes(vector: str) -> str:
-    """C++ that declares the components k, p and q of a vector for the float `axis`, like `turned`."""
+def permuted_lanes(vector: str) -> str:
+    """C++ that declares the components k, p and q of a vector for the float `axis`, like `permuted`."""
     parts = []
     for name, (if_x, if_y, if_z) in zip("kpq", ("xyz", "yzx", "zxy"), strict=True):
         choice = f"axis == 0.0f ? {vector}{if_x} : axis == 1.0f ? {vector}{if_y} : {vector}{if_z}"
@@ -94,7 +94,7 @@ def turned_lanes(vector: str) -> str:
 
 
 PLANE_HIT = f"""
-    {turned_lanes("o")}{turned_lanes("d")}
+    {permuted_lanes("o")}{permuted_lanes("d")}
     const float t = (n0 - ((ok + np * op) + nq * oq)) / ((dk + np * dp) + nq * dq);
     const float x = op + t * dp, y = oq + t * dq;
     const float u = (up * x + uq * y) + u0, v = (vp * x + vq * y) + v0;

@@ -49,7 +49,7 @@ def store_component(records: wp.array(dtype=float), slot: int, width: int, compo
 
 
 @cache
-def make_kernel(record: Record) -> wp.Kernel:
+def make_packing_kernel(record: Record) -> wp.Kernel:
     """The kernel that writes records of one kind."""
     derive, own, components = record.derive, record.own, record.components
     corners_of = load_corners(components)
@@ -113,7 +113,7 @@ def pack_blocks(
             if done:  # views take as long to make as small arrays to fill
                 ids, records = ids[done:], records[done * record.components :]
             inputs = [vertices, faces, ids, width, wp.vec3(*origin), records]
-            launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=device, chunk=CHUNK)
+            launch(specialise(make_packing_kernel, record), len(primitive) - done, inputs, device=device, chunk=CHUNK)
     return blocks
 
 
@@ -142,7 +142,7 @@ class FewRecords:
     """The kernel that packs records of a kind, for one caller at a time; `fields` are the packed forms of its arrays."""
 
     def __init__(self, record: Record, inputs: list[Any]) -> None:
-        kernel, device = specialise(make_kernel, record), inputs[0].device
+        kernel, device = specialise(make_packing_kernel, record), inputs[0].device
         load([kernel], device)
         self.packed = PackedKernel(kernel, [0, *inputs], device)
         self.packed.forget(())

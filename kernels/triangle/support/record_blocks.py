@@ -14,7 +14,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import greatest, least
+from wrt.kernels.simd.boxes import max_of, min_of
 
 exact_module(__name__)
 
@@ -118,10 +118,10 @@ def load_own(own: int) -> wp.Function:
 @wp.func
 def corners_low(corners: Corners):
     """Lower corner of a triangle's exact box."""
-    return least(corners.a, least(corners.b, corners.c))
+    return min_of(corners.a, min_of(corners.b, corners.c))
 
 
 @wp.func
 def corners_high(corners: Corners):
     """Upper corner of a triangle's exact box."""
-    return greatest(corners.a, greatest(corners.b, corners.c))
+    return max_of(corners.a, max_of(corners.b, corners.c))

@@ -48,7 +48,7 @@ exact_module(__name__)
 SMALL = wp.constant(1.1754944e-38)
 """Smallest normal float32. An area below it may have lost some or all of its digits."""
 
-LIFT = wp.constant(wp.float64(2.0**200))
+AREA_SCALE = wp.constant(wp.float64(2.0**200))
 """Factor that brings the areas of triangles too small for float32 into its range. It cancels in the weights."""
 
 
@@ -67,7 +67,7 @@ class ShearedRay:
 
 
 @wp.func
-def turned(v: wp.vec3, z: int):
+def permuted(v: wp.vec3, z: int):
     """The components along the axes x, y, z of a ray whose main axis is z. Selected, because an index would go through
     memory."""
     return wp.vec3(
@@ -85,8 +85,8 @@ def prepare(origin: wp.vec3, direction: wp.vec3):
     ray.z = wp.where(size[0] >= size[1], wp.where(size[0] >= size[2], 0, 2), wp.where(size[1] >= size[2], 1, 2))
     ray.x = wp.where(ray.z == 2, 0, ray.z + 1)
     ray.y = wp.where(ray.x == 2, 0, ray.x + 1)
-    ray.origin = turned(origin, ray.z)
-    along = turned(direction, ray.z)
+    ray.origin = permuted(origin, ray.z)
+    along = permuted(direction, ray.z)
     ray.shear = wp.vec3(along[0] / along[2], along[1] / along[2], 1.0 / along[2])
     return ray
 
@@ -166,8 +166,8 @@ def intersect_crossing(ray: ShearedRay, corners: Corners):
         side_a = side(exact_a, c, b)
         inside = side_a != 0 and side_a == side(exact_b, a, c) and side_a == side(exact_c, b, a)
         small = wp.abs((exact_a + exact_b) + exact_c) < wp.float64(SMALL)
-        lift = wp.where(small, LIFT, wp.float64(1.0))
-        areas = wp.vec3(float(exact_a * lift), float(exact_b * lift), float(exact_c * lift))
+        scale = wp.where(small, AREA_SCALE, wp.float64(1.0))
+        areas = wp.vec3(float(exact_a * scale), float(exact_b * scale), float(exact_c * scale))
     elif inside:
         areas = precise_areas(a, b, c, areas)
     if not inside:
@@ -177,7 +177,7 @@ def intersect_crossing(ray: ShearedRay, corners: Corners):
 
 GUARDS = f"""
     static_assert(wrt::THIN == {float(THIN)!r}f && wrt::SMALL_AREA == {float(SMALL)!r}f);
-    static_assert(wrt::AREA_LIFT == {float(LIFT)!r});
+    static_assert(wrt::AREA_SCALE == {float(AREA_SCALE)!r});
 """
 """C++: constants that kernels/native has too."""
 

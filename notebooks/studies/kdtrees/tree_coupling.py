@@ -19,7 +19,7 @@ from wrt.execution.triangle_records import records_of
 from wrt.kernels.classics.studies.variants.coupled_trees import CoupledTrees, make_kernel
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.traversal.leaf import Counters
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.meshes.mesh import TriangleMesh
 from wrt.planning.plan import Plan, traversal_config, walked_tree
 from wrt.planning.planner import make_plan
@@ -58,7 +58,8 @@ def coupled_query(
     plans: list[Plan] = [make_plan(scene.state, buffers, "packet", "woop", query) for scene in (bvh, kdtree)]
     config = traversal_config(plans[0], bvh.state, query, False)
     within = replace(config, mailbox=plans[1].mailbox, packet=replace(config.packet, culling=plans[1].culling))
-    if CULLINGS[plans[0].culling].slopes and not CULLINGS[plans[1].culling].slopes:
+    outer, inner = (CULLINGS[plan.culling].traits for plan in plans)
+    if CullingTraits.SLOPES in outer & ~inner:
         config = replace(config, packet=within.packet)
     batch, hits = buffers.batch, DeviceHits.new(query, buffers.count, bvh.device)
     trees = CoupledTrees()

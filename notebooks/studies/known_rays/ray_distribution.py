@@ -39,6 +39,7 @@ from wrt.builders.influence.regions import contain_points
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.execution.area_trees import CHUNK
 from wrt.kernels.influence.area_assignment import assign_rays
+from wrt.kernels.influence.area_lanes import AreaSplits
 from wrt.kernels.runtime.launch import launch
 from wrt.known_rays.area_break_even import break_even
 from wrt.known_rays.tree_analysis import TreeAnalysis, analyse
@@ -240,14 +241,17 @@ class Finder:
         touch = lookup_margin(areas, np.full(3, 0.5))
         self.top = TopLevel(areas, self.regions, touch, depth, sin(radians(1.0)), np.full(3, 0.5), device)
         self.seconds = perf_counter() - begin
-        self.found = [wp.empty(rays, dtype=dtype, device=device) for dtype in (wp.uint16, wp.float32, wp.float32)]
+        found = self.found = AreaSplits()
+        found.area, found.cut, found.rest = (
+            wp.empty(rays, dtype=t, device=device) for t in (wp.uint16, wp.float32, wp.float32)
+        )
         self.sums = wp.empty(-(-rays // CHUNK), dtype=wp.vec4i, device=device)
 
     def find(self) -> np.ndarray:
         """The area of each ray, as tracing finds it."""
-        inputs = [self.rays, CHUNK, self.top.struct, wp.vec3(-0.5), wp.vec3(0.5), *self.found, self.sums]
+        inputs = [self.rays, CHUNK, self.top.struct, wp.vec3(-0.5), wp.vec3(0.5), self.found, self.sums]
         launch(assign_rays, len(self.sums), inputs, device=self.sums.device, chunk=1)
-        return self.found[0].numpy()
+        return self.found.area.numpy()
 
     @cached_property
     def listed(self) -> np.ndarray:

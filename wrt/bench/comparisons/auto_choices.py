@@ -15,6 +15,7 @@ from typing import Any
 from wrt.bench.comparisons.auto_cases import KINDS, SIZES, Case, cases
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.meshes.mesh import TriangleMesh
@@ -138,7 +139,7 @@ def engines(scene: Scene, case: Case) -> dict[str, Plan]:
         plan = make_plan(state, buffers, traversal.name, AUTO, kind)
         test = TRIANGLE_TESTS[plan.triangle_test]
         able = [one for one in CULLINGS.values() if max(*one.scores, *one.filtered_scores) > 1.0]
-        for culling in able if traversal.packets else [None]:
+        for culling in able if Capabilities.PACKETS in traversal.capabilities else [None]:
             if culling is None or fits(culling, traversal, state.accelerator.kind, test):
                 one = plan if culling is None else replace(plan, culling=culling.name)
                 plans[engine_name(one)] = one

@@ -37,7 +37,7 @@ from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import ANY, CLOSEST
 
 if TYPE_CHECKING:
-    from wrt.imaging.integrators.ray_tracer import RayTracer
+    from wrt.imaging.integrators.ray_tracer import RayTracer, TileRays
 
 TILE, MIN_TILE = 8192, 512
 """Most and least paths of a tile. What is known of 8192 of them takes 1.5 MB."""
@@ -171,15 +171,16 @@ class PathChain:
                 queue, other = other, queue
             origins = eye if is_first and self._one_point else queue.origin
             seen = (eye if self._one_point else sample[0], sample[1]) if is_first else None
-            chain.add(*tracer.stages(CLOSEST, origins, queue.direction, known, size, hits, is_first, False, sample=seen))
+            traced = TileRays(origins, queue.direction, known, size, is_first)
+            chain.add(*tracer.stages(CLOSEST, traced, hits, sample=seen))
             casts = has_shadows and not step.is_last
             inputs = [size, 0, lanes, casts, step, scene, paths.samples, samples, queue, hits, rays, self._lit_slot, other]
             stage = Stage(path_tiles.make_step_tile(), [*inputs, memories], size, (STOP, ""))
             self._of_wave.append((chain.add(stage)[0], WAVE_OF_STEP))
             if casts:
                 similar = is_first and not samples_sky(scene.lights)  # to a light, those of camera rays' hits are
-                shadows = rays.shadow_origin, rays.shadow_direction, known, size, blocked, similar, True
-                chain.add(*tracer.stages(ANY, *shadows, counts=memories.shadows))
+                shadows = TileRays(rays.shadow_origin, rays.shadow_direction, known, size, similar, are_segments=True)
+                chain.add(*tracer.stages(ANY, shadows, blocked, counts=memories.shadows))
                 inputs = [size, 0, self._blocked.occluded, rays, self._lit_slot]
                 chain.add(Stage(path_tiles.gather_lit, inputs, size, (STOP, ""), memories.shadows))
             if generation + 2 >= paths.depth:
@@ -200,7 +201,7 @@ class PathChain:
         if scene.lights.sky_entry < 0:
             return
         blocked, own = self._blocked.struct(), memories.shadows
-        rays = target.origin, target.direction, known, size, blocked, False, False
-        chain.add(*self._tracer.stages(ANY, *rays, counts=own))
+        rays = TileRays(target.origin, target.direction, known, size)
+        chain.add(*self._tracer.stages(ANY, rays, blocked, counts=own))
         inputs = [size, 0, paths.step.samples_lights, scene, self._blocked.occluded, target, self._rays.radiance]
         chain.add(Stage(last_rays.gather_sky, inputs, size, (STOP, ""), own))

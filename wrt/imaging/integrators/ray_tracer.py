@@ -6,6 +6,7 @@ They need no conversion, no check and no test for coherence, because the integra
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -18,6 +19,7 @@ from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.launch import kept
 from wrt.kernels.runtime.launch_chain import Stage
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.planning.answer_checks import can_answer
 from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
 from wrt.planning.planner import find_plan, is_changing
@@ -44,6 +46,25 @@ they may be (notebooks/records/2026-11-23-last-generation.md)."""
 
 ROUND = 1 << 12
 """Plans are made for numbers of rays rounded up to a power of two, not below this, so that few are made."""
+
+
+class TileRays(NamedTuple):
+    """Rays that a chain traces tile by tile.
+
+    Attributes:
+        origins, directions: (N,) vec3 as of `RayTracer.closest`; origins (1,) if all are the same.
+        count: rays that there may be; plans are made for so many.
+        tile: rays of a tile.
+        similar: whether neighbouring rays are similar.
+        are_segments: whether rays end at t = 1, as those of `RayTracer.blocked` do.
+    """
+
+    origins: wp.array
+    directions: wp.array
+    count: int
+    tile: int
+    similar: bool = False
+    are_segments: bool = False
 
 
 class RayTracer:
@@ -134,13 +155,8 @@ class RayTracer:
     def stages(
         self,
         kind: str,
-        origins: wp.array,
-        directions: wp.array,
-        count: int,
-        tile: int,
+        traced: TileRays,
         hits: HitBatch,
-        similar: bool,
-        are_segments: bool,
         *,
         sample: tuple[wp.array, wp.array] | None = None,
         counts: wp.array | None = None,
@@ -149,15 +165,12 @@ class RayTracer:
 
         Args:
             kind: "closest" or "any".
-            origins, directions: (N,) vec3 as of `closest`; origins (1,) if all are the same.
-            count: rays that there may be; plans are made for so many.
-            tile: rays of a tile.
+            traced: the rays. Where neighbouring ones are similar, the way is chosen by `sample`, or by speed if there is none.
             hits: what is written.
-            similar: whether neighbouring rays are similar. The way is then chosen by `sample`, or by speed if there is none.
-            are_segments: whether rays end at t = 1, as those of `blocked` do.
-            sample: origins and directions of such rays, at least `count` of them.
+            sample: origins and directions of such rays, at least `traced.count` of them.
             counts: as of `Stage`.
         """
+        origins, directions, count, tile, similar, are_segments = traced
         end, shared = self._one if are_segments else self._infinity, len(origins) < len(directions)
         rays = self._rays(origins, directions, count, end, similar, not similar, shared)
         known = rays if sample is None else self._rays(*sample, count, end, similar, not similar, shared)
@@ -175,11 +188,12 @@ class RayTracer:
         for plan in plans:
             batch = rays.given.batch()  # one for each plan, as the rays per item differ
             traversal = traversal_of(plan)
-            if traversal.streams:
+            streams = Capabilities.STREAMS in traversal.capabilities
+            if streams:
                 plan = replace(plan, stream=min(plan.stream, STREAM))
             config = config_for_layout(traversal_config(plan, self._state, kind, False), plan, self._state)
-            run = tile if traversal.streams else traversal.rays_per_item(config)
-            batch.run = min(run, tile) if traversal.long_items else run
+            run = tile if streams else traversal.rays_per_item(config)
+            batch.run = min(run, tile) if Capabilities.LONG_ITEMS in traversal.capabilities else run
             work = no_work(traversal.counters, self._state.device.alias)
             kernel, inputs = kernel_and_inputs(self._state, plan, config, batch, hits, work)
             made.append(Stage(kernel, inputs, batch.run, (RAYS, "count"), counts))

@@ -31,7 +31,7 @@ from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import ANY, CLOSEST
 
 if TYPE_CHECKING:
-    from wrt.imaging.integrators.ray_tracer import RayTracer
+    from wrt.imaging.integrators.ray_tracer import RayTracer, TileRays
 
 SIZE, ROOM = 4096, 16384
 """Samples of a tile at most, and its places for rays of a generation."""
@@ -152,23 +152,24 @@ class TreeChain:
             origins = eye if is_first and self._one_point else queue.origin
             if generation + 1 == trees.depth and self.ends_by_any_hit:
                 ends = blocked.struct()
-                chain.add(*tracer.stages(ANY, queue.origin, queue.direction, count, ROOM, ends, False, False))
+                chain.add(*tracer.stages(ANY, TileRays(queue.origin, queue.direction, count, ROOM), ends))
                 inputs = [ROOM, 0, scene, queue, blocked.occluded, rays, memories]
                 chain.add(Stage(tree_tiles.end_tile, inputs, ROOM, (STOP, "")))
                 inputs = [ROOM, 0, 0, 0, queue.slot, blocked.occluded, rays, listed, memories]
                 chain.add(Stage(tree_tiles.gather_tile, inputs, ROOM, (STOP, ""), memories.shaded))
                 break
             seen = (eye if self._one_point else sample[0], sample[1]) if is_first else None
-            chain.add(*tracer.stages(CLOSEST, origins, queue.direction, count, ROOM, hits, is_first, False, sample=seen))
+            traced = TileRays(origins, queue.direction, count, ROOM, is_first)
+            chain.add(*tracer.stages(CLOSEST, traced, hits, sample=seen))
             step = trees.step_of(generation)
             lights = 0 if step.is_last else len(trees.lights)
             inputs = [ROOM, 0, step, lights, scene, trees.samples, samples, queue, hits, rays]
             inputs += [scratch, is_alive, following, listed, memories]
             self._of_wave.append((chain.add(Stage(tree_tiles.shade_tile, inputs, ROOM, (STOP, "")))[0], 7))
             if lights:
-                shadows = rays.shadow_origin, rays.shadow_direction
+                shadows = TileRays(rays.shadow_origin, rays.shadow_direction, count, ROOM, are_segments=True)
                 found_blocked, own = blocked.struct(), memories.shadows
-                chain.add(*tracer.stages(ANY, *shadows, count, ROOM, found_blocked, False, True, counts=own))
+                chain.add(*tracer.stages(ANY, shadows, found_blocked, counts=own))
             inputs = [
                 ROOM,
                 0,

@@ -149,13 +149,13 @@ class PickledWork:
             TypeError: a part of it cannot be pickled.
         """
         data = dumps(work)
-        hash = hashlib.sha256(data).hexdigest()
-        path = Path(shared.path).with_name(f"work-{hash}.pickle")
+        data_hash = hashlib.sha256(data).hexdigest()
+        path = Path(shared.path).with_name(f"work-{data_hash}.pickle")
         if len(data) <= SMALL or not is_seen:
-            return PickledWork(data, path, hash)
+            return PickledWork(data, path, data_hash)
         with replaced(path) as file:
             file.write(data)
-        return PickledWork(None, path, hash)
+        return PickledWork(None, path, data_hash)
 
     def get(self) -> BlockWork:
         """The work in this process, with the scene."""

@@ -125,10 +125,10 @@ def share_scene(scene: Any, folder: str | Path | None) -> SharedScene:
             function, arguments = scene.__reduce__()[:2]
             with replaced(path) as file:
                 file.write(pickle.dumps((function, arguments)))
-        hash = file_hash(path)
-        named = path.with_name(f"scene-{hash}.{'pickle' if load is None else 'npz'}").absolute()
+        content_hash = file_hash(path)
+        named = path.with_name(f"scene-{content_hash}.{'pickle' if load is None else 'npz'}").absolute()
         path.replace(named)
-        files[key] = SharedScene(str(named), hash, load, str(scene.device), WarpSettings.here())
+        files[key] = SharedScene(str(named), content_hash, load, str(scene.device), WarpSettings.here())
         return files[key]
 
 

@@ -12,7 +12,6 @@ import warp as wp
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.runtime.launch import get_num_threads, launch, use_threads
 from wrt.kernels.shading import false_color
-from wrt.kernels.traversal import TRAVERSALS
 from wrt.planning.plan import Plan
 from wrt.query.hits import Hits
 from wrt.rays.rays import Rays
@@ -76,7 +75,7 @@ class Layer:
     def _hits(self, rays: Rays) -> Hits:
         wish = self._wish
         traversal: str | Plan = wish.traversal
-        packets = wish.traversal != "auto" and TRAVERSALS[wish.traversal].packets
+        packets = traces_packets(wish.traversal)
         if wish.culling != "auto" and (packets or wish.traversal == "auto"):
             traversal = packet_plan(self._scene, rays, wish)
         return self._scene.intersect(rays, traversal=traversal, triangle_test=wish.triangle_test)
@@ -125,13 +124,21 @@ class Ids(Layer):
         self._color(false_color.color_ids, getattr(self._hits(rays), self._name))
 
 
+def traces_packets(traversal: str) -> bool:
+    """Whether a named traversal, not "auto", traces packets."""
+    from wrt.kernels.traversal import TRAVERSALS
+    from wrt.kernels.traversal.capabilities import Capabilities
+
+    return traversal != "auto" and Capabilities.PACKETS in TRAVERSALS[traversal].capabilities
+
+
 def packet_plan(scene: Scene, rays: Rays, wish: Wish) -> Plan:
     """The plan that traces camera rays in packets, with the wish's traversal if that has packets, its test and its culling.
 
     Raises:
         ValueError: they do not fit together, or the scene's tree.
     """
-    traversal = wish.traversal if wish.traversal != "auto" and TRAVERSALS[wish.traversal].packets else "packet"
+    traversal = wish.traversal if traces_packets(wish.traversal) else "packet"
     plan = scene.explain(rays, traversal=traversal, triangle_test=wish.triangle_test)
     return plan if wish.culling == "auto" else replace(plan, culling=wish.culling)
 

@@ -13,6 +13,7 @@ from wrt.builders.core.subtrees import Task
 from wrt.builders.cost import Split, SplitCost, axis_frame, no_split
 from wrt.builders.kdtree.events.event_lists import EventLists, sweep_range
 from wrt.builders.kdtree.events.event_sort import END, START, Events, event_position, event_value
+from wrt.builders.kdtree.events.sweep_planes import start_sweep
 from wrt.builders.tree import StopLimits
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_byte, store_int, store_pair
@@ -151,10 +152,9 @@ def search_chunks(
     if not node.finished and chunk.begin < chunk.end:
         frame = node.frame
         along = axis_frame(cost, chunk.axis, frame.low, frame.high, frame.triangles)
-        right = frame.triangles - sweep.ends
-        sweep.best = sweep_range(
-            cost, along, lists.event, chunk.begin, chunk.end, sweep.begins, right, sweep.any_planar, no_split()
-        )
+        found = start_sweep(sweep.begins, frame.triangles - sweep.ends)
+        sweep_range(cost, along, lists.event, chunk.begin, chunk.end, sweep.any_planar, found)
+        sweep.best = found.best
     sweeps[index] = sweep
 
 

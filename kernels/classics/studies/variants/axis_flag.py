@@ -25,7 +25,7 @@ from wrt.kernels.classics.triangle import shevtsov
 from wrt.kernels.classics.triangle.published import in_steps
 from wrt.kernels.classics.triangle.shevtsov import FlatTriangle, weigh
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.axis_projection import turned, turned_lanes
+from wrt.kernels.triangle.support.axis_projection import permuted, permuted_lanes
 from wrt.kernels.triangle.support.lane_form import LaneForm
 from wrt.kernels.triangle.support.vectors import PlainRay
 
@@ -35,8 +35,8 @@ exact_module(__name__)
 @wp.func
 def intersect(ray: PlainRay, flat: FlatTriangle):
     """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
-    o = turned(ray.origin, int(flat[0]))
-    d = turned(ray.direction, int(flat[0]))
+    o = permuted(ray.origin, int(flat[0]))
+    d = permuted(ray.direction, int(flat[0]))
     det = d[0]
     ahead = flat[3] - o[0]
     if flat[1] != 0.0 or flat[2] != 0.0:
@@ -69,7 +69,7 @@ ALIGNED = replace(
         (
             GENERAL.steps[0].exit,
             f"""
-                {turned_lanes("o")}{turned_lanes("d")}
+                {permuted_lanes("o")}{permuted_lanes("d")}
                 const float det = dk, ahead = n0 - ok;
                 {shevtsov.WEIGHTS}
             """,

@@ -19,7 +19,7 @@ import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle import wald
-from wrt.kernels.triangle.support.axis_projection import PLANE_HIT, RowsOfPlane, turned_lanes
+from wrt.kernels.triangle.support.axis_projection import PLANE_HIT, RowsOfPlane, permuted_lanes
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import PlainRay, miss
 
@@ -72,9 +72,9 @@ def _scalar(way: str) -> wp.Function:
 def _test(way: str) -> TriangleTest:
     """Wald's test with one of the ways."""
     (step,) = wald.LANES.steps
-    selects = f"{turned_lanes('o')}{turned_lanes('d')}"
+    selects = f"{permuted_lanes('o')}{permuted_lanes('d')}"
     if selects not in PLANE_HIT or PLANE_HIT not in step.code:
-        raise AssertionError("Wald's lanes no longer begin with `turned_lanes`")
+        raise AssertionError("Wald's lanes no longer begin with `permuted_lanes`")
     code = step.code.replace(selects, f"{_numbers(way)}{_read('o', 'ox', 'oy', 'oz')}{_read('d', 'dx', 'dy', 'dz')}")
     lanes = replace(wald.LANES, steps=(replace(step, code=code),))
     return replace(wald.TEST, name=f"wald_{way}", intersect=_scalar(way), lanes=lanes)

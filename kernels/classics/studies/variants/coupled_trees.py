@@ -28,7 +28,7 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core import packet_bvh, packet_kdtree
-from wrt.kernels.traversal.packet.core.packet_kernel import make_packet_kernel, packet_layout
+from wrt.kernels.traversal.packet.core.packet_kernel import PacketWalk, make_packet_kernel, packet_layout
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.single import single_bvh, single_kdtree
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -59,7 +59,7 @@ def make_kernel(config: TraversalConfig, within: TraversalConfig, small: int, kd
         small: greatest number of active rays of a packet that walks the kd-tree; 0 for none.
         kdtree_singles: whether rays that are traced one by one walk the kd-tree instead of the BVH.
     """
-    walk_bvh, walk_kdtree = packet_bvh.make_walk_packet(config), packet_kdtree.make_walk_packet(within)
+    walk_bvh, walk_kdtree = packet_bvh.make_packet_bvh_walk(config), packet_kdtree.make_packet_kdtree_walk(within)
     memory_size = max(packet_bvh.walk_memory(config), packet_kdtree.walk_memory(within))
     start_bvh = CULLINGS[config.packet.culling].start(packet_layout(config))  # the kernel itself calls that of `within`
 
@@ -83,8 +83,8 @@ def make_kernel(config: TraversalConfig, within: TraversalConfig, small: int, kd
             completed = walk_bvh(bvh, triangles, packet, memory, bounds, work)
         return completed
 
-    walk_ray = single_walk(config, kdtree_singles)
-    return make_packet_kernel(within, CoupledTrees, walk_packet, walk_ray, packet_bvh.MIXED_AXES, memory_size)
+    walk = PacketWalk(walk_packet, single_walk(config, kdtree_singles), packet_bvh.MIXED_AXES, memory_size)
+    return make_packet_kernel(within, CoupledTrees, walk)
 
 
 @cache

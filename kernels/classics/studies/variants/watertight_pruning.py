@@ -47,7 +47,7 @@ from wrt.kernels.classics.triangle.ferko.triangle_bounds import largest_of
 from wrt.kernels.classics.triangle.ferko.variant import PLANE
 from wrt.kernels.classics.triangle.published import in_steps, same_signs
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.triangle.support.axis_projection import turned_lanes
+from wrt.kernels.triangle.support.axis_projection import permuted_lanes
 from wrt.kernels.triangle.support.lane_form import ORIGIN, LaneForm, RayValue
 from wrt.kernels.triangle.support.record_blocks import VERTICES, Corners
 from wrt.kernels.triangle.support.triangle_contract import TestForm
@@ -147,7 +147,7 @@ WATERTIGHT = (
     (
         "beside the triangle",
         f"""
-            {"".join(turned_lanes(vector) for vector in "odabc")}{SHEARED}
+            {"".join(permuted_lanes(vector) for vector in "odabc")}{SHEARED}
             const float near_a = x3 * y2 - y3 * x2, near_b = x1 * y3 - y1 * x3, near_c = x2 * y1 - y2 * x1;
             const float fine_a = (float)((double)x3 * y2 - (double)y3 * x2);
             const float fine_b = (float)((double)x1 * y3 - (double)y1 * x3);

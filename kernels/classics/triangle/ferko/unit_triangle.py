@@ -16,7 +16,7 @@ import warp as wp
 from wrt.kernels.classics.triangle.ferko.record_part import Part
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support import axis_projection as projection
-from wrt.kernels.triangle.support.axis_projection import turned, turned_lanes
+from wrt.kernels.triangle.support.axis_projection import permuted, permuted_lanes
 from wrt.kernels.triangle.support.record_blocks import Corners
 
 exact_module(__name__)
@@ -43,7 +43,7 @@ UNIT_TRIANGLE = Part(("axis", "up", "uq", "u0", "vp", "vq", "v0"), derive_rows)
 def in_unit_triangle(point: wp.vec3, own: Any, at: int):
     """(u, v) of a point of the plane. u is NaN if the point is outside."""
     outside = wp.vec2(wp.nan, 0.0)
-    x = turned(point, int(own[at]))
+    x = permuted(point, int(own[at]))
     u = (own[at + 1] * x[1] + own[at + 2] * x[2]) + own[at + 3]
     if not (u >= 0.0 and u <= 1.0):
         return outside
@@ -54,7 +54,7 @@ def in_unit_triangle(point: wp.vec3, own: Any, at: int):
 
 
 STEPS = (
-    ("u is not from 0 to 1", turned_lanes("p") + "const float u = (up * pp + uq * pq) + u0;", "(u >= 0.0f) & (u <= 1.0f)"),
+    ("u is not from 0 to 1", permuted_lanes("p") + "const float u = (up * pp + uq * pq) + u0;", "(u >= 0.0f) & (u <= 1.0f)"),
     ("beyond the other two edges", "const float v = (vp * pp + vq * pq) + v0;", "(v >= 0.0f) & (u + v <= 1.0f)"),
 )
 """The same as steps, after the point."""

@@ -142,8 +142,8 @@ def may_cover(config: TraversalConfig) -> bool:
 
 @cache
 def answer_together(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, rays, begin, end, packet, memory, hits, missed) -> int`: the number of packets from ray `begin`
-    on whose results it stores; 0 if the next one has to be traced.
+    """`wp.func(tree, triangles, rays, left, packet, memory, hits, missed) -> int`: the number of packets from ray `left[0]`
+    on whose results it stores, up to ray `left[1]`; 0 if the next one has to be traced.
 
     missed: packets in succession that have met no leaf; 0 again if the next ones may meet one.
     """
@@ -156,8 +156,7 @@ def answer_together(config: TraversalConfig) -> wp.Function:
         tree: wp.ref[WideNodes],
         triangles: wp.ref[TriangleBlocks],
         rays: wp.ref[RayBatch],
-        begin: int,
-        end: int,
+        left: wp.vec2i,
         packet: wp.array(dtype=float),
         memory: wp.array(dtype=int),
         hits: wp.ref[HitBatch],
@@ -165,12 +164,12 @@ def answer_together(config: TraversalConfig) -> wp.Function:
     ):
         packets = int(0)
         if missed >= wp.static(MISSED):
-            packets = misses(tree, rays, begin, end, packet, memory, hits)
+            packets = misses(tree, rays, left[0], left[1], packet, memory, hits)
             missed = wp.where(packets == 0, 0, missed)
         elif wp.static(covering):
             leaf = covering_leaf(packet)
             if leaf > 0:
-                packets = occlusion(tree, triangles, rays, begin, end, leaf, hits)
+                packets = occlusion(tree, triangles, rays, left[0], left[1], leaf, hits)
                 if packets == 0:
                     wait(packet)
         return packets

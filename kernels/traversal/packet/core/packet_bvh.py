@@ -36,10 +36,10 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD, NO_CHILD_CONSTANT, entry_of, nearest_child
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
 from wrt.kernels.traversal.packet.core.joined_packets import answer_together
-from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel, packet_layout
+from wrt.kernels.traversal.packet.core.packet_kernel import PacketWalk, leaf_step, make_packet_kernel, packet_layout
 from wrt.kernels.traversal.packet.culling.culling_hooks import no_start
 from wrt.kernels.traversal.packet.leaves import occluder_cache as occluder
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
@@ -76,7 +76,7 @@ def walk_memory(config: TraversalConfig) -> int:
 def finishes_later(config: TraversalConfig) -> bool:
     """Whether the rays of a packet are prepared for tests at its first leaf: those that nothing else needs prepared."""
     culling = CULLINGS[config.packet.culling]
-    return not (culling.every_ray or culling.slopes) and culling.start is no_start
+    return not culling.traits & (CullingTraits.EVERY_RAY | CullingTraits.SLOPES) and culling.start is no_start
 
 
 @cache
@@ -128,13 +128,13 @@ def visit_leaf(config: TraversalConfig, later: bool) -> wp.Function:
 
 
 @cache
-def make_walk_packet(config: TraversalConfig) -> wp.Function:
+def make_packet_bvh_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if its traversal was
     abandoned."""
     culling, layout = CULLINGS[config.packet.culling], packet_layout(config)
     cull_boxes, visit, nearest = culling.boxes(layout), visit_leaf(config, finishes_later(config)), nearest_child(config.width)
     fetch = fetch_kept(layout)
-    box_tests = config.width * (config.packet.rays if culling.every_ray else 1)
+    box_tests = config.width * (config.packet.rays if CullingTraits.EVERY_RAY in culling.traits else 1)
     mailbox_size = MAILBOXES[config.mailbox].size
     cached_leaf, cache_leaf, any_hit = occluder.cached_leaf(layout), occluder.cache_leaf(layout), config.answer.ends_at_first
     width, counting = config.width, config.counters
@@ -142,7 +142,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     max_steps = (MAX_STEPS_UNSPLIT if config.packet.shared_origin else MAX_STEPS_PER_RAY) * config.packet.rays
 
     @wp.func
-    def walk(
+    def walk_packet_bvh(
         tree: wp.ref[WideNodes],
         triangles: wp.ref[TriangleBlocks],
         packet: wp.array(dtype=float),
@@ -203,14 +203,12 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
             cache_leaf(packet, wp.where(bounds.t_max < 0.0, leaf, 0), at_once)
         return steps <= wp.static(max_steps)
 
-    return walk
+    return walk_packet_bvh
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_packet_bvh_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    walks = make_walk_packet(config), make_bvh_walk(config)
-    memory = walk_memory(config)
     later = finishes_later(config)
-    answer = answer_together(config) if later and not config.counters else None
-    return make_packet_kernel(config, WideNodes, *walks, MIXED_AXES, memory, True, later, answer)
+    walk = PacketWalk(make_packet_bvh_walk(config), make_bvh_walk(config), MIXED_AXES, walk_memory(config), True, later)
+    return make_packet_kernel(config, WideNodes, walk, answer_together(config) if later and not config.counters else None)

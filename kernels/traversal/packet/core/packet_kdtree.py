@@ -33,7 +33,7 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
-from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel
+from wrt.kernels.traversal.packet.core.packet_kernel import PacketWalk, leaf_step, make_packet_kernel
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.single.single_kdtree import Cell, make_kdtree_walk, step_guessing
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -55,7 +55,7 @@ def walk_memory(config: TraversalConfig) -> int:
 
 
 @cache
-def make_walk_packet(config: TraversalConfig) -> wp.Function:
+def make_packet_kdtree_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if its traversal was
     abandoned.
 
@@ -65,7 +65,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     mailbox_size, counting, max_steps = MAILBOXES[config.mailbox].size, config.counters, MAX_STEPS_PER_RAY * config.packet.rays
 
     @wp.func
-    def walk(
+    def walk_packet_kdtree(
         tree: wp.ref[KdNodes],
         triangles: wp.ref[TriangleBlocks],
         packet: wp.array(dtype=float),
@@ -108,11 +108,11 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
                     searching = cell.entry <= bounds.t_max
         return steps <= wp.static(max_steps)
 
-    return walk
+    return walk_packet_kdtree
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
+def make_packet_kdtree_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    walks = make_walk_packet(config), make_kdtree_walk(config)
-    return make_packet_kernel(config, KdNodes, *walks, MIXED_AXES, walk_memory(config))
+    walk = PacketWalk(make_packet_kdtree_walk(config), make_kdtree_walk(config), MIXED_AXES, walk_memory(config))
+    return make_packet_kernel(config, KdNodes, walk)

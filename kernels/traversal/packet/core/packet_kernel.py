@@ -7,6 +7,7 @@ shared origin, are traced one by one.
 """
 
 from functools import cache
+from typing import NamedTuple
 
 import warp as wp
 
@@ -17,7 +18,7 @@ from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import count_bits
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
-from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core import packet_splitting
 from wrt.kernels.traversal.packet.culling.back_faces import keep_front_faces
 from wrt.kernels.traversal.packet.leaves.packet_block import test_block
@@ -183,7 +184,7 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
 def reverses_bounds(config: TraversalConfig, reversible: bool) -> bool:
     """Whether packets may be bounded as seen from the ends of their rays; reversible: as of `packet_step`."""
     occlusion = config.answer.ends_at_first and not config.packet.shared_origin
-    return reversible and CULLINGS[config.packet.culling].reversible and occlusion
+    return reversible and CullingTraits.REVERSIBLE in CULLINGS[config.packet.culling].traits and occlusion
 
 
 @cache
@@ -195,7 +196,7 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function,
     """
     layout = packet_layout(config)
     is_wide, finish_loading = packet_splitting.is_wide(layout), finish_packet(layout)
-    activate = packet_splitting.activate_part(layout, CULLINGS[config.packet.culling].slopes, ends)
+    activate = packet_splitting.activate_part(layout, CullingTraits.SLOPES in CULLINGS[config.packet.culling].traits, ends)
     finish, count_single_rays = packet_splitting.finish_part(layout), packet_splitting.count_single_rays(layout)
 
     @wp.func
@@ -298,7 +299,7 @@ def packet_step(
         later: whether `finish_packet` is called before the first leaf.
     """
     layout, parts, culling = packet_layout(config), not config.packet.shared_origin, CULLINGS[config.packet.culling]
-    load = load_packet(layout, culling.slopes, later, reverses_bounds(config, reversible))
+    load = load_packet(layout, CullingTraits.SLOPES in culling.traits, later, reverses_bounds(config, reversible))
     store, fetch = store_packet(layout, config.answer.ends_at_first, config.packet.non_temporal), fetch_hits(layout)
     fetches = not config.answer.ends_at_first and not config.packet.non_temporal
     single_rays, counting = trace_single_rays(config, Tree, walk_ray), config.counters
@@ -335,28 +336,38 @@ def packet_step(
     return step
 
 
+class PacketWalk(NamedTuple):
+    """The walks of a kernel for packets.
+
+    Attributes:
+        packet, ray, mixed_axes, reversible, later: `walk_packet`, `walk_ray` and the others as in `packet_step`.
+        memory_size: ints of memory for a walk.
+    """
+
+    packet: wp.Function
+    ray: wp.Function
+    mixed_axes: int
+    memory_size: int
+    reversible: bool = False
+    later: bool = False
+
+
 @cache
 def make_packet_kernel(
-    config: TraversalConfig,
-    Tree: type,
-    walk_packet: wp.Function,
-    walk_ray: wp.Function,
-    mixed_axes: int,
-    memory_size: int,
-    reversible: bool = False,
-    later: bool = False,
-    answer_together: wp.Function | None = None,
+    config: TraversalConfig, Tree: type, walk: PacketWalk, answer_together: wp.Function | None = None
 ) -> wp.Kernel:
     """The kernel for one specialisation.
 
     Args:
-        memory_size: ints of memory for a walk.
-        answer_together: `wp.func(tree, triangles, rays, begin, end, packet, memory, hits, missed) -> packets`: the number of
-            packets from ray `begin` on whose results it stores; 0 if the next one has to be traced. `missed` is the number of
-            packets in succession that have met no leaf. None not to ask.
-        config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later: as in `packet_step`.
+        config: the specialisation.
+        Tree: struct of the tree.
+        walk: how it is walked.
+        answer_together: `wp.func(tree, triangles, rays, left, packet, memory, hits, missed) -> packets`: the number of packets
+            from ray `left[0]` on whose results it stores, up to ray `left[1]`; 0 if the next one has to be traced. `missed` is
+            the number of packets in succession that have met no leaf. None not to ask.
     """
-    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later)
+    step = packet_step(config, Tree, walk.packet, walk.ray, walk.mixed_axes, walk.reversible, walk.later)
+    memory_size = walk.memory_size
     packet_rays, size, non_temporal = config.packet.rays, packet_layout(config).size, config.packet.non_temporal
     joining = answer_together is not None
 
@@ -376,7 +387,7 @@ def make_packet_kernel(
         while begin < end:
             packets = int(0)
             if wp.static(joining):
-                packets = answer_together(tree, triangles, rays, begin, end, packet, memory, hits, missed)
+                packets = answer_together(tree, triangles, rays, wp.vec2i(begin, end), packet, memory, hits, missed)
             if packets == 0:
                 work = Counters()
                 tested = step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)

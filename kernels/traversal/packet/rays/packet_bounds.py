@@ -61,7 +61,7 @@ class PacketBounds:
     end_high: wp.vec3
     slope_low: wp.vec2
     """Least slopes against the main axis. This and the next four fields are defined only if all rays have the same main axis
-    and the culling needs them (`Culling.slopes`)."""
+    and the culling needs them (`CullingTraits.SLOPES`)."""
     slope_high: wp.vec2
     plane: float
     """Position of a plane normal to the main axis, near the origins."""

@@ -1,0 +1,99 @@
+"""No function has more than 8 arguments: what belongs together is a struct, or a NamedTuple on the host.
+
+Kernels are left out: their arguments are what a launch passes; and commands, whose arguments are what users write.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+MAX_ARGUMENTS = 8
+MAKERS = ("kernel", "specialised_kernel")
+"""Functions, and last names of decorators, that make a kernel of a function."""
+
+PUBLIC = {
+    "wrt/imaging/rendering.py: __init__",
+    "wrt/disk/partitioned_scene.py: build",
+    "wrt/query/blocks.py: blocks_of",
+    "wrt/moving/skinned_scene.py: __init__",
+    "wrt/sensors/image_sensor.py: capture",
+    "wrt/sensors/lidar.py: scan",
+    "wrt/viewer/live_view.py: view",
+}
+"""Functions with more arguments that are keywords which users write."""
+
+EXCEPTIONS = {
+    "builders/classics/bvh/subset_levels.py: find_block",
+    "builders/classics/kdtree/postprocess/postprocess.py: measure_range",
+    "kernels/classics/traversal/eye_frusta.py: walk",
+    "kernels/classics/traversal/repacked_bvh.py: descend",
+    "kernels/classics/traversal/repacked_bvh.py: visit",
+    "kernels/shading/paths/path_tiles_simd.py: path_tile_step_simd",
+    "kernels/shading/ray_trees/tree_tiles.py: gather_range",
+    "kernels/shading/ray_trees/tree_tiles_simd.py: tree_step_simd",
+    "kernels/shading/wavefront/path_step.py: follow_path",
+    "kernels/shading/wavefront/path_step.py: scatter",
+    "kernels/shading/wavefront/path_step_simd.py: path_step_simd",
+    "kernels/shading/wavefront/tree_step.py: send_children",
+    "kernels/shading/wavefront/tree_step.py: shade_ray",
+    "kernels/shading/wavefront/tree_step.py: write_light",
+    "kernels/traversal/packet/core/packet_kernel.py: step",
+    "kernels/traversal/single/key_walk.py: walk_keys",
+    "wrt/bench/commands/benchmark.py: run_benchmark",
+    "wrt/bench/peers/embree_packets.py: trace_packet",
+    "wrt/bench/peers/embree_packets.py: trace_part",
+}
+"""Other functions that have more. The list can only shrink: what is new goes into a struct."""
+
+
+def last_name(node: ast.expr) -> str:
+    """The last name of a name, an attribute or a call of one."""
+    node = node.func if isinstance(node, ast.Call) else node
+    return node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
+
+
+def kernels_of(tree: ast.Module) -> set[str]:
+    """Names of functions that a file makes kernels of by a call."""
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call) and last_name(node.func) in MAKERS)
+    return {last_name(argument) for call in calls for argument in call.args[:1]}
+
+
+def long_signatures(path: Path) -> set[str]:
+    """`file: function` of those that have more arguments, other than kernels and commands; `self` does not count."""
+    tree, found = ast.parse(path.read_text(encoding="utf-8")), set()
+    kernels = kernels_of(tree)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+            is_kernel = node.name in kernels or any(last_name(d) in MAKERS for d in node.decorator_list)
+            is_command = any(last_name(d) in ("command", "option") for d in node.decorator_list)
+            if len(names) - (names[:1] in (["self"], ["cls"])) > MAX_ARGUMENTS and not (is_kernel or is_command):
+                found.add(f"{path.relative_to(ROOT).as_posix()}: {node.name}")
+    return found
+
+
+def test_functions_have_few_arguments():
+    found = {
+        name
+        for room in ("kernels", "builders", "wrt")
+        for path in (ROOT / room).rglob("*.py")
+        for name in long_signatures(path)
+    }
+    assert found - EXCEPTIONS - PUBLIC == set(), "more than 8 arguments: put what belongs together into a struct"
+    assert (EXCEPTIONS | PUBLIC) - found == set(), "these have few arguments now: remove them from the list"
+
+
+def test_long_signatures_are_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(f"{__name__}.ROOT", tmp_path)
+    nine, eight = ", ".join("abcdefghi"), ", ".join("abcdefgh")
+    path = tmp_path / "file.py"
+    path.write_text(
+        f"def long({nine}): ...\ndef few({eight}): ...\ndef keywords(a, *, {nine[3:]}, j): ...\n"
+        f"class C:\n    def method(self, {eight}): ...\n    def longer(self, {nine}): ...\n"
+        f"@wp.kernel\ndef kernel({nine}): ...\ndef made({nine}): ...\nmade = specialised_kernel(made)\n"
+        f"@native.func_native('a.h', '')\ndef native({nine}): ...\n@wp.func(inline=True)\ndef function({nine}): ...\n"
+    )
+    expected = {"long", "keywords", "longer", "native", "function"}
+    assert long_signatures(path) == {f"file.py: {name}" for name in expected}
