@@ -3,17 +3,19 @@
 **Problem.** A top-down build cannot foresee the effect of its first splits on the nodes far below. Neighbours that a plane has
 separated stay apart.
 
-**Algorithm.** To remove a node x, its sibling replaces their parent. To insert it beside a node y, a new parent of both
+**Idea.** To remove a node x, its sibling replaces their parent. To insert it beside a node y, a new parent of both
 replaces y. By the surface area heuristic the sum of the areas of all inner nodes then falls by
 
     gain = A(parent of x) + sum of A(a) - A(a without x)  -  sum of A(b with x) - A(b)  -  A(y with x)
 
-where a and b are the ancestors of the old and the new position, below the lowest common one. A round (Meister and Bittner 2018)
-has two steps:
+where a and b are the ancestors of the old and the new position, below the lowest common one.
 
-    search   every node looks for the position with the greatest gain: it walks up level by level, and at each level down into
-             the sibling's subtree, except where even a position whose only cost is A(x) would gain less than the best so far
-    move     nodes move in the order of decreasing gain
+**Steps** of a round (Meister and Bittner 2018):
+
+1. `find_insertion_positions`: every node looks for the position with the greatest gain: it walks up level by level, and at each
+   level down into the sibling's subtree, except where even a position whose only cost is A(x) would gain less than the best so
+   far.
+2. `move_nodes`: nodes move in the order of decreasing gain.
 
 **What we changed.** In the paper, moves that touch the same nodes lock each other out. Here nodes move one after the other,
 which takes a small part of the time of the search. Each recomputes its gain in the current tree, and stays if there is no gain

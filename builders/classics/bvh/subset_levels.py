@@ -3,13 +3,15 @@
 **Problem.** Near the root, a top-down build reads all triangles once a level, to find planes that a sample of them would
 show as well.
 
-**Algorithm.** A tree is built over a random subset by the builder's own method. Every other triangle is inserted: by its
-centroid, it follows the planes between the centroids of the subset down to a leaf. Then each leaf is built on, from the
-triangles of the subset and the inserted ones that are in it. Falcone (2024, section 7.2) suggests this for the whole scene's
-tree beside those of influence areas.
+**Idea.** Let a random subset find the upper planes, and all triangles the lower ones. Falcone (2024, section 7.2) suggests this
+for the whole scene's tree beside those of influence areas.
 
-**Phases.** `choose`; the build over the subset, which is the caller's; `insert`: every triangle finds its leaf, in parallel; a
-stable sort by leaf (`radix_sort`) moves the references; one pass from the leaves up gives the exact boxes.
+**Steps.**
+
+1. `choose` a random subset. The caller builds a tree over it, by the builder's own method.
+2. `insert`: by its centroid, every triangle follows the planes between the centroids of the subset down to a leaf, in parallel.
+3. A stable sort by leaf (`radix_sort`) moves the references; one pass from the leaves up gives the exact boxes.
+4. Each leaf is built on, from the triangles of the subset and the inserted ones that are in it.
 
 **Data.** Those of the binned build. The key of a leaf is its first place in the subset's order. If offset[k] counts the
 triangles of the leaves before k, a node with the places [a, b) of the subset gets the places [offset[a], offset[b]) of all

@@ -5,7 +5,7 @@
 **Idea** (Havran 2001). Within a subtree of fixed shape a node's place tells where its children are, and only subtrees have
 numbers. Of 16 words, 7 are planes, 8 are the numbers of subtrees or the leaves themselves, and one has the axes.
 
-**Algorithm.** From the root on, each subtree takes `height` levels, and every inner node below them begins another one, in
+**Steps.** From the root on, each subtree takes `height` levels, and every inner node below them begins another one, in
 depth-first order.
 
 **Complexity.** O(N), level by level of subtrees.

@@ -2,9 +2,13 @@
 
 **Problem.** A greedy search takes the plane of least cost, which may leave empty space to be cut off below, node by node.
 
-**Algorithm.** The box of a node's triangles leaves up to six empty slabs of the node's own box. Those that fill at least
-`MIN_SHARE` of the node along their axis are candidates; the one whose cut costs least is the node's split, if it costs less
-than a leaf. Otherwise the node is searched as usual.
+**Idea.** Cut off large empty slabs first, whatever other planes cost.
+
+**Steps** of a node (`cut_slab`), before its search:
+
+1. The box of the node's triangles leaves up to six empty slabs of the node's own box.
+2. Those that fill at least `MIN_SHARE` of the node along their axis are candidates.
+3. The one whose cut costs least is the node's split, if it costs less than a leaf. Otherwise the node is searched as usual.
 
 **What we changed.** Rahikainen 2013 (4.1) says that Havran tried three ways to cut off empty space, and does not describe them.
 Here they are: by a factor on the cost (`wrt.builders.cost`), early, and late, in leaves (`postprocess`).

@@ -2,12 +2,15 @@
 
 **Problem.** The cost has its minimum at an end of some triangle's box, so all these planes must be compared.
 
-**Algorithm.** At every node, the planes at both ends of every triangle's box are compared with all triangles of the node
-(`exact_planes`). Nothing is sorted.
+**Idea.** Compare each of them with every triangle. Nothing is sorted.
+
+**Steps** of a node (`naive_method`):
+
+1. For each axis and both ends of every triangle's box, all triangles of the node are counted: to the left of the plane (N_L),
+   in it (N_P) and to its right (N_R) (`exact_search`). The least cost wins, with planar triangles on the cheaper side.
+2. The node becomes a leaf, or one pass over its references classifies and partitions them.
 
 **Data.** One list of references per node (`wrt.builders.core.reference_lists`).
-
-**Phases** of a node: `naive_method`. Search: `exact_search`. Classify and partition: one pass over the references.
 
 **Complexity.** O(N^2), too slow for more than a few ten thousand triangles. The builder shows the benefit of sorting, and
 reproduces the tree of the sorting builders by an independent method.

@@ -2,14 +2,19 @@
 
 **Problem.** Sorting the events of every node again costs a factor of log N.
 
-**Algorithm.** Sort once. In each node, sweep over the lists of the three axes, classify the triangles from the list of the
-split axis, and split the lists between the children, in order (`event_lists`). If triangles are clipped to cells, the new
-events of those that straddle the plane are sorted and merged in (`clipped_events`). This is the in-place build with a single
-task and no levels above it, on one thread. It is the baseline for all other builds.
+**Idea.** Sort once. A list that is divided in order stays sorted.
+
+**Steps** of a node (`event_method`), after the sort of all events by position, then end, planar, start:
+
+1. Find the plane: sweep over the lists of the three axes with the counts N_L, N_P and N_R (`event_lists.search`).
+2. Classify: the list of the split axis tells which triangles are on the left, on the right, or on both sides.
+3. Divide the lists between the children, in order.
+4. If triangles are clipped to cells, the new events of those that straddle the plane are sorted and merged in
+   (`clipped_events`).
+
+This is the in-place build with a single task and no levels above it, on one thread: the baseline for all other builds.
 
 **Data.** One list of sorted events per axis and node (`event_lists`).
-
-**Phases** of a node: `event_method`.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.
 
