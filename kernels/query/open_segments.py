@@ -19,7 +19,9 @@ coordinates.
     |fl(p) - sum w_i fl(v_i)| <= 2 u C               each coordinate; the second point is in the stored plane
     |n (fl(p) - fl(v_0))| <= sqrt(3) 2 u C           <= 3.47 u C
 
-`PLANE_TOLERANCE` is 4 u: half a rounding is left. Searched by `planes` of tests/bounds.
+`PLANE_TOLERANCE` is 4 u: half a rounding is left, which is for the rounding of n in float64. That is enough if the area is at
+least 2^-22 of the product of two edges. A thinner triangle has no plane that float64 could find: it may be said to block what
+starts on it. Searched by `planes` of tests/bounds.
 
 **Symmetry.** The rays from a to b and from b to a are rounded differently and may pass an edge on different sides. The ray of a
 pair therefore always starts at the smaller of its end points, ordered by x, then y, then z.

@@ -145,18 +145,22 @@ def search_spawned(rng: np.random.Generator, count: int, most: int) -> np.ndarra
 
 
 def search_planes(rng: np.random.Generator, count: int, most: int) -> np.ndarray:
-    """A point of a triangle is within `PLANE_TOLERANCE` of its plane, though point and vertices are rounded."""
+    """A point of a triangle is within `PLANE_TOLERANCE` of its plane, though point and vertices are rounded. Triangles that are
+    so thin that float64 does not find the plane do not count."""
     corners = triangles(rng, count).astype(np.float64)
     corners *= 1.0 + UNIT * rng.uniform(-1.0, 1.0, corners.shape)
     corners *= scales(rng, count, min(most, AREA_SCALES)).astype(np.float64)[:, :, None]
     point = (weights(rng, count)[:, :, None] * corners).sum(axis=1).astype(np.float32).astype(np.float64)
     rounded = corners.astype(np.float32).astype(np.float64)
     with np.errstate(all="ignore"):
-        normal = np.cross(rounded[:, 1] - rounded[:, 0], rounded[:, 2] - rounded[:, 0])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        edges = rounded[:, 1:] - rounded[:, :1]
+        normal = np.cross(edges[:, 0], edges[:, 1])
+        area = np.linalg.norm(normal, axis=1)
+        has_plane = area >= 2.0**-22 * np.linalg.norm(edges, axis=2).prod(axis=1)
+        normal /= area[:, None]
         distance = np.abs(((point - rounded[:, 0]) * normal).sum(axis=1))
         size = np.maximum(np.abs(rounded).max(axis=(1, 2)), np.abs(point).max(axis=1))
-        return within(distance / (float(PLANE_TOLERANCE) * size))
+        return within(np.where(has_plane, distance / (float(PLANE_TOLERANCE) * size), 0.0))
 
 
 @native.func_native(
