@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from wrt.imaging.integrators.ray_memory import new_queue
+from wrt.imaging.integrators.ray_tracer import TileRays
 from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES, STOP, TileRuns
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import get_num_threads
@@ -37,7 +38,7 @@ from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import ANY, CLOSEST
 
 if TYPE_CHECKING:
-    from wrt.imaging.integrators.ray_tracer import RayTracer, TileRays
+    from wrt.imaging.integrators.ray_tracer import RayTracer
 
 TILE, MIN_TILE = 8192, 512
 """Most and least paths of a tile. What is known of 8192 of them takes 1.5 MB."""

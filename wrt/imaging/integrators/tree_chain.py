@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from wrt.imaging.integrators.ray_memory import new_queue
+from wrt.imaging.integrators.ray_tracer import TileRays
 from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES, STOP, TileRuns
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import get_num_threads
@@ -31,7 +32,7 @@ from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import ANY, CLOSEST
 
 if TYPE_CHECKING:
-    from wrt.imaging.integrators.ray_tracer import RayTracer, TileRays
+    from wrt.imaging.integrators.ray_tracer import RayTracer
 
 SIZE, ROOM = 4096, 16384
 """Samples of a tile at most, and its places for rays of a generation."""
