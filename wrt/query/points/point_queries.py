@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, overload
 
 from wrt.state.query_kinds import AUTO
 
@@ -75,7 +75,7 @@ class PointQueries:
     def contains(self, points: NumpyLike, *, traversal: str | Plan = AUTO) -> np.ndarray: ...
     @overload
     def contains(self, points: WarpLike, *, traversal: str | Plan = AUTO) -> wp.array: ...
-    def contains(self, points: ArrayLike, *, traversal: str | Plan = AUTO) -> Any:
+    def contains(self, points: ArrayLike, *, traversal: str | Plan = AUTO) -> np.ndarray | wp.array:
         """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.
 
         Decided by parity: a point is inside if a ray from it crosses the surface an odd number of times. If every mesh is
@@ -109,7 +109,7 @@ class PointQueries:
     def visible(self, points_a: WarpLike, points_b: ArrayLike) -> wp.array: ...
     @overload
     def visible(self, points_a: NumpyLike, points_b: WarpLike) -> wp.array: ...
-    def visible(self, points_a: ArrayLike, points_b: ArrayLike) -> Any:
+    def visible(self, points_a: ArrayLike, points_b: ArrayLike) -> np.ndarray | wp.array:
         """Whether pairs of points see each other: (...) bool, a NumPy array if both points were, else a Warp array.
 
             matrix = scene.visible(points[:, None], points[None, :])
