@@ -231,6 +231,10 @@ REFERENCES = {
     "jackson-2007": (
         "C. Jackson, A. Barth, A. Bortz, W. Shao, D. Boneh: Protecting browsers from DNS rebinding attacks. ACM CCS 2007."
     ),
+    "jacobson-2013": (
+        "A. Jacobson, L. Kavan, O. Sorkine-Hornung: Robust inside-outside segmentation using generalized winding numbers. ACM "
+        "Transactions on Graphics 32(4), 2013."
+    ),
     "jimenez-2010": (
         "J. J. Jimenez, R. J. Segura, F. R. Feito: A robust segment/triangle intersection algorithm for interference "
         "tests. Efficiency study. Computational Geometry 43(5), 2010."

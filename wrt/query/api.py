@@ -247,33 +247,53 @@ class Queries:
 
         return points_on(self.state, primitive_id, uv, points, instance_id)
 
-    def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
+    def contains(self, points: Any, *, rule: str = "parity", traversal: str | Plan = AUTO) -> Any:
         """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.
 
-        Decided by parity: a point is inside if a ray from it crosses the surface an odd number of times. If every mesh is
-        closed (`TriangleMesh.is_closed`), the direction of the ray does not matter. Otherwise the majority of three
-        directions decides, which is unreliable near holes. With several meshes, or shells within each other, a point is
-        inside if an odd number of them contain it.
+        Decided by the crossings of a ray from the point with the surface. By parity, the point is inside if their number is
+        odd. The other rules take their signs, 1 where the ray leaves through the front of a triangle, from which its vertices
+        are counter-clockwise, and -1 where it comes in. The sum is the winding number: how often the surface, with its front
+        outside, surrounds the point.
+
+        ============ ==================== ==========================================================================
+        `rule`       inside where         right for
+        ============ ==================== ==========================================================================
+        `"parity"`   crossings are odd    one body, whichever way its triangles face; a shell within another is a
+                                          cavity; where two bodies overlap is outside
+        `"union"`    winding number > 0   bodies that overlap (assemblies), each with its front outside; a shell
+                                          that faces inwards is a cavity; a body that is inside out is nowhere
+        `"winding"`  winding number not 0 the same, also if the whole mesh is inside out; where a body overlaps with
+                                          one that is inside out, they cancel
+        ============ ==================== ==========================================================================
+
+        If every mesh is closed (`TriangleMesh.is_closed`), the direction of the ray does not matter. For the last two rules,
+        neighbouring triangles must face the same way, too. Otherwise the majority of three directions decides, which is
+        unreliable near holes and triangles that are turned over. Of instances, those with mask 0 are left out; one whose
+        transform mirrors has its front where that of its mesh was, so that a body remains one.
 
         A triangle that repeats an earlier one exactly, with the same side in front, is left out, unless another body is
         closed by it; so is an instance of an equal mesh with equal transform and environment. If there are any, the first
         call builds a second tree. A triangle that is there with both sides in front counts twice, as the common wall of
-        two bodies that touch. `verify` says what a parity cannot answer on a mesh.
+        two bodies that touch, and is neither crossed in nor out for the sum of signs. `verify` says what no rule can answer on
+        a mesh.
 
         Points whose distance to the surface is within float32 rounding, relative to the scene's centre, may count as inside
         or outside. A point with a NaN or an infinity is outside.
 
         Args:
             points: (..., 3).
+            rule: "parity", "union" or "winding".
             traversal: as in `count`.
 
         Raises:
-            TypeError: points are not an array of real numbers.
-            ValueError: wrong shape, an array on another device, or a traversal that does not count.
+            TypeError: points are not an array of real numbers, or the rule is not a string.
+            ValueError: wrong shape, an array on another device, a traversal that does not count, or an unknown rule.
+
+        References: shimrat-1962 (parity); jacobson-2013 (winding numbers).
         """
         from wrt.query.inside import contains
 
-        return contains(self.state, points, traversal)
+        return contains(self.state, points, traversal, rule)
 
     def visible(self, points_a: Any, points_b: Any) -> Any:
         """Whether pairs of points see each other: (...) bool, a NumPy array if both points were, else a Warp array.
@@ -330,7 +350,7 @@ class Queries:
 
         Args:
             origins, directions, t_min, t_max, mask, environment, cull_backfaces, traversal, triangle_test: as in `intersect`.
-            query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
+            query: "closest" (`intersect`), "any" (`occluded`), "count", "all" (`intersect_all`) or "winding" (`contains`).
 
         Raises:
             TypeError, ValueError: as `intersect`.
