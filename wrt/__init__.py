@@ -38,6 +38,7 @@ _HOME = {
     "Blocks": "wrt.query.blocks",
     "Bvh": "wrt.accelerators.tree_descriptions",
     "CircularCapCaster": "wrt.known_rays.ray_casters",
+    "ClosestPoints": "wrt.query.points.closest_points",
     "DirectionalLight": "wrt.imaging.lights.light_sources",
     "GeneratedRays": "wrt.query.batches.block_rows",
     "FanScene": "wrt.fans.fan_scene",

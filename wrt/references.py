@@ -22,6 +22,7 @@ REFERENCES = {
         "Visual Computer 3, 1987."
     ),
     "arvo-kirk-1990": "J. Arvo, D. Kirk: Particle transport and image synthesis. SIGGRAPH 1990.",
+    "arya-mount-1993": "S. Arya, D. M. Mount: Algorithms for fast vector quantization. Data Compression Conference 1993.",
     "ashikhmin-shirley-2000": (
         "M. Ashikhmin, P. Shirley: An anisotropic Phong BRDF model. Journal of Graphics Tools 5(2), 2000."
     ),
@@ -111,6 +112,7 @@ REFERENCES = {
         "H. Edelsbrunner, E. P. Muecke: Simulation of simplicity: a technique to cope with degenerate cases in geometric "
         "algorithms. ACM Transactions on Graphics 9(1), 1990."
     ),
+    "ericson-2005": "C. Ericson: Real-time collision detection. Morgan Kaufmann, 2005.",
     "ernst-greiner-2007": (
         "M. Ernst, G. Greiner: Early split clipping for bounding volume hierarchies. IEEE/EG Symposium on Interactive Ray "
         "Tracing 2007."

@@ -14,7 +14,7 @@ import wrt
 ELSEWHERE = re.compile(r"\b[Aa]s (in|there)\b")
 """What a docstring says whose arguments are explained at another place."""
 
-ANSWERS = ("AllHits", "Blocks", "Hits", "Verification", "sensors.CameraImages", "sensors.LidarScan")
+ANSWERS = ("AllHits", "Blocks", "ClosestPoints", "Hits", "Verification", "sensors.CameraImages", "sensors.LidarScan")
 """Classes that users get and do not make: what is in them is explained, not how they are made."""
 
 

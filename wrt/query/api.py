@@ -1,4 +1,4 @@
-"""The queries of a scene: closest hits, occlusion, all hits, counts, inside tests, visibility, and a check of itself."""
+"""The queries of a scene: closest hits and points, occlusion, all hits, counts, inside tests, visibility, and a check."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from wrt.query.all_hits import AllHits
     from wrt.query.blocks import Blocks
     from wrt.query.hits import Hits
+    from wrt.query.points.closest_points import ClosestPoints
     from wrt.query.verification import Verification
     from wrt.state.scene_state import SceneState
 
@@ -294,6 +295,33 @@ class Queries:
         from wrt.query.inside import contains
 
         return contains(self.state, points, traversal, rule)
+
+    def closest_point(self, points: Any, *, max_distance: Any = INF) -> ClosestPoints:
+        """The closest point on the geometry to each point, and its triangle.
+
+            near = scene.closest_point(points)
+            near.distance, near.position, near.primitive_id, near.normal
+
+        Distances are computed in float32, relative to the point (`wrt.kernels.points`). Of triangles at the same computed
+        distance, as at an edge or a vertex, the one with the smallest geometry index, then the smallest triangle index, is
+        returned. The result depends neither on the tree nor on the number of threads. A triangle without area counts as the
+        segment or the point that it is. Positions up to 5e-4 of the distance apart may have the same distance in float32.
+
+        A point with a NaN or an infinity finds nothing, nor does one that is farther than 1.8e19 from everything.
+
+        Args:
+            points: (..., 3).
+            max_distance: scalar or (...) array, at least 0: a triangle is found if its distance is at most this (closed
+                interval). Small ones make the search faster.
+
+        Raises:
+            TypeError: points or distances are not real numbers.
+            ValueError: wrong shapes, a negative distance or a NaN, an array on another device; a scene of instances, fans,
+                groups or fuzzy boxes.
+        """
+        from wrt.query.points.closest_point import closest_point
+
+        return closest_point(self.state, points, max_distance)
 
     def visible(self, points_a: Any, points_b: Any) -> Any:
         """Whether pairs of points see each other: (...) bool, a NumPy array if both points were, else a Warp array.
