@@ -9,7 +9,7 @@ import wrt
 from wrt.kernels.points.brute_points import nearest_of_all
 from wrt.kernels.points.point_batch import NearestBatch, PointBatch
 from wrt.kernels.runtime.launch import launch
-from wrt.query.points.closest_point import relative_points
+from wrt.query.points.closest_point import flat_points, relative_points
 
 
 def answers(found: wrt.ClosestPoints) -> dict[str, np.ndarray]:
@@ -21,7 +21,10 @@ def brute_force(scene: wrt.Scene, points: np.ndarray, max_distance: float | np.n
     """The same by a test of every triangle, of a scene of one mesh."""
     batch, found, device, count = PointBatch(), NearestBatch(), scene.device, len(points)
     most = np.atleast_1d(np.asarray(max_distance, dtype=np.float32))
-    batch.count, batch.position = count, relative_points(scene.state, points, points.dtype == np.float64)
+    batch.count, batch.position = (
+        count,
+        relative_points(scene.state, flat_points(scene.state, points, points.dtype == np.float64)),
+    )
     batch.most, batch.most_stride = wp.array(most, dtype=float, device=device), int(len(most) > 1)
     found.distance, found.primitive = wp.empty(count, dtype=float, device=device), wp.empty(count, dtype=int, device=device)
     found.uv, found.feature = wp.empty(count, dtype=wp.vec2, device=device), wp.empty(count, dtype=wp.int8, device=device)

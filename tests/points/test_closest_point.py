@@ -254,8 +254,8 @@ REFUSED = {
     "shape": (lambda scene: scene.closest_point(np.zeros((2, 3)), max_distance=[1.0, 2.0, 3.0]), "does not broadcast"),
     "points": (lambda scene: scene.closest_point(np.zeros((2, 2))), r"points must have shape \(..., 3\)"),
     "instances": (
-        lambda scene: wrt.Scene(wrt.Instance(scene.meshes[0]), device="cpu").closest_point(np.zeros(3)),
-        r"wrt.Scene\(scene.flattened\(\)\)",
+        lambda scene: wrt.Scene(wrt.Instance(scene.meshes[0], np.diag([1, 1, 2, 1])), device="cpu").closest_point(np.zeros(3)),
+        r"instance 0 is not; use wrt.Scene\(scene.flattened\(\)\)",
     ),
 }
 

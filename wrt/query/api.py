@@ -307,6 +307,8 @@ class Queries:
         returned. The result depends neither on the tree nor on the number of threads. A triangle without area counts as the
         segment or the point that it is. Positions up to 5e-4 of the distance apart may have the same distance in float32.
 
+        Instances are searched one after the other, so time grows with their number; those with mask 0 are left out.
+
         A point with a NaN or an infinity finds nothing, nor does one that is farther than 1.8e19 from everything.
 
         Args:
@@ -316,8 +318,8 @@ class Queries:
 
         Raises:
             TypeError: points or distances are not real numbers.
-            ValueError: wrong shapes, a negative distance or a NaN, an array on another device; a scene of instances, fans,
-                groups or fuzzy boxes.
+            ValueError: wrong shapes, a negative distance or a NaN, an array on another device; instances that are sheared or
+                not scaled alike along all axes; a scene of fans, groups or fuzzy boxes.
         """
         from wrt.query.points.closest_point import closest_point
 

@@ -28,7 +28,7 @@ class ClosestPoints(Hits):
             points were, or if the scene is so far from 0 that float32 would move points (`is_far`), else float32.
         primitive_id: (...) int32, index of the triangle within its geometry; -1 if nothing was found.
         geometry_id: (...) int32, index of the mesh within the scene; -1 if nothing was found.
-        instance_id: (...) int32, the same as `geometry_id`.
+        instance_id: (...) int32, index of the instance, or of the mesh in a scene without instances; -1 if nothing was found.
         uv: (..., 2) float32, weights of the triangle's second and third vertex; 0 if nothing was found.
         feature: (...) int8, what `position` is on: 0 a vertex of the triangle, 1 an edge, 2 its face; -1 if nothing was found.
         normal: (..., 3), unit vectors, of the type of the points, from the triangle's winding (counter-clockwise seen from the
