@@ -22,6 +22,7 @@ REFERENCES = {
         "Visual Computer 3, 1987."
     ),
     "arvo-kirk-1990": "J. Arvo, D. Kirk: Particle transport and image synthesis. SIGGRAPH 1990.",
+    "arya-mount-1993": "S. Arya, D. M. Mount: Algorithms for fast vector quantization. Data Compression Conference 1993.",
     "ashikhmin-shirley-2000": (
         "M. Ashikhmin, P. Shirley: An anisotropic Phong BRDF model. Journal of Graphics Tools 5(2), 2000."
     ),
@@ -111,6 +112,7 @@ REFERENCES = {
         "H. Edelsbrunner, E. P. Muecke: Simulation of simplicity: a technique to cope with degenerate cases in geometric "
         "algorithms. ACM Transactions on Graphics 9(1), 1990."
     ),
+    "ericson-2005": "C. Ericson: Real-time collision detection. Morgan Kaufmann, 2005.",
     "ernst-greiner-2007": (
         "M. Ernst, G. Greiner: Early split clipping for bounding volume hierarchies. IEEE/EG Symposium on Interactive Ray "
         "Tracing 2007."
@@ -230,6 +232,10 @@ REFERENCES = {
     "ize-2013": "T. Ize: Robust BVH ray traversal. Journal of Computer Graphics Techniques 2(2), 2013.",
     "jackson-2007": (
         "C. Jackson, A. Barth, A. Bortz, W. Shao, D. Boneh: Protecting browsers from DNS rebinding attacks. ACM CCS 2007."
+    ),
+    "jacobson-2013": (
+        "A. Jacobson, L. Kavan, O. Sorkine-Hornung: Robust inside-outside segmentation using generalized winding numbers. ACM "
+        "Transactions on Graphics 32(4), 2013."
     ),
     "jimenez-2010": (
         "J. J. Jimenez, R. J. Segura, F. R. Feito: A robust segment/triangle intersection algorithm for interference "

@@ -1,6 +1,7 @@
 """What methods return, beside `wrt.Hits` and `wrt.AllHits`. Users read these classes, and do not make them.
 
 * Of `Scene.intersect(..., precise=True)`: `PreciseHits`; of `wrt.device.differentiable_hits`: `DifferentiableHits`.
+* Of `Scene.closest_point`: `ClosestPoints`.
 * Of `Scene.explain`, and `Hits.plan`: `Plan`; of `Scene.verify`: `Verification`, with `Fault` and `InsideCheck`.
 * Of `Scene.statistics`: `SceneStatistics`, whose `tree` is a `BvhStatistics` or a `KdTreeStatistics`.
 * `Scene.last_update` is an `UpdateReport`, `TriangleMesh.materials` a `MeshMaterials`.
@@ -12,6 +13,7 @@ from wrt.lazy_names import lazy_names
 
 _HOME = {
     "BvhStatistics": "wrt.builders.bvh.bvh_statistics",
+    "ClosestPoints": "wrt.query.points.closest_points",
     "DifferentiableHits": "wrt.query.gradients",
     "Fault": "wrt.query.verification",
     "InsideCheck": "wrt.query.checks.inside_check",

@@ -6,6 +6,7 @@ from wrt.planning.plan import Plan as Plan
 from wrt.query.checks.inside_check import InsideCheck as InsideCheck
 from wrt.query.exact_hits import PreciseHits as PreciseHits
 from wrt.query.gradients import DifferentiableHits as DifferentiableHits
+from wrt.query.points.closest_points import ClosestPoints as ClosestPoints
 from wrt.query.verification import Fault as Fault
 from wrt.query.verification import Verification as Verification
 from wrt.scene.scene_statistics import SceneStatistics as SceneStatistics
@@ -13,6 +14,7 @@ from wrt.scene.updates import UpdateReport as UpdateReport
 
 __all__ = [
     "BvhStatistics",
+    "ClosestPoints",
     "DifferentiableHits",
     "Fault",
     "InsideCheck",

@@ -27,7 +27,15 @@ A variant of several kinds is one file, too: `skipped_triangle` makes a row from
 To add a kind, write its file and add one line to `ANSWERS` (docs/adding.md). Neither engines nor hosts ask for its name.
 """
 
-from wrt.kernels.answers import all_crossings, any_hit, closest_hit, crossing_count, exact_hit, next_crossing
+from wrt.kernels.answers import (
+    all_crossings,
+    any_hit,
+    closest_hit,
+    crossing_count,
+    exact_hit,
+    next_crossing,
+    winding_number,
+)
 from wrt.kernels.answers.answer_kind import AnswerKind
 
 ANSWERS: dict[str, AnswerKind] = {
@@ -37,6 +45,7 @@ ANSWERS: dict[str, AnswerKind] = {
         any_hit.KIND,
         crossing_count.KIND,
         all_crossings.KIND,
+        winding_number.KIND,
         next_crossing.KIND,
         exact_hit.KIND,
     )

@@ -46,6 +46,7 @@ class AnswerKind:
         ends_at_first: whether a ray is done with the first hit that is found.
         crossings: whether a ray through an edge or a vertex crosses exactly one of the triangles there
             (`TriangleTest.crossing`), rather than hitting all of them.
+        oriented: of crossings, whether a hit is offered with its sign in place of u (`TriangleTest.oriented`).
         once: whether a hit that is offered twice would change the answer.
         front_to_back: whether boxes are best visited in the order in which a ray enters them: hits then shorten the ray, or
             lists are nearly sorted when they are found.
@@ -63,6 +64,7 @@ class AnswerKind:
     shortens: bool = False
     ends_at_first: bool = False
     crossings: bool = False
+    oriented: bool = False
     once: bool = False
     front_to_back: bool = False
     walks_only: bool = False

@@ -45,9 +45,9 @@ def copy_count(found: HitBatch, place: int, hits: HitBatch, i: int):
 
 @wp.func
 def merge_count(found: HitBatch, place: int, primitive: int, hits: HitBatch, i: int):
-    """Adds the crossings that were found; whether there were any."""
+    """Adds the crossings that were found; whether that changed the number."""
     hits.counts[i] = hits.counts[i] + found.counts[place]
-    return found.counts[place] > 0
+    return found.counts[place] != 0
 
 
 KIND = AnswerKind(

@@ -105,6 +105,8 @@ template <class F> inline CUDA_CALLABLE TriangleHit<F> weighed(const Areas<F>& w
 /// The rule by which a triangle contains its edges. unsure: whether `decide` must find from exact areas if the line meets the
 /// triangle, and its weights.
 struct Inclusive {
+    static constexpr bool ORIENTED = false;
+
     static CUDA_CALLABLE bool unsure(const Areas<float>& w) { return some_zero(w); }
 
     static CUDA_CALLABLE bool decide(const Sheared<float>& s, Areas<float>& w)
@@ -116,6 +118,8 @@ struct Inclusive {
 
 /// The rule by which a line meets one of the triangles at an edge or a vertex, to count crossings.
 struct Crossing {
+    static constexpr bool ORIENTED = false;
+
     static CUDA_CALLABLE bool unsure(const Areas<float>& w)
     {
         const float a = absolute(w.a), b = absolute(w.b), c = absolute(w.c);
@@ -140,6 +144,18 @@ struct Crossing {
         return hit;
     }
 };
+
+/// The same, with the sign of a crossing in place of u.
+struct Oriented : Crossing {
+    static constexpr bool ORIENTED = true;
+};
+
+/// 1 where a ray leaves through the triangle's front, -1 where it comes in: the areas of a triangle whose normal has a positive
+/// component along the main axis are negative.
+inline CUDA_CALLABLE float sign_of(const Areas<float>& w, float along)
+{
+    return (sum(w) < 0.0f) == (along > 0.0f) ? 1.0f : -1.0f;
+}
 
 /// A ray and the W triangles of a block, in the ray's order of axes.
 template <int W> struct RayAndBlock {
@@ -229,7 +245,7 @@ inline CUDA_CALLABLE unsigned woop_block(const float* records, int block, const 
     WRT_FOR_LANES (i) {
         const Areas<float> w = {area_a[i], area_b[i], area_c[i]};
         const TriangleHit<float> hit = weighed(w, depth_a[i], depth_b[i], depth_c[i], along);
-        t[i] = hit.t, u[i] = hit.u, v[i] = hit.v;
+        t[i] = hit.t, u[i] = Rule::ORIENTED ? sign_of(w, along) : hit.u, v[i] = hit.v;
     }
     return mask;
 }

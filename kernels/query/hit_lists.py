@@ -112,11 +112,20 @@ def count_listed(first: int, offsets: wp.array(dtype=wp.int64), counts: wp.array
     counts[i] = int(offsets[i + 1] - offsets[i])
 
 
+ODD, NONZERO, POSITIVE = 0, 1, 2
+"""What `decide_inside` asks of a number."""
+
+
 @wp.kernel
-def is_odd(first: int, counts: wp.array(dtype=int), odd: wp.array(dtype=wp.bool)):
-    """Writes whether a ray crosses the surface an odd number of times. Item: a ray."""
+def decide_inside(first: int, counts: wp.array(dtype=int), rule: int, inside: wp.array(dtype=wp.bool)):
+    """Writes whether a number of crossings, or their sum by sign, is as the rule asks. Item: a ray."""
     i = first + wp.tid()
-    odd[i] = (counts[i] & 1) != 0
+    is_so = (counts[i] & 1) != 0
+    if rule == wp.static(NONZERO):
+        is_so = counts[i] != 0
+    elif rule == wp.static(POSITIVE):
+        is_so = counts[i] > 0
+    inside[i] = is_so
 
 
 @wp.kernel

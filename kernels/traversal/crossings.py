@@ -54,7 +54,7 @@ def offering_step(config: TraversalConfig, Tree: type) -> wp.Function:
     """
     test, width, answer = TRIANGLE_TESTS[config.triangle_test], config.width, config.answer
     Lanes, LeafSearch = lanes(width), leaf_search(config.triangle_test)
-    intersect_block = test.forms(answer.crossings).block_test(width)
+    intersect_block = test.forms(answer.crossings, answer.oriented).block_test(width)
     clamp = clamp_block(test.record, width, config.cull_backfaces)
     accept, owns, Search = answer.accept, owns_crossing(width), answer.Search
     owns_split = owns_shared(max(width, 2), config.stack.levels)

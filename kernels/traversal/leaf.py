@@ -145,7 +145,11 @@ def clamp_block(record: Record, width: int, cull_backfaces: bool = False) -> wp.
 def triangle_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(records, slot, state, slabs) -> vec3 (t, u, v)`: one candidate, by the scalar test; t is NaN for none."""
     test = TRIANGLE_TESTS[config.triangle_test]
-    RayState, intersect, width = test.ray_state, test.forms(config.answer.crossings).intersect, config.width
+    RayState, intersect, width = (
+        test.ray_state,
+        test.forms(config.answer.crossings, config.answer.oriented).intersect,
+        config.width,
+    )
     load, load_vertices = test.record.load, load_corners(test.record.components)
     culling = config.cull_backfaces
 

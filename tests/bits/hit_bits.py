@@ -10,7 +10,7 @@ from conftest import ENGINE_TESTS, SCENES, mixed_rays
 import wrt
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT, QUERIES
+from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT
 
 from .digests import digest
 
@@ -63,7 +63,7 @@ def hit_hashes(
     scenes: Collection[str] = SCENE_NAMES,
     traversals: Collection[str] = tuple(TRAVERSALS),
     triangle_tests: Collection[str] = tuple(TRIANGLE_TESTS),
-    queries: Collection[str] = QUERIES,
+    queries: Collection[str] = tuple(QUERY_HASHES),
 ) -> Iterator[tuple[str, str, str]]:
     """(case, engine, hash) for every engine and case."""
     for scene_name in scenes:

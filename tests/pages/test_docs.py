@@ -20,6 +20,7 @@ ANSWERS = (
     "Hits",
     "batches.Blocks",
     "disk.PartitionedHits",
+    "results.ClosestPoints",
     "results.PreciseHits",
     "results.Verification",
     "sensors.CameraImages",

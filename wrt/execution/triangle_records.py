@@ -10,14 +10,17 @@ import warp as wp
 from wrt.kernels.runtime.launch import specialise
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import make_packing_kernel, pack_blocks
-from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+from wrt.kernels.triangle.support.record_blocks import VERTICES, TriangleBlocks
 from wrt.memory import empty
 from wrt.planning.plan import walked_tree
 from wrt.rays.ray_buffers import shared_origin
 
 if TYPE_CHECKING:
+    from wrt.builders.tree import Bvh, KdTree
     from wrt.kernels.layout.ray_batch import RayBatch
+    from wrt.kernels.triangle.support.record_blocks import Record
     from wrt.planning.plan import Plan
+    from wrt.state.query_cache import KnownRecords, Origin
     from wrt.state.scene_state import SceneState
 
 
@@ -29,8 +32,20 @@ def records_of(scene: SceneState, plan: Plan, rays: RayBatch | None) -> Triangle
     """
     walked = walked_tree(plan, scene)
     known = scene.cache.wide.records if plan.is_wide else scene.cache.records
-    tree, record = plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
+    record = TRIANGLE_TESTS[plan.triangle_test].record
     origin = shared_origin(rays) if record.per_origin else None
+    return known_blocks(scene, walked, plan.accelerator, record, origin, known)
+
+
+def vertex_blocks(scene: SceneState) -> TriangleBlocks:
+    """The vertices of the triangles in the order of the leaves of the scene's tree, as tests store them that need no more."""
+    return known_blocks(scene, scene.tree, scene.accelerator.kind, VERTICES, None, scene.cache.records)
+
+
+def known_blocks(
+    scene: SceneState, walked: KdTree | Bvh, tree: str, record: Record, origin: Origin | None, known: KnownRecords
+) -> TriangleBlocks:
+    """Records of a kind in the order of a tree's leaves, made if they are not known; `tree`, `origin`: as in `KnownRecords`."""
     made_for, blocks = known.get((tree, record), (None, None))
     primitive, width = walked.primitive, walked.width
     if made_for != origin:

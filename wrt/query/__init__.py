@@ -1,1 +1,1 @@
-"""What a scene answers: closest hits, occlusion, all hits, counts, inside tests, visibility."""
+"""What a scene answers: closest hits, occlusion, all hits, counts, closest points, inside tests, visibility."""

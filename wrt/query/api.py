@@ -367,7 +367,7 @@ class Queries(BlockQueries, PointQueries):
             origins: (..., 3), or a `wrt.Rays`, which replaces the first four arguments.
             directions: (..., 3), of any length from 2^-126 up; leading shapes broadcast.
             t_min, t_max: scalars or (...) arrays; hits count if t_min <= t <= t_max (closed interval). 0 <= t_min < inf.
-            query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
+            query: "closest" (`intersect`), "any" (`occluded`), "count", "all" (`intersect_all`) or "winding" (`contains`).
             traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `wrt.results.Plan`.
             triangle_test: "auto" for the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
             cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise

@@ -1,4 +1,4 @@
-"""Inside tests by parity: the number of times that a ray from a point crosses the surface.
+"""Inside tests: the number of times that a ray from a point crosses the surface, or the sum of these crossings by sign.
 
 A ray from inside a closed surface to infinity crosses it an odd number of times, in any direction. Every crossing is
 counted once, also at edges and vertices (`wrt.kernels.triangle.watertight.woop`), and the number of crossings of a whole line
@@ -7,24 +7,28 @@ is exactly even: one direction is enough, and the ray may follow it either way.
 If a surface is not closed, rays through its holes give different answers in different directions. A second direction is
 then tested, and where the first two disagree, a third decides.
 
-With several meshes, or shells within each other, a point is inside if an odd number of them contain it.
+**Rules.** With several meshes, or shells within each other, a point is inside by parity if an odd number of them contain it.
+The sum of the crossings by sign is the winding number of the point (`wrt.kernels.answers.winding_number`): positive in the
+union of bodies that overlap, nonzero also in bodies that are inside out. It takes one pass over the crossings, as their number
+does.
 
 A triangle that repeats an earlier one, the same side in front, is left out (`SceneState.distinct`): the surface is there once.
 One that is turned over counts, so that bodies may touch: see `wrt.meshes.repeated_surfaces`.
 
-References: shimrat-1962 (parity).
+References: shimrat-1962 (parity); jacobson-2013 (winding numbers).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
 from wrt.execution.executor import trace
 from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.query.hit_lists import NONZERO, ODD, POSITIVE, aim_outwards, decide_inside
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.memory import empty
 from wrt.planning.plan import Plan
@@ -33,7 +37,8 @@ from wrt.rays.coherence import detect_coherence
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays, as_vectors
 from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, AUTO, COUNT
+from wrt.state.query_kinds import ANY, AUTO, COUNT, WINDING
+from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.rays.ray_buffers import RayBuffers
@@ -42,11 +47,30 @@ if TYPE_CHECKING:
 DIRECTIONS = ((0.5163, 0.3781, 0.7684), (-0.7911, 0.4892, 0.3674), (0.2769, -0.8472, 0.4534))
 """Directions far from each other, and from all axes and diagonals."""
 
+PARITY = "parity"
 
-def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> Any:
+
+class Rule(NamedTuple):
+    """When a point is inside.
+
+    Attributes:
+        query: what is asked of its ray: the number of crossings or their sum by sign.
+        asked: what that must be, as `wrt.kernels.query.hit_lists.decide_inside` takes it.
+    """
+
+    query: str
+    asked: int
+
+
+RULES = {PARITY: Rule(COUNT, ODD), "winding": Rule(WINDING, NONZERO), "union": Rule(WINDING, POSITIVE)}
+"""Rules by name."""
+
+
+def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO, rule: str = PARITY) -> Any:
     """Whether points are inside the scene's meshes; see `wrt.Scene.contains`."""
     from wrt.kernels.query.ordering.ray_order import sort_rays, unsort_hits
 
+    chosen = lookup(RULES, rule, "rule")
     refuse_capture("contains", scene.device)
     scene.require("count")
     points = as_vectors(points, "points", scene.device)
@@ -55,33 +79,30 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         aim(buffers.batch, DIRECTIONS[0], scene.device)
         buffers.scattered = detect_coherence(buffers.batch, scene.device).scattered
-        plan = make_plan(scene, buffers, traversal, AUTO, COUNT)
-        inside = odd_crossings(scene, plan, buffers)
+        plan = make_plan(scene, buffers, traversal, AUTO, chosen.query)
+        inside = decide(scene, plan, buffers, chosen)
         if not scene.is_closed:
             aim(buffers.batch, DIRECTIONS[1], scene.device)
-            other = odd_crossings(scene, plan, buffers)
+            other = decide(scene, plan, buffers, chosen)
             undecided = np.flatnonzero(inside.occluded.numpy() != other.occluded.numpy()).astype(np.int32)
             if len(undecided):
                 order = wp.array(undecided, dtype=int, device=scene.device)
                 few = replace(buffers, given=sort_rays(buffers.batch, order, empty), shape=(len(undecided),))
                 aim(few.batch, DIRECTIONS[2], scene.device)
-                unsort_hits(order, odd_crossings(scene, plan, few).struct(), inside.struct(), ANY)
+                unsort_hits(order, decide(scene, plan, few, chosen).struct(), inside.struct(), ANY)
     return inside.values(ANY, buffers.form)
 
 
 def aim(points: RayBatch, direction: tuple[float, ...], device: wp.Device) -> None:
     """Points rays along the direction or against it, whichever is probably the shorter way out of the scene."""
-    from wrt.kernels.query.hit_lists import aim_outwards
-
     points.directions, points.direction_stride = empty(points.count, wp.vec3, device), 1
     launch(aim_outwards, points.count, [points, wp.vec3(*direction), points.directions], device=device, chunk=4096)
 
 
-def odd_crossings(scene: SceneState, plan: Plan, rays: RayBuffers) -> DeviceHits:
-    """Whether each ray crosses the surface an odd number of times, stored as `occluded`."""
-    from wrt.kernels.query.hit_lists import is_odd
-
-    crossings, _ = trace(scene, plan, rays, COUNT)
-    odd = DeviceHits.new(ANY, rays.count, scene.device)
-    launch(is_odd, rays.count, [crossings.counts, odd.occluded], device=scene.device, chunk=4096)
-    return odd
+def decide(scene: SceneState, plan: Plan, rays: RayBuffers, rule: Rule) -> DeviceHits:
+    """Whether the origin of each ray is inside by what the ray crosses, stored as `occluded`."""
+    crossings, _ = trace(scene, plan, rays, rule.query)
+    inside = DeviceHits.new(ANY, rays.count, scene.device)
+    inputs = [crossings.counts, rule.asked, inside.occluded]
+    launch(decide_inside, rays.count, inputs, device=scene.device, chunk=4096)
+    return inside

@@ -17,6 +17,7 @@ import warp as wp
 from wrt.query.all_hits import AllHits
 from wrt.query.exact_hits import PreciseHits
 from wrt.query.hits import Hits
+from wrt.query.points.closest_points import ClosestPoints
 from wrt.rays.rays import ResultForm
 from wrt.state.device_hits import DTYPES, DeviceHits
 
@@ -129,6 +130,19 @@ class PickledHits(Hits):
         return False
 
 
+class PickledClosestPoints(PickledHits):
+    """Unpickled closest points."""
+
+    def __init__(self, state: HitsState, feature: np.ndarray) -> None:
+        super().__init__(state)
+        self.feature = wp.array(feature, dtype=wp.int8, device=self._home) if state.is_warp else feature
+
+    @property
+    def distance(self) -> Any:
+        """As in `wrt.results.ClosestPoints`."""
+        return self.t
+
+
 def unpickle_all_hits(flat: HitsState, offsets: np.ndarray, shape: tuple[int, ...]) -> AllHits:
     """Unpickles lists of hits."""
     lists = object.__new__(AllHits)
@@ -159,6 +173,11 @@ def reduce_hits(hits: Hits) -> tuple[Any, ...]:
     return PickledHits, (hits_state(hits),)
 
 
+def reduce_points(points: ClosestPoints | PickledClosestPoints) -> tuple[Any, ...]:
+    """How closest points are pickled."""
+    return PickledClosestPoints, (hits_state(points), as_numpy(points.feature))
+
+
 def reduce_lists(lists: AllHits) -> tuple[Any, ...]:
     """How lists of all hits are pickled."""
     return unpickle_all_hits, (hits_state(lists._flat), lists._offsets.numpy(), lists.shape)
@@ -166,4 +185,6 @@ def reduce_lists(lists: AllHits) -> tuple[Any, ...]:
 
 for _kind in (Hits, PreciseHits, PickledHits):
     copyreg.pickle(_kind, reduce_hits)
+for _points in (ClosestPoints, PickledClosestPoints):
+    copyreg.pickle(_points, reduce_points)
 copyreg.pickle(AllHits, reduce_lists)

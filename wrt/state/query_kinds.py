@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any, Final, NamedTuple
 
-from wrt.kernels.answers import all_crossings, any_hit, batch_kinds, closest_hit, crossing_count, exact_hit
+from wrt.kernels.answers import all_crossings, any_hit, batch_kinds, closest_hit, crossing_count, exact_hit, winding_number
 
 AUTO: Final = "auto"
 
-CLOSEST, ANY, COUNT, ALL, EXACT = (file.KIND.name for file in (closest_hit, any_hit, crossing_count, all_crossings, exact_hit))
+CLOSEST, ANY, COUNT, ALL, EXACT, WINDING = (
+    file.KIND.name for file in (closest_hit, any_hit, crossing_count, all_crossings, exact_hit, winding_number)
+)
 """Keys in `wrt.kernels.answers.ANSWERS`, for code that asks a query of such a kind."""
 
 FEW_RAYS = 1024
@@ -34,7 +36,7 @@ class Query(NamedTuple):
     """The kind of a query and its options, with their defaults; `wrt.Scene.intersect` explains them.
 
     Attributes:
-        kind: key in `wrt.kernels.answers.ANSWERS`: "closest", "any", "count" or "all".
+        kind: key in `wrt.kernels.answers.ANSWERS`: "closest", "any", "count", "all" or "winding".
         traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `wrt.results.Plan`.
         triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
         cull_backfaces: whether triangles are hit only from their front.

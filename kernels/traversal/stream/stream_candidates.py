@@ -243,7 +243,7 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
 def line_lanes(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, block, state) -> mask`: which triangles of a block the line of a ray meets."""
     test, Lanes = TRIANGLE_TESTS[config.triangle_test], lanes(config.width)
-    RayState, forms = test.ray_state, test.forms(config.answer.crossings)
+    RayState, forms = test.ray_state, test.forms(config.answer.crossings, config.answer.oriented)
     intersect_block = (forms.line_test or forms.block_test)(config.width)
 
     @wp.func

@@ -82,6 +82,8 @@ class TriangleTest(TestForm):
         line_test: width -> `block_test` that does not write t, u and v, for streams. It may return more lanes than are
             hit, because they are tested again. None if the compiler derives it from `block_test` by removing unused results.
         crossing: the forms that count crossings exactly; None if the test has none.
+        oriented: the same, with the sign of a crossing in place of u: 1 where the ray leaves through the triangle's front,
+            from which the triangle is wound counter-clockwise, -1 where it comes in through it; None likewise.
         any_hit: key in `TRIANGLE_TESTS` of the test that replaces this one in any-hit queries; empty for the test itself.
     """
 
@@ -92,8 +94,12 @@ class TriangleTest(TestForm):
     intersect: wp.Function
     line_test: Callable[[int], wp.Function] | None = None
     crossing: CrossingForms | None = None
+    oriented: CrossingForms | None = None
     any_hit: str = ""
 
-    def forms(self, crossing: bool) -> CrossingForms:
-        """The forms for one ray: those that count crossings exactly if `crossing`, else the inclusive ones."""
+    def forms(self, crossing: bool, oriented: bool = False) -> CrossingForms:
+        """The forms for one ray: those that count crossings exactly if `crossing`, with their signs if `oriented`, else the
+        inclusive ones."""
+        if oriented:
+            return self.oriented
         return self.crossing if crossing else CrossingForms(self.intersect, self.block_test, self.line_test)

@@ -19,7 +19,8 @@ small e > 0 (simulation of simplicity). To first order this adds e (p.y - q.y) +
 exact area is 0, the edge's own direction decides the side, with opposite results in its two triangles. The moved point lies on
 no edge and no line through two vertices. So the count is the number of projected triangles around a point in general position,
 which is even for every closed surface, whichever edges and vertices the ray meets. A triangle that is seen edge-on, or whose
-projected vertices coincide, contains no such point. `CROSSING` holds this rule in the same forms as the inclusive one.
+projected vertices coincide, contains no such point. `CROSSING` holds this rule in the same forms as the inclusive one,
+and `ORIENTED` also the sign of a crossing, which is that of the areas.
 
 **Data.** Per triangle: the three vertices. Per ray: the axis order and the shear (`ShearedRay`).
 
@@ -149,11 +150,8 @@ def side(area: wp.float64, p: wp.vec3, q: wp.vec3):
 
 
 @wp.func
-def intersect_crossing(ray: ShearedRay, corners: Corners):
-    """`intersect` for counting crossings: a ray on an edge hits exactly one of its triangles."""
-    a = sheared(ray, corners.a)
-    b = sheared(ray, corners.b)
-    c = sheared(ray, corners.c)
+def crossing_areas(a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """The areas of a triangle that is crossed, by which its vertices are weighed; NaN for one that is not."""
     area_a = c[0] * b[1] - c[1] * b[0]
     area_b = a[0] * c[1] - a[1] * c[0]
     area_c = b[0] * a[1] - b[1] * a[0]
@@ -171,8 +169,37 @@ def intersect_crossing(ray: ShearedRay, corners: Corners):
     elif inside:
         areas = precise_areas(a, b, c, areas)
     if not inside:
-        return wp.vec3(wp.nan, 0.0, 0.0)
+        areas = wp.vec3(wp.nan, 0.0, 0.0)
+    return areas
+
+
+@wp.func
+def intersect_crossing(ray: ShearedRay, corners: Corners):
+    """`intersect` for counting crossings: a ray on an edge hits exactly one of its triangles."""
+    a = sheared(ray, corners.a)
+    b = sheared(ray, corners.b)
+    c = sheared(ray, corners.c)
+    areas = crossing_areas(a, b, c)
+    if areas[0] != areas[0]:
+        return areas
     return interpolate(ray, wp.vec3(a[2], b[2], c[2]), areas)
+
+
+@wp.func
+def intersect_oriented(ray: ShearedRay, corners: Corners):
+    """`intersect_crossing` with the sign of the crossing in place of u.
+
+    The summed areas of a triangle whose normal has a positive component along the main axis are negative.
+    """
+    a = sheared(ray, corners.a)
+    b = sheared(ray, corners.b)
+    c = sheared(ray, corners.c)
+    areas = crossing_areas(a, b, c)
+    if areas[0] != areas[0]:
+        return areas
+    hit = interpolate(ray, wp.vec3(a[2], b[2], c[2]), areas)
+    leaves = ((areas[0] + areas[1]) + areas[2] < 0.0) == (ray.shear[2] > 0.0)
+    return wp.vec3(hit[0], wp.where(leaves, 1.0, -1.0), hit[2])
 
 
 GUARDS = f"""
@@ -182,10 +209,10 @@ GUARDS = f"""
 """C++: constants that kernels/native has too."""
 
 
-def make_block_test(width: int, crossing: bool, weights: bool = True) -> wp.Function:
-    """The block test by one of the two rules for a ray on an edge. `weights`: whether t, u and v are computed."""
+def make_block_test(width: int, rule: str, weights: bool = True) -> wp.Function:
+    """The block test by a rule of kernels/native/triangle.h for a ray on an edge. `weights`: whether to compute t, u and v."""
     Lanes = lanes(width)
-    form = f"{width}, wrt::{'Crossing' if crossing else 'Inclusive'}, {int(weights)}"
+    form = f"{width}, wrt::{rule}, {int(weights)}"
 
     @native.func_native("triangle.h", f"{GUARDS}return wrt::woop_block<{form}>(records.data, block, ray, t.c, u.c, v.c);")
     def woop_block(
@@ -203,7 +230,7 @@ def make_block_test(width: int, crossing: bool, weights: bool = True) -> wp.Func
 @cache
 def block_test(width: int) -> wp.Function:
     """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets. t, u, v are valid in those lanes."""
-    return make_block_test(width, crossing=False)
+    return make_block_test(width, "Inclusive")
 
 
 @cache
@@ -227,17 +254,26 @@ def line_test(width: int) -> wp.Function:
 @cache
 def crossing_block_test(width: int) -> wp.Function:
     """`block_test` for counting crossings."""
-    return make_block_test(width, crossing=True)
+    return make_block_test(width, "Crossing")
 
 
 @cache
 def crossing_line_test(width: int) -> wp.Function:
     """`line_test` for counting crossings."""
-    return make_block_test(width, crossing=True, weights=False)
+    return make_block_test(width, "Crossing", weights=False)
+
+
+@cache
+def oriented_block_test(width: int) -> wp.Function:
+    """`crossing_block_test` with the sign of the crossing in place of u."""
+    return make_block_test(width, "Oriented")
 
 
 CROSSING = CrossingForms(intersect_crossing, crossing_block_test, crossing_line_test)
 """The forms by which a line crosses a closed surface an even number of times."""
+
+ORIENTED = CrossingForms(intersect_oriented, oriented_block_test, crossing_line_test)
+"""The same, with the sign of the crossing in place of u."""
 
 OPERATIONS = (Operations(add=18, multiply=12, compare=9), Operations(add=4, multiply=9, divide=1))
 """Operations of a miss, and those that a hit adds, without recomputation."""
@@ -254,4 +290,5 @@ TEST = TriangleTest(
     lanes=HandWritten(block_test, PACKET, OPERATIONS),
     line_test=line_test,
     crossing=CROSSING,
+    oriented=ORIENTED,
 )

@@ -1,14 +1,14 @@
 """`Scene.contains` compared with winding numbers, and what it cannot answer on a mesh.
 
-`contains` counts crossings of a ray; the reference sums the solid angles of all triangles in float64, seen from a point
-(`winding_numbers`). The sum is a whole number where the surface is closed and faces one way, and a point is then inside if that
-is odd. Triangles that repeat an earlier one, the same side in front, are left out, unless the sums are whole numbers only with
-them.
+`contains` counts crossings of a ray, or sums their signs; the reference sums the solid angles of all triangles in float64,
+seen from a point (`winding_numbers`). The sum is a whole number where the surface is closed and faces one way. A point is then
+inside, by each rule of `contains`, if the number is odd, positive, or not zero. Triangles that repeat an earlier one, the same
+side in front, are left out, unless the sums are whole numbers only with them.
 
 **What nobody can tell.** Where a surface has holes, or triangles that are turned over, the sum is no whole number, and three
 rays may disagree: answers there are compared, too, but a difference is a doubt and no fault. A triangle that occurs with both
 sides in front counts twice, as it must where two bodies touch, and cancels where a sheet was meant. In several bodies at a
-time, a point is inside by definition if their number is odd. `InsideCheck.doubts` names what of this a mesh has.
+time, a point is inside by parity if their number is odd. `InsideCheck.doubts` names what of this a mesh has.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from wrt.kernels.query.nearest64 import vertex_rows, winding_numbers
 from wrt.meshes.mesh_measures import first_of_equal_points
-from wrt.query.inside import contains
+from wrt.query.inside import PARITY, RULES, contains
 
 if TYPE_CHECKING:
     from wrt.meshes.mesh import TriangleMesh
@@ -41,7 +41,7 @@ class InsideCheck:
 
     Attributes:
         points: number of points; 0 if the scene does not answer `contains`.
-        wrong: answers that contradict a winding number that is a whole number, on a closed surface.
+        wrong: answers, by any rule, that contradict a winding number that is a whole number, on a closed surface.
         near: of these contradictions, points that are within rounding of a triangle; they are not in `wrong`.
         unsure: answers that differ from a winding number, rounded, where the surface is open or triangles are turned over.
         doubts: what `contains` cannot answer on this mesh, or takes in one of two ways, a sentence each.
@@ -56,7 +56,11 @@ class InsideCheck:
     def lines(self) -> list[str]:
         """The result in words."""
         counts = f"{self.wrong:,} wrong, {self.near:,} undecided, {self.unsure:,} where the mesh has no inside"
-        found = [f"contains: {self.points:,} points against winding numbers, {counts}"] if self.points else []
+        found = (
+            [f"contains: {self.points:,} points, by {len(RULES)} rules, against winding numbers, {counts}"]
+            if self.points
+            else []
+        )
         return found + [f"contains: {doubt}" for doubt in self.doubts]
 
 
@@ -80,7 +84,7 @@ def check_inside(
     count = min(samples, max(FEWEST_POINTS, MOST_PAIRS // len(corners)))
     points = rng.uniform(low, high, (count, 3)).astype(np.float32).astype(np.float64)
     try:
-        found = contains(scene, points + scene.center)
+        answers = {rule: contains(scene, points + scene.center, rule=rule) for rule in RULES}
     except ValueError as refusal:
         return InsideCheck(0, 0, 0, 0, (f"not compared: {refusal}", *distinct.doubts()))
     vertices = joined.vertices.astype(np.float64) - scene.center
@@ -90,14 +94,15 @@ def check_inside(
         if are_whole(with_repeated).sum() > are_whole(turns).sum():
             surface, turns = whole, with_repeated
     doubts, nearest, is_whole = surface.doubts(), np.rint(turns), are_whole(turns)
-    differs = found != (nearest % 2 == 1)
+    expected = {PARITY: nearest % 2 == 1, "winding": nearest != 0, "union": nearest > 0}
+    differs = np.stack([answers[rule] != expected[rule] for rule in RULES])
     unsure = differs & ~(is_whole & (surface.odd_edges == 0))
-    suspects = np.flatnonzero(differs & ~unsure)
+    suspects = np.nonzero(differs & ~unsure)[1]
     near = np.array([is_near(point, corners, tolerance * (high - low).max()) for point in points[suspects]], dtype=bool)
     if surface.odd_edges == 0 and not is_whole.all():
         doubts.append(f"triangles are turned over: {(~is_whole).sum():,} winding numbers are no whole numbers")
     if several := (np.abs(nearest) > 1).sum():
-        doubts.append(f"{several:,} points are in several bodies; they count as inside if the number of these is odd")
+        doubts.append(f"{several:,} points are in several bodies; by parity they count as inside if the number of these is odd")
     return InsideCheck(count, int((~near).sum()), int(near.sum()), int(unsure.sum()), tuple(doubts))
 
 

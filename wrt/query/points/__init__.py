@@ -1,1 +1,1 @@
-"""Queries of points: on triangles, and between each other."""
+"""Queries of points: nearest to them, on triangles, and between each other."""

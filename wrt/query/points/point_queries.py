@@ -1,4 +1,4 @@
-"""The queries of a scene that take points: inside tests, visibility, points on triangles; and a check of itself."""
+"""The queries of a scene that take points: inside tests, closest points, visibility, points on triangles; and a check of itself."""
 
 from __future__ import annotations
 
@@ -14,9 +14,13 @@ if TYPE_CHECKING:
     from wrt.meshes.mesh import TriangleMesh
     from wrt.planning.plan import Plan
     from wrt.query.hits import Hits
+    from wrt.query.points.closest_points import ClosestPoints
     from wrt.query.verification import Verification
     from wrt.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.state.scene_state import SceneState
+
+
+INF = float("inf")
 
 
 class PointQueries:
@@ -72,36 +76,85 @@ class PointQueries:
         return points_on(self.state, primitive_id, uv, points, instance_id)
 
     @overload
-    def contains(self, points: NumpyLike, *, traversal: str | Plan = AUTO) -> np.ndarray: ...
+    def contains(self, points: NumpyLike, *, rule: str = "parity", traversal: str | Plan = AUTO) -> np.ndarray: ...
     @overload
-    def contains(self, points: WarpLike, *, traversal: str | Plan = AUTO) -> wp.array: ...
-    def contains(self, points: ArrayLike, *, traversal: str | Plan = AUTO) -> np.ndarray | wp.array:
+    def contains(self, points: WarpLike, *, rule: str = "parity", traversal: str | Plan = AUTO) -> wp.array: ...
+    def contains(self, points: ArrayLike, *, rule: str = "parity", traversal: str | Plan = AUTO) -> np.ndarray | wp.array:
         """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.
 
-        Decided by parity: a point is inside if a ray from it crosses the surface an odd number of times. If every mesh is
-        closed (`TriangleMesh.is_closed`), the direction of the ray does not matter. Otherwise the majority of three
-        directions decides, which is unreliable near holes. With several meshes, or shells within each other, a point is
-        inside if an odd number of them contain it.
+        Decided by the crossings of a ray from the point with the surface. By parity, the point is inside if their number is
+        odd. The other rules take their signs, 1 where the ray leaves through the front of a triangle, from which its vertices
+        are counter-clockwise, and -1 where it comes in. The sum is the winding number: how often the surface, with its front
+        outside, surrounds the point.
+
+        ============ ==================== ==========================================================================
+        `rule`       inside where         right for
+        ============ ==================== ==========================================================================
+        `"parity"`   crossings are odd    one body, whichever way its triangles face; a shell within another is a
+                                          cavity; where two bodies overlap is outside
+        `"union"`    winding number > 0   bodies that overlap (assemblies), each with its front outside; a shell
+                                          that faces inwards is a cavity; a body that is inside out is nowhere
+        `"winding"`  winding number not 0 the same, also if the whole mesh is inside out; where a body overlaps with
+                                          one that is inside out, they cancel
+        ============ ==================== ==========================================================================
+
+        If every mesh is closed (`TriangleMesh.is_closed`), the direction of the ray does not matter. For the last two rules,
+        neighbouring triangles must face the same way, too. Otherwise the majority of three directions decides, which is
+        unreliable near holes and triangles that are turned over. Of instances, those with mask 0 are left out; one whose
+        transform mirrors has its front where that of its mesh was, so that a body remains one.
 
         A triangle that repeats an earlier one exactly, with the same side in front, is left out, unless another body is
         closed by it; so is an instance of an equal mesh with equal transform and environment. If there are any, the first
         call builds a second tree. A triangle that is there with both sides in front counts twice, as the common wall of
-        two bodies that touch. `verify` says what a parity cannot answer on a mesh.
+        two bodies that touch, and is neither crossed in nor out for the sum of signs. `verify` says what no rule can answer on
+        a mesh.
 
         Points whose distance to the surface is within float32 rounding, relative to the scene's centre, may count as inside
         or outside. A point with a NaN or an infinity is outside.
 
         Args:
             points: (..., 3).
+            rule: "parity", "union" or "winding".
             traversal: as in `count`.
 
         Raises:
-            TypeError: points are not an array of real numbers.
-            ValueError: wrong shape, an array on another device, or a traversal that does not count.
+            TypeError: points are not an array of real numbers, or the rule is not a string.
+            ValueError: wrong shape, an array on another device, a traversal that does not count, or an unknown rule.
+
+        References: shimrat-1962 (parity); jacobson-2013 (winding numbers).
         """
         from wrt.query.inside import contains
 
-        return contains(self.state, points, traversal)
+        return contains(self.state, points, traversal, rule)
+
+    def closest_point(self, points: ArrayLike, *, max_distance: Numbers = INF) -> ClosestPoints:
+        """The closest point on the geometry to each point, and its triangle.
+
+            near = scene.closest_point(points)
+            near.distance, near.position, near.primitive_id, near.normal
+
+        Distances are computed in float32, relative to the point (`wrt.kernels.points`). Of triangles at the same computed
+        distance, as at an edge or a vertex, the one with the smallest geometry index, then the smallest triangle index, is
+        returned. The result depends neither on the tree nor on the number of threads. A triangle without area counts as the
+        segment or the point that it is. Positions up to 5e-4 of the distance apart may have the same distance in float32.
+
+        Instances are searched one after the other, so time grows with their number; those with mask 0 are left out.
+
+        A point with a NaN or an infinity finds nothing, nor does one that is farther than 1.8e19 from everything.
+
+        Args:
+            points: (..., 3).
+            max_distance: scalar or (...) array, at least 0: a triangle is found if its distance is at most this (closed
+                interval). Small ones make the search faster.
+
+        Raises:
+            TypeError: points or distances are not real numbers.
+            ValueError: wrong shapes, a negative distance or a NaN, an array on another device; instances that are sheared or
+                not scaled alike along all axes; a scene of fans, groups or fuzzy boxes.
+        """
+        from wrt.query.points.closest_point import closest_point
+
+        return closest_point(self.state, points, max_distance)
 
     @overload
     def visible(self, points_a: NumpyLike, points_b: NumpyLike) -> np.ndarray: ...

@@ -1,0 +1,61 @@
+"""The order in which points are searched: by cells of a grid along a Morton curve.
+
+**Problem.** Points in any order visit any nodes, and nothing is known of their nearest triangle beforehand.
+
+**Idea.** Neighbours on the curve are near each other. They visit the same nodes, and what is nearest to one is near the other.
+There are 32 x 32 x 32 cells, so that their numbers have 16 bits, which sort in two passes.
+
+References: morton-1966.
+"""
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
+
+BITS = 5
+"""Bits of the number of a cell along an axis."""
+
+CELLS = wp.constant(1 << BITS)
+"""Cells along an axis."""
+
+
+@wp.func
+def cell_of(offset: float, scale: float):
+    """Number of a cell along an axis, its bits apart by two zeros; coordinates outside of the grid, and NaN, are clamped."""
+    place = offset * scale
+    cell = int(wp.where(place >= 0.0, wp.where(place < float(CELLS - 1), place, float(CELLS - 1)), 0.0))
+    apart = int(0)
+    for bit in range(wp.static(BITS)):
+        apart = apart | (((cell >> bit) & 1) << (3 * bit))
+    return apart
+
+
+@wp.kernel
+def find_cells(first: int, position: wp.array(dtype=wp.vec3), low: wp.vec3, scale: wp.vec3, cell: wp.array(dtype=int)):
+    """Writes the number of a point's cell along the curve. Item: a point."""
+    i = first + wp.tid()
+    place = position[i] - low
+    cell[i] = 4 * cell_of(place[0], scale[0]) + 2 * cell_of(place[1], scale[1]) + cell_of(place[2], scale[2])
+
+
+def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
+    """(N,) int32: numbers of points along the curve through the box, on their device; stable.
+
+    Args:
+        position: (N,) vec3.
+        low, high: the box.
+    """
+    device, count = position.device, len(position)
+    on_cuda = device.is_cuda
+    cell = wp.empty(2 * count if on_cuda else count, dtype=int, device=device)  # Warp's sort needs twice the space
+    scale = wp.vec3(*(float(CELLS) / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
+    launch(find_cells, count, [position, low, scale, cell], device=device, chunk=4096)
+    if on_cuda:
+        order = wp.array(np.arange(2 * count, dtype=np.int32), dtype=int, device=device)
+        wp.utils.radix_sort_pairs(cell, order, count)
+        return order[:count]
+    return wp.array(np.argsort(cell.numpy().astype(np.uint16), kind="stable").astype(np.int32), dtype=int, device=device)
