@@ -105,7 +105,7 @@ def _light(number: int, values: dict[str, Any], arrays: Mapping[str, np.ndarray]
     kind = KINDS[values.pop("kind")]
     values |= {name: arrays[f"{number}.{name}"] for name in FIELDS[kind] if name not in values}
     if kind is Sky:
-        light = Sky.image(values["texels"], up=values["up"], east=values["east"])
+        light: Any = Sky.image(values["texels"], up=values["up"], east=values["east"])
     elif kind is AreaLight and values["shape"] == "sphere":
         return AreaLight.sphere(values["position"], values["radius"], values["radiance"])
     elif kind is AreaLight:
