@@ -45,9 +45,10 @@ def python_lines(text: str, name: str) -> tuple[int, int]:
 
 
 def defined_by(node: ast.stmt) -> list[str]:
-    """Names that a statement defines."""
+    """Names that a statement defines; overloads define none."""
     if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-        return [node.name]
+        is_overload = any(isinstance(decorator, ast.Name) and decorator.id == "overload" for decorator in node.decorator_list)
+        return [] if is_overload else [node.name]
     targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
     return [inner.id for target in targets for inner in ast.walk(target) if isinstance(inner, ast.Name)]
 

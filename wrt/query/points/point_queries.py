@@ -1,4 +1,4 @@
-"""The queries of a scene that take points: inside tests, closest points, visibility, points on triangles; and a check of itself."""
+"""Queries of a scene that take points: inside tests, closest points, visibility, points on triangles; a check of itself."""
 
 from __future__ import annotations
 
