@@ -93,7 +93,7 @@ def trees(browser: Browser) -> None:
 
 
 def instances(browser: Browser) -> None:
-    """The gizmo of an instance, and the way of a ray through both levels."""
+    """The gizmo of an instance, and the traversal path of a ray through both levels."""
     pot = scenes.build("teapot", level=8, ground=False)
     placed = [wrt.Instance(pot)]
     for number, (x, y, turn) in enumerate(((-7.0, 1.0, 0.6), (5.5, 3.0, -0.8), (-2.0, 7.0, 2.0))):

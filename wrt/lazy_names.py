@@ -6,7 +6,7 @@ A public module lists its names in one table, and says where each is defined:
     __all__ = [*_HOME]
     __getattr__, __dir__ = lazy_names(__name__, _HOME)
 
-`import wrt` thus costs little more than `import warp`, and nobody waits for kernels that are not used.
+`import wrt` thus costs little more than `import warp`, and kernels that are not used are not compiled.
 """
 
 from __future__ import annotations

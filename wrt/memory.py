@@ -38,7 +38,7 @@ KEPT_BYTES = 1 << 28
 """Largest number of bytes kept for reuse; the blocks unused for longest are freed first."""
 
 OFFERED_SHARE = 8
-"""One part in so many of the machine's memory is kept in addition, but offered to the operating system, which takes it when
+"""One part in this many of the machine's memory is kept in addition, but offered to the operating system, which takes it when
 memory becomes scarce. Results of more than `KEPT_BYTES` would otherwise be fresh memory in every query
 (notebooks/records/2026-11-22-large-results.md).
 """

@@ -128,7 +128,7 @@ class InstanceForest:
         """The boxes after a few instances have moved: those above them are computed again.
 
         Args:
-            bounds: the old ones, as of `bounds`.
+            bounds: the old ones, as in `bounds`.
             low, high: (N, 3) float32, of all instances.
             rows: (M,) instances that have moved.
         """

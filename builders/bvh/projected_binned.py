@@ -145,7 +145,7 @@ def try_axis(
 ):
     """`best`, or the plane of least cost of an axis if that costs less; ties go to the smaller bin.
 
-    weights: of the boxes on both sides of the planes, as of `sweep_axis` and `add_projected`."""
+    weights: of the boxes on both sides of the planes, as in `sweep_axis` and `add_projected`."""
     first = slot * SLOT_BINS + axis * bins
     for b in range(1, bins):
         left = load_int(scratch.left, first + b)

@@ -127,7 +127,7 @@ class FewTriangles:
     def build(
         self, center: wp.vec3d, vertices: np.ndarray, faces: wp.array, low: wp.vec3, high: wp.vec3, relative: wp.array
     ) -> Bvh:
-        """Writes `relative` and builds the tree; arguments as of `build_small_mesh`."""
+        """Writes `relative` and builds the tree; arguments as in `build_small_mesh`."""
         start, count = perf_counter(), len(faces)
         root, task = self.root, self.task
         root[0:3], root[4:7] = POINT.unpack(low), [-value for value in POINT.unpack(high)]

@@ -76,7 +76,7 @@ def give_mesh(lists: Any, triangles: TriangleBoxes, size: float, shrinks: bool) 
 
 
 def clipped_mesh(triangles: TriangleBoxes, size: float, shrinks: bool = True) -> ClippedMesh:
-    """The triangles to clip; arguments as of `give_mesh`."""
+    """The triangles to clip; arguments as in `give_mesh`."""
     mesh = ClippedMesh()
     mesh.clips = True
     give_mesh(mesh, triangles, size, shrinks)

@@ -270,9 +270,9 @@ def build_tasks(
     """Makes tasks and builds their subtrees; again with twice the memory if it was too small for one of them.
 
     Args:
-        method, rules: as of `build_subtrees`.
+        method, rules: as in `build_subtrees`.
         make_tasks: spare -> the tasks, their lists and their roots.
-        spare: as of `Reservation`, for the first attempt.
+        spare: as in `Reservation`, for the first attempt.
         phase: times the phases `name`, of `make_tasks`, and "subtrees".
         name: see `phase`.
 

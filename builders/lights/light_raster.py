@@ -95,7 +95,7 @@ def rasterise(stage: str, by_box: bool, covering: bool, backs_only: bool) -> wp.
 def make_rasteriser(stage: str, by_box: bool, covering: bool, backs_only: bool) -> wp.Kernel:
     """The kernel of one stage. Triangles with a NaN or an infinity, which no ray hits, are left out.
 
-    Arguments as of `rasterise`.
+    Arguments as in `rasterise`.
     """
     draw = rasterise(stage, by_box, covering, backs_only)
 

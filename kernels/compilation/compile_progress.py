@@ -58,7 +58,7 @@ def chosen() -> bool | None:
 
 
 def is_shown() -> bool:
-    """Whether progress is counted; errors as of `chosen`."""
+    """Whether progress is counted; errors as in `chosen`."""
     choice = chosen()
     return is_terminal() if choice is None else choice
 

@@ -156,7 +156,7 @@ def _close_at_exit() -> None:
 
 
 def _close() -> None:
-    """Drops what nobody waits for any more, and waits for the modules under way, as their threads must not outlive Warp."""
+    """Drops modules that are no longer needed, and waits for the modules under way, as their threads must not outlive Warp."""
     global _is_exiting
     with _lock:
         _is_exiting = True

@@ -49,5 +49,5 @@ def shifted(center: np.ndarray, vertices: np.ndarray, allocate: Callable[..., wp
 
 
 def relative_to(center: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """(V, 3) float32: as of `shifted`."""
+    """(V, 3) float32: as in `shifted`."""
     return shifted(center, vertices).numpy()

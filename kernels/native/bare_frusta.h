@@ -29,7 +29,7 @@ template <int P> struct BareFrustum {
         }
     }
 
-    /// Tests all triangles, and keeps the closest hits with t > 0. triangle: a test as of packet_leaves.h.
+    /// Tests all triangles, and keeps the closest hits with t > 0. triangle: a test as in packet_leaves.h.
     template <int W, int PASSES, int COMPONENTS, class Triangle>
     CUDA_CALLABLE void trace(const float* records, int triangles, const Triangle& triangle)
     {

@@ -120,7 +120,7 @@ template <int W> inline CUDA_CALLABLE void meet(const Slot& slot, const char* bo
 // (`wrt.kernels.simd.box_lanes`). It is -1 for a child that the ray misses. Keys are sorted in descending order, so the children
 // that the ray meets come first, the nearest last; all W are written, and the stack grows by the number of those met. With
 // AVX-512 the keys of the children met are first moved together (as in Fuetterling et al. 2017); if there are at most `FEW`,
-// which is nearly always the case, sorting so many lanes is enough. With AVX2, sorting all 8 lanes takes as long as moving them
+// which is nearly always the case, sorting that many lanes is enough. With AVX2, sorting all 8 lanes takes as long as moving them
 // (notebooks/records/2026-11-22-interleaved-rays.md).
 //
 // References:

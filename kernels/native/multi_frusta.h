@@ -17,7 +17,7 @@ inline CUDA_CALLABLE int pattern_of(unsigned point, unsigned patterns)
     return (int)((h ^ (h >> 13)) % patterns);
 }
 
-/// The rays from a point to a group of samples: bounds as of a packet, the box around them where directions have both signs, and
+/// The rays from a point to a group of samples: bounds as in a packet, the box around them where directions have both signs, and
 /// the intervals of the directions.
 struct LightFrustum {
     struct Vec3 {

@@ -90,7 +90,7 @@ inline CUDA_CALLABLE bool is_front(const double* normal, float ix, float iy, flo
 inline CUDA_CALLABLE float relative(float x, double center) { return (float)((double)x - center); }
 
 /// L rays of a batch in lanes. given_origin, given_direction: as the caller gives them; origin: relative to the scene's centre;
-/// direction: without negligible components. It is not loaded to where it is stored, as of a select between the two the compiler
+/// direction: without negligible components. It is not loaded to where it is stored, as in a select between the two the compiler
 /// makes a masked store, which is slow. here: how many are rays of the batch; those beyond are the first again. stored: -1 for
 /// those that are valid, else 0.
 template <int L> struct RayLanes {

@@ -105,7 +105,7 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
 
 @cache
 def make_exact_instance_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
-    """The kernel for a config that asks for the closest hit in float64; arguments as of
+    """The kernel for a config that asks for the closest hit in float64; arguments as in
     `wrt.kernels.traversal.two_level.instance_single.make_instance_kernel`."""
     Part, Search = PARTS[kind], exact_search(kind)
     walk_keys = make_key_walk(config, levels, Search, make_visit(config, kind))

@@ -49,7 +49,7 @@ def test_tile(
     z: int,
     found: wp.ref[Nearest],
 ):
-    """Tests the triangles begin .. end - 1; of equally near ones the first counts. z: as of `longest_axis`."""
+    """Tests the triangles begin .. end - 1; of equally near ones the first counts. z: as in `longest_axis`."""
     ...
 
 
@@ -119,7 +119,7 @@ def nearest_hits(corners: wp.array, origins: np.ndarray, directions: np.ndarray)
     """Nearest hits at t >= 0, edges included: ((N,) int triangle or -1, (N,) float64 t or inf).
 
     Args:
-        corners: as of `vertex_rows`.
+        corners: as in `vertex_rows`.
         origins, directions: (N, 3) float64.
     """
     count, device = len(origins), corners.device
@@ -137,7 +137,7 @@ def winding_numbers(corners: wp.array, points: np.ndarray) -> np.ndarray:
     """(N,) float64: how often a surface that faces outward surrounds each point; a whole number if the surface is closed.
 
     Args:
-        corners: as of `vertex_rows`.
+        corners: as in `vertex_rows`.
         points: (N, 3) float64.
     """
     device = corners.device

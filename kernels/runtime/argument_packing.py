@@ -128,7 +128,7 @@ class PackedKernel:
         setattr(self.arguments, f"p{index}", struct.__ctype__())
 
     def forget(self, but: Container[int]) -> None:
-        """Lets go of all arguments but objects of these identities; before the next call, `update` must replace them."""
+        """Releases all arguments but objects of these identities; before the next call, `update` must replace them."""
         self._inputs = [value if id(value) in but else None for value in self._inputs]
 
     @property

@@ -31,7 +31,7 @@ def launch_again(kernel: wp.Kernel, count: int, inputs: Sequence[Any], device: w
         kernel: is loaded.
         count: number of items.
         inputs: all arguments, on the device.
-        device, block: as of `wp.launch`.
+        device, block: as in `wp.launch`.
     """
     key = kernel, device.alias, block
     if key not in _commands.known:

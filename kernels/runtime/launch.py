@@ -191,7 +191,7 @@ class PreparedLaunch:
         setattr(self._packed.arguments, f"p{index}", value)
 
     def replace(self, index: int, struct: Any) -> None:
-        """Replaces an argument that is a struct; `index` as of `argument`."""
+        """Replaces an argument that is a struct; `index` as in `argument`."""
         self._packed.replace(index, struct)
 
     def update(self, inputs: Sequence[Any]) -> None:

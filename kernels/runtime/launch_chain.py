@@ -63,7 +63,7 @@ class Stage:
     """A kernel of a chain.
 
     Attributes:
-        kernel: its first parameter is `first: int`, as of `wrt.kernels.runtime.launch`.
+        kernel: its first parameter is `first: int`, as in `wrt.kernels.runtime.launch`.
         inputs: the other arguments.
         grain: items of a tile that an item of the kernel does; divides the items of a tile, or is all of them.
         end: which argument is the number of the item at which the tile ends, the first item counted; with the name of a field

@@ -41,7 +41,7 @@ class Step:
 
 
 class LaunchLoop:
-    """A loop in native code, packed for repeated runs with one number of threads; arguments as of `launch_loop`."""
+    """A loop in native code, packed for repeated runs with one number of threads; arguments as in `launch_loop`."""
 
     def __init__(self, turns: Sequence[Sequence[Step]], numbers: wp.array, device: wp.Device) -> None:
         self.numbers = numbers

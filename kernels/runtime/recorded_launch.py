@@ -30,7 +30,7 @@ class RecordedLaunch:
     Arguments are copied when it runs, so the next caller may write others while the device still works.
 
     Args:
-        kernel, inputs, device: as of `launch`.
+        kernel, inputs, device: as in `launch`.
         structs: places among `inputs`, the number of the first item counted, of structs whose packed form `argument` gives.
     """
 
@@ -47,14 +47,14 @@ class RecordedLaunch:
         return self._structs[index]
 
     def replace(self, index: int, struct: Any) -> None:
-        """Replaces an argument that is a struct; `index` as of `argument`."""
+        """Replaces an argument that is a struct; `index` as in `argument`."""
         self._inputs[index] = struct  # keeps the arrays alive
         self._launch.set_param_at_index_from_ctype(index, struct.__ctype__())
         if index in self._structs:
             self._structs[index] = struct.__ctype__()
 
     def run(self, count: int, chunks: Chunks, used: Any = None, threads: int | None = None) -> None:
-        """Runs the kernel for the items 0 .. count - 1, on the device's current stream; arguments as of `PreparedLaunch`."""
+        """Runs the kernel for the items 0 .. count - 1, on the device's current stream; arguments as in `PreparedLaunch`."""
         if count != self._count:
             self._launch.set_dim(count)
             self._count = count

@@ -81,7 +81,7 @@ class Workspace:
         loop.run()
 
     def forget(self) -> None:
-        """Lets go of arguments that the workspace did not make: they belong to the job."""
+        """Releases arguments that the workspace did not make: they belong to the job."""
         made = {id(value) for _, value in self._made.values()}
         for used in (*self._launches.values(), *self._loops.values()):
             used.forget(made)

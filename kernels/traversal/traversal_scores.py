@@ -141,7 +141,7 @@ are taken for 8; they have not been measured.
 
 
 def limits_for(lanes: int) -> Limits:
-    """The limits of a CPU whose trees have so many children a node."""
+    """The limits of a CPU whose trees have this many children a node."""
     return LIMITS[16 if lanes >= 16 else 8]
 
 
@@ -225,7 +225,7 @@ class Situation(NamedTuple):
 
     @property
     def crowds_cells(self) -> bool:
-        """Whether coherent rays are so many that packets are faster than single rays in the cells of a kd-tree."""
+        """Whether coherent rays are so numerous that packets are faster than single rays in the cells of a kd-tree."""
         least = RAYS_PER_TRIANGLE if self.shared_origin else SURE_RAYS_PER_TRIANGLE
         return self.rays >= least * self.triangles
 

@@ -26,7 +26,7 @@ from wrt.scenes.colonnade import atrium
 @click.option("--frames", default=24, show_default=True, type=Whole(1), help="Frames of a period.")
 @click.option("--detail", default=24, show_default=True, type=Whole(3), help="Triangles grow with its square.")
 @click.option("--size", default=256, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Turns of each way.")
+@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Rounds per way.")
 @threads_option
 @json_option
 def animation_command(

@@ -43,7 +43,7 @@ MOST_BALLS = 255
 @target_options
 @click.option("--size", default=256, show_default=True, type=Whole(8, 512), help="One path from SIZE x SIZE pixels.")
 @click.option("--bounces", default=BOUNCES, show_default=True, type=Whole(1, 60), help="Number of the last bounce.")
-@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Turns of each way.")
+@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Rounds per way.")
 @threads_option
 @json_option
 def bounces_command(
@@ -96,7 +96,7 @@ def print_verdicts(verdicts: Sequence[Verdict], console: Any) -> None:
 @click.option("--balls", default=12, show_default=True, type=Whole(1, MOST_BALLS), help="BALLS x BALLS materials.")
 @click.option("--depth", default=5, show_default=True, type=Whole(1, 60), help="Generations of rays.")
 @click.option("--stream", default=STREAM, show_default=True, type=Whole(1), help="Rays of a stream.")
-@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Turns of each way.")
+@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Rounds per way.")
 @threads_option
 @json_option
 def shading_command(

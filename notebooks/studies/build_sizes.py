@@ -33,7 +33,7 @@ BUILDING = ("embree", "open3d", "embreex", "warp_mesh")
 """Peers whose builds are timed, all that are found unless some are asked for."""
 
 SETTLE = 0.1
-"""Builds shorter than so many seconds are preceded by an untimed one."""
+"""Builds shorter than this many seconds are preceded by an untimed one."""
 
 BUDGET = 20.0
 """Seconds for each contender and size: slow ones get fewer rounds."""
@@ -55,7 +55,7 @@ class SizeFigures:
 
 
 def wavy_sheet(triangles: int) -> TriangleMesh:
-    """A square sheet with waves, of about so many triangles."""
+    """A square sheet with waves, of about this many triangles."""
     sheet = plane((-1.0, -1.0), (1.0, 1.0), cells=max(1, round((triangles / 2) ** 0.5)))
     vertices = np.array(sheet.vertices, dtype=np.float32)
     x, y = vertices[:, 0], vertices[:, 1]
@@ -71,7 +71,7 @@ def measure_sizes(
     Args:
         make: makes the contenders, wrt first; called for each size, so that one size's scenes are gone when the next is built.
         sizes: numbers of triangles.
-        rounds: turns of each contender.
+        rounds: number of rounds per contender.
         on_turn: told of each turn.
     """
     figures = []
@@ -97,7 +97,7 @@ def measure_sizes(
 @target_options
 @click.option("--triangles", "sizes", multiple=True, type=Whole(2), help="Of a sheet; repeat. [1,000 to 3,000,000]")
 @click.option("--peer", "names", multiple=True, type=click.Choice([*BUILDING, "embree3", "embree4"]), help="Repeat. [all]")
-@click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Turns of each contender.")
+@click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Rounds per contender.")
 @threads_option
 @json_option
 def build_sizes_command(

@@ -42,7 +42,7 @@ from wrt.meshes.mesh import TriangleMesh
 @target_options
 @click.option("--builder", "builders", multiple=True, type=click.Choice([*KDTREE_BUILDERS]), help="Repeat. [all]")
 @click.option("--size", default=512, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each builder.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per builder.")
 @threads_option
 @click.option("--growth", type=Whole(1000), metavar="N", help="Show growth too, from 10^3 to N triangles.")
 @json_option
@@ -132,7 +132,7 @@ def print_growth(grown: Sequence[Growth], console: Any) -> None:
 )
 @click.option("--width", type=click.Choice([1, 2, 4, 8, 16]), help="Triangles a block; 1 for deep trees. [what suits the CPU]")
 @click.option("--size", default=512, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each layout.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per layout.")
 @threads_option
 @click.option("--allocations", is_flag=True, help="Compare general with fixed-size allocation of nodes instead.")
 @click.option("--compact", is_flag=True, help="Compare nodes with and without indices of their children instead.")

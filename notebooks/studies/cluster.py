@@ -19,14 +19,14 @@ SIMULATED = (1, 2, 4, 8, 16, 64, 256, 1000)
 
 
 @click.command("cluster")
-@click.option("--triangles", default=1_000_000, show_default=True, type=Whole(1000), help="Of the town.")
+@click.option("--triangles", default=1_000_000, show_default=True, type=Whole(1000), help="Number of triangles of the town.")
 @click.option("--points", default=10_000, show_default=True, type=Whole(1), help="Places whose sun hours are wanted.")
 @click.option("--suns", default=400, show_default=True, type=Whole(1), help="Directions to the sun.")
 @click.option("--task-rays", default=200_000, show_default=True, type=Whole(1), help="Rays of a task.")
 @click.option("--workers", "counts", multiple=True, type=Whole(1), help="Processes; may be repeated. [1, 2]")
 @click.option("--device", "devices", multiple=True, help="A GPU for each process, such as cuda:0; repeat for each GPU.")
 @click.option("--executor", "names", multiple=True, type=click.Choice([*EXECUTORS]), help="May be repeated. [processes]")
-@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Turns of each number of processes.")
+@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Rounds per number of processes.")
 @json_option
 def cluster_command(
     triangles: int,

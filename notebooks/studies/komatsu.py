@@ -115,7 +115,7 @@ def report(tables: Mapping[str, str], chosen: Sequence[str], make: Callable[[str
     write_json(json_file, {"machine": machine("cpu"), "tables": found})
 
 
-rounds_option = click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each contender.")
+rounds_option = click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per contender.")
 
 
 @click.command("pichler")

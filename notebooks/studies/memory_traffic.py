@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from wrt.scene.scene import Scene
 
 WAYS = 8
-"""Ways of the modelled cache, as of current L2 caches."""
+"""Ways of the modelled cache, as in current L2 caches."""
 
 RAY_FIELDS = (12, 12, 4, 4, 8, 8)
 """Bytes of a ray's origin, direction, t and triangle of the best hit, weights, and place in the queues: an array each."""
@@ -90,7 +90,7 @@ class Reads:
 def memory_traffic(
     scene: Scene, origins: Any, directions: Any, packet: int = 32, cache_bytes: int | None = None
 ) -> list[MemoryTraffic]:
-    """Traffic of single rays, of packets of so many rays, and of queues; for closest hits in a scene with a BVH on the CPU.
+    """Traffic of single rays, of packets of this many rays, and of queues; for closest hits in a scene with a BVH on the CPU.
 
     Args:
         scene: the scene.

@@ -51,7 +51,7 @@ same, told the area."""
 @click.argument("model", default="atrium")
 @target_options
 @click.option("--size", default=1024, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each tree.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per tree.")
 @threads_option
 @click.option("--traversal", "traversals", multiple=True, type=click.Choice(["auto", *WALKS]), help="Repeat. [auto, single]")
 @json_option

@@ -17,7 +17,7 @@ from wrt.kernels.runtime.launch import get_num_threads
 
 @click.command("scheduling")
 @click.argument("model", default="teapot")
-@click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Turns of each schedule.")
+@click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Rounds per schedule.")
 @threads_option
 @json_option
 def scheduling_command(model: str, rounds: int, threads: int | None, json_file: Path | None) -> None:

@@ -33,10 +33,12 @@ from wrt.shadows.area_light_visibility import MAX_SAMPLES
 @click.argument("model", default="atrium")
 @target_options
 @click.option("--light", nargs=3, type=Real(), help="Position. [the scene's, or above the model]")
-@click.option("--samples", multiple=True, type=Whole(1, MAX_SAMPLES), help="Of the area light. [1 4 16 64 256]")
+@click.option(
+    "--samples", multiple=True, type=Whole(1, MAX_SAMPLES), help="Samples per point on the area light. [1 4 16 64 256]"
+)
 @click.option("--resolution", type=Whole(1, MAX_RESOLUTION), help="Cells along an edge. [by the number of triangles]")
 @click.option("--size", default=512, show_default=True, type=Whole(4), help="Shadow rays from SIZE x SIZE pixels.")
-@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each engine.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per engine.")
 @threads_option
 @json_option
 def shadows_command(

@@ -20,7 +20,7 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 @click.option("--test", "tests", multiple=True, type=click.Choice([*TRIANGLE_TESTS]), help="Tests; may be repeated. [all]")
 @click.option("--situation", "situations", multiple=True, type=click.Choice([*SITUATIONS]), help="What to time. [all]")
 @click.option("--size", default=512, show_default=True, type=Whole(16), help="Views have SIZE x SIZE pixels.")
-@click.option("--rounds", default=9, show_default=True, type=Whole(1), help="Turns of each test.")
+@click.option("--rounds", default=9, show_default=True, type=Whole(1), help="Rounds per test.")
 @click.option("--threads", default=1, show_default=True, type=Whole(1, MAX_THREADS), help="CPU threads.")
 @click.option("--precision/--no-precision", default=True, show_default=True, help="Measure errors and leaks.")
 @json_option

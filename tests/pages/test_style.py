@@ -38,5 +38,5 @@ def test_no_text_has(phrase, texts):
     assert [name for name, text in texts.items() if pattern.search(text)] == [], f"{STYLE} says what to write"
 
 
-def test_a_phrase_is_found_across_lines():
-    assert re.search(re.escape("so many rays"), " ".join("at most so\n        many rays".split()))
+def test_a_phrase_is_found_across_lines(texts):
+    assert "Exact ray and point queries against triangle meshes from Python, on all cores" in texts["README.md"]

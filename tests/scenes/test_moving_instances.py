@@ -74,7 +74,7 @@ def test_the_upper_level_is_built_again_only_when_it_is_worn(at_once):
     update(shuffled)
     update(shuffled)  # some were on their old places when it was built again
     assert scene.state.tree.forest is not built
-    assert not scene.state.tree.is_outworn
+    assert not scene.state.tree.is_degraded
     rays = mixed_rays(scene.flattened(), 3000)
     fresh = wrt.Scene([wrt.Instance(BOX, matrix) for matrix in shuffled], "bvh", device="cpu")
     assert_same_hits(scene.intersect(*rays), fresh.intersect(*rays))

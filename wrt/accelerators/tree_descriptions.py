@@ -257,7 +257,7 @@ class Bvh:
         return BVH_BUILDERS[self.builder].build(triangles, self.config(width))
 
     def kernels(self, triangles: int, width: int) -> list[wp.Kernel]:
-        """One kernel of each module that a build of so many triangles needs; width: as in `config`."""
+        """One kernel of each module that a build of this many triangles needs; width: as in `config`."""
         from wrt.builders.bvh import BVH_BUILDERS, small_mesh_build
         from wrt.builders.bvh.phases.native_calls import run_steps
 

@@ -17,7 +17,7 @@ from wrt.state.device_hits import DeviceHits
 
 
 def fans_of(scene: Any, start: int | None = None) -> TriangleFans:
-    """The fans of the triangles of a scene's state, vertices that coincide counting as one. start: as of `build_fans`."""
+    """The fans of the triangles of a scene's state, vertices that coincide counting as one. start: as in `build_fans`."""
     vertices, faces = scene.device_mesh.vertices.numpy(), scene.device_mesh.faces.numpy()
     _, same = np.unique(vertices, axis=0, return_inverse=True)
     return build_fans(same.ravel()[faces], start)

@@ -7,7 +7,7 @@
     wrt verify bunny.ply            hits against brute force in float64
     wrt list                        every builder, traversal, triangle test and built-in scene
     wrt warm                        compiles the kernels of the default paths ahead
-    wrt job run job.toml            a batch of rays that goes on after whatever ended it
+    wrt job run job.toml            a resumable batch of rays
     wrt bench bunny.ply             against other ray tracers
 
 An error is one line on stderr. Exit status: 0 for success, 1 for a failure, 2 for wrong usage, 130 for Ctrl-C. With
@@ -116,7 +116,7 @@ for command in (
     LazyCommand("verify", "wrt.cli.verify", "verify", "Checks hits on a mesh against brute force in float64."),
     LazyCommand("list", "wrt.cli.figures", "list_tables", "Lists every algorithm with its paper, and the built-in scenes."),
     LazyCommand("warm", "wrt.cli.warm", "warm", "Compiles the kernels of the default paths ahead."),
-    LazyCommand("job", "wrt.cli.jobs", "job", "Runs batches of rays that survive, and says how far they are."),
+    LazyCommand("job", "wrt.cli.jobs", "job", "Runs resumable batches of rays, and shows their progress."),
     LazyCommand("bench", "wrt.bench.commands.benchmark", "bench", "Compares wrt with other ray tracers, on the same rays."),
 ):
     main.add_command(command)

@@ -82,7 +82,7 @@ def load_models(models: tuple[Path, ...], given: Mapping[str, Any], animate: boo
 
     Raises:
         click.UsageError: frames that do not fit together, or none.
-        FileNotFoundError, ValueError: as of `wrt.TriangleMesh.load`.
+        FileNotFoundError, ValueError: as in `wrt.TriangleMesh.load`.
     """
     if not models:
         if animate:

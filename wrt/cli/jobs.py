@@ -1,4 +1,4 @@
-"""`wrt job`: runs batches that survive, and says how far they are."""
+"""`wrt job`: runs resumable batches, and shows their progress."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @click.group()
 def job() -> None:
-    """Runs batches of rays in folders, where they go on after whatever ended them."""
+    """Runs and resumes batches of rays in job folders."""
 
 
 @job.command("run")

@@ -36,7 +36,7 @@ class Whole(click.IntRange):
 
 
 class Real(click.FloatRange):
-    """A real number in a range, finite as float32; arguments as of `click.FloatRange`."""
+    """A real number in a range, finite as float32; arguments as in `click.FloatRange`."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number = super().convert(value, param, ctx)

@@ -55,7 +55,7 @@ GROUND_SIZE = 32.0
     help="ambient: one colour; the others: materials and lights.",
 )
 @click.option("--samples", type=Whole(1), help="Camera rays per pixel.  [ambient 4, whitted 1, others 16]")
-@click.option("--depth", type=Whole(1), help="Most rays in a row; not for ambient.  [8]")
+@click.option("--depth", type=Whole(1), help="Maximum path length; not for ambient.  [8]")
 @click.option("--sampler", help="regular, random, jittered, halton or sobol; not for ambient.  [sobol]")
 @click.option("--exposure", type=Real(0), help="Factor of the linear picture; not for ambient.  [1]")
 @click.option("--tone-mapping", help="srgb, reinhard, aces or linear; not for ambient.  [srgb]")

@@ -31,7 +31,12 @@ DEFAULT_FPS = 24
 @click.argument("models", nargs=-1, metavar="[MODEL]...", type=click.Path(path_type=Path))
 @scene_options
 @click.option("--port", default=8080, show_default=True, type=Whole(0, 65535), help="0 for any that is free.")
-@click.option("--host", default="127.0.0.1", show_default=True, help="Network interface; others can only reach another one.")
+@click.option(
+    "--host",
+    default="127.0.0.1",
+    show_default=True,
+    help="Interface to listen on; the default is reachable from this machine only.",
+)
 @click.option(
     "--token/--no-token",
     default=None,

@@ -57,7 +57,7 @@ class FeatureNames(click.ParamType):
 @target_options
 @click.option("--jobs", type=Whole(1, 64), help="Modules that are compiled at a time. [all cores]")
 @click.option("--export", type=click.Path(path_type=Path, file_okay=False), help="Folder to copy the kernels to.")
-@click.option("--first-hit", is_flag=True, help="Only what builds a scene and traces few rays.")
+@click.option("--first-hit", is_flag=True, help="Only the kernels for building a scene and tracing small batches.")
 @click.option("--feature", "features", type=FeatureNames(), multiple=True, help=f"Only what these need; {LIST}: lists them.")
 def warm(jobs: int | None, export: Path | None, first_hit: bool, features: tuple[tuple[str, ...], ...]) -> None:
     """Compiles the kernels of the default paths ahead: builds, closest hits and occlusion of few and many rays, pictures.

@@ -1,8 +1,8 @@
-"""Beyond one machine: executors, jobs that survive, and rays in files of other formats.
+"""Beyond one machine: executors, resumable jobs, and rays in files of other formats.
 
     with wrt.cluster.ProcessPool(8, threads=1) as pool:                        # or client.get_executor() of Dask
         blocks = scene.occluded_blocks(points[:, None], suns, executor=pool, reduce="sum", axis=1)
-        shaded = wrt.cluster.Job("sun_hours", blocks).run().result()           # run again after whatever ended it
+        shaded = wrt.cluster.Job("sun_hours", blocks).run().result()           # run again to resume
 
 Queries take an executor by themselves (`wrt.Scene.intersect_blocks`, `wrt.batches`). This package adds options of executors
 (`Workers`, `ProcessPool`), jobs in folders (`Job`, `job_status`), parquet files (`ParquetColumns`, `write_parquet`), and

@@ -29,7 +29,7 @@ FORMS = {
     "occluded": (np.bool_, 0),
     "count": (np.int32, 0),
 }
-"""Type and components of answers; None: that of the rays, as of `wrt.Hits`."""
+"""Type and components of answers; None: that of the rays, as in `wrt.Hits`."""
 
 
 def map_rays(
@@ -134,7 +134,7 @@ class MapChunk:
     Args:
         work: the query, for workers.
         t_min, t_max: the interval.
-        what: as of `map_rays`.
+        what: as in `map_rays`.
     """
 
     def __init__(self, work: PickledWork, t_min: float, t_max: float, what: str) -> None:

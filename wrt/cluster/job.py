@@ -1,4 +1,4 @@
-"""Jobs: batches in a folder, which go on where they ended, whatever ended them.
+"""Jobs: resumable batches in a folder.
 
 Workers write the answer of each block into the folder, if they see it; else they send it, and the client writes. What is there
 is never computed again. A job whose scene, rays or options differ from those that the folder began with is refused, when it is
@@ -76,7 +76,7 @@ class JobStatus:
 
 
 class Job:
-    """A batch in a folder. Run it again after whatever ended it; blocks that are done are not computed again.
+    """A batch in a folder. Run it again to resume; blocks that are done are not computed again.
 
         blocks = scene.occluded_blocks(points[:, None], suns, reduce="sum", axis=1, executor=pool, progress=True)
         shaded = wrt.cluster.Job("sun_hours", blocks).run().result()

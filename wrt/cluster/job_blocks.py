@@ -147,7 +147,7 @@ def chunk_label(manifest: Mapping[str, Any], number: int) -> str:
 
 
 def has_rows(answer: Any, rows: int) -> bool:
-    """Whether an answer, an array or arrays by name, has so many rows."""
+    """Whether an answer, an array or arrays by name, has this many rows."""
     if isinstance(answer, Mapping):
         return all(has_rows(one, rows) for one in answer.values())
     return isinstance(answer, np.ndarray) and answer.shape[:1] == (rows,)

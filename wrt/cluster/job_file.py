@@ -251,7 +251,7 @@ def executor_of(given: Mapping[str, Any], base: Path, folder: Path | None) -> It
     Args:
         given: the table of the job file.
         base: the folder of the job file.
-        folder: for the scene's file, as of `Workers`.
+        folder: for the scene's file, as in `Workers`.
     """
     kind = given.get("kind", "none")
     options = {name: given[name] for name in ("device", "window", "retries") if name in given}

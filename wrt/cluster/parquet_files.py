@@ -134,7 +134,7 @@ def write_parquet(blocks: Blocks, folder: str | Path, attributes: Sequence[str] 
 
 
 class WriteTable:
-    """Writes answers of blocks to parquet files; arguments as of `write_parquet`."""
+    """Writes answers of blocks to parquet files; arguments as in `write_parquet`."""
 
     def __init__(self, folder: str, attributes: tuple[str, ...]) -> None:
         self.folder, self.attributes = folder, attributes

@@ -139,7 +139,7 @@ def meshes_of(geometry: Iterable[Any]) -> Iterator[TriangleMesh]:
 def build_parts(
     geometry: Any, folder: Path, settings: Settings, part_triangles: int, store_records: bool, advance: Any
 ) -> None:
-    """Builds a partitioned scene in a folder that does not exist yet; arguments as of `wrt.disk.PartitionedScene.build`.
+    """Builds a partitioned scene in a folder that does not exist yet; arguments as in `wrt.disk.PartitionedScene.build`.
 
     Args:
         advance: called with the number of triangles that a phase has dealt with, and its name.

@@ -77,7 +77,7 @@ class PartList:
         return len(self.triangles)
 
     def bytes_with(self, components: int) -> np.ndarray:
-        """(P,) int64: memory of each part with records of so many floats per triangle: as of `wrt.Scene.bytes`, and 4 bytes
+        """(P,) int64: memory of each part with records of this many floats per triangle: as in `wrt.Scene.bytes`, and 4 bytes
         per triangle for its number in the whole scene."""
         return self.tree_bytes + 12 * self.vertices + 16 * self.triangles + 4 * components * self.slots
 

@@ -121,7 +121,7 @@ class PartQueries:
         triangle_test: str = AUTO,
         cull_backfaces: bool = False,
     ) -> Any:
-        """Whether each ray hits anything: (...) bool, as of `wrt.Scene.occluded`.
+        """Whether each ray hits anything: (...) bool, as in `wrt.Scene.occluded`.
 
         Args:
             origins, directions, t_min, t_max, mode, traversal, triangle_test, cull_backfaces: as in `intersect`.
@@ -159,7 +159,7 @@ class PartQueries:
         triangle_test: str = AUTO,
         cull_backfaces: bool = False,
     ) -> Any:
-        """Number of hits of each ray: (...) int32, as of `wrt.Scene.count`.
+        """Number of hits of each ray: (...) int32, as in `wrt.Scene.count`.
 
         Args:
             origins, directions, t_min, t_max, mode, traversal, triangle_test, cull_backfaces: as in `intersect`.

@@ -38,7 +38,7 @@ class Grid:
 
     @classmethod
     def over(cls, low: np.ndarray, high: np.ndarray, cells: int = CELLS) -> Grid:
-        """A grid of about so many cells; flat boxes have one cell along their flat axes."""
+        """A grid of about this many cells; flat boxes have one cell along their flat axes."""
         sides = high - low
         side, shape = 1.0, np.ones(3, dtype=int)
         for axes in range(3, 0, -1):  # axes shorter than a cell get one, and leave their share to the others

@@ -38,7 +38,7 @@ MANY_TRIANGLES = 4096
 
 @dataclass(frozen=True)
 class ExpectedRays:
-    """What a plan depends on, of rays that are still to be made; attributes as of `wrt.rays.ray_buffers.RayBuffers`.
+    """What a plan depends on, of rays that are still to be made; attributes as in `wrt.rays.ray_buffers.RayBuffers`.
 
     Attributes:
         kind: "closest", "any" or "count".
@@ -62,7 +62,7 @@ class ExpectedRays:
 
     @property
     def arrays_or_batch(self) -> ExpectedRays:
-        """As of `RayBuffers`."""
+        """As in `RayBuffers`."""
         return self
 
 
@@ -71,7 +71,7 @@ FEW = (ExpectedRays(CLOSEST, FEW_RAYS_OF_MANY), ExpectedRays(ANY, FEW_RAYS_OF_MA
 
 
 def picture_rays(pixels: int, origin_stride: int, shadows: bool) -> list[ExpectedRays]:
-    """The rays of so many pixels: of the camera, and to the light."""
+    """The rays of this many pixels: of the camera, and to the light."""
     found = [ExpectedRays(CLOSEST, pixels, origin_stride=origin_stride)]
     return found + ([ExpectedRays(ANY, pixels)] if shadows else [])
 
@@ -117,10 +117,10 @@ def query_kernels(
     Args:
         scene: the state, with its tree.
         rays: what is known of them.
-        traversal, triangle_test: as of `wrt.Scene.intersect`.
+        traversal, triangle_test: as in `wrt.Scene.intersect`.
 
     Raises:
-        ValueError: as of `wrt.Scene.intersect`.
+        ValueError: as in `wrt.Scene.intersect`.
     """
     if scene.instances or scene.lazy_tree is not None or scene.area_trees is not None:
         return []

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from wrt.state.scene_state import SceneState
 
 FEW_CHUNKS = Chunks(chunk=64)
-"""Chunks of few rays: worth the time in which a helper that spins joins; nobody waits for one that sleeps."""
+"""Chunks of few rays: large enough for a spinning helper to join; sleeping helpers are not woken."""
 
 
 class PreparedQuery:
@@ -177,7 +177,7 @@ def kind_of_scene(scene: SceneState, plan: Plan, kind: str, layout: Layout | str
 
 
 def prepare(scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> PreparedQuery:
-    """A prepared query for the caller alone, new or retired; arguments as of the class."""
+    """A prepared query for the caller alone, new or retired; arguments as in the class."""
     of = kind_of_scene(scene, plan, kind, layout)
     if of in _retired:
         try:

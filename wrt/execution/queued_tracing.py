@@ -47,7 +47,7 @@ class UpperNodes(NamedTuple):
 def trace_queued(
     scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str, work: wp.array, counters: bool
 ) -> None:
-    """Traces rays generation by generation; arguments as of `wrt.execution.traversal_launch.run_kernel`."""
+    """Traces rays generation by generation; arguments as in `wrt.execution.traversal_launch.run_kernel`."""
     for _ in generations(scene, plan, rays, hits, query, work, counters):
         pass
 
@@ -64,7 +64,7 @@ def generations(
 ) -> Iterator[tuple[QueuedNodes, int]]:
     """The rays that wait in each generation, and how many they are, before they are traced; for those that measure.
 
-    Arguments as of `trace_queued`; `upper`: the tree above its queue points, None for that of the machine's L2 cache.
+    Arguments as in `trace_queued`; `upper`: the tree above its queue points, None for that of the machine's L2 cache.
     """
     device, upper = scene.device, upper or upper_nodes(scene, plan, l2_bytes())
     hits.clear(query)

@@ -52,7 +52,7 @@ TREE, RECORDS, RAYS, HITS = 1, 2, 3, 4
 def run_kernel(
     scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str, work: wp.array, counters: bool
 ) -> None:
-    """Traces rays through a scene's tree, or ray by ray through its two levels; `work` as of `counter_rows`."""
+    """Traces rays through a scene's tree, or ray by ray through its two levels; `work` as in `counter_rows`."""
     config = config_for_layout(traversal_config(plan, scene, query, counters), plan, scene)
     kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits.struct(), work)
     rays.run, items, chunks = divide(scene, plan, config, rays.count)
@@ -86,7 +86,7 @@ def kernel_and_inputs(
 
 
 def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -> tuple[int, int, Chunks]:
-    """Rays of an item of a plan's kernel, the items of so many rays, and their chunks."""
+    """Rays of an item of a plan's kernel, the items of this many rays, and their chunks."""
     if scene.instances:
         return 1, count, Chunks(1024)
     traversal = traversal_of(plan)

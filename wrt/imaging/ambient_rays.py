@@ -100,5 +100,5 @@ class AmbientRays:
 
 
 def expected_rays(points: int, samples: int) -> ExpectedRays:
-    """The most ambient rays that are traced at once, of so many points with so many rays each."""
+    """The most ambient rays that are traced at once, of this many points with this many rays each."""
     return ExpectedRays(ANY, points * min(samples, DIRECTIONS_AT_ONCE), coherent=False)

@@ -62,7 +62,7 @@ class AmbientRendering:
         shadows: whether the light casts shadows.
         ambient_samples: ambient rays per camera ray; 0 for no ambient occlusion.
         ambient_distance: length of ambient rays in scene units: geometry beyond it does not occlude; None for no limit.
-        ambient_radius: pixels share their ambient rays with those up to so many rows and columns away, if these see the same
+        ambient_radius: pixels share their ambient rays with those up to this many rows and columns away, if these see the same
             smooth surface: less noise, blurred small shadows; 0 to 8, 0 for none. The picture then depends on `tile_pixels`.
         albedo: share of light that is reflected, linear, in [0, 1]: a number, (3,), or (F, 3) for all triangles of the
             scene in the order of `scene.meshes`; instances of a mesh share its albedo.
@@ -191,7 +191,7 @@ class AmbientRendering:
         return image
 
     def image(self) -> np.ndarray:
-        """(height, width, 3) float32 in [0, 1], as `wrt.save_image` takes it; errors as of `developed`."""
+        """(height, width, 3) float32 in [0, 1], as `wrt.save_image` takes it; errors as in `developed`."""
         return self.developed().numpy()
 
 
@@ -199,8 +199,8 @@ def render(scene: Scene, camera: Camera, *, progress: Callable[[int, int], Any] 
     """Renders an image at once.
 
     Args:
-        scene, camera, options: as of `AmbientRendering`.
-        progress: as of `AmbientRendering.advance`.
+        scene, camera, options: as in `AmbientRendering`.
+        progress: as in `AmbientRendering.advance`.
 
     Returns:
         (height, width, 3) float32 in [0, 1], encoded for display (sRGB), as `wrt.save_image` takes it.

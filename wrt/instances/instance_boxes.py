@@ -35,7 +35,7 @@ CELLS = 8
 """Cells per axis of the grid that covers a mesh."""
 
 FEW_MOVED = 16
-"""The boxes above single instances are computed again if at most one of so many has moved."""
+"""The boxes above single instances are computed again if at most one of this many has moved."""
 
 MAX_COST = 1.3
 """The upper level is built again when its cost has grown by this, as the trees of meshes are (`wrt.moving.UpdatePolicy`)."""
@@ -164,7 +164,7 @@ class UpperTree(common.Bvh):
     cost: float | None = None
 
     @property
-    def is_outworn(self) -> bool:
+    def is_degraded(self) -> bool:
         """Whether instances have moved so that other nodes would be much better."""
         cost = self.forest.cost(self.host) if self.cost is None else self.cost
         return cost > MAX_COST * self.built_cost
@@ -186,7 +186,7 @@ class UpperTree(common.Bvh):
         return self.around(low, high, host)
 
     def around(self, low: np.ndarray, high: np.ndarray, host: np.ndarray, cost: float | None = None) -> UpperTree:
-        """The same nodes around other boxes; low, high: as of `with_boxes`; host, cost: as the attributes."""
+        """The same nodes around other boxes; low, high: as in `with_boxes`; host, cost: as the attributes."""
         root = host[self.forest.root]
         other = copy(self)
         other.__dict__.pop("_struct", None)

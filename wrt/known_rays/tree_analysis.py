@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["CountedWork", "TreeAnalysis", "analyse", "analyse_areas"]
 
 Statistics = Mapping[str, "Callable[[BoxMeasures], Any]"]
-"""Statistics of one's own, by name: functions from the measures of all boxes to one number for each box."""
+"""User-defined statistics, by name: functions from the measures of all boxes to one number for each box."""
 
 BOX_COST = 1.0
 TRIANGLE_COST = 1.2
@@ -304,7 +304,7 @@ def _measure(
 COLUMNS = {"box", "parent", "level", "leaf", "triangles", "area", "hit_probability", "cost", "overlap", "nodes", "leaves"} | {
     f"{end}_{axis}" for end in ("low", "high") for axis in "xyz"
 }
-"""Names of columns of `TreeAnalysis.rows` and `TreeAnalysis.levels`, which statistics of one's own cannot have."""
+"""Names of columns of `TreeAnalysis.rows` and `TreeAnalysis.levels`, which user-defined statistics cannot have."""
 
 
 def _own_statistics(statistics: Statistics, boxes: BoxMeasures) -> dict[str, np.ndarray]:

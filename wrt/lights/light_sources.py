@@ -67,7 +67,7 @@ class SpotLight(PointLight):
     """Light from one point within a cone.
 
     Args:
-        position, intensity: as of `PointLight`; the intensity is that within `inner`.
+        position, intensity: as in `PointLight`; the intensity is that within `inner`.
         look_at: (3,) a point on the axis.
         angle: half the angle of the cone, in degrees, in (0, 90).
         inner: angle to the axis at which the light begins to fade, in degrees, in [0, angle); None for 0.8 of `angle`.

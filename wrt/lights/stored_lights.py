@@ -45,7 +45,7 @@ def save_lights(path: str | Path, lights: Any) -> None:
 
     Args:
         path: of the file, an .npz archive of plain arrays, whatever its name.
-        lights: as of `wrt.pictures.Rendering`: a light, or a sequence of lights with at most one `Sky`.
+        lights: as in `wrt.pictures.Rendering`: a light, or a sequence of lights with at most one `Sky`.
 
     Raises:
         TypeError: something else than lights.

@@ -92,7 +92,7 @@ def _by_corner(name: str, values: Any, faces: np.ndarray, vertex_count: int, wid
 
 
 def joined_materials(parts: Sequence[MeshMaterials | None], counts: Sequence[int], default: Material) -> MeshMaterials | None:
-    """Materials of meshes of so many triangles, one after the other; those without get `default`. None if none has any."""
+    """Materials of meshes of this many triangles, one after the other; those without get `default`. None if none has any."""
     if all(part is None for part in parts):
         return None
     known: dict[Material, int] = {}

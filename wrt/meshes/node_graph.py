@@ -146,7 +146,7 @@ def nested_meshes(scene: trimesh.Scene) -> list[Any]:
         scene: point clouds and paths in it are left out, and so are nodes that hold no mesh.
 
     Returns:
-        `wrt.TriangleMesh`, with materials as of `from_trimesh`, and lists of such; a node's own mesh precedes what hangs on it.
+        `wrt.TriangleMesh`, with materials as in `from_trimesh`, and lists of such; a node's own mesh precedes what hangs on it.
 
     Raises:
         TypeError: it is no trimesh.Scene.

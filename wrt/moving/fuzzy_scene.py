@@ -161,7 +161,7 @@ def check_kdtree(accelerator: Any) -> None:
 
 
 def find_motion(meshes: list[TriangleMesh], clusters: int, transforms: Any, rest: int | str) -> Decomposition:
-    """The clusters of triangles and their motion; arguments and errors as of `FuzzyScene`."""
+    """The clusters of triangles and their motion; arguments and errors as in `FuzzyScene`."""
     from wrt.builders.motion_clusters import assign_triangles, decompose
 
     frames, faces = np.array([mesh.vertices for mesh in meshes], dtype=np.float64), meshes[0].faces
@@ -327,7 +327,7 @@ def cluster_rows(matrices: np.ndarray, origins: np.ndarray) -> np.ndarray:
 
 
 def join_parts(trees: list[Any], members: list[np.ndarray]) -> tuple[common.Bvh | common.KdTree, np.ndarray]:
-    """The trees of clusters side by side, and the root of each. members: as of `join_trees`."""
+    """The trees of clusters side by side, and the root of each. members: as in `join_trees`."""
     from wrt.builders.bvh.update.bvh_grafting import join_trees
     from wrt.builders.convert.kdtree_links import pool_kdtrees
 

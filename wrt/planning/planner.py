@@ -99,7 +99,7 @@ def make_plan(
 
 
 def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
-    """The plan of a query about rays, from the scene's cache or made; errors as of `make_plan`."""
+    """The plan of a query about rays, from the scene's cache or made; errors as in `make_plan`."""
     kind, traversal, triangle_test, cull_backfaces = query[:4]
     if isinstance(traversal, Plan):
         culled = cull_backfaces or traversal.cull_backfaces
@@ -267,7 +267,7 @@ def packet_vectors(scene: SceneState, rays: RayBuffers, query: str, traversal: T
 
 
 def is_dense(scene: SceneState, rays: RayBuffers, least: float) -> bool:
-    """Whether rays from one point are at least so many for each triangle, in a scene of one level."""
+    """Whether rays from one point are at least this many for each triangle, in a scene of one level."""
     from_one_point = rays.arrays_or_batch.origin_stride == 0 and not scene.instances
     return from_one_point and rays.count >= least * scene.triangle_count
 
@@ -285,7 +285,7 @@ def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, te
 
 
 def stores_past_caches(scene: SceneState, rays: RayBuffers, query: str) -> bool:
-    """Whether packets write closest hits by non-temporal stores: so many that few of them would be in a cache when read."""
+    """Whether packets write closest hits by non-temporal stores: so numerous that few of them would be in a cache when read."""
     has_stores = scene.is_cpu and platform.machine().lower() in ("x86_64", "amd64")
     return has_stores and ANSWERS[query].shortens and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
 

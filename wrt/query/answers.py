@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def closest_hits(scene: SceneState, rays: Rays, query: Query) -> Hits:
-    """Closest hits; options and errors as of `wrt.Scene.intersect`."""
+    """Closest hits; options and errors as in `wrt.Scene.intersect`."""
     if query.skip is not None:
         found = answer_skipping(scene, rays, query)
     elif query.precise:

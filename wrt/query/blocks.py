@@ -209,7 +209,7 @@ class Blocks:
             pieces: the blocks.
             deliver: called with the rows and the answer of each block, by the worker that has computed it.
             ordered: whether answers come in the order of the pieces.
-            examine: as of `BlockWork`.
+            examine: as in `BlockWork`.
 
         Raises:
             RuntimeError: the workers that took a block died each time.

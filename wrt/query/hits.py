@@ -193,7 +193,7 @@ class Hits(Generic[ArrayT]):
             directions: (..., 3), of any length; their leading shape broadcasts against that of the hits, or ends with it.
             side: the side of the surface where rays start. "direction" is that to which the direction points; a direction in
                 the plane of the triangle counts as pointing to its front. "front" and "back" are those of the triangle's
-                winding, as of `normal`; a ray to the other side then passes through the triangle, and meets it.
+                winding, as in `normal`; a ray to the other side then passes through the triangle, and meets it.
 
         Returns:
             (..., 3) float64 in the scene's coordinates, of the broadcast shape; NaN for a miss. A NumPy array if hits and
@@ -228,7 +228,7 @@ class Hits(Generic[ArrayT]):
             same_side = hits.faces(sun) == hits.faces(-directions)
 
         Args:
-            directions: as of `spawn`.
+            directions: as in `spawn`.
 
         Raises:
             TypeError: directions are not an array of real numbers.

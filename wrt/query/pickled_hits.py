@@ -186,5 +186,5 @@ def reduce_lists(lists: AllHits) -> tuple[Any, ...]:
 for _kind in (Hits, PreciseHits, PickledHits):
     copyreg.pickle(_kind, reduce_hits)
 for _points in (ClosestPoints, PickledClosestPoints):
-    copyreg.pickle(_points, reduce_points)
+    copyreg.pickle(_points, reduce_points)  # type: ignore[arg-type]
 copyreg.pickle(AllHits, reduce_lists)

@@ -106,7 +106,7 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray, staged: int = 0
 
 
 def buffers_of(arrays: RayArrays, device: wp.Device, staged: int = 0) -> RayBuffers:
-    """Rays that are on the device, and whether they are coherent; arguments as of `to_device`."""
+    """Rays that are on the device, and whether they are coherent; arguments as in `to_device`."""
     if arrays.count <= staged:  # rays that go one by one need not look alike
         return RayBuffers(arrays, arrays.shape, arrays.is_warp, arrays.dtype, True, False, list(arrays.keep))
     coherent, scattered, columns = detect_coherence(arrays, device, is_list=len(arrays.shape) == 1)

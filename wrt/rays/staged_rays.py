@@ -60,12 +60,12 @@ class StagedRays:
 
     @property
     def given(self) -> StagedRays:
-        """As of `RayBuffers`."""
+        """As in `RayBuffers`."""
         return self
 
     @property
     def arrays_or_batch(self) -> StagedRays:
-        """As of `RayBuffers`."""
+        """As in `RayBuffers`."""
         return self
 
     @property

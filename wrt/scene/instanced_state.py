@@ -181,7 +181,7 @@ class InstancedState(SceneState):
             return self._moved(tuple(instances), chosen if len(chosen) == 1 else np.unique(chosen))
 
     def chosen(self, index: Any) -> np.ndarray:
-        """(M,) numbers of the instances that a caller means: an index, or several; errors as of `wrt.Scene.update`."""
+        """(M,) numbers of the instances that a caller means: an index, or several; errors as in `wrt.Scene.update`."""
         return check_indices(index, len(self.instances), "instance")
 
     def _bent(self, instances: tuple[Instance, ...], chosen: list[int], vertices: Any, policy: UpdatePolicy) -> InstancedState:
@@ -209,7 +209,7 @@ class InstancedState(SceneState):
         moved = self.moved + int(np.count_nonzero(forest.layered[rows]))
         is_due = 2 * moved > forest.layered_count
         state = self._kept(instances, rows, 0 if is_due else moved)
-        if is_due and state.tree.is_outworn:
+        if is_due and state.tree.is_degraded:
             return place(self, instances, state.boxes, state.table, None, 0)
         return state
 
@@ -252,7 +252,7 @@ class InstancedState(SceneState):
 
 
 def build_instanced_state(geometry: Any, settings: Settings, cache: Any) -> InstancedState:
-    """The state of a scene of instances; arguments and errors as of `wrt.Scene` and `wrt.moving.InstancedScene`."""
+    """The state of a scene of instances; arguments and errors as in `wrt.Scene` and `wrt.moving.InstancedScene`."""
     if isinstance(settings.accelerator, RayAwareBvh):
         raise ValueError("influence areas need a scene of one level; use wrt.Scene(scene.flattened(), accelerator)")
     if isinstance(settings.accelerator, ProjectedBvh) and settings.accelerator.spatial_splits > 0.0:
@@ -307,7 +307,7 @@ def place_instances(
     settings: Settings,
     mark: str,
 ) -> InstancedState:
-    """The state of instances of meshes: builds the upper level; errors as of `first_triangles`."""
+    """The state of instances of meshes: builds the upper level; errors as in `first_triangles`."""
     first = first_triangles(states, geometry_ids)
     transforms, known = np.array([instance.transform for instance in instances]), Covers.of(covers, states)
     boxes = InstanceBoxes.of(transforms, np.array(geometry_ids), known)

@@ -77,7 +77,7 @@ class MeshState(SceneState):
         policy: UpdatePolicy,
         environment: int | None = None,
     ) -> SceneState:
-        """The state after a mesh's vertices have moved; arguments and errors as of `wrt.Scene.update`."""
+        """The state after a mesh's vertices have moved; arguments and errors as in `wrt.Scene.update`."""
         self.require("update")
         if transform is not None or mask is not None or environment is not None:
             raise ValueError(
@@ -116,7 +116,7 @@ def build_state(
 ) -> MeshState:
     """The state of a scene of meshes: their tree is found in `cache`, or built.
 
-    previous: the lazy tree of the last frame. hierarchy: as of `MeshState`.
+    previous: the lazy tree of the last frame. hierarchy: as in `MeshState`.
 
     Raises:
         ValueError, MemoryError, OSError: as `wrt.Scene`.
@@ -179,7 +179,7 @@ def build_few_state(meshes: tuple[TriangleMesh, ...], settings: Settings) -> Mes
         config = few_config(settings.accelerator, native_width(settings.device))
         tree = small_mesh_build.build_small_mesh(config, mesh.center, vertices, mesh.faces, mesh.low, mesh.high, mesh.vertices)
     except (MemoryError, RuntimeError):
-        with memory_for_tree(meshes):  # entered here alone: few triangles feel it
+        with memory_for_tree(meshes):  # entered only on failure: it would dominate the build of a tiny mesh
             raise
     return MeshState(settings=settings, meshes=meshes, center=center, built_tree=tree, device_mesh=mesh)
 

@@ -327,7 +327,7 @@ class Scene(Queries, Members):
         A struct that refers to the scene's arrays and keeps them alive. Making it takes about 0.1 ms.
 
         Args:
-            mask, environment: in a scene of instances, which of them rays see, as of `intersect`; `wrt.device.seeing` chooses
+            mask, environment: in a scene of instances, which of them rays see, as in `intersect`; `wrt.device.seeing` chooses
                 ray by ray.
 
         Raises:

@@ -166,7 +166,7 @@ def find_tree(
 ) -> tuple[Bvh | KdTree, LazyKdTree | None]:
     """The tree of some triangles, from a source or built; for a lazy tree, the part that exists so far, and the lazy tree.
 
-    meshes, previous: as of `wrt.builders.kdtree.lazy.lazy_kdtree.start`."""
+    meshes, previous: as in `wrt.builders.kdtree.lazy.lazy_kdtree.start`."""
     accelerator, source = recipe.accelerator, as_source(cache)
     if isinstance(accelerator, descriptions.KdTree) and accelerator.is_lazy:
         growing = accelerator.start(boxes, recipe.width, recipe.device, meshes, previous)
@@ -336,7 +336,7 @@ def graph_of(names: list[str], arrays: Mapping[str, np.ndarray], instances: int)
     """The graph in a file.
 
     Raises:
-        ValueError, KeyError, TypeError: the arrays do not hold a graph of so many instances.
+        ValueError, KeyError, TypeError: the arrays do not hold a graph of this many instances.
     """
     parents, local, node_of = (arrays[f"nodes.{name}"] for name in NODE_FIELDS)
     count = len(names)

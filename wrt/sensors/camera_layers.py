@@ -41,7 +41,7 @@ def extra_images(
     materials: Any,
     flow: float | None,
 ) -> dict[str, Any]:
-    """The images that were asked for, to be filled; arguments and errors as of `Camera.capture`, and times of exposures."""
+    """The images that were asked for, to be filled; arguments and errors as in `Camera.capture`, and times of exposures."""
     count = camera.width * camera.height * math.prod(getattr(path, "shape", ()))
     found: dict[str, Any] = {}
     if albedo:
@@ -56,7 +56,7 @@ class Albedo:
 
     Args:
         scene: whose surfaces these are.
-        materials: as of `wrt.pictures.Rendering`.
+        materials: as in `wrt.pictures.Rendering`.
         count: number of pixels.
     """
 
@@ -134,11 +134,11 @@ class LensRendering(Rendering):
     """A `wrt.pictures.Rendering` through a lens of `wrt.sensors`: samples are spread over pixels by the pixel filter.
 
     Args:
-        scene: as of `wrt.pictures.Rendering`; instances that move are where they shall be.
+        scene: as in `wrt.pictures.Rendering`; instances that move are where they shall be.
         camera: the camera.
         path: its poses.
         time: of the first row.
-        options: as of `wrt.pictures.Rendering`, without `motion` and `lens_radius`.
+        options: as in `wrt.pictures.Rendering`, without `motion` and `lens_radius`.
     """
 
     def __init__(self, scene: Any, camera: Any, path: Trajectory, time: float, **options: Any) -> None:

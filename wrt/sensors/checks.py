@@ -1,4 +1,4 @@
-"""Checks of what callers of sensors pass."""
+"""Argument validation for sensors."""
 
 from __future__ import annotations
 

@@ -156,13 +156,13 @@ class Camera:
                 shutter, each row is seen from the pose at its own time. Or (..., 4, 4) of many cameras at rest, which see in
                 one call.
             time: exposure of the first row, on the clock of the trajectories.
-            motions, slices: instances that move, and number of time slices, as of `Lidar.scan`.
+            motions, slices: instances that move, and number of time slices, as in `Lidar.scan`.
             labels: (I,) integers >= 0, the semantic class of each instance (of each mesh, in a scene without instances).
             miss: distance and depth of a pixel without a hit.
-            mask, environment: as of `wrt.Scene.intersect`, one number, or one for each of many cameras.
-            traversal: as of `wrt.Scene.intersect`.
+            mask, environment: as in `wrt.Scene.intersect`, one number, or one for each of many cameras.
+            traversal: as in `wrt.Scene.intersect`.
             albedo: whether to make the image of the surfaces' own colours.
-            materials: those of the colours, as of `wrt.pictures.Rendering`: None for those of the meshes.
+            materials: those of the colours, as in `wrt.pictures.Rendering`: None for those of the meshes.
             flow: seconds from this image to another one, after it or before, for the optical flow between them; None for no
                 flow. Trajectories must cover its exposure, too.
             to_warp: whether images are Warp arrays on the scene's device instead of NumPy arrays.
@@ -229,8 +229,8 @@ class Camera:
         seen from the pose at its own time; instances are where they are in the middle of the exposure.
 
         Args:
-            scene, pose, time, motions: as of `capture`; one pose or trajectory.
-            integrator, lights, materials, settings, options: as of `wrt.pictures.Rendering`.
+            scene, pose, time, motions: as in `capture`; one pose or trajectory.
+            integrator, lights, materials, settings, options: as in `wrt.pictures.Rendering`.
 
         Returns:
             A `wrt.pictures.Rendering`: `image()` for display, `linear`, `noise` and `layers`.

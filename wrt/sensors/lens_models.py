@@ -169,7 +169,7 @@ class KannalaBrandt(_FocalLens):
         cx, cy: principal point, in pixels.
         distortion: up to four coefficients k1, k2, k3, k4.
         max_angle: largest angle to the optical axis, in radians, in (0, pi].
-        skew: as of `BrownConrady`; fx times the alpha of OpenCV's fisheye functions.
+        skew: as in `BrownConrady`; fx times the alpha of OpenCV's fisheye functions.
 
     Raises:
         TypeError: a value of a wrong type.

@@ -174,9 +174,9 @@ class Lidar:
             slices: number of time slices; instances stand still within a slice, where they are in the middle of it.
                 `LidarScan.motion_error` bounds the error in position. 1 for instances that stand still during the scan.
             reflectance: of all surfaces, or (I,) of each instance (of each mesh, in a scene without instances); >= 0.
-            mask, environment: as of `wrt.Scene.intersect`, one number, or one for each of many sensors: which instances they
+            mask, environment: as in `wrt.Scene.intersect`, one number, or one for each of many sensors: which instances they
                 see.
-            traversal: as of `wrt.Scene.intersect`.
+            traversal: as in `wrt.Scene.intersect`.
             seed: of the noise, 0 to 2^64 - 1; the same seed gives the same noise, so pass another one for each
                 scan. None: no noise.
 

@@ -103,7 +103,7 @@ class SensorRays:
         bundle: neighbours that belong to a beam.
         shape: leading shape of all beams, in the order of their numbers.
         t_max: end of their range.
-        traversal: as of `wrt.Scene.intersect`.
+        traversal: as in `wrt.Scene.intersect`.
         each: masks and environments: a number, or a Warp array (N,).
         is_relative: whether origins are vec3, relative to the scene's centre. Then "auto" traces all rays at once, and
             `each` is empty.

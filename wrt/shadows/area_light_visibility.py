@@ -91,7 +91,7 @@ class AreaLightVisibility:
             samples: samples of a pattern, 1 to 4096. The grid has as many cells, as square as its divisors allow.
             patterns: number of patterns, 1 to 1024.
             seed: of the jitter; the same arguments give the same samples.
-            triangle_test: as of the class.
+            triangle_test: as in the class.
 
         Raises:
             TypeError, ValueError: as the class.
@@ -132,7 +132,7 @@ class AreaLightVisibility:
         """The rays that `occluded` answers: (..., S) rays from the points to their samples, which they reach at t = 1.
 
         Args:
-            points, t_min, t_max: as of `occluded`.
+            points, t_min, t_max: as in `occluded`.
         """
         points = as_real_array("points", points.numpy() if isinstance(points, wp.array) else points)
         flat = points.reshape(-1, 3)

@@ -52,7 +52,7 @@ class LightBuffer:
     The answers are those of `occluded` for the same rays: same triangle test, same range. Rays that start more than about four
     times the scene's extent away from it, or reach beyond the light, are traced by the scene.
 
-    The buffer follows its scene: after an update of the scene, or of `update`, it is built again before it answers.
+    The buffer is rebuilt by the next query after the scene changes or `update` is called.
 
     Args:
         scene: a scene of meshes.
@@ -60,7 +60,7 @@ class LightBuffer:
         resolution: cells along an edge of each of the six faces, 1 to 4096; None chooses by the number of triangles. More cells
             have shorter lists and take more memory: 16 bytes a cell, and 8 bytes an entry of a list.
         triangle_test: "auto" for the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
-        cull_backfaces: whether shadow rays hit only the front of triangles, as of `wrt.Scene.occluded`: triangles that turn
+        cull_backfaces: whether shadow rays hit only the front of triangles, as in `wrt.Scene.occluded`: triangles that turn
             their front to the light then cast no shadow.
         max_bytes: greatest size of cells and lists together.
 
@@ -145,7 +145,7 @@ class LightBuffer:
         """The rays that `occluded` answers: from the points to the light, which they reach at t = 1.
 
         Args:
-            points, t_min, t_max: as of `occluded`.
+            points, t_min, t_max: as in `occluded`.
         """
         if isinstance(points, wp.array):
             points = points.numpy()

@@ -77,7 +77,7 @@ class DeviceHits:
 
     @classmethod
     def lists(cls, rays: int, hits: int, room: int, device: wp.Device) -> DeviceHits:
-        """Memory for all hits of rays: so many hits together, of which each ray has room for `room`."""
+        """Memory for all hits of rays: this many hits together, of which each ray has room for `room`."""
         made = cls(hits, device)
         made.__dict__.update({name: empty(hits, DTYPES[name], device) for name in HIT_COLUMNS})
         made.counts, made.room = empty(rays, wp.int32, device), room
@@ -154,7 +154,7 @@ class DeviceHits:
         return values.ptr if type(values) is HostArray and name not in self.__dict__ else getattr(self, name).ptr
 
     def values(self, query: str, form: ResultForm) -> Any:
-        """The answers to a query of one array, as of `result`."""
+        """The answers to a query of one array, as in `result`."""
         (name,) = ANSWERS[query].columns
         return self.result(name, form)
 

@@ -83,8 +83,8 @@ class QueryCache:
         return kept[0] if kept[1] >= 0 else None
 
     def keep_choice(self, key: Hashable, plan: Any, uses: float = float("inf")) -> Any:
-        """Keeps which plan was chosen, for so many uses, and returns it. Batches of many shapes share few plans, so these are
-        kept apart."""
+        """Caches a choice of plan for a limited number of uses, and returns it. Batches of many shapes share few plans, so
+        these are kept apart."""
         with self.lock:
             if len(self._choices) >= MAX_CHOICES:
                 self._choices.clear()

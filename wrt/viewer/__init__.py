@@ -10,6 +10,6 @@
 * `session_life`: the states of a session.
 * `frame_loop`: the thread that makes the pictures of a client; it knows neither viser nor scenes.
 * `pictures`: what a picture shows: light, layers of hits, or the cost of its rays.
-* `trees`: the way of a ray through a tree, and the boxes of its levels, as lines.
+* `trees`: the traversal path of a ray, and the boxes of its levels, as lines.
 * `panels`: the parts of the control panel.
 """

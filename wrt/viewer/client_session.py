@@ -44,7 +44,7 @@ class ClientSession:
         browser: the client's.
         shared: the scene.
         first: what the client sees at first; its camera and size are those of the client.
-        options: of the integrator "ambient", as of `wrt.render`; and of the others.
+        options: of the integrator "ambient", as in `wrt.render`; and of the others.
         furnish: furnish(session) makes the panels, on a thread of the session, after the first picture.
         left: left(session) is told when nothing runs and nothing is held any more.
 
@@ -115,7 +115,7 @@ class ClientSession:
             self._left(self)
 
     def close(self, timeout: float = 5.0) -> bool:
-        """As `leave`, and waits until nothing runs any more, at most so many seconds; returns whether that is so."""
+        """As `leave`, and waits until nothing runs any more, at most this many seconds; returns whether that is so."""
         until = monotonic() + timeout
         self.leave()
         if self._loop.is_own_thread or threading.current_thread() is self._furnisher:  # it cannot wait for itself

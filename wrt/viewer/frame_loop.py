@@ -33,7 +33,7 @@ SHOW_EVERY = 0.3
 
 
 class Superseded(Exception):
-    """Another wish has come, and the picture is no longer wanted."""
+    """Superseded by a newer request."""
 
 
 class Picture(Protocol):
@@ -118,7 +118,7 @@ class FrameLoop:
             self._changed.notify_all()
 
     def close(self, timeout: float = 5.0) -> None:
-        """As `stop`, and waits for the thread, at most so many seconds."""
+        """As `stop`, and waits for the thread, at most this many seconds."""
         self.stop()
         if self._thread.is_alive() and not self.is_own_thread:
             self._thread.join(timeout)

@@ -343,9 +343,9 @@ def view(
             computers can reach `host`. False lets everybody in, with a warning. Nothing is encrypted.
         camera: the view at first; None for one that shows the whole scene. Its size does not matter.
         up: (3,) direction that stays upright when the camera turns; None for that of the meshes (`wrt.TriangleMesh.up`).
-        integrator: at first, as of `wrt.render`.
+        integrator: at first, as in `wrt.render`.
         samples: of each pixel, at rest.
-        options: of each integrator, as of `wrt.render`: `{"ambient": {"light": (0, 0, 9)}}`.
+        options: of each integrator, as in `wrt.render`: `{"ambient": {"light": (0, 0, 9)}}`.
         animate: animate(scene, frame) moves the scene to a frame: the viewer can then play. None for `show` of a
             `wrt.moving.FuzzyScene`, and no animation of others.
         frames: number of frames of the animation.

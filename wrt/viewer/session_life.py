@@ -70,6 +70,6 @@ class Life:
             return True
 
     def wait(self, state: SessionState, timeout: float) -> bool:
-        """Waits until a state is entered, at most so many seconds; returns whether it is."""
+        """Waits until a state is entered, at most this many seconds; returns whether it is."""
         with self._changed:
             return self._changed.wait_for(lambda: self._state is state, timeout)

@@ -46,7 +46,7 @@ class SharedScene:
         self.update_seconds = 0.0
         self._animate = animate
         self._lock = threading.RLock()
-        """Of changes, which may build a tree for minutes: nobody waits for it who only looks."""
+        """Held during changes, which may build a tree for minutes; viewers that only look do not take it."""
         self._listening = threading.Lock()
         self._listeners: list[Callable[[], None]] = []
         self._accelerator: Accelerator | None = None
@@ -123,7 +123,7 @@ class SharedScene:
         """Shows the scene through another tree; None for its own.
 
         Raises:
-            TypeError, ValueError: as of `wrt.Scene`. The tree that is shown then stays.
+            TypeError, ValueError: as in `wrt.Scene`. The tree that is shown then stays.
         """
         chosen = None if accelerator is None else resolve_accelerator(accelerator)
         with self._lock:
@@ -147,7 +147,7 @@ class SharedScene:
         self._tell()
 
     def move(self, index: int, transform: np.ndarray) -> None:
-        """Moves an instance; errors as of `wrt.Scene.update`."""
+        """Moves an instance; errors as in `wrt.Scene.update`."""
         self._change(lambda: self.scene.update(index, transform=transform))
 
     def show_frame(self, frame: int) -> None:
@@ -224,7 +224,7 @@ class SharedScene:
             self._end()
 
     def stop(self, timeout: float) -> None:
-        """Ends the animation for good; waits for the frame under way, at most so many seconds."""
+        """Ends the animation for good; waits for the frame under way, at most this many seconds."""
         self._stopped = True
         self._paused.set()
         player = self._player

@@ -2,7 +2,7 @@
 
 Requests are refused before a connection is made, so nobody gets a picture or moves a control first. viser has no option for
 this; while it starts to listen, the functions that answer requests and serve connections are put around its own (`_guarded`).
-`_check` then sees to it that strangers are refused, whatever the version of viser.
+`_check` then refuses clients without permission, whatever the version of viser.
 
 A browser is told of when its first camera has come, if it is there still (`WebServer.welcome`).
 """

@@ -48,7 +48,7 @@ exact_module(__name__)
 STACK = MAX_WIDE_DEPTH + 1
 
 TASKS_PER_THREAD = 2
-"""A node of more than its share of triangles, if there were so many tasks per thread, is split before there are tasks."""
+"""A node of more than its share of triangles, with this many tasks per thread, is split before there are tasks."""
 
 MIN_LARGE = 4096
 """Triangles below which a node is not worth more than one thread."""

@@ -14,7 +14,7 @@ def event_method(config: KdTreeConfig, search: wp.Function = search, by_id: bool
 
     Args:
         config: whether triangles are clipped.
-        search: as of `Method`.
+        search: as in `Method`.
         by_id: whether leaves list clipped triangles by id.
     """
     return Method(

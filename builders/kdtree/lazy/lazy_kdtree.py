@@ -370,7 +370,7 @@ def start(
     """Starts a tree that is built on demand.
 
     Args:
-        triangles, config, device: as of `LazyKdTree`.
+        triangles, config, device: as in `LazyKdTree`.
         meshes: the meshes of the scene, for `config.hierarchy` "meshes" and "groups"; None for one mesh.
         previous: the tree of the same triangles in the previous frame, for "previous"; None if there is none.
     """

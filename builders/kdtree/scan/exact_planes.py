@@ -49,7 +49,7 @@ def count_sides(lists: ReferenceLists, number: int, padded: int, position: float
 
 @cache
 def exact_search(ends_rays: bool) -> wp.Function:
-    """The search of a builder; ends_rays: as of `wrt.builders.cost.split_comparison`."""
+    """The search of a builder; ends_rays: as in `wrt.builders.cost.split_comparison`."""
     compare = planar_comparison(ends_rays)
 
     @wp.func

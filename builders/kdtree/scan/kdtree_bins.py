@@ -112,7 +112,7 @@ def median_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=in
 
 @cache
 def bin_plane_search(ends_rays: bool) -> wp.Function:
-    """The search among bins; ends_rays: as of `wrt.builders.cost.split_comparison`."""
+    """The search among bins; ends_rays: as in `wrt.builders.cost.split_comparison`."""
     compare = split_comparison(ends_rays)
 
     @wp.func

@@ -96,7 +96,7 @@ def decide(
 
 @cache
 def make_decide(memory_type: type, search: wp.Function) -> wp.Kernel:
-    """The kernel whose item is a live node, and which searches it as a task does; search: as of `subtrees.Method`."""
+    """The kernel whose item is a live node, and which searches it as a task does; search: as in `subtrees.Method`."""
 
     def decide_by_search(first: int, cost: SplitCost, limits: StopLimits, memory: memory_type, nodes: wp.array(dtype=LiveNode)):
         index = first + wp.tid()

@@ -45,7 +45,7 @@ MIN_VALUES = 16
 """Floats that a search may write down in any node."""
 
 TASKS_PER_THREAD = 2
-"""A node of more than its share of triangles, if there were so many tasks a thread, is split before there are tasks."""
+"""A node of more than its share of triangles, with this many tasks a thread, is split before there are tasks."""
 
 MIN_LARGE = 1 << 13
 """Triangles below which a node is not worth more than one thread."""
@@ -66,7 +66,7 @@ def copy_lists(
 
 
 def scan_method(config: KdTreeConfig, search: wp.Function) -> Method:
-    """What is done with a node whose references are scanned; search: as of `Method`. `wrt.builders.core.subtrees` calls these
+    """What is done with a node whose references are scanned; search: as in `Method`. `wrt.builders.core.subtrees` calls these
     phases."""
     return Method(
         memory=ReferenceLists,
@@ -101,7 +101,7 @@ class Scan:
 def uniform_scan(
     method: Method, triangles: TriangleBoxes, config: KdTreeConfig, values: int | None, bins: int = 1, counters: int = 0
 ) -> Scan:
-    """A build that searches nodes of all sizes in the same way; method, values, counters: as of `Scan`."""
+    """A build that searches nodes of all sizes in the same way; method, values, counters: as in `Scan`."""
     threads, large = get_num_threads(), triangles.count
     if threads > 1:
         large = max(MIN_LARGE, large // (TASKS_PER_THREAD * threads))

@@ -2,7 +2,7 @@
 
 Hardware counters are not available on every machine, and where they are they count everything that a process does. Here each
 visit to a node, and to a block of triangles, reads its bytes through a set-associative cache with least recently used
-replacement, as of one core. The visits are those of the kernels of `single` and `queued`, in the order in which one thread
+replacement, as in one core. The visits are those of the kernels of `single` and `queued`, in the order in which one thread
 makes them; what is counted is misses.
 
 **Packets** are modelled as the union of the visits of their rays, each node and block read once per packet, in the order in

@@ -100,7 +100,7 @@ def most_waiting(config: TraversalConfig) -> int:
 
 
 def lane_memory(waiting: int) -> int:
-    """Floats of the memory of a block, for a stack of so many children."""
+    """Floats of the memory of a block, for a stack of this many children."""
     return (_STACK + waiting) * FRUSTA + CACHE_LINE
 
 

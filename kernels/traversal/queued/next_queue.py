@@ -1,4 +1,4 @@
-"""The way of a ray from queue to queue: the next leaf of an upper tree that the ray enters.
+"""The path of a ray from queue to queue: the next leaf of an upper tree that the ray enters.
 
 The leaves of the **upper tree** are queue points: subtrees of a tree in memory (`wrt.kernels.traversal.queued.queued_bvh`), or
 parts of a scene on disk (`wrt.disk`). A ray passes the queue points whose boxes it meets in the order of (t of entry,

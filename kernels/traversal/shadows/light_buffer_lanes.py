@@ -63,7 +63,7 @@ def make_answer(triangle_test: str) -> wp.Function:
 
 @cache
 def make_lane_kernel(triangle_test: str) -> wp.Kernel:
-    """The kernel for a triangle test with a `native` form; arguments as of `light_buffer_query.make_light_buffer_kernel`."""
+    """The kernel for a triangle test with a `native` form; arguments as in `light_buffer_query.make_light_buffer_kernel`."""
     answer = make_answer(triangle_test)
 
     def light_buffer_lanes(

@@ -69,7 +69,7 @@ class NodeList:
 @cache
 def small_leaf_tester(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, stream, words, list, work) -> leaves`: tests the leaves of few triangles, if the list is long;
-    arguments as of `leaf_tester`. Returns the bits of the leaves that remain."""
+    arguments as in `leaf_tester`. Returns the bits of the leaves that remain."""
     StreamRay, test_leaf = stream_ray(config.triangle_test), leaf_in_lanes(config)
     width, counting = config.width, config.counters
 

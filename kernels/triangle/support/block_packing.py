@@ -120,7 +120,7 @@ def pack_blocks(
 def pack_few(
     record: Record, vertices: wp.array, faces: wp.array, primitive: wp.array, width: int, origin: tuple[float, float, float]
 ) -> TriangleBlocks:
-    """`pack_blocks` of new blocks on the CPU, by the calling thread: few triangles feel every allocation and check.
+    """`pack_blocks` of new blocks on the CPU, by the calling thread: for few triangles, every allocation and check counts.
 
     The arguments of the kernel are kept from scene to scene, and refer to other arrays each time.
     """

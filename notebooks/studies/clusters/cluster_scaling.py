@@ -66,7 +66,7 @@ EXECUTORS = {"processes": process_pool, "dask": dask_cluster}
 
 
 def sun_blocks(scene: Scene, points: np.ndarray, suns: np.ndarray, task_rays: int, executor: Any = None) -> Blocks:
-    """Numbers of directions from which each point has no sun, in tasks of about so many rays."""
+    """Numbers of directions from which each point has no sun, in tasks of about this many rays."""
     rows = max(1, task_rays // len(suns))
     memory = rows * len(suns) * BYTES_PER_RAY
     return scene.occluded_blocks(points[:, None], suns, memory=memory, reduce="sum", axis=1, executor=executor)
@@ -91,7 +91,7 @@ def measure(
         names: of `EXECUTORS`.
         points, suns: numbers of points and of directions.
         task_rays: rays of a task.
-        rounds: turns of each.
+        rounds: how often each is measured.
         devices: of the processes; empty for the CPU.
         on_turn: called with the name of each turn.
     """

@@ -11,7 +11,7 @@ LOT = 30.0
 
 
 def town(triangles: int, detail: int = 7, seed: int = 0) -> TriangleMesh:
-    """Boxes of sides of detail x detail squares, without floors, on a flat ground; about so many triangles, z up, metres."""
+    """Boxes of sides of detail x detail squares, without floors, on a flat ground; about this many triangles, z up, metres."""
     side = max(1, round((triangles / (10 * detail * detail)) ** 0.5))
     rng = np.random.default_rng(seed)
     u, v = (one.reshape(-1) for one in np.meshgrid(np.linspace(0, 1, detail + 1), np.linspace(0, 1, detail + 1)))

@@ -94,7 +94,7 @@ def first_frames(mesh: TriangleMesh, rays: Rays, builders: Sequence[str], *, rou
         mesh: the scene.
         rays: the view.
         builders: keys in `KDTREE_BUILDERS`; ratios refer to the first.
-        rounds: turns of each.
+        rounds: how often each is measured.
     """
     parts: dict[str, list[tuple[float, ...]]] = {name: [] for name in builders}
 
@@ -136,7 +136,7 @@ def mailbox_costs(mesh: TriangleMesh, *, size: int = 128, rounds: int = 5) -> li
     Args:
         mesh: what trees are built of.
         size: size * size rays.
-        rounds: turns of each tree.
+        rounds: number of rounds per tree.
     """
     (workload,) = WorkloadMaker(mesh, size=size).make(("random",))
     options = {"width": 1, "block_cost": CLASSIC_BLOCK}

@@ -67,7 +67,7 @@ def compare_builders(
     Args:
         mesh: what trees are built of.
         builders: keys in `KDTREE_BUILDERS`.
-        rounds: turns of each builder.
+        rounds: number of rounds per builder.
         threads: CPU threads.
         size: each workload has size * size rays.
         on_turn: told the name of each builder before its turn.
@@ -97,7 +97,7 @@ def compare_trees(
         mesh: what trees are built of.
         trees: by name; all figures refer to the first.
         rounds, threads, size, on_turn: as in `compare_builders`.
-        trace_rounds: turns of each tree at tracing, which takes less time than building; None for `rounds`.
+        trace_rounds: number of rounds per tree at tracing, which takes less time than building; None for `rounds`.
         traversal: how rays are traced, key in `TRAVERSALS`, or "auto" for the best walk by planes: in wide forms, leaves do not
             show.
         clock: seconds; `time.thread_time` with one thread on a machine that others use.

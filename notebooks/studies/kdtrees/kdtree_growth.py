@@ -24,7 +24,7 @@ LEAST = 1_000
 """Triangles of the smallest teapot, about."""
 
 PATCH_TRIANGLES = 64
-"""A teapot of level l has about so many times l * l triangles: 32 patches of l * l squares."""
+"""A teapot of level l has about this many times l * l triangles: 32 patches of l * l squares."""
 
 
 @dataclass
@@ -85,7 +85,7 @@ def builders_for(builders: Sequence[str], triangles: int) -> list[str]:
 
 
 def make_teapot(triangles: int) -> TriangleMesh:
-    """A teapot of about so many triangles."""
+    """A teapot of about this many triangles."""
     return scenes.build("teapot", level=max(1, round((triangles / PATCH_TRIANGLES) ** 0.5)))
 
 
@@ -98,12 +98,12 @@ def measure_growth(
     clock: Callable[[], float] = perf_counter,
     on_turn: Callable[[str], None] = lambda name: None,
 ) -> list[Growth]:
-    """Builds teapots of about so many triangles; those whom no size suits are left out.
+    """Builds teapots of about this many triangles; those whom no size suits are left out.
 
     Args:
         builders: keys in `KDTREE_BUILDERS`.
         sizes: triangles, ascending.
-        rounds: turns of each builder at each size, for which it has `BUDGET` seconds.
+        rounds: number of rounds per builder at each size, for which it has `BUDGET` seconds.
         threads: CPU threads.
         clock: seconds; `time.thread_time` with one thread on a machine that others use.
         on_turn: told the size and the builder before each warm-up and each turn.

@@ -68,12 +68,12 @@ class Placed:
 
 
 def in_pairs(layout: str, words: int = 1) -> Placed:
-    """Nodes in pairs in an order of `LAYOUTS`, of so many words of 8 bytes each."""
+    """Nodes in pairs in an order of `LAYOUTS`, of this many words of 8 bytes each."""
     return Placed(lambda tree: in_records(lay_out(tree, layout), words), SingleConfig(pair_words=words))
 
 
 def in_subtrees(height: int) -> Placed:
-    """Compact subtrees of so many levels."""
+    """Compact subtrees of this many levels."""
     return Placed(lambda tree: to_compact(tree, height), SingleConfig(compact=height))
 
 
@@ -97,7 +97,7 @@ class LayoutFigures:
 
 
 def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers, words: int = 1) -> DeviceHits:
-    """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs, in records of so many words."""
+    """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs, in records of this many words."""
     return trace_placed(scene, tree, rays, SingleConfig(pair_words=words))
 
 
@@ -157,7 +157,7 @@ def compare(
         reference: the name that all figures refer to.
         builder: key in `KDTREE_BUILDERS`.
         width: triangles a block, as in `wrt.KdTree`; 1 makes the deep trees of the literature.
-        rounds: turns of each order.
+        rounds: number of rounds per order.
         threads: CPU threads.
         size: each workload has size * size rays.
         clock: seconds; `time.thread_time` with one thread on a machine that others use.

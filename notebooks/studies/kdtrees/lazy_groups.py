@@ -62,7 +62,7 @@ def first_views(
         geometry: meshes, in nested sequences.
         rays: the view.
         hierarchies: keys in `wrt.builders.kdtree.kdtree_config.HIERARCHIES`.
-        rounds: turns of each.
+        rounds: how often each is measured.
 
     Returns:
         A row for each: hierarchy; groups, opened (their number, and those that were opened); sorted (length of all sorts, in
@@ -91,7 +91,7 @@ def first_views(
 
 
 def opened_part(scene: Scene) -> dict[str, int]:
-    """Counts of a scene's lazy tree, as of `first_views`."""
+    """Counts of a scene's lazy tree, as in `first_views`."""
     tree = scene.state.lazy_tree
     cells = tree.cells[tree.cells["clusters"] > 0]
     return {

@@ -32,7 +32,7 @@ class LeafFigures:
     """What was measured of one size of leaves with one culling.
 
     Attributes:
-        leaf_triangles: a node with at most so many triangles was not divided.
+        leaf_triangles: a node with at most this many triangles was not divided.
         culling: key in `wrt.kernels.traversal.packet.CULLINGS`.
         nodes: of the tree, leaves included.
         mean_leaf: triangles of the leaves that packets visited, on average.
@@ -67,7 +67,7 @@ def compare_leaf_sizes(
         leaves: sizes of leaves, as `wrt.KdTree.leaf_triangles`.
         cullings: keys in `wrt.kernels.traversal.packet.CULLINGS` that need no boxes of leaves.
         size: pixels along an edge, a multiple of 4.
-        rounds: turns of each size and culling.
+        rounds: number of rounds per size and culling.
         threads: on the CPU; None for all cores.
         on_turn: told the name of each turn.
     """

@@ -203,7 +203,7 @@ class Turns:
     """How contenders are timed.
 
     Attributes:
-        rounds: turns of each.
+        rounds: how often each is measured.
         threads: CPU threads.
         on_turn: told the name of each contender before its turn.
     """
@@ -311,7 +311,7 @@ def work_of(scene: Scene, known: KnownRays) -> float:
 
 
 def thinned(rays: Rays, count: int) -> Rays:
-    """At most so many of the rays, evenly picked."""
+    """At most this many of the rays, evenly picked."""
     shape = (*rays.shape, 3)
     chosen = np.unique(np.linspace(0, len(rays) - 1, count).astype(int))
     origins, directions = (np.broadcast_to(a, shape).reshape(-1, 3)[chosen] for a in (rays.origins, rays.directions))

@@ -199,7 +199,7 @@ def top_levels(
         depths: levels of octrees below the root; 0 for an array.
         size: of `random_areas`.
         rays: how many look their areas up.
-        rounds: turns of each depth.
+        rounds: number of rounds per depth.
 
     Returns:
         A row for each count and depth: areas, depth, cells, bytes, build (seconds), error (share by which the leaves around

@@ -104,7 +104,7 @@ def compare_bounces(
         name: its name in the figures.
         size: one path from each of size x size pixels.
         bounces: number of the last bounce.
-        rounds: turns of each way.
+        rounds: number of rounds per way.
         threads: on the CPU; None for all cores.
         ways: keys in `WAYS`.
         on_turn: told the name of each turn.

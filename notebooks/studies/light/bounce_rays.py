@@ -23,7 +23,7 @@ ROOM = 1.25
 """Edge of the closed room around the model, in extents of the model: no ray leaves it."""
 
 CELLS = 4
-"""Materials change from cell to cell of a grid of so many cells along each axis of the model."""
+"""Materials change from cell to cell of a grid of this many cells along each axis of the model."""
 
 MATERIALS = (
     Material(color=0.95),

@@ -121,7 +121,7 @@ def compare_shading(
         scene: without instances, with fewer than 65535 materials.
         camera, lights, samples, depth: of the picture, which is one wave.
         stream: rays of a stream.
-        rounds: turns of each way.
+        rounds: number of rounds per way.
         ways: of `WAYS`; the first is what ratios and answers refer to.
         on_turn: told the name of each turn.
 

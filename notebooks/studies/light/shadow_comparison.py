@@ -78,7 +78,7 @@ def compare_shadows(
         position: of the light.
         samples: samples of the area light, one comparison each.
         resolution: of the light buffer; None for the default.
-        rounds: turns of each engine.
+        rounds: number of rounds per engine.
         threads: on the CPU; None for all cores.
         on_turn: told the name of each turn.
     """

@@ -93,7 +93,7 @@ def group_updates(
         animation: of each group; groups stand 1.2 apart along the y axis.
         groups: how many.
         moving: numbers of groups that move.
-        rounds: turns of each way.
+        rounds: number of rounds per way.
 
     Returns:
         A row for each number and way: moving, way ("one kd-tree, built", "one kd-tree, refilled or built", "groups, built",
@@ -139,7 +139,7 @@ def rigid_motion(mesh: TriangleMesh, copies: Sequence[int], camera: PinholeCamer
         mesh: at the origin.
         copies: numbers of copies, in a square grid.
         camera: looks at the grid.
-        rounds: turns of each way.
+        rounds: number of rounds per way.
 
     Returns:
         A row for each number and way: copies, way ("built", "refitted", "instances"), update and trace (seconds), same (share
@@ -193,7 +193,7 @@ def rigid_motion(mesh: TriangleMesh, copies: Sequence[int], camera: PinholeCamer
 
 
 def hit_triangles(scene: Scene, rays: Rays, triangles: int) -> np.ndarray:
-    """(N,) triangles of the closest hits, numbered through all copies of so many triangles; -1 for none."""
+    """(N,) triangles of the closest hits, numbered through all copies of this many triangles; -1 for none."""
     hits = scene.intersect(rays)
     if not scene.instances:
         return hits.primitive_id
@@ -208,7 +208,7 @@ def fuzzy_growth(animation: Animation, lengths: Sequence[int], rays: Rays, *, cl
         lengths: numbers of frames, from the first one.
         rays: traced in the middle one of these frames, one by one.
         clusters: largest number that is looked for.
-        rounds: turns of each tree.
+        rounds: number of rounds per tree.
 
     Returns:
         A row for each number and kind of clusters ("one cluster", "found", "found, best rest pose", "bones"): frames, clusters

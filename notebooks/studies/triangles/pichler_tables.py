@@ -120,7 +120,7 @@ class Case:
         return counts["kept"] / max(counts["tests"], 1)
 
     def count(self, variant: Variant, rays: int = MOST) -> dict[str, int]:
-        """`count_comparisons` of the view and of the ambient rays, at most so many of each, evenly picked."""
+        """`count_comparisons` of the view and of the ambient rays, at most this many of each, evenly picked."""
         parts = [count_comparisons(self.scene, workload.thinned(rays).rays, variant) for workload in self.workloads]
         return {name: sum(part[name] for part in parts) for name in parts[0]}
 

@@ -58,7 +58,7 @@ class Replay:
 
     Args:
         case: a scene with its view and its ambient rays.
-        rays: at most so many of each.
+        rays: at most this many of each.
     """
 
     def __init__(self, case: Case, rays: int = RAYS) -> None:
@@ -129,7 +129,7 @@ def replays(
         forms: keys in `FORMS`; the reference is added.
         reference: key in `FORMS`, of the form to whose times ratios refer.
         size: views have size x size pixels.
-        rounds: turns of each form.
+        rounds: number of rounds per form.
 
     Returns:
         A row for each scene and form: scene, form, tests (pairs), bytes (that a test reads), hit_rate, exits (share of the
@@ -233,7 +233,7 @@ def leak_counts(tests: Sequence[str] = LEAKING, *, origins: int = 8, subdivision
 
     Args:
         tests: keys in `TRIANGLE_TESTS` or in `FORMS`.
-        origins, subdivisions: as of `studies.triangles.triangle_precision.leaks`.
+        origins, subdivisions: as in `studies.triangles.triangle_precision.leaks`.
 
     Returns:
         A row for each test and "edges" or "vertices": test, at, rays, leaked, per_million.

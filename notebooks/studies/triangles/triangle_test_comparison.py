@@ -53,7 +53,7 @@ TILE_RAYS = 16
 """Of a frustum: 4 x 4 pixels."""
 
 SETTLE = 0.2
-"""Calls shorter than so many seconds are preceded by an untimed one."""
+"""Calls shorter than this many seconds are preceded by an untimed one."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def run_triangle_tests(
         tests: names; the reference is measured with them, whether named or not.
         situations: keys of `SITUATIONS`.
         size: see `Stage`.
-        rounds: turns of each test in each situation.
+        rounds: number of rounds per test in each situation.
         threads: of scenes and launches.
         precise: whether to measure precision and leaks too.
         on_turn: told what is under way.

@@ -39,8 +39,8 @@ GOOD, BAD = 1.1, 1.3
 @click.option("--scene", "scenes", multiple=True, type=click.Choice([*SCENES]), help="May be repeated. [all]")
 @click.option("--kind", "kinds", multiple=True, type=click.Choice(KINDS), help="Kind of rays; may be repeated. [all]")
 @click.option("--size", "sizes", multiple=True, type=Whole(8), help="Views have SIZE x SIZE pixels. [64 256 1024]")
-@click.option("--divide", default=0, show_default=True, type=Whole(0, 4), help="Divide triangles in 4, so many times.")
-@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each engine.")
+@click.option("--divide", default=0, show_default=True, type=Whole(0, 4), help="Subdivide every triangle into 4, N times.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per engine.")
 @click.option("--open3d/--no-open3d", default=False, show_default=True, help="Time Open3D beside, if it is installed.")
 @threads_option
 @json_option

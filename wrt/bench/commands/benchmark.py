@@ -56,11 +56,15 @@ class BenchCommand(click.Command):
     "--workload", "workloads", multiple=True, type=click.Choice([*WORKLOADS]), help="Rays to trace; may be repeated. [all]"
 )
 @click.option(
-    "--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; may be repeated. [all but flat]"
+    "--peer",
+    "peers",
+    multiple=True,
+    type=click.Choice([*PEERS]),
+    help="Other libraries to compare with; repeatable. [all but flat]",
 )
 @click.option("--size", default=1024, show_default=True, type=Whole(1), help="Views have SIZE x SIZE pixels.")
 @click.option("--order", default="tiles", show_default=True, type=click.Choice(ORDERS), help="Order of a view's pixels.")
-@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Turns of each contender.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per contender.")
 @click.option("--threads", type=Whole(1, MAX_THREADS), help="CPU threads of each contender. [all cores]")
 @click.option("--device", default="cpu", show_default=True, help="Where wrt and wp.Mesh run, such as cuda:0.")
 @click.option("--builders/--no-builders", default=True, show_default=True, help="Compare builds.")

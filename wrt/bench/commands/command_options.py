@@ -121,7 +121,7 @@ def progress() -> Iterator[Steps]:
 
 @contextmanager
 def progress_bar(steps: int) -> Iterator[Callable[[str], None]]:
-    """What to call with the name of each of so many steps when it begins: a bar on stderr if that is a terminal."""
+    """What to call with the name of each of this many steps when it begins: a bar on stderr if that is a terminal."""
     from rich.console import Console
     from rich.progress import Progress
 

@@ -93,7 +93,7 @@ def cases(mesh: TriangleMesh, kinds: Sequence[str] = KINDS, sizes: Sequence[int]
 
 
 def scan(mesh: TriangleMesh, columns: int) -> Workload:
-    """A turn of a spinning lidar at the centre of a mesh, about z: 64 beams, one after the other, of so many rays."""
+    """A turn of a spinning lidar at the centre of a mesh, about z: 64 beams, one after the other, of this many rays."""
     elevation = np.radians(np.linspace(HIGHEST, LOWEST, BEAMS))[:, None]
     azimuth = np.linspace(0.0, 2.0 * np.pi, columns, endpoint=False)[None, :]
     level = np.cos(elevation)
@@ -148,7 +148,7 @@ def scene_of(name: str, model: TriangleMesh, threads: int | None = None) -> tupl
 
 
 def subdivided(mesh: TriangleMesh, times: int = 1) -> TriangleMesh:
-    """The same surface with every triangle divided into four, so many times."""
+    """The same surface with every triangle divided into four, `times` times."""
     divided = mesh.to_trimesh()
     for _ in range(times):
         divided = divided.subdivide()

@@ -28,7 +28,7 @@ from wrt.scene.scene import Scene
 from wrt.state.query_kinds import ANY, AUTO, CLOSEST
 
 HOPELESS = 4.0
-"""An engine that once took so many times as long as another takes no part: it would take most of the time."""
+"""An engine that once took this many times as long as another takes no part: it would take most of the time."""
 
 SETTLE = 0.01
 """Seconds below which a turn starts with an untimed call."""
@@ -42,7 +42,7 @@ class Choice:
         scene, kind: the scene's name and the kind of rays.
         triangles, rays: how many.
         auto: the engine that "auto" chose, and why.
-        reason: as of the plan.
+        reason: as in the plan.
         best: the fastest engine.
         ratio: time of "auto" over the time of the best.
         milliseconds: least time of each engine, which other work on the machine changes least; hopeless ones are left out.
@@ -78,8 +78,8 @@ def compare_choices(
         name: of the scene.
         scene: on the CPU.
         mesh: its triangles as one mesh.
-        kinds, sizes: as of `cases`.
-        rounds: turns of each engine.
+        kinds, sizes: as in `cases`.
+        rounds: number of rounds per engine.
         peer: a `wrt.bench.peers.peer.Peer` that has built the mesh, timed beside; None for none.
         on_turn: told the name of each turn.
     """

@@ -26,14 +26,14 @@ BUDGET = 10.0
 """Seconds for each builder."""
 
 SETTLE = 0.5
-"""Calls shorter than so many seconds are preceded by an untimed one."""
+"""Calls shorter than this many seconds are preceded by an untimed one."""
 
 SMALL = 256
 """Triangles of the mesh that warms builders up."""
 
 
 def builder_peers(peers: Sequence[Peer], triangles: int, threads: int, device: str) -> list[Peer]:
-    """Every builder that suits so many triangles, with all threads and with one, then the peers; Open3D with one thread too.
+    """Every builder that suits this many triangles, with all threads and with one, then the peers; Open3D with one thread too.
 
     Embree asked with flat arrays is left out: it is built as Embree is.
     """
@@ -53,7 +53,7 @@ def builder_peers(peers: Sequence[Peer], triangles: int, threads: int, device: s
 
 
 def kdtree_descriptions(triangles: int) -> list[KdTree]:
-    """Every kd-tree builder that can be waited for with so many triangles."""
+    """Every kd-tree builder that can be waited for with this many triangles."""
     return [KdTree(builder=name) for name, builder in KDTREE_BUILDERS.items() if triangles <= builder.max_triangles]
 
 

@@ -17,7 +17,7 @@ BUDGET = 10.0
 """Seconds for each contender and workload: slow ones get fewer rounds."""
 
 SETTLE = 0.5
-"""Calls shorter than so many seconds are preceded by an untimed one."""
+"""Calls shorter than this many seconds are preceded by an untimed one."""
 
 TOLERANCE = 1e-5
 """Distances agree within this share of the box's diagonal."""

@@ -39,7 +39,7 @@ COMPARED_SIZE = 1024
 """Of these workloads: pixels a side; `random` has as many rays."""
 
 SETTLE = 0.05
-"""Calls shorter than so many seconds are preceded by untimed ones."""
+"""Calls shorter than this many seconds are preceded by untimed ones."""
 
 WARM = 0.02
 """Seconds of untimed calls: after a turn with fewer threads, the others sleep."""
@@ -98,8 +98,8 @@ class JobFigures:
 class EmbreeTurns:
     """A version of Embree with changing numbers of threads.
 
-    One scene answers rays with any number of threads, since these are wrt's. Builds need a device with so many threads, and no
-    other device beside it: that is made when the number changes, in the untimed call before the timed one.
+    One scene answers rays with any number of threads, since these are wrt's. Builds need a device with this many threads, and
+    no other device beside it: that is made when the number changes, in the untimed call before the timed one.
     """
 
     def __init__(self, mesh: TriangleMesh, version: int) -> None:

@@ -44,7 +44,7 @@ def occlusion_agreement(occluded: np.ndarray, expected: np.ndarray) -> Agreement
 def lists_agreement(
     rays: int, ray: np.ndarray, primitive: np.ndarray, expected_ray: np.ndarray, expected_primitive: np.ndarray
 ) -> Agreement:
-    """Compares all hits of so many rays, whatever the order of a ray's hits."""
+    """Compares all hits of this many rays, whatever the order of a ray's hits."""
     counts, expected = (np.bincount(numbers, minlength=rays) for numbers in (ray, expected_ray))
     as_many = counts == expected
     found, wanted = (

@@ -102,9 +102,9 @@ def take_turns(
             `FAILURES` is left out, with the reason.
         rounds: how often each has its turn, at least once.
         budget: seconds for each contender; one whose next turn would exceed it sits out the rounds that are left.
-        settle: a turn of a contender whose last call took less than so many seconds starts with an untimed call.
-        warm: such a turn goes on with untimed calls until so many seconds have passed. Threads that the operating system has to
-            wake, and cores that it has to bring to their frequency, are slow for some milliseconds.
+        settle: a turn of a contender whose last call took less than this many seconds starts with an untimed call.
+        warm: such a turn goes on with untimed calls until this many seconds have passed. Threads that the operating system has
+            to wake, and cores that it has to bring to their frequency, are slow for some milliseconds.
         clock: seconds, from any start.
         on_turn: told the name of the contender before each warm-up and each turn.
     """

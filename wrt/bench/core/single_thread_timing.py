@@ -12,7 +12,7 @@ from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.kernels.runtime.launch import use_threads
 
 SETTLE = 0.02
-"""Calls shorter than so many seconds are preceded by an untimed one."""
+"""Calls shorter than this many seconds are preceded by an untimed one."""
 
 
 def timed(runs: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, Timing]:

@@ -29,7 +29,7 @@ from wrt.kernels.runtime.launch import MAX_CHUNK, Chunks, PreparedLaunch, use_th
 from wrt.meshes.mesh import TriangleMesh
 
 NATIVE_WIDTHS = {16: 34, 8: 33, 4: 32}
-"""Rays of a packet, and RTC_DEVICE_PROPERTY_NATIVE_RAY16_SUPPORTED, 8 and 4: whether Embree traces so many at a time."""
+"""Rays of a packet, and RTC_DEVICE_PROPERTY_NATIVE_RAY16_SUPPORTED, 8 and 4: whether Embree traces that many at a time."""
 
 COHERENT = ("far", "near", "shadow")
 """Workloads whose packets are declared coherent."""

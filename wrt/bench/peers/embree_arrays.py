@@ -29,7 +29,7 @@ ANSWERS = {"t": np.float32, "primitive": np.int32, "u": np.float32, "v": np.floa
 
 
 class EmbreeArrays(Embree):
-    """Embree's C library with rays and answers in flat arrays; arguments as of `Embree`."""
+    """Embree's C library with rays and answers in flat arrays; arguments as in `Embree`."""
 
     def __init__(self, threads: int = 1, version: int = 3) -> None:
         super().__init__(threads, version)

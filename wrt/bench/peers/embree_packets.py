@@ -200,7 +200,7 @@ def trace_arrays(
     """Item: `width` rays, in order. All arrays are addresses of contiguous ones; those of answers not asked for are 0.
 
     Args:
-        first, function, scene, version, flags, width, closest, t_max: as of `trace_packets`.
+        first, function, scene, version, flags, width, closest, t_max: as in `trace_packets`.
         origins: (count, 3) float32, or one for all rays.
         origin_step: 3, or 0 if the rays share their origin.
         directions: (count, 3) float32.

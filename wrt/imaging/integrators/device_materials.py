@@ -52,7 +52,7 @@ def scene_materials(scene: Scene, materials: Any, default: Material) -> SceneMat
         default: of meshes without materials.
 
     Raises:
-        TypeError, ValueError: not so many materials; more than 65534 together.
+        TypeError, ValueError: not this many materials; more than 65534 together.
     """
     meshes = scene.meshes
     counts = [mesh.triangle_count for mesh in meshes]
@@ -76,7 +76,7 @@ def device_materials(found: SceneMaterials, device: wp.Device) -> material_table
 def tiled_materials(
     found: SceneMaterials, device: wp.Device, budget: int | None
 ) -> tuple[material_table.Materials, TextureTiles | None]:
-    """The table of materials on a device, and the tiles of its images if the whole ones take more than so many bytes."""
+    """The table of materials on a device, and the tiles of its images if the whole ones take more than this many bytes."""
     listed = found.mesh.materials
     table = material_table.Materials()
     same = not found.of_face.any()

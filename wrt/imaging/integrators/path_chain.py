@@ -57,7 +57,7 @@ FILM_OF_LAST = 5
 
 
 def tile_size(slots: int) -> int:
-    """Paths of a tile of a wave of so many samples: a power of two."""
+    """Paths of a tile of a wave of this many samples: a power of two."""
     size, share = TILE, slots // (TILES_PER_THREAD * get_num_threads())
     while size > max(share, MIN_TILE):
         size //= 2
@@ -117,7 +117,7 @@ class PathChain:
         self._of_wave: list[tuple[PackedKernel, int]] = []
 
     def develops(self, samples: int) -> bool:
-        """Whether `run` adds waves with so many samples of each pixel to the film: if a tile has all those of a pixel."""
+        """Whether `run` adds waves with this many samples of each pixel to the film: if a tile has all those of a pixel."""
         return self._runs.size % samples == 0
 
     def run(
@@ -128,7 +128,7 @@ class PathChain:
         film: Film,
         sample: tuple[wp.array, wp.array] | None,
     ) -> int:
-        """Follows the paths of so many samples, and returns the number of rays.
+        """Follows the paths of this many samples, and returns the number of rays.
 
         Args:
             camera: the camera.
@@ -152,7 +152,7 @@ class PathChain:
     def _begin(
         self, camera: CameraModel, samples: ray_queue.Wave, known: int, sample: tuple[wp.array, wp.array]
     ) -> LaunchChain:
-        """Makes the stages; of the camera rays of `sample`, so many are known."""
+        """Makes the stages; of the camera rays of `sample`, this many are known."""
         paths, tracer, rays, runs = self._paths, self._tracer, self._rays, self._runs
         scene, size, memories = paths.scene, runs.size, runs.memories
         chain = LaunchChain(size, memories.left, memories.left.device)

@@ -11,7 +11,7 @@ __all__ = ["new_queue"]
 
 
 def new_queue(count: int, device: wp.Device) -> ray_queue.RayQueue:
-    """A queue of so many rays; what it holds is undefined."""
+    """An uninitialised queue for this many rays."""
     queue = ray_queue.RayQueue()
     queue.origin, queue.direction, queue.weight = (empty(count, wp.vec3, device) for _ in range(3))
     queue.density, queue.slot, queue.media = (empty(count, dtype, device) for dtype in (wp.float32, wp.int32, wp.uint64))

@@ -52,7 +52,7 @@ class TileRays(NamedTuple):
     """Rays that a chain traces tile by tile.
 
     Attributes:
-        origins, directions: (N,) vec3 as of `RayTracer.closest`; origins (1,) if all are the same.
+        origins, directions: (N,) vec3 as in `RayTracer.closest`; origins (1,) if all are the same.
         count: rays that there may be; plans are made for so many.
         tile: rays of a tile.
         similar: whether neighbouring rays are similar.
@@ -61,7 +61,7 @@ class TileRays(NamedTuple):
 
     origins: wp.array
     directions: wp.array
-    count: int
+    count: int  # type: ignore[assignment]
     tile: int
     similar: bool = False
     are_segments: bool = False
@@ -106,7 +106,7 @@ class RayTracer:
         """(count,) bool: whether rays in all directions from points that follow one another hit anything.
 
         Args:
-            origins, directions, count: as of `closest`.
+            origins, directions, count: as in `closest`.
             distance: (1,) float32, the length of all rays in units of their directions.
             expected: the most rays that there can be; the plan is made for them, so that batches of any size have the same.
         """
@@ -168,7 +168,7 @@ class RayTracer:
             traced: the rays. Where neighbouring ones are similar, the way is chosen by `sample`, or by speed if there is none.
             hits: what is written.
             sample: origins and directions of such rays, at least `traced.count` of them.
-            counts: as of `Stage`.
+            counts: as in `Stage`.
         """
         origins, directions, count, tile, similar, are_segments = traced
         end, shared = self._one if are_segments else self._infinity, len(origins) < len(directions)

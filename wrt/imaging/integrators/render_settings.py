@@ -46,7 +46,7 @@ class RenderSettings:
         ambient: of "whitted" and "distribution": radiance of a constant ambient light, a number or (3,); None: the mean of the
             sky for "whitted", none for "distribution".
         max_radiance: largest component of a sample, which bounds rare bright pixels and makes the picture a little darker.
-        smooth, crease_angle: smooth normals, as of `wrt.render`.
+        smooth, crease_angle: smooth normals, as in `wrt.render`.
         exposure: factor of the linear picture before tone mapping.
         tone_mapping: "srgb" (clipped), "reinhard", "aces", or "linear" for no encoding.
         seed: of the random numbers.

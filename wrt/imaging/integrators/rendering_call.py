@@ -50,7 +50,7 @@ def render(
         scene: the scene.
         camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
         integrator: one of these.
-        lights, materials, motion, settings: as of `wrt.pictures.Rendering`; not of "ambient".
+        lights, materials, motion, settings: as in `wrt.pictures.Rendering`; not of "ambient".
         progress: called as progress(done, total) after each tile or wave; an exception that it raises ends the rendering.
         options: of "ambient" as above; of others the fields of `wrt.pictures.RenderSettings`, which replace those of
             `settings`.

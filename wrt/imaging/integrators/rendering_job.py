@@ -192,7 +192,7 @@ class Rendering:
         return self._model.is_perspective and self.settings.lens_radius == 0.0
 
     def _samples_of(self, first: int, sample: int, samples: int) -> ray_queue.Wave:
-        """A wave of so many samples of a pixel, from number `sample` on; `first` is the place of its first pixel."""
+        """A wave of this many samples of a pixel, from number `sample` on; `first` is the place of its first pixel."""
         wave = ray_queue.Wave()
         wave.order, wave.first_pixel, wave.first_sample, wave.samples = self._order, first, sample, samples
         return wave
@@ -209,11 +209,11 @@ class Rendering:
         return film
 
     def _start(self, wave: ray_queue.Wave, count: int) -> None:
-        """Writes the camera rays of a wave of so many samples."""
+        """Writes the camera rays of a wave of this many samples."""
         self._wave.start(self._model, wave, count)
 
     def _expose(self, first: int, pixels: int, samples: int) -> None:
-        """Adds so many samples to some pixels."""
+        """Adds this many samples to some pixels."""
         wave, count = self._samples_of(first, self.done, samples), pixels * samples
         if not self._follow_in_tiles(wave, count):
             self._start(wave, count)

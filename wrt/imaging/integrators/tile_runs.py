@@ -49,7 +49,7 @@ class TileRuns:
         return int(self.memories.min_fitting.numpy().min())
 
     def run(self, chain: LaunchChain, count: int, last: int = 0) -> int:
-        """Follows so many samples through the stages, and returns the number of rays; -1 if those of a single sample find no
+        """Follows this many samples through the stages, and returns the number of rays; -1 if those of a single sample find no
         place.
 
         Args:

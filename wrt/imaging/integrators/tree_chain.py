@@ -1,6 +1,6 @@
 """Trees of rays in tiles that stay in the cache: all generations of some hundred samples, then the next ones.
 
-A thread follows the samples of a tile from the camera to the end, as of paths (`wrt.imaging.integrators.path_chain`). A sample
+A thread follows the samples of a tile from the camera to the end, as in paths (`wrt.imaging.integrators.path_chain`). A sample
 has more rays in a generation than before, so a tile has places for more rays than samples. Where they do not suffice, its
 samples are done in halves. The memory of a tile belongs to a thread, which uses it again for the next tile
 (`wrt.kernels.shading.ray_trees.tile_memories`).
@@ -111,7 +111,7 @@ class TreeChain:
         return self._runs.min_samples_together
 
     def run(self, camera: CameraModel, samples: ray_queue.Wave, count: int, sample: tuple[wp.array, wp.array] | None) -> int:
-        """Follows so many samples, and returns the number of rays; -1 if those of a single sample find no place.
+        """Follows this many samples, and returns the number of rays; -1 if those of a single sample find no place.
 
         Args:
             camera: the camera.

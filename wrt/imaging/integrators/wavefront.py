@@ -98,7 +98,7 @@ class Wave:
         self._make_room(slots)
 
     def _make_room(self, count: int) -> None:
-        """Makes the queues hold so many rays: a generation of a tree may be larger than the one before."""
+        """Makes the queues hold this many rays: a generation of a tree may be larger than the one before."""
         if count <= self._room:
             return
         self._room = count
@@ -114,7 +114,7 @@ class Wave:
     def follow_in_tiles(
         self, tracer: RayTracer, camera: CameraModel, wave: ray_queue.Wave, count: int, film: Film, from_one_point: bool
     ) -> bool:
-        """Follows so many samples tile by tile, if that is possible: on the CPU, with whole textures. If the wave
+        """Follows this many samples tile by tile, if that is possible: on the CPU, with whole textures. If the wave
         `develops_in_tiles`, they are then in the film."""
         if self._tiles is not None or self._device.is_cuda:
             return False
@@ -137,11 +137,11 @@ class Wave:
         return True
 
     def develops_in_tiles(self, samples: int) -> bool:
-        """Whether waves with so many samples of each pixel that were followed in tiles need no development."""
+        """Whether waves with this many samples of each pixel that were followed in tiles need no development."""
         return isinstance(self._chain, PathChain) and self._chain.develops(samples)
 
     def _new_chain(self, tracer: RayTracer, count: int, from_one_point: bool) -> PathChain | TreeChain | None:
-        """The stages for tiles; None if waves of so many samples cannot be followed tile by tile."""
+        """The stages for tiles; None if waves of this many samples cannot be followed tile by tile."""
         if not tracer.makes_stages(count):
             return None
         if self._is_path:
@@ -154,7 +154,7 @@ class Wave:
         return TreeChain(trees, tracer, from_one_point)
 
     def start(self, camera: CameraModel, wave: ray_queue.Wave, count: int) -> None:
-        """Writes the camera rays of a wave of so many samples."""
+        """Writes the camera rays of a wave of this many samples."""
         self._wave, self.count = wave, count
         group = self._group
         inputs = [count, group, camera, self.samples, wave, self.queue, self.radiance]
@@ -255,7 +255,7 @@ class Wave:
 
 
 def pixel_samples(sampler: int, samples: int, seed: int, device: wp.Device) -> PixelSamples:
-    """Random numbers for so many samples of each pixel; a grid has as many columns as make it closest to a square."""
+    """Random numbers for this many samples of each pixel; a grid has as many columns as make it closest to a square."""
     from wrt.kernels.shading.wavefront.pixel_samples import PRIMES
 
     made = PixelSamples()

@@ -31,12 +31,12 @@ def _reader(suffix: str) -> Callable[[bytes, MeshSource], FileMesh]:
 
 
 def read_own_format(path: Path, suffix: str, materials: bool | None, outside: bool) -> FileMesh:
-    """What a file of one of `OWN_FORMATS` holds. Errors as of `wrt.TriangleMesh.load`."""
+    """What a file of one of `OWN_FORMATS` holds. Errors as in `wrt.TriangleMesh.load`."""
     return parse_mesh(read_regular_file(path, "a mesh file"), suffix, MeshSource(path, materials, outside))
 
 
 def parse_mesh(data: bytes, suffix: str, source: MeshSource) -> FileMesh:
-    """What the bytes of a file of one of `OWN_FORMATS` are. Errors as of `wrt.TriangleMesh.load`."""
+    """What the bytes of a file of one of `OWN_FORMATS` are. Errors as in `wrt.TriangleMesh.load`."""
     path = source.path
     try:
         return _reader(suffix)(data, source)
@@ -50,7 +50,7 @@ def parse_mesh(data: bytes, suffix: str, source: MeshSource) -> FileMesh:
 
 
 def read_by_trimesh(path: Path, suffix: str) -> trimesh.Trimesh | trimesh.Scene:
-    """What trimesh reads from a file. Errors as of `wrt.TriangleMesh.load`."""
+    """What trimesh reads from a file. Errors as in `wrt.TriangleMesh.load`."""
     import trimesh
 
     known = sorted(trimesh.available_formats())

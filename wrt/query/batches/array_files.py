@@ -29,7 +29,7 @@ class MappedArray:
         size: bytes of the file.
         changed: time of the file's last change, in ns; None for a file that the batch itself writes.
         offset: of the first element in the file, in bytes.
-        shape, strides, dtype: as of a NumPy array.
+        shape, strides, dtype: as in a NumPy array.
     """
 
     path: str

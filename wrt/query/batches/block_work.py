@@ -61,7 +61,7 @@ class BlockQuery:
         return states if self.merges_rows(dimensions) else self.reduction.finish(states)
 
     def merges_rows(self, dimensions: int) -> bool:
-        """Whether the first of so many axes is reduced, so that blocks must be merged."""
+        """Whether axis 0 of an N-dimensional batch is reduced, so that blocks must be merged."""
         return self.reduction is not None and self.reduction.axes(dimensions)[0] == 0
 
 
@@ -76,7 +76,7 @@ class BlockWork:
         columns: mask, environment and skip, as numbers or for the whole batch.
         axes: number of leading axes of the batch.
         deliver: what is done with an answer; None to return it.
-        threads, device: as of `Workers`.
+        threads, device: as in `Workers`.
         examine: what looks at the rays of a block first, and says what is done with their answer in place of `deliver`.
     """
 

@@ -207,7 +207,7 @@ class BlockReduction:
     axis: int | tuple[int, ...] | None
 
     def axes(self, dimensions: int) -> tuple[int, ...]:
-        """The axes to reduce of so many, sorted.
+        """The reduced axes of an N-dimensional batch, sorted.
 
         Raises:
             ValueError: there is no such axis, or it is named twice.

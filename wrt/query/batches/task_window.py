@@ -1,4 +1,4 @@
-"""A bounded window of submitted tasks: no more than so many at a time, each again if its worker died, answers in any order.
+"""A bounded window of submitted tasks: a limited number at a time, repeated if a worker dies, answered in any order.
 
 Three million tasks submitted at once take minutes until the first one starts and gigabytes in a scheduler. With a window, what
 is submitted and what waits for the client does not depend on the number of blocks.

@@ -14,6 +14,7 @@ from wrt.kernels.runtime.launch import launch, specialise
 from wrt.memory import empty
 
 if TYPE_CHECKING:
+    from wrt.scene.instanced_state import InstancedState
     from wrt.state.scene_state import SceneState
 
 UNEVEN = 1e-6
@@ -43,7 +44,7 @@ def check_maps(scene: SceneState) -> None:
 
 
 def search_instances(
-    scene: SceneState,
+    scene: InstancedState,
     given: wp.array,
     points: PointBatch,
     so_far: NearestBatch,

@@ -71,7 +71,7 @@ def _integers(values: Any, name: str) -> np.ndarray:
 
 
 def _numbers(values: Any, name: str, components: int) -> np.ndarray:
-    """A float64 array whose last axis has so many components."""
+    """A float64 array whose last axis has this many components."""
     array = np.asarray(values.numpy() if isinstance(values, wp.array) else values)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{name} must hold real numbers, not {array.dtype}")

@@ -101,7 +101,7 @@ class PickPanel:
 
 
 def described(visits: list[Visit]) -> str:
-    """The way of a ray in figures."""
+    """The traversal path of a ray in figures."""
     if not visits:
         return "none: the ray misses the scene's box, or the scene has many trees"
     entered = {visit.instance: None for visit in visits if visit.instance >= 0}

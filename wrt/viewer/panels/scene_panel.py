@@ -129,7 +129,7 @@ class ScenePanel:
         self._frame.on_update(self._choose_frame)
 
     def play(self, rate: float) -> None:
-        """Plays the animation, as the controls do; errors as of `SharedScene.play`."""
+        """Plays the animation, as the controls do; errors as in `SharedScene.play`."""
         self._shared.play(float(rate), self._frame_shown, self._failed)
         self._play.value = True  # first: a change of the rate does what this says
         self._rate.value = min(max(round(2.0 * rate) / 2.0, 0.5), 60.0)

@@ -40,7 +40,7 @@ class RayWork(Work):
     Args:
         counter: a field of `wrt.kernels.traversal.leaf.Counters`.
         unit: in words.
-        scene, wish, camera: as of `Layer`.
+        scene, wish, camera: as in `Layer`.
     """
 
     def __init__(self, counter: str, unit: str, scene: Scene, wish: Wish, camera: PinholeCamera) -> None:

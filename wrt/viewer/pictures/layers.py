@@ -113,7 +113,7 @@ class Ids(Layer):
 
     Args:
         name: "primitive_id", "geometry_id" or "instance_id".
-        scene, wish, camera: as of `Layer`.
+        scene, wish, camera: as in `Layer`.
     """
 
     def __init__(self, name: str, scene: Scene, wish: Wish, camera: PinholeCamera) -> None:

@@ -38,7 +38,7 @@ class Light:
     Args:
         scene, wish, camera: what to show, from where.
         is_coarse: whether one sample is enough.
-        options: of the integrator, as of `wrt.render`.
+        options: of the integrator, as in `wrt.render`.
     """
 
     scale = None
@@ -104,10 +104,10 @@ def make_picture(scene: Scene, wish: Wish, scale: float, is_coarse: bool, option
         wish: what to show.
         scale: side of the picture relative to that of the whole one.
         is_coarse: whether something moves: light then has one sample.
-        options: of the integrator, as of `wrt.render`.
+        options: of the integrator, as in `wrt.render`.
 
     Raises:
-        TypeError, ValueError: as of `wrt.render` and `wrt.Scene.intersect`.
+        TypeError, ValueError: as in `wrt.render` and `wrt.Scene.intersect`.
     """
     camera = wish.camera_of(scale)
     if wish.look == BEAUTY:

@@ -1,1 +1,1 @@
-"""Trees on the host: the way of a ray, the boxes of levels, and both as lines."""
+"""Trees on the host: the traversal path of a ray, the boxes of levels, and both as lines."""

@@ -1,4 +1,4 @@
-"""The way of a ray through a scene: of one tree (`tree_walk`), or of instances (`instance_walk`)."""
+"""The traversal path of a ray through a scene: of one tree (`tree_walk`), or of instances (`instance_walk`)."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def _deepest(boxes: TreeBoxes, depth: int | None) -> int:
     """The deepest level to draw.
 
     Raises:
-        TypeError, ValueError: as of `draw_tree`.
+        TypeError, ValueError: as in `draw_tree`.
     """
     last = boxes.levels - 1
     if depth is None:
@@ -117,7 +117,7 @@ def _axes(axes: Any) -> tuple[Axes, Axes | None]:
     """The axes for the boxes and for the costs.
 
     Raises:
-        ImportError, TypeError, ValueError: as of `draw_tree`.
+        ImportError, TypeError, ValueError: as in `draw_tree`.
     """
     try:
         from matplotlib import pyplot
@@ -129,7 +129,7 @@ def _axes(axes: Any) -> tuple[Axes, Axes | None]:
         return main, side
     given = [axes] if isinstance(axes, Axes) else list(np.ravel(axes))
     if not all(isinstance(one, Axes) for one in given):
-        raise TypeError("axes must be one or two axes of matplotlib, as of matplotlib.pyplot.subplots, or None")
+        raise TypeError("axes must be one or two axes of matplotlib, as in matplotlib.pyplot.subplots, or None")
     if len(given) not in (1, 2):
         raise ValueError(f"axes must be one, for the boxes, or two, for the costs as well, not {len(given)}")
     return given[0], (given[1] if len(given) == 2 else None)

@@ -24,7 +24,7 @@ __all__ = ["Placed", "Visit", "Walk", "interval", "nearest_first"]
 
 @dataclass(frozen=True)
 class Visit:
-    """A box on the way of a ray.
+    """A box on the traversal path of a ray.
 
     Attributes:
         corners: (8, 3) float64, in the coordinates of the scene; the boxes of an instance's mesh are turned as it is.
@@ -54,7 +54,7 @@ class Placed:
     Attributes:
         to_scene, origin: (3, 3) and (3,): a point p of the tree is to_scene p + origin in the scene.
         depth: of its root.
-        instance: as of `Visit`.
+        instance: as in `Visit`.
         entry: t where the ray enters the box of the instance.
     """
 
@@ -156,7 +156,7 @@ class Walk:
 
 @dataclass(frozen=True)
 class Box:
-    """A box of a bounding volume hierarchy that a ray comes to, relative to its centre; fields as of `Visit` and
+    """A box of a bounding volume hierarchy that a ray comes to, relative to its centre; fields as in `Visit` and
     `wrt.builders.bvh.bvh_statistics.UnpackedBvh`."""
 
     low: np.ndarray

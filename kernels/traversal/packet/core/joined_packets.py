@@ -108,7 +108,7 @@ def joined_occlusion(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, rays, begin, end, leaf, hits) -> int`: tests whether a triangle of a leaf covers the next
     packets, at most `JOINED` of those up to ray `end`, and stores that they are occluded if one does.
 
-    Returns their number; 0 if they have to be traced. leaf: as of `wrt.kernels.traversal.packet.leaves.occluder_cache`.
+    Returns their number; 0 if they have to be traced. leaf: as in `wrt.kernels.traversal.packet.leaves.occluder_cache`.
     """
     layout, packet_rays, width = packet_layout(config), config.packet.rays, config.width
     covered, store = covered_packets(layout), store_together(layout, True, False, occluded=True)

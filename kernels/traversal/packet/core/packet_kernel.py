@@ -182,7 +182,7 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
 
 
 def reverses_bounds(config: TraversalConfig, reversible: bool) -> bool:
-    """Whether packets may be bounded as seen from the ends of their rays; reversible: as of `packet_step`."""
+    """Whether packets may be bounded as seen from the ends of their rays; reversible: as in `packet_step`."""
     occlusion = config.answer.ends_at_first and not config.packet.shared_origin
     return reversible and CullingTraits.REVERSIBLE in CULLINGS[config.packet.culling].traits and occlusion
 
@@ -192,7 +192,7 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function,
     """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet, split if necessary.
 
     False if some rays are still to be traced one by one (`packet_splitting.needs_single_ray`). trace_unsplit: the same for a
-    packet that is not to be split. ends: whether it needs the bounds of the ends of rays. later: as of `packet_step`.
+    packet that is not to be split. ends: whether it needs the bounds of the ends of rays. later: as in `packet_step`.
     """
     layout = packet_layout(config)
     is_wide, finish_loading = packet_splitting.is_wide(layout), finish_packet(layout)
@@ -242,7 +242,7 @@ def trace_packet(
     """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet that is loaded, split if
     necessary.
 
-    False if some rays are still to be traced one by one (`packet_splitting.needs_single_ray`). Arguments as of `packet_step`.
+    False if some rays are still to be traced one by one (`packet_splitting.needs_single_ray`). Arguments as in `packet_step`.
     """
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
     start_packet, finish = culling.start(layout), finish_packet(layout)

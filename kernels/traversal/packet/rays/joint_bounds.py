@@ -64,7 +64,7 @@ def store_together(layout: PacketLayout, any_hit: bool, non_temporal: bool, occl
     """`wp.func(rays, first, limit, hits)`: no ray of the packets has a hit that `join_packets` joins with this limit; or, of an
     any-hit query, all of them, if `occluded`.
 
-    non_temporal: as of `wrt.kernels.traversal.packet.rays.packet_store.store_packet`.
+    non_temporal: as in `wrt.kernels.traversal.packet.rays.packet_store.store_packet`.
     """
     what = f"{layout.rays}, {layout.width}, {cpp(any_hit)}, {cpp(non_temporal)}, {cpp(occluded)}"
 
