@@ -14,7 +14,6 @@ from wrt.kernels.runtime.launch import launch, specialise
 from wrt.memory import empty
 
 if TYPE_CHECKING:
-    from wrt.scene.instanced_state import InstancedState
     from wrt.state.scene_state import SceneState
 
 UNEVEN = 1e-6
@@ -44,7 +43,7 @@ def check_maps(scene: SceneState) -> None:
 
 
 def search_instances(
-    scene: InstancedState,
+    scene: SceneState,
     given: wp.array,
     points: PointBatch,
     so_far: NearestBatch,
@@ -73,7 +72,7 @@ def search_instances(
     for number, instance in enumerate(scene.instances):
         if instance.mask == 0:
             continue
-        part = scene.mesh_states[scene.geometry_ids[number]]
+        part = scene.mesh_states[scene.geometry_ids[number]]  # type: ignore[attr-defined]
         to_mesh = map_of(instance.transform, part.center, int(firsts[number]))
         inputs = [given, to_mesh, points, so_far, own]
         launch(specialise(make_enter, given.dtype), count, inputs, device=device, chunk=4096)
