@@ -1,4 +1,4 @@
-// The frusta of a block in the lanes of a vector (wrt.kernels.classics.traversal.frustum_lanes).
+// The frusta of a block in the lanes of a vector (wrt.kernels.classics.traversal.eye_frusta).
 #pragma once
 #include "packet.h"
 

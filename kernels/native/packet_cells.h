@@ -1,4 +1,4 @@
-// Packets in the cells of a kd-tree: an interval of t for each ray, or one for all (wrt.kernels.classics.traversal.lane_cells
+// Packets in the cells of a kd-tree: an interval of t for each ray, or one for all (wrt.kernels.classics.traversal.omnidirectional
 // and packet_cells).
 #pragma once
 #include "packet.h"

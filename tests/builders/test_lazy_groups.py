@@ -204,7 +204,7 @@ def test_pickle():
     scene = lazy_scene(GEOMETRIES["three levels"], GROUPS)
     copy = pickle.loads(pickle.dumps(scene))
     assert copy.state.hierarchy == scene.state.hierarchy == hierarchy_of(GEOMETRIES["three levels"])
-    assert len(copy.lazy_tree.groups.members) == len(scene.state.lazy_tree.groups.members) == 1 + 5 + 15
+    assert len(copy.state.lazy_tree.groups.members) == len(scene.state.lazy_tree.groups.members) == 1 + 5 + 15
     assert lazy_scene(GEOMETRIES["three levels"], MESHES).state.hierarchy is None
 
 

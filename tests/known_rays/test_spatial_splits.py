@@ -76,7 +76,7 @@ def test_few_rays_do_not_take_the_queries_of_other_trees():
     few = [array[:8] for array in rays]
     plain = wrt.Scene(mesh, wrt.Bvh(width=8, max_leaf_triangles=1))
     scene = wrt.Scene(mesh, described(mesh, "point inside", 2.0, max_leaf_triangles=2, axes="facing"))
-    assert stack_levels(plain.depth) == stack_levels(scene.state.depth)
+    assert stack_levels(plain.state.depth) == stack_levels(scene.state.depth)
     np.testing.assert_array_equal(plain.count(*few), counts[:8])
     del plain
     gc.collect()

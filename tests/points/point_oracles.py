@@ -28,7 +28,7 @@ def brute_force(scene: wrt.Scene, points: np.ndarray, max_distance: float | np.n
     batch.most, batch.most_stride = wp.array(most, dtype=float, device=device), int(len(most) > 1)
     found.distance, found.primitive = wp.empty(count, dtype=float, device=device), wp.empty(count, dtype=int, device=device)
     found.uv, found.feature = wp.empty(count, dtype=wp.vec2, device=device), wp.empty(count, dtype=wp.int8, device=device)
-    mesh = scene.device_mesh
+    mesh = scene.state.device_mesh
     launch(nearest_of_all, count, [mesh.vertices, mesh.faces, batch, found], device=device, chunk=64)
     values = (found.distance, found.uv, found.feature, found.primitive)
     return dict(zip(("distance", "uv", "feature", "primitive_id"), (each.numpy() for each in values), strict=True))

@@ -197,7 +197,7 @@ def test_a_saved_scene_of_instances(accelerator, rays, tmp_path):
     assert_same_hits(*(one.intersect(*few, environment=environment, mask=3, traversal="single") for one in (scene, loaded)))
     np.testing.assert_array_equal(*(one.intersect(*few).instance_id for one in (scene, loaded)))
     assert len(loaded.meshes) == 2
-    for old, new in zip(scene.state.parts, loaded.parts, strict=True):
+    for old, new in zip(scene.state.parts, loaded.state.parts, strict=True):
         np.testing.assert_array_equal(old.tree.primitive.numpy(), new.tree.primitive.numpy())
     arrays = read_archive(tmp_path / "worlds.wrt")
     for name, wrong in (("geometry", np.full(25, 2)), ("transform", np.zeros((25, 4, 4))), ("environment", np.full(25, -3))):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wrt.query.hits import Hits
     from wrt.rays.array_types import Numbers
 
-QueryKind: TypeAlias = Literal["closest", "any", "count", "all"]
+QueryKind: TypeAlias = Literal["closest", "any", "count", "all", "winding"]
 
 
 class PlanOptions(TypedDict, total=False):
