@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypedDict, overload
 
 from wrt.disk.partitioned_hits import PartitionedHits
-from wrt.query.query_options import checked
+from wrt.query.query_options import checked, lists_options
 from wrt.rays.rays import as_rays
 from wrt.state.query_kinds import ANY, AUTO, CLOSEST, COUNT, Query
 
@@ -65,6 +65,7 @@ class PartQueries:
     def intersect(
         self, origins: NumpyLike, directions: WarpLike, t_min: Numbers = ..., t_max: Numbers = ..., **options: Unpack[Parts]
     ) -> PartitionedHits[wp.array]: ...
+    @lists_options
     def intersect(
         self,
         origins: Rays | ArrayLike,
@@ -109,6 +110,7 @@ class PartQueries:
     def occluded(
         self, origins: NumpyLike, directions: WarpLike, t_min: Numbers = ..., t_max: Numbers = ..., **options: Unpack[Parts]
     ) -> wp.array: ...
+    @lists_options
     def occluded(
         self,
         origins: Rays | ArrayLike,
@@ -147,6 +149,7 @@ class PartQueries:
     def count(
         self, origins: NumpyLike, directions: WarpLike, t_min: Numbers = ..., t_max: Numbers = ..., **options: Unpack[Parts]
     ) -> wp.array: ...
+    @lists_options
     def count(
         self,
         origins: Rays | ArrayLike,

@@ -13,7 +13,7 @@ from wrt.planning.planner import find_plan
 from wrt.query.answers import closest_hits, ray_values
 from wrt.query.batches.block_queries import BlockQueries
 from wrt.query.points.point_queries import PointQueries
-from wrt.query.query_options import QueryKind, checked
+from wrt.query.query_options import QueryKind, checked, lists_options
 from wrt.rays.rays import Rays, as_rays
 from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
 from wrt.tables import lookup
@@ -67,6 +67,7 @@ class Queries(BlockQueries, PointQueries):
         t_max: Numbers = ...,
         **options: Unpack[Closest],
     ) -> Hits[wp.array]: ...
+    @lists_options
     def intersect(
         self,
         origins: Rays | ArrayLike,
@@ -167,6 +168,7 @@ class Queries(BlockQueries, PointQueries):
         t_max: Numbers = ...,
         **options: Unpack[Occluded],
     ) -> wp.array: ...
+    @lists_options
     def occluded(
         self,
         origins: Rays | ArrayLike,
@@ -229,6 +231,7 @@ class Queries(BlockQueries, PointQueries):
     def intersect_all(
         self, origins: NumpyLike, directions: WarpLike, t_min: Numbers = ..., t_max: Numbers = ..., **options: Unpack[Listed]
     ) -> AllHits[wp.array]: ...
+    @lists_options
     def intersect_all(
         self,
         origins: Rays | ArrayLike,
@@ -302,6 +305,7 @@ class Queries(BlockQueries, PointQueries):
         t_max: Numbers = ...,
         **options: Unpack[Counted],
     ) -> wp.array: ...
+    @lists_options
     def count(
         self,
         origins: Rays | ArrayLike,
@@ -347,6 +351,7 @@ class Queries(BlockQueries, PointQueries):
             query = checked(Query(COUNT, traversal, triangle_test, cull_backfaces, False, mask, environment, skip=skip))
         return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query)
 
+    @lists_options
     def explain(
         self,
         origins: Rays | ArrayLike,

@@ -6,7 +6,10 @@ whose results are of the kind of the rays, once for all overloads of a method; a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar
 
 from wrt.kernels.validation import as_bool
 from wrt.state.query_kinds import Query
@@ -15,6 +18,8 @@ if TYPE_CHECKING:
     from wrt.planning.plan import Plan
     from wrt.query.hits import Hits
     from wrt.rays.array_types import Numbers
+
+Method = TypeVar("Method", bound=Callable[..., Any])
 
 QueryKind: TypeAlias = Literal["closest", "any", "count", "all", "winding"]
 
@@ -57,6 +62,26 @@ class Listed(MaskOptions, total=False):
     """Of `intersect_all`."""
 
     max_hits: int | None
+
+
+def lists_options(method: Method) -> Method:
+    """A decorator: an option that a method does not take is refused with the list of those that it takes."""
+    parameters = inspect.signature(method).parameters.values()
+    options = [one.name for one in parameters if one.kind is inspect.Parameter.KEYWORD_ONLY]
+    known = {one.name for one in parameters}
+
+    @wraps(method)
+    def call(*arguments: Any, **given: Any) -> Any:
+        try:
+            return method(*arguments, **given)
+        except TypeError:
+            unknown = next((name for name in given if name not in known), None)
+            if unknown is None:
+                raise
+        listed = ", ".join(options)
+        raise TypeError(f"{method.__name__}() got an unexpected keyword argument {unknown!r}; its options are {listed}")
+
+    return call  # type: ignore[return-value]
 
 
 def checked(query: Query) -> Query:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from wrt.query.batches.block_rows import as_source
 from wrt.query.blocks import MEMORY, blocks_of
-from wrt.query.query_options import chosen
+from wrt.query.query_options import chosen, lists_options
 from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ INF = float("inf")
 class BlockQueries:
     """Queries of any number of rays, which need not fit in memory."""
 
+    @lists_options
     def intersect_blocks(
         self,
         origins: Any,
@@ -96,6 +97,7 @@ class BlockQueries:
             **options,
         )
 
+    @lists_options
     def occluded_blocks(
         self,
         origins: Any,
@@ -147,6 +149,7 @@ class BlockQueries:
             **options,
         )
 
+    @lists_options
     def count_blocks(
         self,
         origins: Any,
