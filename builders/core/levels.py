@@ -6,8 +6,8 @@
     emit        the host lists the children, and where each chunk writes; the only host round trip of a level
     partition   every chunk moves its part of a list to the next level's lists, in order
 
-`Levels` is what all kinds of lists have in common; its subclasses have the phases: lists of references (`reference_levels`), of
-sorted events (`event_levels`), events that stay where they are (`in_place`), and ids by centroid (`sweep_levels`, a BVH).
+`Levels` is what all kinds of lists have in common; its subclasses have the phases: lists of references (`reference_levels`),
+events that stay where they are (`in_place`), and sorted events that move with nodes (`wrt.builders.classics.kdtree.nested`).
 
 A node of a kd-tree that is small enough, or a leaf, is finished: it waits for the end of the levels, as its own child, and then
 becomes a task (`subtrees`), which makes the same decision.

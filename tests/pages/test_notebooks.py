@@ -37,10 +37,10 @@ SIZES = re.compile(r"(\bsizes = )\([\d, ]*\b64\b[\d, ]*\)")
 REFERENCES = re.compile(r"(\breference_samples = )\d+")
 """Samples a pixel of pictures that others are compared with; here few."""
 
-SMALLER = {"detail": 5, "cells": 14, "level": 8, "trees": 3}
-"""Largest sizes of built-in scenes: studies of animations take most of their time for building trees of every frame."""
+SMALLER = {"detail": 5, "cells": 14, "level": 8, "trees": 3, "samples": 8, "size": 64}
+"""Largest sizes of built-in scenes, samples of a pixel and pixels along a side; only whole ones."""
 
-SCENE_SIZES = re.compile(rf"\b({'|'.join(SMALLER)})=(\d+)")
+WHOLE_SIZES = re.compile(rf"\b({'|'.join(SMALLER)})=(\d+)\b(?!\.)")
 
 RATIO = re.compile(r"\b\d+\.\d+x\b|\b\d+(?:\.\d+)? times\b|\d %")
 """A ratio in prose: 1.3x, 1.3 times or 30 %."""
@@ -54,7 +54,7 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 def reduced(source: str) -> str:
     """The source of a cell, with few rounds, samples and triangles."""
     source = SIZES.sub(r"\g<1>(64,)", REFERENCES.sub(r"\g<1>100", ROUNDS.sub(r"\g<1>1", source)))
-    return SCENE_SIZES.sub(lambda given: f"{given[1]}={min(int(given[2]), SMALLER[given[1]])}", source)
+    return WHOLE_SIZES.sub(lambda given: f"{given[1]}={min(int(given[2]), SMALLER[given[1]])}", source)
 
 
 def test_there_are_notebooks():

@@ -29,11 +29,11 @@ FAR_CAMERA = 2.0**14
 
 
 MISSING = {
-    "compute_closest_points": "wrt has no queries for closest points yet; trimesh.proximity.closest_point(mesh, points) is one",
-    "compute_distance": "wrt has no distances of points yet; trimesh.proximity.closest_point(mesh, points) gives them",
+    "compute_closest_points": "this object's attribute `scene` has closest_point(points), which finds them and their triangles",
+    "compute_distance": "this object's attribute `scene` has closest_point(points), whose answer has `distance`",
     "compute_signed_distance": (
-        "wrt has no distances of points yet; scene.contains(points) of a wrt.Scene, or of this object's `scene`, tells "
-        "which points are inside, where the sign is negative; trimesh.proximity.closest_point(mesh, points) gives distances"
+        "closest_point(points).distance of this object's attribute `scene` is the distance, and its contains(points) tells "
+        "which points are inside, where the sign is negative"
     ),
     "compute_occupancy": (
         "scene.contains(points) of a wrt.Scene, or of this object's attribute `scene`, tells which points are inside; "

@@ -92,13 +92,14 @@ def make_kernel(order: str, width: int, test: TriangleTest, stops: bool) -> wp.K
             while node >= 0 or head < tail:
                 if node >= 0:
                     result.boxes += wp.static(width)
+                    first_child = int(tail)
                     for lane in range(wp.static(width)):
                         child = node * wp.static(width) + lane
                         if lanes.kind[child] != wp.static(EMPTY):
                             place = int(tail)
                             if wp.static(is_sorted):
                                 entry = slab_interval(slabs, lanes.low[child], lanes.high[child])[0]
-                                while place > tail - lane and place > head:
+                                while place > first_child:
                                     below = waiting[i, place - 1]
                                     if slab_interval(slabs, lanes.low[below], lanes.high[below])[0] >= entry:
                                         break
