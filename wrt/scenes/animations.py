@@ -10,14 +10,17 @@ An animation consists of the vertices of all frames, with the same faces. Both h
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from wrt.kernels.validation import as_int, as_numbers
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.skeleton import Skeleton
 from wrt.scenes.shapes import check_count, copies, lathe, sheets
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 __all__ = ["Animation", "walking_figure", "waving_cloth"]
 
