@@ -13,7 +13,7 @@ from wrt.planning.planner import find_plan
 from wrt.query.answers import closest_hits, ray_values
 from wrt.query.batches.block_queries import BlockQueries
 from wrt.query.points.point_queries import PointQueries
-from wrt.query.query_options import QueryKind, checked, lists_options
+from wrt.query.query_options import QueryKind, checked, lists_options, unknown_option
 from wrt.rays.rays import Rays, as_rays
 from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
 from wrt.tables import lookup
@@ -84,6 +84,7 @@ class Queries(BlockQueries, PointQueries):
         areas: Numbers | None = None,
         skip: Hits | Numbers | None = None,
         precise: bool = False,
+        **unknown: Any,
     ) -> Hits:
         """Closest hits.
 
@@ -133,6 +134,8 @@ class Queries(BlockQueries, PointQueries):
                 that of the rays; rays that require gradients inside a `wp.Tape` (call `wrt.device.differentiable_hits` for
                 gradients).
         """
+        if unknown:
+            raise unknown_option(Queries.intersect, unknown)
         plain = traversal is triangle_test is AUTO and cull_backfaces is counters is precise is False
         if plain and mask is environment is areas is skip is None:
             query = QUERIES[CLOSEST]
@@ -183,6 +186,7 @@ class Queries(BlockQueries, PointQueries):
         environment: Numbers | None = None,
         areas: Numbers | None = None,
         skip: Hits | Numbers | None = None,
+        **unknown: Any,
     ) -> Any:
         """Whether each ray hits anything. The search ends at the first hit found.
 
@@ -211,6 +215,8 @@ class Queries(BlockQueries, PointQueries):
         Raises:
             TypeError, ValueError: as `intersect`.
         """
+        if unknown:
+            raise unknown_option(Queries.occluded, unknown)
         if traversal is triangle_test is AUTO and cull_backfaces is False and mask is environment is areas is skip is None:
             query = QUERIES[ANY]
         else:
@@ -245,6 +251,7 @@ class Queries(BlockQueries, PointQueries):
         mask: Numbers | None = None,
         environment: Numbers | None = None,
         max_hits: int | None = None,
+        **unknown: Any,
     ) -> AllHits:
         """All hits of each ray, sorted by t, then geometry, then triangle.
 
@@ -274,6 +281,8 @@ class Queries(BlockQueries, PointQueries):
             ValueError: as `intersect`; a traversal or triangle test that does not support this query; more than 2^31 - 1
                 hits.
         """
+        if unknown:
+            raise unknown_option(Queries.intersect_all, unknown)
         from wrt.query.all_hits import list_hits
 
         query = checked(Query(ALL, traversal, triangle_test, cull_backfaces, False, mask, environment, max_hits=max_hits))
@@ -319,6 +328,7 @@ class Queries(BlockQueries, PointQueries):
         mask: Numbers | None = None,
         environment: Numbers | None = None,
         skip: Hits | Numbers | None = None,
+        **unknown: Any,
     ) -> Any:
         """Number of hits of each ray, equal to the number that `intersect_all` lists.
 
@@ -345,6 +355,8 @@ class Queries(BlockQueries, PointQueries):
         Raises:
             TypeError, ValueError: as `intersect_all`.
         """
+        if unknown:
+            raise unknown_option(Queries.count, unknown)
         if traversal is triangle_test is AUTO and cull_backfaces is False and mask is environment is skip is None:
             query = QUERIES[COUNT]
         else:

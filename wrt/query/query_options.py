@@ -7,7 +7,7 @@ whose results are of the kind of the rays, once for all overloads of a method; a
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar
 
@@ -64,22 +64,34 @@ class Listed(MaskOptions, total=False):
     max_hits: int | None
 
 
+def unknown_option(method: Callable[..., Any], given: Iterable[str]) -> TypeError:
+    """The error of an option that a method does not take: it lists those that there are."""
+    parameters = inspect.signature(method).parameters
+    unknown = next(name for name in given if name not in parameters)
+    options = ", ".join(name for name, one in parameters.items() if one.kind is inspect.Parameter.KEYWORD_ONLY)
+    return TypeError(f"{method.__name__}() got an unexpected keyword argument {unknown!r}; its options are {options}")
+
+
 def lists_options(method: Method) -> Method:
-    """A decorator: an option that a method does not take is refused with the list of those that it takes."""
-    parameters = inspect.signature(method).parameters.values()
-    options = [one.name for one in parameters if one.kind is inspect.Parameter.KEYWORD_ONLY]
-    known = {one.name for one in parameters}
+    """A decorator: an option that a method does not take is refused by `unknown_option`.
+
+    A method of few microseconds has a parameter `**unknown`, which it looks at itself: it is not wrapped, and its signature is
+    that without the parameter.
+    """
+    signature = inspect.signature(method)
+    known = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+    if len(known) < len(signature.parameters):
+        method.__signature__ = signature.replace(parameters=known)  # type: ignore[attr-defined]
+        return method
 
     @wraps(method)
     def call(*arguments: Any, **given: Any) -> Any:
         try:
             return method(*arguments, **given)
         except TypeError:
-            unknown = next((name for name in given if name not in known), None)
-            if unknown is None:
+            if given.keys() <= signature.parameters.keys():
                 raise
-        listed = ", ".join(options)
-        raise TypeError(f"{method.__name__}() got an unexpected keyword argument {unknown!r}; its options are {listed}")
+        raise unknown_option(method, given)
 
     return call  # type: ignore[return-value]
 
