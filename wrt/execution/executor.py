@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 import warp as wp
 
 from wrt.execution.batch import trace_batch
+from wrt.execution.device_calls import answer_known, keep_call
 from wrt.execution.prepared import prepare
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import use_threads
@@ -53,6 +54,9 @@ def answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
     Raises:
         TypeError, ValueError: as `wrt.Scene.intersect`.
     """
+    is_plain = not scene.is_cpu and query is QUERIES.get(query.kind)
+    if is_plain and (known := answer_known(scene, rays, query.kind)) is not None:
+        return Answer(*known)
     if scene.num_threads is None:  # spares few rays a context
         return _answer(scene, rays, query)
     with use_threads(scene.num_threads):
@@ -68,6 +72,8 @@ def _answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
     buffers = on_device(scene, rays, query, may_stage(scene, query))
     chosen = find_plan(scene, buffers, query)  # type: ignore[arg-type]
     hits, work = trace_chosen(scene, chosen, buffers, query.kind, query.counters, given)
+    if not scene.is_cpu and query is QUERIES.get(query.kind):
+        keep_call(scene, rays, query.kind, chosen, buffers)  # type: ignore[arg-type]
     return Answer(hits, buffers.form, chosen.plan, work)
 
 

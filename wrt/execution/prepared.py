@@ -24,12 +24,14 @@ from weakref import finalize
 import numpy as np
 import warp as wp
 
-from wrt.execution.traversal_launch import HITS, RAYS, RECORDS, TREE, divide, kernel_and_inputs, no_work
+from wrt.execution.traversal_launch import HITS, NEXT, RAYS, RECORDS, TREE, divide, kernel_and_inputs, no_work
 from wrt.execution.triangle_records import records_of
 from wrt.host_arrays import point_at
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
+from wrt.kernels.traversal.capabilities import Capabilities
+from wrt.kernels.traversal.persistent.next_ray import next_ray
 from wrt.memory import new_rays
 from wrt.planning.plan import config_for_layout, stack_levels, traversal_config, traversal_of
 from wrt.rays.ray_arrays import new_batch, prepare_arguments
@@ -74,11 +76,12 @@ class PreparedQuery:
         hits = DeviceHits.new(kind, 1, device) if self._staging is None else self._staging.hits
         work = no_work(traversal_of(self._plan).counters, device.alias)
         kernel, inputs = kernel_and_inputs(scene, self._plan, self._config, rays, hits.struct(), work)
-        self._is_cpu = device.is_cpu
+        self._is_cpu, self._takes_next = device.is_cpu, False
         if self._is_cpu:
             self._launch: PreparedLaunch | RecordedLaunch = PreparedLaunch(kernel, inputs, device)
         else:
-            self._launch = RecordedLaunch(kernel, inputs, device, (TREE, RAYS, HITS))
+            self._takes_next = Capabilities.PERSISTENT in traversal_of(plan).capabilities
+            self._launch = RecordedLaunch(kernel, inputs, device, (TREE, RAYS, HITS, *([NEXT] if self._takes_next else ())))
         self._rays, self._hits = self._launch.argument(RAYS), self._launch.argument(HITS)
         if self._staging is None:
             prepare_arguments(self._rays)
@@ -155,6 +158,8 @@ class PreparedQuery:
         new = DeviceHits.new_on_host if self._is_cpu and rays.count > FEW_RAYS else DeviceHits.new  # not during a capture
         hits = new(self.kind, rays.count, scene.device)
         hits.write_to(self._hits, self.kind)
+        if self._takes_next:
+            self._launch.argument(NEXT).number.data = next_ray(scene.device).ptr
         self._launch.run(items, chunks, (rays, hits), threads)
         return hits
 

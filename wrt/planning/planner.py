@@ -157,7 +157,8 @@ def choose_plan(
 ) -> Plan:
     """A new plan for these rays; arguments and errors as in `make_plan`."""
     test = lookup(TRIANGLE_TESTS, default_test(scene, query) if triangle_test == AUTO else triangle_test, "triangle_test")
-    name, reason = choose_traversal(scene, rays, query, cull_backfaces) if traversal == AUTO else (traversal, "as given")
+    by_auto = traversal == AUTO
+    name, reason = choose_traversal(scene, rays, query, test.name, cull_backfaces) if by_auto else (traversal, "as given")
     chosen = lookup(TRAVERSALS, name, "traversal")
     check_origins(test, chosen, rays)
     accelerator = tree_for(chosen, scene)
@@ -195,13 +196,15 @@ def default_test(scene: SceneState | Settings, query: str = CLOSEST) -> str:
     return scene.triangle_test
 
 
-def choose_traversal(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool = False) -> tuple[str, str]:
+def choose_traversal(
+    scene: SceneState, rays: RayBuffers, query: str, triangle_test: str, cull_backfaces: bool = False
+) -> tuple[str, str]:
     """Name of the traversal with the best score among those that can answer, and the reason for it."""
     situation = situation_of(scene, rays, query, cull_backfaces)
     best, name, reason = 0.0, "", ""
     for traversal in TRAVERSALS.values():
         score = None if traversal.score is None else traversal.score(situation)
-        if score is not None and score[0] > best and can_answer(traversal, scene, query, cull_backfaces):
+        if score is not None and score[0] > best and can_answer(traversal, scene, query, cull_backfaces, triangle_test):
             (best, reason), name = score, traversal.name
     return name, reason
 

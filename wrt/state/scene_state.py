@@ -184,10 +184,13 @@ class SceneState:
 
     @property
     def record_bytes(self) -> int:
-        """Bytes of the triangle records made so far. Queries make the records that their triangle test needs."""
+        """Bytes of the triangle records made so far, and of the tree in the layout `wrt.kernels.layout.binary_nodes`. Queries make
+        what their triangle test and their traversal need."""
         wide = self.cache.wide
         known = [self.cache.records, *([] if wide is None else [wide.records])]
-        return sum(blocks.records.capacity for records in known for _, blocks in records.values())
+        nodes, triangles = self.cache.binary or (None, None)
+        binary = 0 if nodes is None else nodes.nodes.capacity + triangles.corners.capacity
+        return binary + sum(blocks.records.capacity for records in known for _, blocks in records.values())
 
     @property
     def bytes(self) -> int:

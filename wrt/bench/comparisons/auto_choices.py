@@ -22,7 +22,7 @@ from wrt.meshes.mesh import TriangleMesh
 from wrt.planning.answer_checks import can_answer
 from wrt.planning.plan import Plan
 from wrt.planning.plan_checks import fits
-from wrt.planning.planner import make_plan
+from wrt.planning.planner import default_test, make_plan
 from wrt.rays.ray_buffers import to_device
 from wrt.scene.scene import Scene
 from wrt.state.query_kinds import ANY, AUTO, CLOSEST
@@ -134,7 +134,7 @@ def engines(scene: Scene, case: Case) -> dict[str, Plan]:
     buffers = to_device(case.rays, state.device, state.center)
     plans = {AUTO: make_plan(state, buffers, AUTO, AUTO, kind)}
     for traversal in TRAVERSALS.values():
-        if traversal.score is None or not can_answer(traversal, state, kind, False):
+        if traversal.score is None or not can_answer(traversal, state, kind, False, default_test(state, kind)):
             continue
         plan = make_plan(state, buffers, traversal.name, AUTO, kind)
         test = TRIANGLE_TESTS[plan.triangle_test]

@@ -22,7 +22,7 @@ from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.planning.answer_checks import can_answer
 from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
-from wrt.planning.planner import find_plan, is_changing
+from wrt.planning.planner import default_test, find_plan, is_changing
 from wrt.rays.ray_arrays import Layout, RayArrays
 from wrt.rays.ray_buffers import RayBuffers
 from wrt.state.device_hits import DeviceHits
@@ -180,7 +180,7 @@ class RayTracer:
         plan = find_plan(state, scattered, query).carried_out
         plans = [plan]
         if by_speed and similar:
-            if can_answer(TRAVERSALS[TOGETHER], state, kind, False):
+            if can_answer(TRAVERSALS[TOGETHER], state, kind, False, default_test(state)):
                 plans.insert(0, find_plan(state, rays, query._replace(traversal=TOGETHER)).carried_out)
         elif by_speed and plan.traversal in INCOHERENT[state.triangle_count < MIN_TRIANGLES :]:  # all, or all but streams
             plans += [replace(plan, traversal=name) for name in INCOHERENT if name != plan.traversal]
