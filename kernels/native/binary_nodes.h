@@ -131,18 +131,20 @@ struct Bits {
     int enter, leave;
 };
 
-/// The words of a child's box, axis by axis: a low and a high plane.
+/// The interval in which a ray meets a child's box: a low and a high plane for each axis. FROM_ZERO: whether t_min is 0.
+template <bool FROM_ZERO>
 inline CUDA_CALLABLE Bits filtered(const FilterRay& ray, float x0, float x1, float y0, float y1, float z0, float z1)
 {
     const float low_x = fused(x0, ray.inverse[0], ray.low[0]), high_x = fused(x1, ray.inverse[0], ray.high[0]);
     const float low_y = fused(y0, ray.inverse[1], ray.low[1]), high_y = fused(y1, ray.inverse[1], ray.high[1]);
     const float low_z = fused(z0, ray.inverse[2], ray.low[2]), high_z = fused(z1, ray.inverse[2], ray.high[2]);
-    return {most_of(int_of(least(low_x, high_x)), int_of(least(low_y, high_y)), int_of(least(low_z, high_z)), ray.t_min),
+    return {most_of(int_of(least(low_x, high_x)), int_of(least(low_y, high_y)), int_of(least(low_z, high_z)),
+                FROM_ZERO ? 0 : ray.t_min),
         least_of(int_of(most(low_x, high_x)), int_of(most(low_y, high_y)), int_of(most(low_z, high_z)), ray.t_max)};
 }
 
 /// nodes: of 16 words each (wrt.kernels.layout.binary_nodes).
-inline CUDA_CALLABLE NearAndFar meet_children(const float* nodes, int node, const FilterRay& ray)
+template <bool FROM_ZERO> inline CUDA_CALLABLE NearAndFar meet_children(const float* nodes, int node, const FilterRay& ray)
 {
     const float* const at = nodes + 16 * (size_t)node;
     const Quad p = load_quad(at), q = load_quad(at + 4), r = load_quad(at + 8);
@@ -152,7 +154,8 @@ inline CUDA_CALLABLE NearAndFar meet_children(const float* nodes, int node, cons
 #else
     const int left = int_of(at[12]), right = int_of(at[13]);
 #endif
-    const Bits a = filtered(ray, p.x, p.y, p.z, p.w, r.x, r.y), b = filtered(ray, q.x, q.y, q.z, q.w, r.z, r.w);
+    const Bits a = filtered<FROM_ZERO>(ray, p.x, p.y, p.z, p.w, r.x, r.y),
+               b = filtered<FROM_ZERO>(ray, q.x, q.y, q.z, q.w, r.z, r.w);
     const bool meets_a = a.enter <= a.leave, meets_b = b.enter <= b.leave;
     const bool swaps = meets_b & (!meets_a | (b.enter < a.enter));
     const bool any = meets_a | meets_b, both = meets_a & meets_b;

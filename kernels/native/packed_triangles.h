@@ -82,9 +82,10 @@ inline CUDA_CALLABLE bool meet_line(const Sheared<float>& s, Areas<float>& w)
     return true;
 }
 
-/// Tests a triangle; returns whether it is the best hit now. CULLING: only from its front. given() -> `GivenRay`.
+/// Tests a triangle; returns the scale of the ray (`scale_of`) if it is the best hit now, else 0. CULLING: only from its front.
+/// given() -> `GivenRay`.
 template <bool CULLING, class Given>
-inline CUDA_CALLABLE bool meet_triangle(
+inline CUDA_CALLABLE float meet_triangle(
     const float* triangles, int slot, const TurnedRay& ray, float t_min, const Given& given, PackedHit& best)
 {
     const float* const at = triangles + TRIANGLE_WORDS * (size_t)slot;
@@ -96,20 +97,21 @@ inline CUDA_CALLABLE bool meet_triangle(
     const Sheared<float> s = sheared<float>(
         ray.shear[0], ray.shear[1], [&](int corner, int along) { return vertex[corner][along] - ray.origin[along]; });
     Areas<float> w;
-    if (!meet_line(s, w)) return false;
+    if (!meet_line(s, w)) return 0.0f;
     const TriangleHit<float> hit = weighed(w, s.depth[0], s.depth[1], s.depth[2], ray.shear[2]);
     const float corners[9] = {a.x, a.y, a.z, b.x, b.y, b.z, c.x, c.y, c.z};
-    const BoxRay boxes = given().boxes();
+    const GivenRay whole = given();
+    const BoxRay boxes = whole.boxes();
     float low[3], high[3];
     vertex_box<1>(corners, low, high);
     const Interval own = meet_box(low, high, boxes, -WRT_INFINITY, WRT_INFINITY);
     const float t = clamped(hit.t, own);
-    if (!((own.enter <= own.leave) & (t >= t_min) & (t <= best.t))) return false;
+    if (!((own.enter <= own.leave) & (t >= t_min) & (t <= best.t))) return 0.0f;
     const int id = int_of(a.w);
-    if (t == best.t && best.id >= 0 && id >= best.id) return false;
-    if (CULLING && !comes_from_front<1>(corners, boxes)) return false;
+    if (t == best.t && best.id >= 0 && id >= best.id) return 0.0f;
+    if (CULLING && !comes_from_front<1>(corners, boxes)) return 0.0f;
     best = {t, hit.u, hit.v, id};
-    return true;
+    return scale_of(whole.direction[0], whole.direction[1], whole.direction[2]);
 }
 
 }  // namespace

@@ -38,14 +38,16 @@ inline CUDA_CALLABLE Walks<LEVELS, ANY, CULLING, COUNTING, Tree, Triangles, Rays
 }
 
 /// The walk of one ray through the tree. Its stack, LEVELS + 1 words, is apart: of a struct with an array that is indexed by a
-/// variable, nothing would be in registers.
-template <class All> struct Walk {
+/// variable, nothing would be in registers. FROM_ZERO: whether t_min is 0 for all rays, as in most calls; that saves two registers.
+template <class All, bool FROM_ZERO> struct Walk {
     int top, node, number;
-    float t_min;
+    float own_t_min;
     FilterRay filter;
     TurnedRay turned_ray;
     PackedHit best;
     WalkWork work;
+
+    CUDA_CALLABLE float t_min() const { return FROM_ZERO ? 0.0f : own_t_min; }
 
     CUDA_CALLABLE bool is_inner() const { return (unsigned)node < (unsigned)DONE; }
 
@@ -57,19 +59,19 @@ template <class All> struct Walk {
         const float x = given.direction[0], y = given.direction[1], z = given.direction[2];
         const float px = given.origin[0], py = given.origin[1], pz = given.origin[2];
         const float last = all.rays.t_max.data[(size_t)i * all.rays.t_max_stride];
-        t_min = all.rays.t_min.data[(size_t)i * all.rays.t_min_stride];
+        own_t_min = all.rays.t_min.data[(size_t)i * all.rays.t_min_stride];
         best = {last > FARTHEST ? FARTHEST : last, 0.0f, 0.0f, -1};
         turned_ray = turned(given);
-        filter = filter_ray(x, y, z, px, py, pz, given.reach, t_min, best.t);
+        filter = filter_ray(x, y, z, px, py, pz, given.reach, t_min(), best.t);
         number = i, top = 1, stack[0] = DONE;
         work = {0, 0, 0};
-        node = is_ray(x, y, z, px, py, pz, t_min, best.t) ? 0 : DONE;
+        node = is_ray(x, y, z, px, py, pz, t_min(), best.t) ? 0 : DONE;
     }
 
     /// From an inner node to the nearer child, or to what waits.
     CUDA_CALLABLE void step(const All& all, int* stack)
     {
-        const NearAndFar met = meet_children((const float*)all.tree.nodes.data, node, filter);
+        const NearAndFar met = meet_children<FROM_ZERO>((const float*)all.tree.nodes.data, node, filter);
         if (All::COUNTING) ++work.nodes;
         if (met.both) stack[top++] = met.far;
         node = met.near;
@@ -85,13 +87,13 @@ template <class All> struct Walk {
         node = stack[--top];
         if (All::COUNTING) ++work.leaves, work.triangles += count;
         for (int slot = first; slot < first + count; ++slot) {
-            if (!meet_triangle<All::CULLING>(triangles, slot, turned_ray, t_min, given, best)) continue;
+            const float scale = meet_triangle<All::CULLING>(triangles, slot, turned_ray, t_min(), given, best);
+            if (scale == 0.0f) continue;
             if (All::ANY) {
                 node = DONE;
                 break;
             }
-            const GivenRay ray = given();
-            filter.t_max = bound_of(best.t, scale_of(ray.direction[0], ray.direction[1], ray.direction[2]));
+            filter.t_max = bound_of(best.t, scale);
         }
     }
 
@@ -113,16 +115,17 @@ template <class All> struct Walk {
 };
 
 #if defined(__CUDA_ARCH__)
-/// The rays of a launch, by all of its threads. next: number of the next ray that no thread has. FETCH: threads of a warp without
-/// a ray for which new ones are fetched. KEEP: threads that may wait at a node for those of the warp that have come to leaves.
+/// The rays of a launch, by all of its threads. next: number of the next ray that no thread has, and how many threads are done;
+/// both are 0 before and after. FETCH: threads of a warp without a ray for which new ones are fetched. KEEP: threads that may
+/// wait at a node for those of the warp that have come to leaves.
 ///
 /// Votes take the threads that began (`team`), not those that are active: else a warp that has parted votes apart for good.
-template <int FETCH, int KEEP, class All> __device__ void walk_all(const All& all, int* next)
+template <int FETCH, int KEEP, bool FROM_ZERO, class All> __device__ void walk_all(const All& all, int* next, int threads)
 {
     const unsigned team = __activemask();
     const int lane = threadIdx.x & 31, leader = __ffs(team) - 1, count = all.rays.count;
     int stack[All::LEVELS + 1];
-    Walk<All> walk;
+    Walk<All, FROM_ZERO> walk;
     walk.node = DONE, walk.number = -1;
     bool more = true;
     for (;;) {
@@ -149,25 +152,36 @@ template <int FETCH, int KEEP, class All> __device__ void walk_all(const All& al
         if (walk.is_leaf()) walk.leaf(all, stack);
         __syncwarp(team);
     }
+    // no thread fetches any more when the last ones of the launch come here
+    if (lane == leader && atomicAdd(next + 1, __popc(team)) + __popc(team) == threads) next[0] = next[1] = 0;
 }
 #endif
 
-/// On CUDA the rays of a launch, by all of its threads; else ray i.
-template <int FETCH, int KEEP, class All> inline CUDA_CALLABLE void walk_rays(const All& all, int* next, int i)
+#if !defined(__CUDA_ARCH__)
+/// The ray of an item on the CPU.
+template <bool FROM_ZERO, class All> inline void walk_alone(const All& all, int i)
 {
-#if defined(__CUDA_ARCH__)
-    (void)i;
-    walk_all<FETCH, KEEP>(all, next);
-#else
-    (void)next;
     int stack[All::LEVELS + 1];
-    Walk<All> walk;
+    Walk<All, FROM_ZERO> walk;
     walk.begin(all, i, stack);
     while (walk.node != DONE) {
         while (walk.is_inner()) walk.step(all, stack);
         if (walk.is_leaf()) walk.leaf(all, stack);
     }
     walk.store(all);
+}
+#endif
+
+/// On CUDA the rays of a launch, by all of its threads; else ray i.
+template <int FETCH, int KEEP, bool FROM_ZERO, class All>
+inline CUDA_CALLABLE void walk_rays(const All& all, int* next, int threads, int i)
+{
+#if defined(__CUDA_ARCH__)
+    (void)i;
+    walk_all<FETCH, KEEP, FROM_ZERO>(all, next, threads);
+#else
+    (void)next, (void)threads;
+    walk_alone<FROM_ZERO>(all, i);
 #endif
 }
 

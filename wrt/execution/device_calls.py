@@ -14,18 +14,18 @@ import warp as wp
 
 from wrt.execution.prepared import prepare
 from wrt.host_arrays import point_at
-from wrt.rays.host_rays import Layout
 from wrt.rays.rays import MAX_RAYS, ResultForm
 
 if TYPE_CHECKING:
     from wrt.planning.plan import ChosenPlan, Plan
+    from wrt.rays.host_rays import Layout
     from wrt.rays.ray_buffers import RayBuffers
     from wrt.rays.rays import Rays
     from wrt.state.device_hits import DeviceHits
     from wrt.state.scene_state import SceneState
 
-IN_PLACE = Layout(1, 1, 0, 0, False)
-"""Each ray has its own origin, in float32, and direction; all have one range."""
+IN_PLACE = (1, 1, 0, 0, False)
+"""Of usual layouts: each ray has its own origin, in float32, and direction; all have one range."""
 
 MAX_CALLS = 64
 """Kinds of calls that a scene's cache holds; one more clears them."""
@@ -36,10 +36,12 @@ class KnownCall(NamedTuple):
 
     Attributes:
         chosen: the plan, and the queries that are prepared for it.
+        layout: of the rays.
         t_min, t_max: (1,) float32 on the device.
     """
 
     chosen: ChosenPlan
+    layout: Layout
     t_min: wp.array
     t_max: wp.array
 
@@ -85,20 +87,21 @@ def answer_known(scene: SceneState, rays: Rays, kind: str) -> tuple[DeviceHits, 
     call = scene.cache.calls.get((kind, rays.t_min, rays.t_max)) if type(rays.t_min) is type(rays.t_max) is float else None
     if call is None or not is_usual(scene, rays):
         return None
-    chosen = call.chosen
-    prepared = chosen.take(IN_PLACE) or prepare(scene, chosen.carried_out, kind, IN_PLACE)
+    chosen, layout = call.chosen, call.layout
+    prepared = chosen.take(layout) or prepare(scene, chosen.carried_out, kind, layout)
     prepared.fit(scene)
     hits = prepared.run(scene, DeviceRays(call, rays.origins, rays.directions), 0)
-    chosen.give_back(IN_PLACE, prepared)
+    chosen.give_back(layout, prepared)
     return hits, ResultForm(rays.origins.shape, True, np.float32), chosen.plan
 
 
 def keep_call(scene: SceneState, rays: Rays, kind: str, chosen: ChosenPlan, buffers: RayBuffers) -> None:
     """Keeps what a call without options has found for the next ones, if it is usual, and its plan does not change."""
     plan_stays = chosen.prepares and not chosen.missed_savings and chosen.carried_out.reorder == "none"
-    if plan_stays and buffers.layout == IN_PLACE and is_usual(scene, rays):
+    layout: Any = buffers.layout
+    if plan_stays and layout is not None and layout[: len(IN_PLACE)] == IN_PLACE and is_usual(scene, rays):
         calls = scene.cache.calls
         if len(calls) >= MAX_CALLS:
             calls.clear()
         given: Any = buffers.given
-        calls[kind, rays.t_min, rays.t_max] = KnownCall(chosen, given.t_min, given.t_max)
+        calls[kind, rays.t_min, rays.t_max] = KnownCall(chosen, layout, given.t_min, given.t_max)

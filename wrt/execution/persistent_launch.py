@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from wrt.kernels.layout.binary_nodes import BinaryNodes, PackedTriangles, pack_tree, pack_triangles
-from wrt.kernels.traversal.persistent.next_ray import NextRay, next_ray
+from wrt.kernels.traversal.persistent.next_ray import NextRay, counter_of
+from wrt.kernels.traversal.persistent.persistent_bvh import launch_threads
 
 if TYPE_CHECKING:
     import warp as wp
@@ -22,8 +23,9 @@ def binary_tree(scene: SceneState) -> tuple[BinaryNodes, PackedTriangles]:
     return cache.binary
 
 
-def fresh_counter(device: wp.Device) -> NextRay:
-    """The counter for the next launch on the device's current stream."""
+def next_ray(device: wp.Device, rays: int) -> NextRay:
+    """The counter for the next launch on the device's current stream, for this many rays."""
     counter = NextRay()
-    counter.number = next_ray(device)
+    counter.number = counter_of(device)
+    counter.threads = launch_threads(device, rays) if device.is_cuda else 0
     return counter

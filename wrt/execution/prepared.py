@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Hashable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from weakref import finalize
 
@@ -31,7 +32,8 @@ from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 from wrt.kernels.traversal.capabilities import Capabilities
-from wrt.kernels.traversal.persistent.next_ray import next_ray
+from wrt.kernels.traversal.persistent.next_ray import counter_of
+from wrt.kernels.traversal.traversal_config import PersistentConfig
 from wrt.memory import new_rays
 from wrt.planning.plan import config_for_layout, stack_levels, traversal_config, traversal_of
 from wrt.rays.ray_arrays import new_batch, prepare_arguments
@@ -64,6 +66,9 @@ class PreparedQuery:
         self._walks_single_rays = traversal_of(plan).walks_single_rays
         self._config = config_for_layout(traversal_config(self._plan, scene, kind, False), self._plan, scene)
         device = scene.device
+        self._takes_next = device.is_cuda and Capabilities.PERSISTENT in traversal_of(plan).capabilities
+        if self._takes_next and layout.from_zero:  # type: ignore[union-attr]
+            self._config = replace(self._config, persistent=PersistentConfig(from_zero=True))
         self._forest = scene.tree.forest if scene.instances else None
         self._used: Any = None  # keeps the arrays of the scene alive that this was made to fit
         self._of = kind_of_scene(scene, plan, kind, layout)
@@ -76,11 +81,10 @@ class PreparedQuery:
         hits = DeviceHits.new(kind, 1, device) if self._staging is None else self._staging.hits
         work = no_work(traversal_of(self._plan).counters, device.alias)
         kernel, inputs = kernel_and_inputs(scene, self._plan, self._config, rays, hits.struct(), work)
-        self._is_cpu, self._takes_next = device.is_cpu, False
+        self._is_cpu = device.is_cpu
         if self._is_cpu:
             self._launch: PreparedLaunch | RecordedLaunch = PreparedLaunch(kernel, inputs, device)
         else:
-            self._takes_next = Capabilities.PERSISTENT in traversal_of(plan).capabilities
             self._launch = RecordedLaunch(kernel, inputs, device, (TREE, RAYS, HITS, *([NEXT] if self._takes_next else ())))
         self._rays, self._hits = self._launch.argument(RAYS), self._launch.argument(HITS)
         if self._staging is None:
@@ -159,7 +163,8 @@ class PreparedQuery:
         hits = new(self.kind, rays.count, scene.device)
         hits.write_to(self._hits, self.kind)
         if self._takes_next:
-            self._launch.argument(NEXT).number.data = next_ray(scene.device).ptr
+            next_ = self._launch.argument(NEXT)
+            next_.number.data, next_.threads = counter_of(scene.device).ptr, items
         self._launch.run(items, chunks, (rays, hits), threads)
         return hits
 

@@ -68,15 +68,10 @@ def kernel_and_inputs(
     """
     counters = counter_rows(work)
     if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
-        from wrt.execution.persistent_launch import binary_tree, fresh_counter
+        from wrt.execution.persistent_launch import binary_tree, next_ray
 
-        return specialise(kernel_factory(plan, scene), config), [
-            *binary_tree(scene),
-            rays,
-            hits,
-            counters,
-            fresh_counter(scene.device),
-        ]
+        inputs = [*binary_tree(scene), rays, hits, counters, next_ray(scene.device, rays.count)]
+        return specialise(kernel_factory(plan, scene), config), inputs
     if scene.instances:
         from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
 
@@ -101,9 +96,9 @@ def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -
         return 1, count, Chunks(1024)
     traversal = traversal_of(plan)
     if Capabilities.PERSISTENT in traversal.capabilities and scene.device.is_cuda:
-        from wrt.kernels.traversal.persistent.persistent_bvh import resident_threads
+        from wrt.kernels.traversal.persistent.persistent_bvh import launch_threads
 
-        return 1, min(count, resident_threads(scene.device)), Chunks()
+        return 1, launch_threads(scene.device, count), Chunks()
     grain = traversal.rays_per_item(config)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
     if Capabilities.LONG_ITEMS in traversal.capabilities and scene.device.is_cpu:

@@ -106,9 +106,10 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
     given = origins, directions, t_min, t_max
     origins, origin_stride = _vectors(origins, shape, device, center)
     directions, direction_stride = _vectors(directions, shape, device, ZERO_CENTER)
+    from_zero = device.is_cuda and type(t_min) is float and t_min == 0.0
     t_min, t_min_stride = _scalars(t_min, shape, device)
     t_max, t_max_stride = _scalars(t_max, shape, device)
-    layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered)
+    layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered, from_zero)
     return RayArrays(origins, directions, t_min, t_max, layout, math.prod(shape), center, shape, is_warp, dtype, given)
 
 
@@ -136,7 +137,7 @@ def relative_rays(
     """
     count = len(directions)
     each = int(count == 1)
-    layout = Layout(each if len(origins) == 1 else 1, 1, each, each, True)
+    layout = Layout(each if len(origins) == 1 else 1, 1, each, each, True, device.is_cuda)
     low, high = (_scalars(value, shape, device)[0] for value in (0.0, t_max))
     return RayArrays(origins, directions, low, high, layout, count, center, shape, True, np.float64, (origins, directions))
 
@@ -166,7 +167,7 @@ def _in_place(
 def new_batch(layout: Layout, center: np.ndarray) -> RayBatch:
     """A batch with this layout whose arrays are still to be set."""
     batch = RayBatch()
-    batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, centered = layout
+    batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, centered, _ = layout
     batch.center = wp.vec3d() if centered else wp.vec3d(*(float(x) for x in center))
     return batch
 

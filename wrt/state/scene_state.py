@@ -184,8 +184,8 @@ class SceneState:
 
     @property
     def record_bytes(self) -> int:
-        """Bytes of the triangle records made so far, and of nodes and triangles in another layout (`QueryCache.binary`). Queries
-        make what their triangle test and their traversal need."""
+        """Bytes of the triangle records made so far, and of the tree in another layout (`QueryCache.binary`). Queries make what
+        their triangle test and their traversal need."""
         wide = self.cache.wide
         known = [self.cache.records, *([] if wide is None else [wide.records])]
         nodes, triangles = self.cache.binary or (None, None)

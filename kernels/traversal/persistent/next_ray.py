@@ -1,11 +1,9 @@
 """The counter from which the threads of a launch take rays.
 
-Launches that may run at the same time have counters of their own: one for each stream of each thread. Launches of one thread on
-one stream follow each other, so they share one, which is set to 0 before each. A launch that a graph captures gets a counter
+It is 0 before a launch, and the last threads of the launch set it to 0 again. Launches on one stream follow each other, so they
+share one; those on other streams, which may run at the same time, have their own. A launch that a graph captures gets a counter
 that belongs to the graph.
 """
-
-import threading
 
 import warp as wp
 
@@ -19,26 +17,21 @@ class NextRay:
     """Where the number of the next ray is."""
 
     number: wp.array(dtype=int)
-    """(1,), 0 when a launch begins; not used on the CPU."""
+    """(2,), the next ray, and the threads that are done; both are 0 before and after a launch. Not used on the CPU."""
+    threads: int
+    """Threads of the launch."""
 
 
-class _Counters(threading.local):
-    """Of each thread: counters by device and stream."""
-
-    def __init__(self) -> None:
-        self.known: dict[tuple[str, int], wp.array] = {}
+_counters: dict[tuple[str, int], wp.array] = {}
+"""By device and stream. They are kept: a stream's handle may be given to another one, for which its counter is good, too."""
 
 
-_counters = _Counters()
-
-
-def next_ray(device: wp.Device) -> wp.array:
-    """The counter for the next launch on a device's current stream, 0 when that begins."""
+def counter_of(device: wp.Device) -> wp.array:
+    """The counter for the next launch on a device's current stream."""
     if device.is_cpu or device.is_capturing:
-        return wp.zeros(1, dtype=int, device=device)
+        return wp.zeros(2, dtype=int, device=device)
     key = device.alias, device.stream.cuda_stream
-    counter = _counters.known.get(key)
+    counter = _counters.get(key)
     if counter is None:
-        counter = _counters.known[key] = wp.empty(1, dtype=int, device=device)
-    device.memset(counter.ptr, 0, 4)
+        counter = _counters[key] = wp.zeros(2, dtype=int, device=device)
     return counter

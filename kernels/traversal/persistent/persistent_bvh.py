@@ -45,9 +45,9 @@ BLOCK, BLOCKS = 64, 16
 spill."""
 
 
-def resident_threads(device: wp.Device) -> int:
-    """Threads of a launch: all that a CUDA device runs at a time."""
-    return device.sm_count * BLOCKS * BLOCK
+def launch_threads(device: wp.Device, rays: int) -> int:
+    """Threads of a launch for this many rays: at most all that a CUDA device runs at a time."""
+    return min(rays, device.sm_count * BLOCKS * BLOCK)
 
 
 def make_walk(config: TraversalConfig) -> wp.Function:
@@ -55,7 +55,9 @@ def make_walk(config: TraversalConfig) -> wp.Function:
     flags = f"{int(config.answer.ends_at_first)}, {int(config.cull_backfaces)}, {int(config.counters)}"
     walks = f"wrt::walks_of<{config.stack.levels}, {flags}>(tree, triangles, rays, hits, counters)"
 
-    @native.func_native("persistent.h", f"wrt::walk_rays<{FETCH}, {KEEP}>({walks}, next.number.data, i);")
+    form = f"{FETCH}, {KEEP}, {int(config.persistent.from_zero)}"
+
+    @native.func_native("persistent.h", f"wrt::walk_rays<{form}>({walks}, next.number.data, next.threads, i);")
     def walk(
         tree: BinaryNodes,
         triangles: PackedTriangles,
@@ -71,7 +73,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_persistent_kernel(config: TraversalConfig) -> wp.Kernel:
-    """The kernel for one specialisation. On CUDA it runs in `resident_threads`, and `next` is 0 at the launch."""
+    """The kernel for one specialisation. On CUDA it runs in `launch_threads`."""
     walk = make_walk(config)
 
     def persistent_rays(
