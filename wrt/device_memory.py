@@ -43,7 +43,8 @@ class DeviceBlock:
         self._key, self._memory, self.ptr = key, memory, memory.ptr
 
     def __del__(self) -> None:
-        give_back(self._key, self._memory)
+        if give_back is not None:  # nothing is left of this module when the interpreter exits
+            give_back(self._key, self._memory)
 
 
 def take_block(size: int, device: wp.Device) -> DeviceBlock:

@@ -117,10 +117,11 @@ template <class All, bool FROM_ZERO> struct Walk {
 #if defined(__CUDA_ARCH__)
 /// The rays of a launch, by all of its threads. next: number of the next ray that no thread has, and how many threads are done;
 /// both are 0 before and after. FETCH: threads of a warp without a ray for which new ones are fetched. KEEP: threads that may
-/// wait at a node for those of the warp that have come to leaves.
+/// wait at a node for those of the warp that have come to leaves. STEPS: between two votes about that.
 ///
 /// Votes take the threads that began (`team`), not those that are active: else a warp that has parted votes apart for good.
-template <int FETCH, int KEEP, bool FROM_ZERO, class All> __device__ void walk_all(const All& all, int* next, int threads)
+template <int FETCH, int KEEP, int STEPS, bool FROM_ZERO, class All>
+__device__ void walk_all(const All& all, int* next, int threads)
 {
     const unsigned team = __activemask();
     const int lane = threadIdx.x & 31, leader = __ffs(team) - 1, count = all.rays.count;
@@ -147,7 +148,9 @@ template <int FETCH, int KEEP, bool FROM_ZERO, class All> __device__ void walk_a
             if (__ballot_sync(team, walk.number >= 0) == 0) break;
         }
         do {
-            if (walk.is_inner()) walk.step(all, stack);
+#pragma unroll 1
+            for (int k = 0; k < STEPS; ++k)
+                if (walk.is_inner()) walk.step(all, stack);
         } while (__popc(__ballot_sync(team, walk.is_inner())) > KEEP);
         if (walk.is_leaf()) walk.leaf(all, stack);
         __syncwarp(team);
@@ -173,12 +176,12 @@ template <bool FROM_ZERO, class All> inline void walk_alone(const All& all, int 
 #endif
 
 /// On CUDA the rays of a launch, by all of its threads; else ray i.
-template <int FETCH, int KEEP, bool FROM_ZERO, class All>
+template <int FETCH, int KEEP, int STEPS, bool FROM_ZERO, class All>
 inline CUDA_CALLABLE void walk_rays(const All& all, int* next, int threads, int i)
 {
 #if defined(__CUDA_ARCH__)
     (void)i;
-    walk_all<FETCH, KEEP, FROM_ZERO>(all, next, threads);
+    walk_all<FETCH, KEEP, STEPS, FROM_ZERO>(all, next, threads);
 #else
     (void)next, (void)threads;
     walk_alone<FROM_ZERO>(all, i);

@@ -44,6 +44,6 @@ struct Rows {
 
 void trace(const Tree& tree, const Triangles& triangles, const Batch& rays, const Found& found, const Rows& rows, int* next)
 {
-    wrt::walk_rays<20, 4, true>(wrt::walks_of<24, false, false, true>(tree, triangles, rays, found, rows), next, 64, WIDTH);
-    wrt::walk_rays<20, 4, false>(wrt::walks_of<24, true, true, false>(tree, triangles, rays, found, rows), next, 64, WIDTH);
+    wrt::walk_rays<20, 4, 3, true>(wrt::walks_of<24, false, false, true>(tree, triangles, rays, found, rows), next, 64, WIDTH);
+    wrt::walk_rays<20, 4, 3, false>(wrt::walks_of<24, true, true, false>(tree, triangles, rays, found, rows), next, 64, WIDTH);
 }

@@ -32,7 +32,7 @@ from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 from wrt.kernels.traversal.capabilities import Capabilities
-from wrt.kernels.traversal.persistent.next_ray import counter_of
+from wrt.kernels.traversal.persistent.next_ray import kept_counter
 from wrt.kernels.traversal.traversal_config import PersistentConfig
 from wrt.memory import new_rays
 from wrt.planning.plan import config_for_layout, stack_levels, traversal_config, traversal_of
@@ -159,12 +159,14 @@ class PreparedQuery:
             if self._divided is None or self._divided[0] != key:
                 self._divided = key, divide(scene, self._plan, self._config, rays.count)
             self._rays.run, items, chunks = self._divided[1]
-        new = DeviceHits.new_on_host if self._is_cpu and rays.count > FEW_RAYS else DeviceHits.new  # not during a capture
-        hits = new(self.kind, rays.count, scene.device)
+        new = (
+            DeviceHits.new_on_cuda if not self._is_cpu else DeviceHits.new_on_host if rays.count > FEW_RAYS else DeviceHits.new
+        )
+        hits = new(self.kind, rays.count, scene.device)  # not during a capture
         hits.write_to(self._hits, self.kind)
         if self._takes_next:
             next_ = self._launch.argument(NEXT)
-            next_.number.data, next_.threads = counter_of(scene.device).ptr, items
+            next_.number.data, next_.threads = kept_counter(scene.device).ptr, items
         self._launch.run(items, chunks, (rays, hits), threads)
         return hits
 

@@ -58,8 +58,8 @@ class DeviceHits:
         hits = cls(count, device)
         names = ANSWERS[query].columns
         if device.is_cuda and count > 0 and names and not device.is_capturing:
-            hits._block = take_block(BLOCK_BYTES[query] * count, device)
-        elif names == HIT_COLUMNS and count > 0 and (count <= FEW_RAYS or device.is_cuda):
+            return cls.new_on_cuda(query, count, device)
+        if names == HIT_COLUMNS and count > 0 and (count <= FEW_RAYS or device.is_cuda):
             hits._block = empty(count, wp.vec4, device)
         elif device.is_cpu and not device.is_capturing:
             return cls.new_on_host(query, count, device)
@@ -72,6 +72,13 @@ class DeviceHits:
         """The same on the CPU, while no graph is captured."""
         hits = cls(count, device)
         hits._host = {name: empty_host(count, DTYPES[name]) for name in ANSWERS[query].columns}
+        return hits
+
+    @classmethod
+    def new_on_cuda(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
+        """The same for some rays on CUDA, while no graph is captured."""
+        hits = cls(count, device)
+        hits._block = take_block(BLOCK_BYTES[query] * count, device)
         return hits
 
     @classmethod

@@ -28,8 +28,11 @@ _counters: dict[tuple[str, int], wp.array] = {}
 
 def counter_of(device: wp.Device) -> wp.array:
     """The counter for the next launch on a device's current stream."""
-    if device.is_cpu or device.is_capturing:
-        return wp.zeros(2, dtype=int, device=device)
+    return wp.zeros(2, dtype=int, device=device) if device.is_cpu or device.is_capturing else kept_counter(device)
+
+
+def kept_counter(device: wp.Device) -> wp.array:
+    """The same on CUDA while no graph is captured."""
     key = device.alias, device.stream.cuda_stream
     counter = _counters.get(key)
     if counter is None:
