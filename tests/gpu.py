@@ -3,7 +3,7 @@
     python -m tests.gpu [arguments of pytest]
 
 It says on which device and commit it runs, and writes a dated record of what ran. The process ends as pytest does, and with 2
-if there is no CUDA device.
+if there is no CUDA device, or tests are to run side by side.
 """
 
 from __future__ import annotations
@@ -84,6 +84,9 @@ def lines_of(selection: Selection, device: wp.Device, seconds: float) -> list[st
 
 def main(arguments: list[str]) -> int:
     """Runs the tests; returns the status of the process."""
+    if any(argument.startswith("-n") for argument in arguments):
+        print("the tests take turns on one device: leave -n out", file=sys.stderr)
+        return NO_DEVICE
     wp.init()
     if not wp.get_cuda_devices():
         print("there is no CUDA device here", file=sys.stderr)

@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt import device_memory
 from wrt.host_arrays import ELEMENTS, HostArray, address_of, write_flat
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import workspace
+from wrt.state import device_memory
 
 MIN_BYTES = 1 << 20
 """Smaller arrays are allocated by Warp."""

@@ -158,7 +158,7 @@ def choose_plan(
     """A new plan for these rays; arguments and errors as in `make_plan`."""
     test = lookup(TRIANGLE_TESTS, default_test(scene, query) if triangle_test == AUTO else triangle_test, "triangle_test")
     by_auto = traversal == AUTO
-    name, reason = choose_traversal(scene, rays, query, test.name, cull_backfaces) if by_auto else (traversal, "as given")
+    name, reason = choose_traversal(scene, rays, query, cull_backfaces, test.name) if by_auto else (traversal, "as given")
     chosen = lookup(TRAVERSALS, name, "traversal")
     check_origins(test, chosen, rays)
     accelerator = tree_for(chosen, scene)
@@ -197,7 +197,7 @@ def default_test(scene: SceneState | Settings, query: str = CLOSEST) -> str:
 
 
 def choose_traversal(
-    scene: SceneState, rays: RayBuffers, query: str, triangle_test: str, cull_backfaces: bool = False
+    scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool = False, triangle_test: str = DEFAULT_TEST
 ) -> tuple[str, str]:
     """Name of the traversal with the best score among those that can answer, and the reason for it."""
     situation = situation_of(scene, rays, query, cull_backfaces)

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.device_memory import DeviceBlock, take_block
 from wrt.host_arrays import HostArray, write_flat
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.answers.answer_kind import COLUMNS, HIT_COLUMNS
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.memory import empty, empty_host, keep_alive
+from wrt.state.device_memory import DeviceBlock, take_block
 from wrt.state.query_kinds import FEW_RAYS
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ class DeviceHits:
     """Answers of N rays: those arrays that the query writes, as `wrt.kernels.layout.ray_batch.HitBatch` explains them.
 
     A Warp array is made when it is first read. Answers of few rays in NumPy arrays are NumPy's from the start, other answers
-    on the CPU lie in a `wrt.host_arrays.HostArray`, and answers on CUDA are cut from one block (`wrt.device_memory`), so that
-    neither a device nor many cores wait for Python.
+    on the CPU lie in a `wrt.host_arrays.HostArray`, and answers on CUDA are cut from one block
+    (`wrt.state.device_memory`), so that neither a device nor many cores wait for Python.
 
     Attributes:
         count: N.
@@ -50,6 +50,7 @@ class DeviceHits:
         self.room = 0
         self.begins: wp.array | None = None
         self._block: wp.array | DeviceBlock | None = None
+        self._in_block: tuple[str, ...] = ()
         self._host: dict[str, np.ndarray | HostArray] = {}
 
     @classmethod
@@ -60,7 +61,7 @@ class DeviceHits:
         if device.is_cuda and count > 0 and names and not device.is_capturing:
             return cls.new_on_cuda(query, count, device)
         if names == HIT_COLUMNS and count > 0 and (count <= FEW_RAYS or device.is_cuda):
-            hits._block = empty(count, wp.vec4, device)
+            hits._block, hits._in_block = empty(count, wp.vec4, device), names
         elif device.is_cpu and not device.is_capturing:
             return cls.new_on_host(query, count, device)
         else:
@@ -78,7 +79,7 @@ class DeviceHits:
     def new_on_cuda(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
         """The same for some rays on CUDA, while no graph is captured."""
         hits = cls(count, device)
-        hits._block = take_block(BLOCK_BYTES[query] * count, device)
+        hits._block, hits._in_block = take_block(BLOCK_BYTES[query] * count, device), ANSWERS[query].columns
         return hits
 
     @classmethod
@@ -123,7 +124,7 @@ class DeviceHits:
             if type(values) is HostArray:
                 return values.array
             return wp.array(values, dtype=DTYPES[name], device=self.device, copy=False)  # type: ignore[arg-type]
-        if self._block is None or name not in BLOCK:
+        if self._block is None or name not in self._in_block:
             return None
         begin = self._block.ptr + BLOCK[name] * self.count
         part = wp.array(ptr=begin, dtype=DTYPES[name], shape=self.count, device=self.device)

@@ -36,5 +36,5 @@ def kept_counter(device: wp.Device) -> wp.array:
     key = device.alias, device.stream.cuda_stream
     counter = _counters.get(key)
     if counter is None:
-        counter = _counters[key] = wp.zeros(2, dtype=int, device=device)
+        counter = _counters.setdefault(key, wp.zeros(2, dtype=int, device=device))  # another thread may have been first
     return counter
