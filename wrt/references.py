@@ -28,9 +28,17 @@ REFERENCES = {
     ),
     "asprs-2019": "American Society for Photogrammetry and Remote Sensing: LAS specification 1.4, revision 15. 2019.",
     "badouel-1990": "D. Badouel: An efficient ray-polygon intersection. Graphics Gems, Academic Press, 1990.",
+    "baerentzen-aanaes-2005": (
+        "J. A. Bærentzen, H. Aanæs: Signed distance computation using the angle weighted pseudonormal. IEEE Transactions on "
+        "Visualization and Computer Graphics 11(3), 2005."
+    ),
     "baldwin-weber-2016": (
         "D. Baldwin, M. Weber: Fast ray-triangle intersections by coordinate transformation. Journal of Computer Graphics "
         "Techniques 5(3), 2016."
+    ),
+    "barill-2018": (
+        "G. Barill, N. G. Dickson, R. Schmidt, D. I. W. Levin, A. Jacobson: Fast winding numbers for soups and clouds. ACM "
+        "Transactions on Graphics 37(4), 2018."
     ),
     "barringer-akenine-moeller-2014": (
         "R. Barringer, T. Akenine-Möller: Dynamic ray stream traversal. ACM Transactions on Graphics 33(4), 2014."
