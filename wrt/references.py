@@ -166,6 +166,10 @@ REFERENCES = {
     "goldsmith-salmon-1987": (
         "J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987."
     ),
+    "gonzalez-2010": (
+        "Á. González: Measurement of areas on a sphere using Fibonacci and latitude-longitude lattices. Mathematical "
+        "Geosciences 42, 2010."
+    ),
     "goral-1984": (
         "C. M. Goral, K. E. Torrance, D. P. Greenberg, B. Battaile: Modeling the interaction of light between diffuse "
         "surfaces. SIGGRAPH 1984."
@@ -397,6 +401,10 @@ REFERENCES = {
     ),
     "segura-feito-2001": (
         "R. J. Segura, F. R. Feito: Algorithms to test ray-triangle intersection. Comparative study. WSCG 2001."
+    ),
+    "shapira-2008": (
+        "L. Shapira, A. Shamir, D. Cohen-Or: Consistent mesh partitioning and skeletonisation using the shape diameter "
+        "function. The Visual Computer 24(4), 2008."
     ),
     "shevtsov-2007-kdtree": (
         "M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of "

@@ -61,7 +61,7 @@ def test_follows_the_mesh_and_pickles():
 
 
 def test_the_switch_is_reversible():
-    """Meshes made inside have wrt's queries, copies and subdivisions too; afterwards trimesh is as it was, also after errors."""
+    """Meshes made inside have wrt's queries, copies and subdivisions too; then trimesh is as it was, also after errors."""
     modules = (trimesh.proximity, trimesh.ray.ray_triangle)
     before = [{name: getattr(module, name) for name in dir(module)} for module in modules]
     plain = BODIES["sphere"].copy()

@@ -253,6 +253,13 @@ def check_distances(names: dict) -> None:
     np.testing.assert_array_equal(names["band"], np.where(within, names["distance"], np.copysign(np.inf, names["distance"])))
     assert 0.01 < within.mean() < 0.9
     assert 0.05 < (names["number"] > 0.5).mean() < 0.9
+    assert names["wall"].shape == names["diameter"].shape == names["openness"].shape == names["surface"].shape
+    assert 0.0 < names["openness"].min() + 0.1 < names["openness"].max() <= 1.0
+    assert 0.1 < names["seen"].mean() < 0.6
+    assert 0.05 < names["view"].mean() < 0.95
+    assert np.abs(names["thin"].values).max() == np.float32(0.1)
+    assert names["x"].shape == names["grid"].values.shape[:1]
+    assert np.median(names["scene"].closest_point(names["again"].vertices).distance) < 0.1 * names["grid"].spacing
 
 
 CHECKS = {
