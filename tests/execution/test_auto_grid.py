@@ -11,10 +11,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from wrt.engine.facts.query_kinds import ANY, CLOSEST, few_rays
+from wrt.engine.plan import planner
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.traversal_scores import Overlap, Situation, score_interleaved, score_packet
-from wrt.planning import planner
-from wrt.state.query_kinds import ANY, CLOSEST, few_rays
 
 # scene, triangles, instances, kind of rays, rays, neighbours; with 16 lanes, share of different steps : steps a ray, choice;
 # the same with 8

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import wrt
+from wrt.engine.plan import planner
+from wrt.engine.plan.packet_sample import measure_overlap
+from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.query.ordering.packet_overlap import SAMPLED_RAYS
 from wrt.kernels.traversal.traversal_scores import Overlap
-from wrt.planning import planner
-from wrt.planning.packet_sample import measure_overlap
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 
 
 @pytest.fixture(scope="module")

@@ -10,16 +10,14 @@ from types import SimpleNamespace
 
 import pytest
 
-import wrt.execution
+import wrt.engine
 import wrt.kernels
-import wrt.planning
-import wrt.state
+from wrt.engine.facts.query_kinds import FEW_RAYS
+from wrt.engine.plan.planner import choose_culling, choose_traversal
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.traversal_scores import limits_for
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.planning.planner import choose_culling, choose_traversal
-from wrt.state.query_kinds import FEW_RAYS
 
 SCENES = ("bvh", "kdtree", "lazy", "instances bvh", "instances kdtree", "spaces")
 RAYS = (1, 1024, 1025, 100_000, 10_000_000)
@@ -171,7 +169,7 @@ def test_a_new_traversal_is_chosen_by_its_entry(monkeypatch):
     assert choose_traversal(make_scene("lazy", 500, False, False, 0.0), rays, "closest")[0] == "lockstep", "it is not complete"
 
 
-ROOMS = [Path(room.__file__).parent for room in (wrt.execution, wrt.planning, wrt.state, wrt.kernels)]
+ROOMS = [Path(room.__file__).parent for room in (wrt.engine, wrt.kernels)]
 
 
 def test_nothing_compares_the_name_of_a_traversal():

@@ -13,7 +13,9 @@ from packet_loops import OPTIONS
 from test_packets import packet_plan
 
 import wrt
-from wrt.execution.triangle_records import records_of
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.plan import traversal_config
+from wrt.engine.rays.ray_arrays import lay_out
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.traversal.packet.core.joined_packets import JOINED, answer_together, may_cover
@@ -23,8 +25,6 @@ from wrt.kernels.traversal.packet.leaves import occluder_cache
 from wrt.kernels.traversal.packet.leaves.covering_triangle import covered_packets
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-from wrt.planning.plan import traversal_config
-from wrt.rays.ray_arrays import lay_out
 
 PACKETS, RAYS = 3, 32
 """Of a group."""

@@ -12,6 +12,8 @@ from packet_loops import OPTIONS
 from test_packets import packet_plan
 
 import wrt
+from wrt.engine.plan.plan import traversal_config
+from wrt.engine.rays.ray_arrays import lay_out
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.traversal.packet.core.joined_packets import JOINED, root_misses
@@ -21,8 +23,6 @@ from wrt.kernels.traversal.packet.rays.joint_bounds import join_packets
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
-from wrt.planning.plan import traversal_config
-from wrt.rays.ray_arrays import lay_out
 
 RAYS = 32
 PACKETS = 3

@@ -8,10 +8,10 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.execution.executor import may_stage
-from wrt.execution.expected_kernels import ExpectedRays
-from wrt.planning.planner import choose_plan
-from wrt.state.query_kinds import AUTO, CLOSEST, FEW_RAYS, MANY_TRIANGLES, Query
+from wrt.engine.executor import may_stage
+from wrt.engine.facts.query_kinds import AUTO, CLOSEST, FEW_RAYS, MANY_TRIANGLES, Query
+from wrt.engine.launch.expected_kernels import ExpectedRays
+from wrt.engine.plan.planner import choose_plan
 
 pytestmark = pytest.mark.width
 

@@ -11,8 +11,8 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.rays.coherence import detect_coherence
-from wrt.state.query_cache import MAX_PLANS
+from wrt.engine.facts.query_cache import MAX_PLANS
+from wrt.engine.rays.coherence import detect_coherence
 
 PAIRS = 64
 

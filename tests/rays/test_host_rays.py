@@ -9,10 +9,10 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.host_arrays import HostArray, address_of, as_array
+from wrt.engine.host_arrays import HostArray, address_of, as_array
+from wrt.engine.rays.ray_arrays import lay_out
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import use_threads
-from wrt.rays.ray_arrays import lay_out
-from wrt.rays.rays import Rays
 
 N, H, W = 24, 4, 6
 CENTER = np.array([1.0, -2.0, 0.5])

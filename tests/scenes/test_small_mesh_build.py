@@ -13,8 +13,8 @@ import warp as wp
 import wrt
 from wrt.builders.bvh import small_mesh_build
 from wrt.builders.triangle_boxes import triangle_boxes
-from wrt.execution import prepared
-from wrt.execution.prepared import PreparedQuery
+from wrt.engine.launch import prepared
+from wrt.engine.launch.prepared import PreparedQuery
 from wrt.kernels.runtime import workspace
 from wrt.kernels.simd.lanes import native_width
 from wrt.meshes.placement import MAX_EXTENT, place_meshes
@@ -171,7 +171,7 @@ def test_scenes_of_other_kinds_have_plans_of_their_own():
 
 def test_a_query_in_a_cycle_of_garbage_does_not_come_back():
     """The collector gave its memory for rays to another query first; two threads then wrote to the same rays."""
-    from wrt.execution import prepared
+    from wrt.engine.launch import prepared
 
     for _ in range(3):
         scene = wrt.Scene(wrt.scenes.build("teapot", level=1), device="cpu")

@@ -13,25 +13,25 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import trace_chosen
+from wrt.engine.executor import trace_chosen
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.memory import new_rays
+from wrt.engine.plan.plan import stack_levels
+from wrt.engine.plan.planner import default_test, find_plan
+from wrt.engine.rays.ray_arrays import ZERO_CENTER, Layout, RayArrays
+from wrt.engine.rays.ray_buffers import RayBuffers
 from wrt.kernels.query.part_queries import make_gather, make_part_merge
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.memory import new_rays
-from wrt.planning.plan import stack_levels
-from wrt.planning.planner import default_test, find_plan
-from wrt.rays.ray_arrays import ZERO_CENTER, Layout, RayArrays
-from wrt.rays.ray_buffers import RayBuffers
-from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
     from wrt.disk.part_cache import PartCache
+    from wrt.engine.facts.query_kinds import Query
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.plan.plan import ChosenPlan, Plan
     from wrt.kernels.layout.bvh_nodes import WideNodes
     from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
-    from wrt.planning.plan import ChosenPlan, Plan
-    from wrt.state.query_kinds import Query
-    from wrt.state.scene_state import SceneState
 
 COPIES = Layout(1, 1, 1, 1, centered=True)
 """Layout of rays copied from a block."""

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.expected_kernels import ExpectedRays
+from wrt.engine.facts.query_kinds import ANY
+from wrt.engine.launch.expected_kernels import ExpectedRays
+from wrt.engine.memory import empty
 from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading import ambient
 from wrt.kernels.shading.surface import Surface
-from wrt.memory import empty
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import ANY
 
 DIRECTIONS_AT_ONCE = 16
 """Most rays of a point that are traced at once; bounds the memory."""

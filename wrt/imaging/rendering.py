@@ -18,7 +18,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
-from wrt.execution.expected_kernels import picture_rays, query_kernels
+from wrt.engine.launch.expected_kernels import picture_rays, query_kernels
+from wrt.engine.rays.rays import Rays
 from wrt.imaging.ambient_rays import AmbientRays, expected_rays
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
@@ -26,12 +27,11 @@ from wrt.kernels.runtime.launch import expect, launch, refuse_capture, use_threa
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.kernels.shading.pixel_rays import pinhole_directions
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_point
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
-from wrt.state.query_kinds import AUTO
+    from wrt.engine.facts.scene_state import SceneState
+from wrt.engine.facts.query_kinds import AUTO
 
 __all__ = ["AmbientRendering", "corner_normals", "default_light", "render"]
 

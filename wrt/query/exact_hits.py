@@ -9,25 +9,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import on_device
-from wrt.execution.triangle_records import records_of
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.executor import on_device
+from wrt.engine.facts.query_kinds import AUTO, CLOSEST, EXACT, Query
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.memory import empty, keep_alive
+from wrt.engine.plan.plan import stack_levels, traversal_config
+from wrt.engine.plan.planner import DEFAULT_TEST, find_plan
+from wrt.engine.rays.array_types import ArrayT
+from wrt.engine.rays.ray_arrays import flatten_shared
+from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.runtime.launch import kept, launch, specialise, use_threads
-from wrt.memory import empty, keep_alive
-from wrt.planning.plan import stack_levels, traversal_config
-from wrt.planning.planner import DEFAULT_TEST, find_plan
 from wrt.query.hits import Hits
-from wrt.rays.array_types import ArrayT
-from wrt.rays.ray_arrays import flatten_shared
-from wrt.rays.rays import as_vectors
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import AUTO, CLOSEST, EXACT, Query
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.plan.plan import Plan
+    from wrt.engine.rays.ray_buffers import RayBuffers
+    from wrt.engine.rays.rays import Rays, ResultForm
     from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays
-    from wrt.planning.plan import Plan
-    from wrt.rays.ray_buffers import RayBuffers
-    from wrt.rays.rays import Rays, ResultForm
-    from wrt.state.scene_state import SceneState
 
 
 class PreciseHits(Hits[ArrayT]):

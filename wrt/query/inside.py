@@ -26,23 +26,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import trace
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.executor import trace
+from wrt.engine.facts.query_kinds import ANY, AUTO, COUNT, WINDING
+from wrt.engine.memory import empty
+from wrt.engine.plan.plan import Plan
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.coherence import detect_coherence
+from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.rays import Rays, as_vectors
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.hit_lists import NONZERO, ODD, POSITIVE, aim_outwards, decide_inside
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
-from wrt.memory import empty
-from wrt.planning.plan import Plan
-from wrt.planning.planner import make_plan
-from wrt.rays.coherence import detect_coherence
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays, as_vectors
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, AUTO, COUNT, WINDING
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.rays.ray_buffers import RayBuffers
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.ray_buffers import RayBuffers
 
 DIRECTIONS = ((0.5163, 0.3781, 0.7684), (-0.7911, 0.4892, 0.3674), (0.2769, -0.8472, 0.4534))
 """Directions far from each other, and from all axes and diagonals."""

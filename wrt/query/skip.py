@@ -14,20 +14,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import Answer, on_device
-from wrt.execution.triangle_records import records_of
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.executor import Answer, on_device
+from wrt.engine.facts.query_kinds import AUTO, Query
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.plan import kernel_factory, plan_for_query, stack_levels, traversal_config
+from wrt.engine.plan.planner import find_plan
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
 from wrt.kernels.validation import host_array
-from wrt.planning.plan import kernel_factory, plan_for_query, stack_levels, traversal_config
-from wrt.planning.planner import find_plan
 from wrt.query.hits import Hits
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import AUTO, Query
 
 if TYPE_CHECKING:
-    from wrt.rays.ray_buffers import RayBuffers
-    from wrt.rays.rays import Rays
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.ray_buffers import RayBuffers
+    from wrt.engine.rays.rays import Rays
 
 
 class SceneTriangles(NamedTuple):

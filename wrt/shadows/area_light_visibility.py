@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.triangle_records import records_of
+from wrt.engine.device_hits import shaped
+from wrt.engine.facts.query_kinds import ANY, AUTO, Query
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.memory import empty
+from wrt.engine.plan.plan import plan_for_query, traversal_config
+from wrt.engine.plan.planner import find_plan
+from wrt.engine.rays.ray_arrays import RayArrays, lay_out
+from wrt.engine.rays.ray_buffers import RayBuffers
+from wrt.engine.rays.rays import Rays, ResultForm, check_number
 from wrt.kernels.layout.light_samples import GROUP, LightSamples, pattern_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
 from wrt.kernels.validation import as_int, as_numbers, as_real_array, host_array
-from wrt.memory import empty
-from wrt.planning.plan import plan_for_query, traversal_config
-from wrt.planning.planner import find_plan
-from wrt.rays.ray_arrays import RayArrays, lay_out
-from wrt.rays.ray_buffers import RayBuffers
-from wrt.rays.rays import Rays, ResultForm, check_number
-from wrt.state.device_hits import shaped
-from wrt.state.query_kinds import ANY, AUTO, Query
 
 if TYPE_CHECKING:
     from wrt.scene.scene import Scene

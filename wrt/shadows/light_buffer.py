@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.triangle_records import records_of
+from wrt.engine.device_hits import shaped
+from wrt.engine.facts.query_kinds import ANY, AUTO, Query
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.memory import empty
+from wrt.engine.plan.plan import plan_for_query, traversal_config
+from wrt.engine.plan.planner import find_plan
+from wrt.engine.rays.ray_arrays import RayArrays, lay_out
+from wrt.engine.rays.ray_buffers import RayBuffers
+from wrt.engine.rays.rays import Rays, ResultForm
 from wrt.kernels.layout.light_cells import CELL_BYTES, ENTRY_BYTES, FACES, MAX_RESOLUTION
 from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
 from wrt.kernels.validation import as_bool, as_int, as_numbers, as_real_array
-from wrt.memory import empty
-from wrt.planning.plan import plan_for_query, traversal_config
-from wrt.planning.planner import find_plan
 from wrt.query.skip import SceneTriangles, check_skip, skipped_triangles
-from wrt.rays.ray_arrays import RayArrays, lay_out
-from wrt.rays.ray_buffers import RayBuffers
-from wrt.rays.rays import Rays, ResultForm
-from wrt.state.device_hits import shaped
-from wrt.state.query_kinds import ANY, AUTO, Query
 
 if TYPE_CHECKING:
     from wrt.kernels.layout.light_cells import LightCells

@@ -14,18 +14,18 @@ from typing import Any
 
 from wrt.bench.comparisons.auto_cases import KINDS, SIZES, Case, cases
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
+from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST
+from wrt.engine.plan.answer_checks import can_answer
+from wrt.engine.plan.plan import Plan
+from wrt.engine.plan.plan_checks import fits
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.ray_buffers import to_device
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.meshes.mesh import TriangleMesh
-from wrt.planning.answer_checks import can_answer
-from wrt.planning.plan import Plan
-from wrt.planning.plan_checks import fits
-from wrt.planning.planner import make_plan
-from wrt.rays.ray_buffers import to_device
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST
 
 HOPELESS = 4.0
 """An engine that once took this many times as long as another takes no part: it would take most of the time."""

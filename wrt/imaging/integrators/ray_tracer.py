@@ -11,23 +11,23 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import trace_chosen
-from wrt.execution.expected_kernels import ExpectedRays
-from wrt.execution.traversal_launch import RAYS, kernel_and_inputs, no_work
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.executor import trace_chosen
+from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST, Query
+from wrt.engine.facts.scene_state import SceneState
+from wrt.engine.launch.expected_kernels import ExpectedRays
+from wrt.engine.launch.traversal_launch import RAYS, kernel_and_inputs, no_work
+from wrt.engine.plan.answer_checks import can_answer
+from wrt.engine.plan.plan import config_for_layout, traversal_config, traversal_of
+from wrt.engine.plan.planner import find_plan, is_changing
+from wrt.engine.rays.ray_arrays import Layout, RayArrays
+from wrt.engine.rays.ray_buffers import RayBuffers
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.launch import kept
 from wrt.kernels.runtime.launch_chain import Stage
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
-from wrt.planning.answer_checks import can_answer
-from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
-from wrt.planning.planner import find_plan, is_changing
-from wrt.rays.ray_arrays import Layout, RayArrays
-from wrt.rays.ray_buffers import RayBuffers
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST, Query
-from wrt.state.scene_state import SceneState
 
 STREAM = 2048
 """Rays of a stream at most, where tiles of them stay in the cache."""

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import trace
+from wrt.engine.executor import trace
+from wrt.engine.facts.query_kinds import ALL, AUTO, CLOSEST
+from wrt.engine.memory import empty, new_rays
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.coherence import detect_coherence
+from wrt.engine.rays.ray_buffers import RayBuffers
+from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
-from wrt.memory import empty, new_rays
-from wrt.planning.planner import make_plan
-from wrt.rays.coherence import detect_coherence
-from wrt.rays.ray_buffers import RayBuffers
-from wrt.rays.rays import as_vectors
-from wrt.state.query_kinds import ALL, AUTO, CLOSEST
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 BLOCK = 1 << 20
 """Pairs traced at a time, which takes about 60 MB."""
