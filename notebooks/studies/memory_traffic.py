@@ -143,7 +143,7 @@ def queued_plan(scene: Scene, buffers: Any) -> Plan:
     from wrt.kernels.traversal import TRAVERSALS
 
     name = next(name for name, entry in TRAVERSALS.items() if Capabilities.QUEUED in entry.capabilities)
-    return make_plan(scene.state, buffers, name, "auto")
+    return make_plan(scene.state, buffers, name, "auto", CLOSEST)
 
 
 def in_packets(log: Log, packet: int) -> Log:

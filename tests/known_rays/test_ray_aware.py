@@ -12,7 +12,7 @@ from wrt.builders.influence import area_octree as octree
 from wrt.builders.influence.area_top_level import TopLevel, region_of
 from wrt.builders.influence.regions import classify_boxes, contain_points
 from wrt.engine.launch.area_trees import assign
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.influence.region_tests import DISJOINT
 from wrt.kernels.influence.region_tests import Region as RegionStruct

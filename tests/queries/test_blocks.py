@@ -12,7 +12,7 @@ import warp as wp
 from conftest import mixed_rays
 
 import wrt
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.query.blocks import BYTES_PER_RAY, parse_memory
 

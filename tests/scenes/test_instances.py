@@ -15,7 +15,7 @@ from test_cuda_compiles import compile_to_ptx
 import wrt
 from wrt.engine.executor import trace
 from wrt.engine.plan.planner import make_plan
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import CUDA_BLOCK, use_threads
 from wrt.kernels.traversal import TRAVERSALS as TABLE
@@ -71,7 +71,7 @@ def asked_alone(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray) -
                 for v in (relative, directions.astype(np.float64))
             ]
         buffers = to_device(Rays(*own), part.device, np.zeros(3))
-        batch, _ = trace(part, make_plan(part, buffers, "brute", "auto"), buffers, "closest")
+        batch, _ = trace(part, make_plan(part, buffers, "brute", "auto", "closest"), buffers, "closest")
         counted, _ = trace(part, make_plan(part, buffers, "brute", "auto", "count"), buffers, "count")
         answers.append((batch.t.numpy(), batch.primitive.numpy(), batch.uv.numpy(), counted.counts.numpy()))
     return answers

@@ -13,6 +13,7 @@ import warp as wp
 import wrt
 from wrt.builders.bvh import small_mesh_build
 from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.engine.free_list import FreeList
 from wrt.engine.launch import prepared
 from wrt.engine.launch.prepared import PreparedQuery
 from wrt.kernels.runtime import workspace
@@ -128,7 +129,7 @@ def test_a_prepared_query_serves_the_next_scene(dtype, monkeypatch):
     """A query that was prepared for a scene that is gone finds the triangles of the next one, elsewhere and more of them."""
     made, prepare = [], PreparedQuery.__init__
     monkeypatch.setattr(PreparedQuery, "__init__", lambda self, *given: (made.append(given[2:]), prepare(self, *given))[1])
-    monkeypatch.setattr(prepared, "_retired", {})
+    monkeypatch.setattr(prepared, "_retired", FreeList(prepared.MAX_FREE))
     for seed in range(4):
         mesh = soup(200 + 300 * seed, seed, dtype, 1.0 + seed, 10.0 * seed)
         scene = wrt.Scene(mesh, device="cpu")
@@ -180,7 +181,6 @@ def test_a_query_in_a_cycle_of_garbage_does_not_come_back():
         cycle.append(cycle)
         del scene, cycle
         gc.collect()
-    retired = [query._staging for queries in prepared._retired.values() for query in queries]
-    free = [staging for stagings in prepared._free.values() for staging in stagings]
-    together = [*map(id, retired), *map(id, free)]
+    retired = [query._staging for query in prepared._retired.items()]
+    together = [*map(id, retired), *map(id, prepared._stagings.items())]
     assert len(set(together)) == len(together), "no memory is in two places"

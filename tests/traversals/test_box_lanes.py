@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT, intersected_boxes, nearest_child, ray_boxes
 from wrt.kernels.simd.boxes import ray_slabs, slab_interval

@@ -100,7 +100,7 @@ def test_sizes(tree, size, device):
     mesh = wrt.scenes.build("teapot", level=4)
     scene = wrt.Scene(mesh, tree, device=device)
     origins, directions = mixed_rays(mesh, 4500, seed=size)
-    if size > longest_stream(scene.state, TRAVERSALS["stream"]):
+    if size > longest_stream(scene.state.facts, TRAVERSALS["stream"]):
         with pytest.raises(ValueError, match=r"plan\.stream"):
             assert_equals_brute_force(scene, wrt.Rays(origins, directions), size)
         return

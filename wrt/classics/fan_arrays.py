@@ -10,7 +10,7 @@ import warp as wp
 from wrt.builders.triangle_fans import TriangleFans, build_fans
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.launch.traversal_launch import BRUTE_FORCE_TESTS
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.fan_brute_force import FanSet, make_fan_kernel

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.engine.rays.ray_arrays import lay_out
+from wrt.engine.rays.device_rays import lay_out
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS, RayTags, fill_places, find_places
@@ -85,7 +85,7 @@ def arrange_rays(
     tags.kind, tags.group = (_tag(values, name, count, device) for values, name in ((kinds, "kinds"), (groups, "groups")))
     tags.source = _tag(np.arange(count) if sources is None else sources, "sources", count, device)
     places = find_places(entry, tags, count, packet, device)
-    batch, arranged = given.batch(), RayBatch()
+    batch, arranged = given.batch, RayBatch()
     room: dict[str, tuple[Any, int]] = {"origins": (wp.vec3, batch.origin_stride), "directions": (wp.vec3, 1)}
     room |= {"t_min": (wp.float32, batch.t_min_stride), "t_max": (wp.float32, batch.t_max_stride)}
     for name, (dtype, stride) in room.items():

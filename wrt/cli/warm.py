@@ -123,14 +123,14 @@ def loaded(kernels: list[wp.Kernel]) -> list[wp.Module]:
 def default_kernels() -> list[wp.Kernel]:
     """One kernel of each module that the default paths on the CPU need: builds, closest hits and occlusion, pictures."""
     from wrt.engine.facts.query_kinds import ANY, CLOSEST
-    from wrt.engine.launch.expected_kernels import ExpectedRays
+    from wrt.engine.launch.expected_kernels import expected_rays
     from wrt.imaging.rendering import shading_kernels
 
     rays = []
     for count in RAY_COUNTS:
         for kind in (CLOSEST, ANY):
-            rays += [ExpectedRays(kind, count, origin_stride=stride) for stride in (0, 1)]
-            rays.append(ExpectedRays(kind, count, coherent=False))
+            rays += [expected_rays(kind, count, shared_origin=shared) for shared in (True, False)]
+            rays.append(expected_rays(kind, count, coherent=False))
     kernels = [*shading_kernels(smooth=True, ambient_rays=True), *first_hit_kernels(), *_tracing_kernels(_grid(), rays)]
     return [*dict.fromkeys(kernels)]
 

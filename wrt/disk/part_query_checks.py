@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from wrt.engine.facts.query_kinds import AUTO
-from wrt.engine.plan.answer_checks import check_culling, check_query
+from wrt.engine.plan.plan_checks import check_culling, check_query
 from wrt.engine.plan.planner import DEFAULT_TEST
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS

@@ -245,7 +245,7 @@ def part_state(
 
 def stored_records(state: MeshState) -> dict[str, np.ndarray]:
     """The triangle records of a part's tree, by the name of their array."""
-    test, mesh, tree = default_test(state.settings), state.device_mesh, state.tree
+    test, mesh, tree = default_test(state.triangle_test), state.device_mesh, state.tree
     blocks = pack_blocks(TRIANGLE_TESTS[test].record, mesh.vertices, mesh.faces, tree.primitive, tree.width)
     return {RECORDS + test: blocks.records.numpy()}
 

@@ -26,7 +26,7 @@ from wrt.engine.facts.scene_settings import as_settings
 from wrt.engine.memory import empty
 from wrt.engine.plan.plan import stack_levels
 from wrt.engine.plan.planner import DEFAULT_TEST
-from wrt.engine.rays.ray_buffers import RayBuffers, to_device
+from wrt.engine.rays.device_rays import DeviceRays, to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout import bvh_nodes
@@ -254,7 +254,7 @@ class PartitionedScene(PartQueries):
             )
         return needed
 
-    def _answer(self, rays: Rays, query: Query, mode: str) -> tuple[RayBuffers, DeviceHits, wp.array, Plan | None]:
+    def _answer(self, rays: Rays, query: Query, mode: str) -> tuple[DeviceRays, DeviceHits, wp.array, Plan | None]:
         """The answers of all rays: the rays on the device, the answers, the corners of triangles hit, and a plan."""
         run = lookup(MODES, mode, "mode")
         check_traversal(query)
@@ -278,7 +278,7 @@ class PartitionedScene(PartQueries):
                 hits = piece_of(batch, query.kind, begin, end)
                 own = corners[3 * begin : 3 * end] if answer.names_triangles else corners
                 block = part_of(buffers.batch, begin, end)
-                job = RayJob(self._cache, self._upper, query, block, buffers.coherent, hits, own, needed)
+                job = RayJob(self._cache, self._upper, query, block, buffers.facts.coherent, hits, own, needed)
                 if run(job):
                     jobs.append(job)
                 else:

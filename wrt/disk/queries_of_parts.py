@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from wrt.engine.device_hits import DeviceHits
     from wrt.engine.plan.plan import Plan
     from wrt.engine.rays.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
-    from wrt.engine.rays.ray_buffers import RayBuffers
+    from wrt.engine.rays.device_rays import DeviceRays
     from wrt.engine.rays.rays import Rays
 
 INF = float("inf")
@@ -47,7 +47,7 @@ class PartQueries:
         @property
         def num_threads(self) -> int | None: ...
 
-    def _answer(self, rays: Rays, query: Query, mode: str) -> tuple[RayBuffers, DeviceHits, wp.array, Plan | None]:
+    def _answer(self, rays: Rays, query: Query, mode: str) -> tuple[DeviceRays, DeviceHits, wp.array, Plan | None]:
         """The answers of all rays: the rays on the device, the answers, the corners of triangles hit, and a plan."""
         raise NotImplementedError
 

@@ -8,7 +8,7 @@ whose launches Warp must see with all their arrays.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import TYPE_CHECKING, NamedTuple, overload
 
 import warp as wp
 
@@ -16,8 +16,8 @@ from wrt.engine.facts.query_kinds import AUTO, CLOSEST, QUERIES, Query
 from wrt.engine.launch.batch import trace_batch
 from wrt.engine.launch.prepared import prepare
 from wrt.engine.plan.planner import chosen_plan, find_plan
-from wrt.engine.rays.ray_buffers import RayBuffers, buffers_of, set_environment, set_mask, to_device
-from wrt.engine.rays.staged_rays import STAGED, STAGED_CENTERED
+from wrt.engine.rays.device_rays import ENVIRONMENTS, MASKS, DeviceRays, examine, lay_out, to_device
+from wrt.engine.rays.staged_rays import StagedRays, stage
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import use_threads
 
@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
     from wrt.engine.launch.given_areas import GivenAreas
     from wrt.engine.plan.plan import ChosenPlan, Plan
-    from wrt.engine.rays.ray_arrays import RayArrays
     from wrt.engine.rays.rays import Rays, ResultForm
-    from wrt.engine.rays.staged_rays import StagedRays
 
 
 class Answer(NamedTuple):
@@ -65,17 +63,17 @@ def _answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
         from wrt.engine.launch.given_areas import take_areas
 
         scene, given = take_areas(scene, query.areas, rays.shape)
-    buffers = on_device(scene, rays, query, may_stage(scene, query))
-    chosen = find_plan(scene, buffers, query)  # type: ignore[arg-type]
-    hits, work = trace_chosen(scene, chosen, buffers, query.kind, query.counters, given)
-    return Answer(hits, buffers.form, chosen.plan, work)
+    brought = on_device(scene, rays, query, may_stage(scene, query))
+    chosen = find_plan(scene, brought.facts, query, brought.sample)
+    hits, work = trace_chosen(scene, chosen, brought, query.kind, query.counters, given)
+    return Answer(hits, brought.form, chosen.plan, work)
 
 
-def closest_of_relative(scene: SceneState, arrays: RayArrays) -> DeviceHits:
+def closest_of_relative(scene: SceneState, rays: DeviceRays) -> DeviceHits:
     """Closest hits, by a plan of "auto", of rays that are on the device, relative to the scene's centre."""
     with use_threads(scene.num_threads):
-        buffers = buffers_of(arrays, scene.device)
-        return trace_chosen(scene, find_plan(scene, buffers, QUERIES[CLOSEST]), buffers, CLOSEST, False)[0]
+        rays, query = examine(rays, scene.device), QUERIES[CLOSEST]
+        return trace_chosen(scene, find_plan(scene, rays.facts, query, rays.sample), rays, query.kind)[0]
 
 
 def may_stage(scene: SceneState, query: Query) -> bool:
@@ -85,74 +83,78 @@ def may_stage(scene: SceneState, query: Query) -> bool:
 
 
 @overload
-def on_device(scene: SceneState, rays: Rays, query: Query) -> RayBuffers: ...
+def on_device(scene: SceneState, rays: Rays, query: Query) -> DeviceRays: ...
 @overload
-def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool) -> RayBuffers | StagedRays: ...
-def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool = False) -> RayBuffers | StagedRays:
+def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool) -> DeviceRays | StagedRays: ...
+def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool = False) -> DeviceRays | StagedRays:
     """The rays on the scene's device, with the masks and environments of their query.
 
+    Args:
+        scene: whose device and centre these are.
+        rays: the rays.
+        query: their query.
+        staged: whether few rays go one by one on the CPU: those in NumPy arrays are left to a prepared query to copy, and in no
+            others coherence is looked for.
+
     Raises:
-        ValueError: masks or environments in a scene whose geometries have none.
+        TypeError: rays that are no arrays of real numbers; masks or environments that are no integers.
+        ValueError: as `wrt.engine.rays.device_rays.lay_out`; masks or environments in a scene whose geometries have none.
     """
     if query.mask is None and query.environment is None:
-        return to_device(rays, scene.device, scene.center, scene.few_rays if staged else 0)
+        few = scene.few_rays if staged else 0
+        if staged and (unread := stage(rays, scene.device, scene.center, few)) is not None:
+            return unread
+        brought = lay_out(rays, scene.device, scene.center)
+        return examine(brought, scene.device) if brought.facts.count > few else brought
     if not scene.instances:
         name = "environment" if query.mask is None else "mask"
         raise ValueError(f"{name} needs instances, and this scene has none; make it from wrt.Instance(mesh, {name}=...)")
-    buffers = to_device(rays, scene.device, scene.center)
-    if query.mask is not None:
-        set_mask(buffers, query.mask, scene.device)
-    if query.environment is not None:
-        set_environment(buffers, query.environment, scene.device)
-    return buffers
+    brought = to_device(rays, scene.device, scene.center)
+    for integers, values in ((MASKS, query.mask), (ENVIRONMENTS, query.environment)):
+        if values is not None:
+            integers.set(brought, values, scene.device)
+    return brought
 
 
 def trace(
-    scene: SceneState, plan: Plan, buffers: RayBuffers, kind: str, counters: bool = False
+    scene: SceneState, plan: Plan, rays: DeviceRays, kind: str, counters: bool = False
 ) -> tuple[DeviceHits, wp.array | None]:
     """Results of rays by a plan, and each ray's work if it is to be counted.
 
     Args:
         scene: what the rays meet.
         plan: how; made for these rays.
-        buffers: the rays.
+        rays: the rays.
         kind: "closest", "any" or "count".
         counters: whether work is counted.
     """
-    return trace_chosen(scene, chosen_plan(scene, plan, buffers, kind), buffers, kind, counters)
+    return trace_chosen(scene, chosen_plan(scene, plan, rays.count, kind), rays, kind, counters)
 
 
 def trace_chosen(
     scene: SceneState,
     chosen: ChosenPlan,
-    buffers: RayBuffers | StagedRays,
+    rays: DeviceRays | StagedRays,
     kind: str,
-    counters: bool,
+    counters: bool = False,
     given: GivenAreas | None = None,
 ) -> tuple[DeviceHits, wp.array | None]:
     """As `trace`, by a plan from the scene's cache; `given` are the areas of the rays, if they are known."""
-    layout = buffers.layout
-    prepares = chosen.prepares and not counters and layout is not None and buffers.count > 0
-    if prepares and (buffers.in_place or not scene.device.is_capturing):
-        return run_prepared(scene, chosen, buffers, kind, layout), None
-    plan, rays = chosen.carried_out, buffers.batch
-    rays.columns = buffers.columns if plan.reorder == "tiles" else 0
+    layout, count = rays.own_layout, rays.facts.count
+    prepares = chosen.prepares and not counters and layout is not None and count > 0
+    plan = chosen.carried_out
+    columns = rays.facts.columns if plan.reorder == "tiles" else 0
+    if prepares and (rays.in_place or not scene.device.is_capturing):
+        if chosen.missed_savings:
+            scene.cache.missed_savings += chosen.missed_savings * count
+        prepared = chosen.prepared.take(layout) or prepare(scene, plan, kind, layout)
+        hits = prepared.run(scene, rays, columns)
+        chosen.prepared.give_back(prepared, layout)
+        return hits, None
+    batch = rays.batch
+    batch.columns = columns
     if scene.area_trees is not None and plan.accelerator != "none" and ANSWERS[kind].nearest:
         from wrt.engine.launch.area_trees import trace_by_area
 
-        return trace_by_area(scene, plan, rays, kind, counters, given)
-    return trace_batch(scene, plan, rays, kind, counters)
-
-
-def run_prepared(scene: SceneState, chosen: ChosenPlan, buffers: Any, kind: str, layout: Any) -> DeviceHits:
-    """Answers rays by a prepared query, made if none is free."""
-    if chosen.missed_savings:
-        scene.cache.missed_savings += chosen.missed_savings * buffers.count
-    prepared = chosen.take(layout) or prepare(scene, chosen.carried_out, kind, layout)
-    prepared.fit(scene)
-    if layout in (STAGED, STAGED_CENTERED):
-        hits = prepared.run_staged(buffers.given)
-    else:
-        hits = prepared.run(scene, buffers.given, buffers.columns if chosen.carried_out.reorder == "tiles" else 0)
-    chosen.give_back(layout, prepared)
-    return hits
+        return trace_by_area(scene, plan, batch, kind, counters, given)
+    return trace_batch(scene, plan, batch, kind, counters)

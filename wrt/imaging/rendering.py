@@ -20,7 +20,7 @@ import warp as wp
 
 from wrt.engine.launch.expected_kernels import picture_rays, query_kernels
 from wrt.engine.rays.rays import Rays
-from wrt.imaging.ambient_rays import AmbientRays, expected_rays
+from wrt.imaging.ambient_rays import AmbientRays, most_rays
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import expect, launch, refuse_capture, use_threads
@@ -214,8 +214,8 @@ def render(scene: Scene, camera: Camera, *, progress: Callable[[int, int], Any] 
 def _kernels(scene: Scene, camera: Camera, tile: int, settings: _Settings, smooth: bool) -> list[wp.Kernel]:
     """One kernel of each module that a picture needs."""
     shared = isinstance(camera, PinholeCamera)
-    rays = picture_rays(tile, 0 if shared else 1, settings.shadows)
-    rays += [expected_rays(tile, settings.ambient_samples)] if settings.ambient_samples else []
+    rays = picture_rays(tile, shared, settings.shadows)
+    rays += [most_rays(tile, settings.ambient_samples)] if settings.ambient_samples else []
     shading = shading_kernels(smooth, settings.ambient_samples > 0)
     return [*query_kernels(scene.state, rays, **settings.query), *shading]
 

@@ -32,7 +32,7 @@ from wrt.engine.launch.batch import trace_batch
 from wrt.engine.memory import empty
 from wrt.engine.plan.plan import Plan, plan_for_query
 from wrt.engine.plan.planner import make_plan
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import as_rays
 from wrt.kernels.query.ordering.ray_order import sort_rays
 from wrt.kernels.runtime.launch import use_threads

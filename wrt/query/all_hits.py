@@ -166,7 +166,7 @@ def list_hits(scene: SceneState, rays: Rays, query: Query) -> AllHits:
     bound = check_max_hits(query.max_hits)
     with use_threads(scene.num_threads):
         buffers = on_device(scene, rays, query)
-        plan = find_plan(scene, buffers, query).plan
+        plan = find_plan(scene, buffers.facts, query, buffers.sample).plan
         hits, offsets = find_all(scene, plan, buffers.batch, bound)
     return AllHits(hits, offsets, buffers.form, scene, plan)
 

@@ -401,4 +401,5 @@ class Queries(BlockQueries, PointQueries):
         kind = lookup(QUERIES, query, "query").kind
         asked = checked(Query(kind, traversal, triangle_test, cull_backfaces, False, mask, environment))
         with use_threads(scene.num_threads):
-            return find_plan(scene, on_device(scene, rays, asked), asked).plan
+            brought = on_device(scene, rays, asked)
+            return find_plan(scene, brought.facts, asked, brought.sample).plan

@@ -17,7 +17,7 @@ from wrt.engine.memory import empty, keep_alive
 from wrt.engine.plan.plan import stack_levels, traversal_config
 from wrt.engine.plan.planner import DEFAULT_TEST, find_plan
 from wrt.engine.rays.array_types import ArrayT
-from wrt.engine.rays.ray_arrays import flatten_shared
+from wrt.engine.rays.device_rays import flatten_shared
 from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.runtime.launch import kept, launch, specialise, use_threads
 from wrt.query.hits import Hits
@@ -25,7 +25,7 @@ from wrt.query.hits import Hits
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
     from wrt.engine.plan.plan import Plan
-    from wrt.engine.rays.ray_buffers import RayBuffers
+    from wrt.engine.rays.device_rays import DeviceRays
     from wrt.engine.rays.rays import Rays, ResultForm
     from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays
 
@@ -89,7 +89,7 @@ def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
         raise ValueError("precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out")
     with use_threads(scene.num_threads):
         buffers, device = on_device(scene, rays, query), scene.device
-        plan = replace(find_plan(scene, buffers, Query(CLOSEST, "single", DEFAULT_TEST)).plan, reason="in float64")
+        plan = replace(find_plan(scene, buffers.facts, Query(CLOSEST, "single", DEFAULT_TEST)).plan, reason="in float64")
         hits = ExactHits()
         rounded = DeviceHits.new(EXACT, buffers.count, device)
         hits.rounded = rounded.struct()
@@ -138,7 +138,7 @@ def exact_mesh(scene: SceneState) -> ExactMesh:
     return mesh
 
 
-def exact_rays(rays: Rays, buffers: RayBuffers, device: wp.Device) -> ExactRays:
+def exact_rays(rays: Rays, buffers: DeviceRays, device: wp.Device) -> ExactRays:
     """Rays in float64 on the device; they were checked when `buffers` were made."""
     from wrt.kernels.query.exact_closest import ExactRays
 
@@ -151,7 +151,7 @@ def exact_rays(rays: Rays, buffers: RayBuffers, device: wp.Device) -> ExactRays:
     return exact
 
 
-def _exact_array(values: Any, buffers: RayBuffers, trailing: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
+def _exact_array(values: Any, buffers: DeviceRays, trailing: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
     """(float64 array of N elements, 1), or (array of one element, 0) if all rays share it."""
     dtype = wp.vec3d if trailing else wp.float64
     if isinstance(values, wp.array):

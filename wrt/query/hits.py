@@ -245,7 +245,7 @@ class Hits(Generic[ArrayT]):
 
     def _leaving(self, directions: Any) -> tuple[Any, ResultForm]:
         """Directions of rays that leave the hits, on the device, and the form of results for them."""
-        from wrt.engine.rays.ray_buffers import to_device
+        from wrt.engine.rays.device_rays import to_device
         from wrt.engine.rays.rays import Rays, ResultForm
 
         if isinstance(directions, wp.array):
@@ -257,7 +257,7 @@ class Hits(Generic[ArrayT]):
             shape = rays.shape
         if shape[len(shape) - len(self.shape) :] != self.shape:
             raise ValueError(f"directions have the leading shape {rays.shape}, which neither equals nor ends with {self.shape}")
-        return rays, ResultForm(shape, rays.is_warp or self._form.is_warp, np.float32)
+        return rays, ResultForm(shape, rays.form.is_warp or self._form.is_warp, np.float32)
 
     def smooth_normal(self, crease_angle: float = 60.0) -> ArrayT:
         """(..., 3) float32: normals interpolated between the vertices of smooth surfaces, as `wrt.render` shades by them.

@@ -26,7 +26,7 @@ from wrt.query.hits import Hits
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
-    from wrt.engine.rays.ray_buffers import RayBuffers
+    from wrt.engine.rays.device_rays import DeviceRays
     from wrt.engine.rays.rays import Rays
 
 
@@ -53,7 +53,7 @@ def answer_skipping(scene: SceneState, rays: Rays, query: Query) -> Answer:
         check_skip(scene, {name: getattr(query, name) for name in ("traversal", "triangle_test", "counters", "precise")})
         skipped = skipped_triangles(query.skip, scene, buffers)
         single = Query(query.kind, "single", AUTO, query.cull_backfaces)
-        plan = replace(find_plan(scene, buffers, single).plan, reason="each ray skips a triangle")
+        plan = replace(find_plan(scene, buffers.facts, single).plan, reason="each ray skips a triangle")
         carried_out = plan_for_query(plan, query.kind)
         scene.complete()
         hits = DeviceHits.new(query.kind, buffers.count, scene.device)
@@ -86,7 +86,7 @@ def check_skip(scene: SceneState, others: dict[str, Any]) -> None:
         raise ValueError(f"skip cannot be combined with {', '.join(given)}; leave one or the other out")
 
 
-def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.array:
+def skipped_triangles(skip: Any, scene: SceneState, buffers: DeviceRays) -> wp.array:
     """The triangle that each ray ignores, numbered through all meshes, for
     `wrt.kernels.traversal.single.single_kernel.make_skipping_kernel`.
 

@@ -23,7 +23,7 @@ import warp as wp
 
 from wrt.engine.executor import closest_of_relative
 from wrt.engine.facts.query_kinds import AUTO
-from wrt.engine.rays.ray_arrays import relative_rays
+from wrt.engine.rays.device_rays import relative_rays
 from wrt.instances.instance_boxes import on_device
 from wrt.kernels.validation import as_int, as_real_array
 from wrt.meshes.placement import check_index

@@ -29,7 +29,7 @@ from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh
 from wrt.engine.launch.area_trees import assign
 from wrt.engine.launch.given_areas import GivenAreas
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene
 

@@ -27,7 +27,7 @@ from wrt.builders.bvh.phases.split_axes import AxisChoice
 from wrt.builders.influence.area_top_level import region_of
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea
 from wrt.builders.influence.regions import contain_points
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.classics.studies.walk_orders import EMPTY, INNER, LEAF, ORDERS, Lanes, Walked, make_kernel
 from wrt.kernels.runtime.launch import launch

@@ -33,7 +33,7 @@ from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceA
 from wrt.engine.executor import trace
 from wrt.engine.facts.query_kinds import ANY, CLOSEST
 from wrt.engine.plan.planner import make_plan
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.runtime.launch import use_threads

@@ -38,7 +38,7 @@ from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceA
 from wrt.builders.influence.regions import contain_points
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.engine.launch.area_trees import CHUNK
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.influence.area_assignment import assign_rays
 from wrt.kernels.influence.area_lanes import AreaSplits

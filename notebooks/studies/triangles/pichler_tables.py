@@ -27,7 +27,7 @@ from studies.triangles.leaf_queries import leaf_query
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.core.workloads import Workload, WorkloadMaker
 from wrt.engine.facts.query_kinds import ANY, CLOSEST
-from wrt.engine.rays.ray_buffers import to_device
+from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.rendering import render

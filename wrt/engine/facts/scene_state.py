@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
+from wrt.engine.facts.facts import SceneFacts
 from wrt.engine.facts.query_cache import QueryCache
 from wrt.engine.facts.query_kinds import few_rays
 from wrt.engine.facts.scene_settings import Settings
@@ -153,6 +154,28 @@ class SceneState:
     def bounds(self) -> np.ndarray:
         """(2, 3) float64: lower and upper corner of the bounding box of all triangles."""
         return np.array([self.tree.low, self.tree.high], dtype=np.float64) + self.center
+
+    @cached_property
+    def facts(self) -> SceneFacts:
+        """What plans depend on."""
+        return SceneFacts(
+            tree=self.accelerator.kind,
+            width=self.width,
+            triangles=self.triangle_count,
+            instances=len(self.instances),
+            is_cuda=self.device.is_cuda,
+            own_spaces=self.only_single,
+            is_lazy=self.lazy_tree is not None,
+            shares_leaves=self.shares_leaves,
+            triangle_test=self.triangle_test,
+            few_rays=self.few_rays,
+        )
+
+    @cached_property
+    def changes_plans(self) -> bool:
+        """Whether the plan of many rays depends on what came before: on how much of a tree is built, or on whether a wide form
+        pays."""
+        return self.facts.is_lazy or (self.is_cpu and self.facts.can_be_wide)
 
     @cached_property
     def shares_few_rays(self) -> bool:

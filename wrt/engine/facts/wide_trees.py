@@ -17,9 +17,9 @@ from wrt.kernels.runtime.launch import use_threads
 
 if TYPE_CHECKING:
     from wrt.builders.tree import Bvh
+    from wrt.engine.facts.facts import RayFacts
     from wrt.engine.facts.query_cache import KnownRecords
     from wrt.engine.facts.scene_state import SceneState
-    from wrt.engine.rays.ray_buffers import RayBuffers
 
 MIN_WIDTH = 2
 """Smallest number of children of a wide node, whatever the width of the kd-tree's blocks."""
@@ -38,9 +38,9 @@ class WideForm:
     records: KnownRecords = field(default_factory=dict)
 
 
-def wide_width(scene: SceneState) -> int:
-    """Children of a wide node, and triangles of its blocks."""
-    return max(scene.width, MIN_WIDTH)
+def wide_width(width: int) -> int:
+    """Children of a wide node, and triangles of its blocks, by the width of the kd-tree's blocks."""
+    return max(width, MIN_WIDTH)
 
 
 def wide_tree(scene: SceneState) -> Bvh:
@@ -57,20 +57,15 @@ def _make(scene: SceneState) -> Bvh:
     from wrt.builders.convert.wide_kdtree import to_wide_bvh
     from wrt.builders.triangle_boxes import triangle_boxes
 
-    host, width, mesh = wp.get_device("cpu"), wide_width(scene), scene.device_mesh
+    host, width, mesh = wp.get_device("cpu"), wide_width(scene.width), scene.device_mesh
     triangles = triangle_boxes(mesh.vertices.to(host), mesh.faces.to(host), scene.center)
     config = Description(width=width).config(width)
     return to_wide_bvh(scene.tree.to(host), triangles, config).to(scene.device)
 
 
-def can_be_wide(scene: SceneState) -> bool:
-    """Whether the scene has a single, complete kd-tree."""
-    return scene.accelerator.kind == "kdtree" and scene.lazy_tree is None and not scene.instances and not scene.only_single
-
-
-def wide_form_pays(scene: SceneState, rays: RayBuffers) -> bool:
+def wide_form_pays(scene: SceneState, rays: RayFacts) -> bool:
     """Whether rays are traced through the wide form: it exists, or it pays for these rays and those before them."""
-    if not can_be_wide(scene):
+    if not scene.facts.can_be_wide:
         return False
     if scene.cache.wide is not None:
         return True

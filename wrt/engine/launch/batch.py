@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from wrt.engine.device_hits import DeviceHits
-from wrt.engine.facts.wide_trees import can_be_wide, wide_form_savings
+from wrt.engine.facts.wide_trees import wide_form_savings
 from wrt.engine.launch.instance_rounds import trace_rounds
 from wrt.engine.launch.lazy_tracing import trace_lazily
 from wrt.engine.launch.traversal_launch import no_work, run_kernel
@@ -25,7 +25,7 @@ def trace_batch(
 ) -> tuple[DeviceHits, wp.array | None]:
     """Results of rays by the scene's tree, and each ray's work if it is to be counted; the plan is the query's own."""
     device = scene.device
-    if not plan.is_wide and can_be_wide(scene):
+    if not plan.is_wide and scene.facts.can_be_wide:
         scene.cache.missed_savings += wide_form_savings(rays.count, plan.coherent)
     hits = DeviceHits.new(query, rays.count, device)
     kind = traversal_of(plan).counters

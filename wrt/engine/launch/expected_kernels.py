@@ -7,13 +7,14 @@ that is not used, or one more wait.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS_OF_MANY
+from wrt.engine.facts.facts import RayFacts
+from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS_OF_MANY, Query
+from wrt.engine.facts.wide_trees import wide_form_pays
 from wrt.engine.launch.triangle_records import record_kernel
 from wrt.engine.plan.packet_sample import sample_kernel
 from wrt.engine.plan.plan import config_for_layout, kernel_factory, plan_for_query, traversal_config
@@ -36,44 +37,23 @@ MANY_TRIANGLES = 4096
 """Triangles from which a build is divided among threads."""
 
 
-@dataclass(frozen=True)
-class ExpectedRays:
-    """What a plan depends on, of rays that are still to be made; attributes as in `wrt.engine.rays.ray_buffers.RayBuffers`.
-
-    Attributes:
-        kind: "closest", "any" or "count".
-        origin_stride: 0 if all rays start at one point, else 1.
-    """
-
-    kind: str
-    count: int
-    coherent: bool = True
-    scattered: bool = False
-    origin_stride: int = 1
-    columns: int = 0
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Leading shape of the results."""
-        return (self.count,)
-
-    def to_sample(self) -> None:
-        """There are no rays yet."""
-
-    @property
-    def arrays_or_batch(self) -> ExpectedRays:
-        """As in `RayBuffers`."""
-        return self
+ExpectedRays = tuple[str, RayFacts]
+"""Kind of query, and what is known of rays that are still to be made."""
 
 
-FEW = (ExpectedRays(CLOSEST, FEW_RAYS_OF_MANY), ExpectedRays(ANY, FEW_RAYS_OF_MANY))
+def expected_rays(kind: str, count: int, *, coherent: bool = True, shared_origin: bool = False) -> ExpectedRays:
+    """A flat list of rays."""
+    return kind, RayFacts(count, (count,), shared_origin, coherent)
+
+
+FEW = (expected_rays(CLOSEST, FEW_RAYS_OF_MANY), expected_rays(ANY, FEW_RAYS_OF_MANY))
 """Few rays, which go one by one."""
 
 
-def picture_rays(pixels: int, origin_stride: int, shadows: bool) -> list[ExpectedRays]:
+def picture_rays(pixels: int, shared_origin: bool, shadows: bool) -> list[ExpectedRays]:
     """The rays of this many pixels: of the camera, and to the light."""
-    found = [ExpectedRays(CLOSEST, pixels, origin_stride=origin_stride)]
-    return found + ([ExpectedRays(ANY, pixels)] if shadows else [])
+    found = [expected_rays(CLOSEST, pixels, shared_origin=shared_origin)]
+    return found + ([expected_rays(ANY, pixels)] if shadows else [])
 
 
 def build_kernels(accelerator: Accelerator, device: wp.Device, dtype: type, triangles: int) -> list[wp.Kernel]:
@@ -125,12 +105,13 @@ def query_kernels(
     if scene.instances or scene.lazy_tree is not None or scene.area_trees is not None:
         return []
     found = []
-    for expected in rays:
-        plan = plan_for_query(choose_plan(scene, expected, traversal, triangle_test, expected.kind, False), expected.kind)  # type: ignore[arg-type]
-        config = config_for_layout(traversal_config(plan, scene, expected.kind, False), plan, scene)
+    for kind, facts in rays:
+        query = Query(kind, traversal, triangle_test)
+        plan = plan_for_query(choose_plan(scene, facts, query), kind)
+        config = config_for_layout(traversal_config(plan, scene, kind, False), plan, scene)
         kernel = specialise(kernel_factory(plan, scene), config)
         found += [kernel, record_kernel(plan)]
-        found += [measure_coherence] if expected.count > scene.few_rays else []
-        sampled = traversal == AUTO and situation_of(scene, expected, expected.kind).needs_sample  # type: ignore[arg-type]
-        found += [sample_kernel(scene)] if sampled else []
+        found += [measure_coherence] if facts.count > scene.few_rays else []
+        situation = situation_of(scene.facts, facts, kind, has_wide_form=wide_form_pays(scene, facts))
+        found += [sample_kernel(scene)] if traversal == AUTO and situation.needs_sample else []
     return [*dict.fromkeys(found), center_float64_points]

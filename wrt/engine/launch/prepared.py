@@ -16,7 +16,6 @@ making Warp arrays of them takes longer than tracing them (notebooks/records/202
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Hashable
 from typing import TYPE_CHECKING, Any
 from weakref import finalize
@@ -26,12 +25,13 @@ import warp as wp
 
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.facts.query_kinds import FEW_RAYS
+from wrt.engine.free_list import FreeList
 from wrt.engine.host_arrays import point_at
 from wrt.engine.launch.traversal_launch import HITS, RAYS, RECORDS, TREE, divide, kernel_and_inputs, no_work
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.memory import new_rays
 from wrt.engine.plan.plan import config_for_layout, stack_levels, traversal_config, traversal_of
-from wrt.engine.rays.ray_arrays import new_batch, prepare_arguments
+from wrt.engine.rays.device_rays import empty_batch, prepare_arguments
 from wrt.engine.rays.staged_rays import STAGED, STAGED_CENTERED
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
@@ -40,7 +40,7 @@ from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
     from wrt.engine.plan.plan import Plan
-    from wrt.engine.rays.ray_arrays import Layout, RayArrays
+    from wrt.engine.rays.device_rays import DeviceRays, Layout
     from wrt.engine.rays.staged_rays import StagedRays
 
 FEW_CHUNKS = Chunks(chunk=64)
@@ -70,7 +70,7 @@ class PreparedQuery:
         if layout in (STAGED, STAGED_CENTERED):
             center = scene.center if layout == STAGED else np.zeros(3)
             self._staging, self._lease = borrow_staging(self, kind, device, center)
-        rays = new_batch(layout, scene.center) if self._staging is None else self._staging.rays  # type: ignore[arg-type]
+        rays = empty_batch(layout, scene.center) if self._staging is None else self._staging.rays  # type: ignore[arg-type]
         hits = DeviceHits.new(kind, 1, device) if self._staging is None else self._staging.hits
         work = no_work(traversal_of(self._plan).counters, device.alias)
         kernel, inputs = kernel_and_inputs(scene, self._plan, self._config, rays, hits.struct(), work)
@@ -87,8 +87,6 @@ class PreparedQuery:
     def fit(self, scene: SceneState) -> None:
         """Makes this serve another state than it was prepared for: one whose instances are elsewhere, or one of its kind
         (`kind_of_scene`)."""
-        if scene.device_mesh is self._mesh:
-            return
         if scene.instances:
             self._fit_instances(scene)
         else:
@@ -126,47 +124,51 @@ class PreparedQuery:
         """
         if self._of is not None and self._lease.alive:
             self.let_go()
-            _retired.setdefault(self._of, deque(maxlen=MAX_FREE)).append(self)
+            _retired.give_back(self, self._of)
 
     def let_go(self) -> None:
         """Keeps no arrays of a scene alive any more; before the next call, `fit` must be called."""
         self._mesh = self._used = None
         self._launch.forget(())
 
-    def run(self, scene: SceneState, rays: RayArrays, columns: int) -> DeviceHits:
+    def run(self, scene: SceneState, rays: DeviceRays | StagedRays, columns: int) -> DeviceHits:
         """Answers rays of the layout; on CUDA the answers are still to be computed.
 
         Args:
-            scene: the state that this was prepared for.
-            rays: the rays.
+            scene: the state, which this is made to fit if it was prepared for another.
+            rays: the rays; those of staged layouts go one by one.
             columns: of the picture whose pixels they are, if the plan takes them tile by tile; else 0.
         """
-        rays.write_to(self._rays)
+        if scene.device_mesh is not self._mesh:
+            self.fit(scene)
+        if self._staging is not None:
+            return self._run_staged(rays, self._staging)  # type: ignore[arg-type]
+        count = rays.facts.count
+        rays.write_to(self._rays)  # type: ignore[union-attr]
         self._rays.columns = columns
         threads = None
-        if self._walks_single_rays and rays.count <= FEW_RAYS:
-            items, chunks = rays.count, FEW_CHUNKS
+        if self._walks_single_rays and count <= FEW_RAYS:
+            items, chunks = count, FEW_CHUNKS
         else:
             threads = get_num_threads()
-            key = rays.count, threads
+            key = count, threads
             if self._divided is None or self._divided[0] != key:
-                self._divided = key, divide(scene, self._plan, self._config, rays.count)
+                self._divided = key, divide(scene, self._plan, self._config, count)
             self._rays.run, items, chunks = self._divided[1]
-        new = DeviceHits.new_on_host if self._is_cpu and rays.count > FEW_RAYS else DeviceHits.new  # not during a capture
-        hits = new(self.kind, rays.count, scene.device)
+        new = DeviceHits.new_on_host if self._is_cpu and count > FEW_RAYS else DeviceHits.new  # not during a capture
+        hits = new(self.kind, count, scene.device)
         hits.write_to(self._hits, self.kind)
         self._launch.run(items, chunks, (rays, hits), threads)
         return hits
 
-    def run_staged(self, rays: StagedRays) -> DeviceHits:
+    def _run_staged(self, rays: StagedRays, staging: Staging) -> DeviceHits:
         """Answers staged rays, one by one."""
-        staging = self._staging
-        if rays.shape != staging.shape:
-            staging.fit(rays.shape, rays.count)
+        count, shape = rays.facts.count, rays.form.shape
+        if shape != staging.shape:
+            staging.fit(shape, count)
         rays.copy_to(*staging.inputs)
-        self._launch.run(rays.count, FEW_CHUNKS, self)  # until the last helper is done, nobody else gets the staging
-        copies = {name: values.copy() for name, values in staging.outputs}
-        return DeviceHits.of_host(rays.count, staging.hits.device, copies)
+        self._launch.run(count, FEW_CHUNKS, self)  # until the last helper is done, nobody else gets the staging
+        return DeviceHits.of_host(count, staging.hits.device, {name: values.copy() for name, values in staging.outputs})
 
 
 def kind_of_scene(scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> Hashable | None:
@@ -179,15 +181,15 @@ def kind_of_scene(scene: SceneState, plan: Plan, kind: str, layout: Layout | str
 def prepare(scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> PreparedQuery:
     """A prepared query for the caller alone, new or retired; arguments as in the class."""
     of = kind_of_scene(scene, plan, kind, layout)
-    if of in _retired:
-        try:
-            return _retired[of].pop()  # the caller fits it
-        except IndexError:
-            pass
-    return PreparedQuery(scene, plan, kind, layout)
+    retired = None if of is None else _retired.take(of)
+    return retired or PreparedQuery(scene, plan, kind, layout)  # `run` fits it
 
 
-_retired: dict[Hashable, deque[PreparedQuery]] = {}
+MAX_FREE = 16
+"""Free stagings and retired queries of a kind that are kept. Making one takes 0.1 ms, much of the time to a small scene's first
+answer."""
+
+_retired: FreeList[PreparedQuery] = FreeList(MAX_FREE)
 """Prepared queries whose scenes are gone, by `kind_of_scene`: to make one takes as long as some rays."""
 
 
@@ -219,18 +221,12 @@ class Staging:
         self.shape = shape
 
 
-MAX_FREE = 16
-"""Free stagings of a kind that are kept. Making one takes 0.1 ms, much of the time to a small scene's first answer."""
-
-_free: dict[tuple[str, str], deque[Staging]] = {}
+_stagings: FreeList[Staging] = FreeList(MAX_FREE)
 
 
 def borrow_staging(owner: PreparedQuery, kind: str, device: wp.Device, center: np.ndarray) -> tuple[Staging, finalize]:
     """A staging for a kind of query, and what makes it free again when its owner is gone; safe to call from several threads."""
-    free = _free.setdefault((kind, device.alias), deque(maxlen=MAX_FREE))
-    try:
-        staging = free.pop()
-    except IndexError:
-        staging = Staging(kind, device)
+    key = kind, device.alias
+    staging = _stagings.take(key) or Staging(kind, device)
     staging.rays.center = wp.vec3d(*map(float, center))
-    return staging, finalize(owner, free.append, staging)
+    return staging, finalize(owner, _stagings.give_back, staging, key)

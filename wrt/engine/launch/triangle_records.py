@@ -9,7 +9,7 @@ import warp as wp
 
 from wrt.engine.memory import empty
 from wrt.engine.plan.plan import walked_tree
-from wrt.engine.rays.ray_buffers import shared_origin
+from wrt.engine.rays.device_rays import shared_origin
 from wrt.kernels.runtime.launch import specialise
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import make_packing_kernel, pack_blocks

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from wrt.engine.facts.wide_trees import wide_tree
+from wrt.engine.free_list import FreeList
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS, Traversal
@@ -96,32 +96,18 @@ class ChosenPlan:
         prepares: whether such queries can be prepared.
         missed_savings: time that a wide form of the scene's kd-tree would have saved each ray, over the time to make it for one
             triangle.
+        prepared: the queries that no caller holds, by the layout of their rays.
     """
 
-    __slots__ = ("_free", "carried_out", "missed_savings", "plan", "prepares")
+    __slots__ = ("carried_out", "missed_savings", "plan", "prepared", "prepares")
 
     def __init__(self, plan: Plan, carried_out: Plan, prepares: bool, missed_savings: float) -> None:
         self.plan, self.carried_out, self.prepares, self.missed_savings = plan, carried_out, prepares, missed_savings
-        self._free: defaultdict[Any, deque[Any]] = defaultdict(deque)
-
-    def take(self, layout: Any) -> Any | None:
-        """A prepared query for rays of a layout, for the caller alone until `give_back`; None if none is free."""
-        try:
-            return self._free[layout].pop()
-        except IndexError:
-            return None
-
-    def give_back(self, layout: Any, prepared: Any) -> None:
-        """Puts a prepared query where the next caller finds it."""
-        self._free[layout].append(prepared)
+        self.prepared: FreeList[Any] = FreeList()
 
     def __del__(self) -> None:
-        for prepared in self.waiting():
+        for prepared in self.prepared.items():
             prepared.retire()
-
-    def waiting(self) -> list[Any]:
-        """Prepared queries that no caller holds."""
-        return [prepared for free in [*self._free.values()] for prepared in [*free]]
 
 
 def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) -> TraversalConfig:

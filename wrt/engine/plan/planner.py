@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from wrt.engine.facts.query_kinds import AUTO, CLOSEST, Query
-from wrt.engine.facts.wide_trees import can_be_wide, wide_form_pays, wide_form_savings, wide_width
-from wrt.engine.plan.answer_checks import can_answer, check_answer, check_origins
+from wrt.engine.facts.query_kinds import AUTO, Query
+from wrt.engine.facts.wide_trees import wide_form_pays, wide_form_savings, wide_width
 from wrt.engine.plan.packet_sample import measure_overlap
 from wrt.engine.plan.plan import ChosenPlan, Plan, plan_for_query, traversal_of
-from wrt.engine.plan.plan_checks import check_plan, fits, longest_stream
+from wrt.engine.plan.plan_checks import can_answer, check_answer, check_origins, check_plan, fits, longest_stream
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.compilation.cache_size import l3_bytes
 from wrt.kernels.runtime.launch import get_num_threads
@@ -24,9 +23,12 @@ from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.engine.facts.scene_settings import Settings
+    from wrt.engine.facts.facts import RayFacts, SceneFacts
     from wrt.engine.facts.scene_state import SceneState
-    from wrt.engine.rays.ray_buffers import RayBuffers
+    from wrt.engine.rays.device_rays import DeviceRays
+    from wrt.kernels.layout.ray_batch import RayBatch
+
+Sample: TypeAlias = "Callable[[], RayBatch]"
 
 DEFAULT_TEST = "woop"
 """The triangle test of "auto": the only watertight one. It costs a few per cent over Moeller and Trumbore's test at most
@@ -83,10 +85,10 @@ _few_ray_plans: dict[Hashable, Plan] = {}
 
 def make_plan(
     scene: SceneState,
-    rays: RayBuffers,
+    rays: DeviceRays,
     traversal: str | Plan,
     triangle_test: str,
-    query: str = CLOSEST,
+    query: str,
     cull_backfaces: bool = False,
 ) -> Plan:
     """Chooses what the caller left on "auto". A given plan is checked.
@@ -95,147 +97,157 @@ def make_plan(
         ValueError: an unknown name, a traversal that does not support the scene's tree or the query, or a plan that does
             not fit the scene and the rays.
     """
-    return find_plan(scene, rays, Query(query, traversal, triangle_test, cull_backfaces)).plan
+    return find_plan(scene, rays.facts, Query(query, traversal, triangle_test, cull_backfaces), rays.sample).plan
 
 
-def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
-    """The plan of a query about rays, from the scene's cache or made; errors as in `make_plan`."""
+def find_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample | None = None) -> ChosenPlan:
+    """The plan of a query, from the scene's cache or made; errors as in `make_plan`.
+
+    Args:
+        scene: what the rays meet.
+        rays: what is known of them.
+        query: its kind and options.
+        sample: makes a batch of which some rays may be traced, if only that can tell how; None if there are no rays yet.
+    """
     kind, traversal, triangle_test, cull_backfaces = query[:4]
+    count = rays.count
     if isinstance(traversal, Plan):
         culled = cull_backfaces or traversal.cull_backfaces
-        return chosen_plan(scene, check_plan(replace(traversal, cull_backfaces=culled), scene, rays, kind), rays, kind)
-    if not (isinstance(traversal, str) and isinstance(triangle_test, str)) or is_changing(scene, rays):
-        plan = choose_plan(scene, rays, traversal, triangle_test, kind, cull_backfaces)
-        return chosen_plan(scene, plan, rays, kind)
+        plan = check_plan(replace(traversal, cull_backfaces=culled), scene.facts, rays, kind)
+        return chosen_plan(scene, plan, count, kind)
+    if not (isinstance(traversal, str) and isinstance(triangle_test, str)) or is_changing(scene, count):
+        return chosen_plan(scene, choose_plan(scene, rays, query, sample), count, kind)
     # Plans are looked up: the longer Python takes for one, the longer a GPU waits for its kernel, and cores for theirs.
-    count, origin_stride = rays.count, rays.arrays_or_batch.origin_stride
     each_alone = traversal == AUTO and (count <= scene.few_rays or not scene.is_cpu)
-    size = count > 1 if each_alone else (rays.shape, get_num_threads())
-    found = origin_stride, rays.coherent, rays.scattered, rays.columns > 0
-    key = kind, traversal, triangle_test, cull_backfaces, size, found
+    known = (count > 1, rays[2:]) if each_alone else (rays[1:], get_num_threads())
+    key = kind, traversal, triangle_test, cull_backfaces, known
     chosen = scene.cache.choice(key)
     if chosen is not None:
         return chosen
     shared = (key, scene.triangle_test, scene.width) if each_alone and scene.shares_few_rays else None
     plan = None if shared is None else _few_ray_plans.get(shared)
     if plan is None:
-        plan = choose_plan(scene, rays, traversal, triangle_test, kind, cull_backfaces)
+        plan = choose_plan(scene, rays, query, sample)
         if shared is not None and len(_few_ray_plans) < MAX_SHARED:
             _few_ray_plans[shared] = plan
     uses = float("inf") if each_alone else CHOICE_USES
-    return scene.cache.keep_choice(key, chosen_plan(scene, plan, rays, kind), uses)
+    return scene.cache.keep_choice(key, chosen_plan(scene, plan, count, kind), uses)
 
 
-def chosen_plan(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> ChosenPlan:
-    """A plan for a kind of query, with what is prepared for it in the scene's cache."""
-    key = plan, kind, rays.count <= scene.few_rays
-    return scene.cache.plan(key) or scene.cache.keep_plan(key, choose_for(scene, plan, rays, kind))
+def chosen_plan(scene: SceneState, plan: Plan, count: int, kind: str) -> ChosenPlan:
+    """A plan for a kind of query about this many rays, with what is prepared for it in the scene's cache."""
+    few = count <= scene.few_rays
+    key = plan, kind, few
+    return scene.cache.plan(key) or scene.cache.keep_plan(key, choose_for(scene, plan, few, kind))
 
 
-def choose_for(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> ChosenPlan:
+def choose_for(scene: SceneState, plan: Plan, few: bool, kind: str) -> ChosenPlan:
     """A plan for a kind of query, and whether such queries can be prepared: see `wrt.engine.executor`."""
     carried_out = plan_for_query(plan, kind)
     through_instances = bool(scene.instances) and not traversal_of(carried_out).walks_single_rays
-    by_area = scene.area_trees is not None and (scene.device.is_cuda or rays.count > scene.few_rays)
+    by_area = scene.area_trees is not None and not (few and scene.is_cpu)
     by_origin = TRIANGLE_TESTS[carried_out.triangle_test].record.per_origin
     by_steps = carried_out.reorder == "cells" or Capabilities.QUEUED in traversal_of(carried_out).capabilities
     prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or by_steps)
-    no_savings = carried_out.is_wide or not can_be_wide(scene)
+    no_savings = carried_out.is_wide or not scene.facts.can_be_wide
     missed_savings = 0.0 if no_savings else wide_form_savings(1, carried_out.coherent)
     return ChosenPlan(plan, carried_out, prepares, missed_savings)
 
 
-def is_changing(scene: SceneState, rays: RayBuffers) -> bool:
-    """Whether the plan depends on what came before: on how much of a tree is built, or on whether a wide form pays."""
-    if scene.lazy_tree is not None:
-        return True
-    return scene.is_cpu and can_be_wide(scene) and rays.count > scene.few_rays
+def is_changing(scene: SceneState, count: int) -> bool:
+    """Whether the plan of this many rays depends on what came before."""
+    return scene.changes_plans and (scene.lazy_tree is not None or count > scene.few_rays)
 
 
-def choose_plan(
-    scene: SceneState, rays: RayBuffers, traversal: str, triangle_test: str, query: str, cull_backfaces: bool
-) -> Plan:
-    """A new plan for these rays; arguments and errors as in `make_plan`."""
-    test = lookup(TRIANGLE_TESTS, default_test(scene, query) if triangle_test == AUTO else triangle_test, "triangle_test")
-    name, reason = choose_traversal(scene, rays, query, cull_backfaces) if traversal == AUTO else (traversal, "as given")
+def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample | None = None) -> Plan:
+    """A new plan for these rays; arguments and errors as in `find_plan`."""
+    kind, given, triangle_test, cull_backfaces = query[:4]
+    known = scene.facts
+    wanted = default_test(known.triangle_test, ANSWERS[kind].crossings) if triangle_test == AUTO else triangle_test
+    test = lookup(TRIANGLE_TESTS, wanted, "triangle_test")
+    if given == AUTO:
+        situation = situation_of(known, rays, kind, cull_backfaces, has_wide_form=wide_form_pays(scene, rays))
+        if situation.needs_sample and sample is not None:
+            situation = situation._replace(overlap=measure_overlap(scene, sample(), PACKET_VECTORS * known.width, kind))
+        name, reason = choose_traversal(known, situation)
+    else:
+        name, reason = given, "as given"
     chosen = lookup(TRAVERSALS, name, "traversal")
     check_origins(test, chosen, rays)
-    accelerator = tree_for(chosen, scene)
-    check_answer(scene, query, chosen, accelerator, test, cull_backfaces)
-    width = wide_width(scene) if Capabilities.WIDE_FORM in chosen.capabilities else scene.width
+    tree = tree_for(chosen, known)
+    check_answer(known, kind, chosen, tree, test, cull_backfaces)
+    width = wide_width(known.width) if Capabilities.WIDE_FORM in chosen.capabilities else known.width
     options: dict[str, Any] = {}
     if Capabilities.PACKETS in chosen.capabilities:
-        options["packet"] = packet_vectors(scene, rays, query, chosen) * width
-        options["culling"] = choose_culling(scene, rays, chosen, test)
+        options["packet"] = packet_vectors(known, rays, kind, chosen) * width
+        options["culling"] = choose_culling(known, rays, chosen, test)
     if Capabilities.STREAMS in chosen.capabilities:
-        options["stream"] = stream_size(scene, rays, chosen)
-    if traversal == AUTO or "tiles" in chosen.orders:
+        options["stream"] = stream_size(known, rays, chosen)
+    if given == AUTO or "tiles" in chosen.orders:
         options["reorder"] = choose_order(scene, rays, chosen, test)
     if Capabilities.NON_TEMPORAL in chosen.capabilities and options["reorder"] != "tiles":
-        options["non_temporal"] = stores_past_caches(scene, rays, query)
+        options["non_temporal"] = stores_past_caches(known, rays, kind)
     return Plan(
-        accelerator=accelerator,
+        accelerator=tree,
         traversal=chosen.name,
         triangle_test=test.name,
         width=width,
         coherent=rays.coherent,
-        shared_origin=rays.arrays_or_batch.origin_stride == 0 and not scene.instances,
+        shared_origin=rays.shared_origin and not known.instances,
         reason=reason,
         cull_backfaces=cull_backfaces,
         **options,
     )
 
 
-def default_test(scene: SceneState | Settings, query: str = CLOSEST) -> str:
-    """Name of the triangle test for queries that name none: the scene's, or the default test if the query counts and the
-    scene's test cannot.
+def default_test(triangle_test: str, crossings: bool = False) -> str:
+    """Name of the triangle test for queries that name none: the scene's, or the default test if the query asks for crossings
+    and the scene's test has none.
     """
-    if scene.triangle_test == AUTO or (ANSWERS[query].crossings and TRIANGLE_TESTS[scene.triangle_test].crossing is None):
+    if triangle_test == AUTO or (crossings and TRIANGLE_TESTS[triangle_test].crossing is None):
         return DEFAULT_TEST
-    return scene.triangle_test
+    return triangle_test
 
 
-def choose_traversal(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool = False) -> tuple[str, str]:
+def choose_traversal(scene: SceneFacts, situation: Situation) -> tuple[str, str]:
     """Name of the traversal with the best score among those that can answer, and the reason for it."""
-    situation = situation_of(scene, rays, query, cull_backfaces)
     best, name, reason = 0.0, "", ""
     for traversal in TRAVERSALS.values():
         score = None if traversal.score is None else traversal.score(situation)
-        if score is not None and score[0] > best and can_answer(traversal, scene, query, cull_backfaces):
-            (best, reason), name = score, traversal.name
+        if score is None or score[0] <= best or not can_answer(traversal, scene, situation.query, situation.cull_backfaces):
+            continue
+        (best, reason), name = score, traversal.name
     return name, reason
 
 
-def situation_of(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool = False) -> Situation:
-    """What the scores of traversals depend on; traces a sample of the rays if only that can tell."""
-    situation = Situation(
+def situation_of(
+    scene: SceneFacts, rays: RayFacts, query: str, cull_backfaces: bool = False, *, has_wide_form: bool = False
+) -> Situation:
+    """What the scores of traversals depend on, before any ray is traced."""
+    return Situation(
         query=query,
         cull_backfaces=cull_backfaces,
-        is_cuda=scene.device.is_cuda,
-        tree=scene.accelerator.kind,
+        is_cuda=scene.is_cuda,
+        tree=scene.tree,
         lanes=scene.width,
-        triangles=scene.triangle_count,
-        instances=len(scene.instances),
-        own_spaces=scene.only_single,
-        has_wide_form=wide_form_pays(scene, rays),
+        triangles=scene.triangles,
+        instances=scene.instances,
+        own_spaces=scene.own_spaces,
+        has_wide_form=has_wide_form,
         rays=rays.count,
         few=rays.count <= scene.few_rays,
         coherent=rays.coherent,
-        shared_origin=rays.arrays_or_batch.origin_stride == 0,
+        shared_origin=rays.shared_origin,
     )
-    sample = rays.to_sample() if situation.needs_sample else None
-    if sample is None:
-        return situation
-    return situation._replace(overlap=measure_overlap(scene, sample, PACKET_VECTORS * scene.width, query))
 
 
-def tree_for(traversal: Traversal, scene: SceneState) -> str:
+def tree_for(traversal: Traversal, scene: SceneFacts) -> str:
     """Kind of tree that a traversal walks in a scene.
 
     Raises:
         ValueError: the traversal does not walk the scene's kind of tree.
     """
-    kind = scene.accelerator.kind
+    kind = scene.tree
     if not traversal.walks_tree:
         return "none"
     if kind not in traversal.trees:
@@ -245,37 +257,37 @@ def tree_for(traversal: Traversal, scene: SceneState) -> str:
     return kind
 
 
-def stream_size(scene: SceneState, rays: RayBuffers, traversal: Traversal) -> int:
+def stream_size(scene: SceneFacts, rays: RayFacts, traversal: Traversal) -> int:
     """Rays of a stream: fewer if the batch would not give each thread several streams."""
-    if scene.device.is_cuda:
+    if scene.is_cuda:
         return CUDA_STREAM
-    share = rays.count / max(STREAMS_PER_THREAD * get_num_threads(), len(scene.instances))
+    share = rays.count / max(STREAMS_PER_THREAD * get_num_threads(), scene.instances)
     most = min(share, longest_stream(scene, traversal))
     return next((size for size in STREAMS if size <= most), STREAMS[-1])
 
 
-def packet_vectors(scene: SceneState, rays: RayBuffers, query: str, traversal: Traversal) -> int:
+def packet_vectors(scene: SceneFacts, rays: RayFacts, query: str, traversal: Traversal) -> int:
     """Rays of a packet, in vectors of the tree's width."""
     if Capabilities.ONE_VECTOR in traversal.capabilities:
         return 1
     limits = limits_for(scene.width)
     if is_dense(scene, rays, limits.crowded):
         return max(CROWDED_PACKET // scene.width, PACKET_VECTORS)
-    measured = scene.accelerator.kind == "bvh" and traversal.walks_boxes("bvh")
+    measured = scene.tree == "bvh" and traversal.walks_boxes("bvh")
     large = is_dense(scene, rays, MANY_RAYS_PER_TRIANGLE) or (ANSWERS[query].ends_at_first and not scene.instances)
     return limits.large_packet if measured and large else PACKET_VECTORS
 
 
-def is_dense(scene: SceneState, rays: RayBuffers, least: float) -> bool:
+def is_dense(scene: SceneFacts, rays: RayFacts, least: float) -> bool:
     """Whether rays from one point are at least this many for each triangle, in a scene of one level."""
-    from_one_point = rays.arrays_or_batch.origin_stride == 0 and not scene.instances
-    return from_one_point and rays.count >= least * scene.triangle_count
+    from_one_point = rays.shared_origin and not scene.instances
+    return from_one_point and rays.count >= least * scene.triangles
 
 
-def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:
+def choose_culling(scene: SceneFacts, rays: RayFacts, traversal: Traversal, test: TriangleTest) -> str:
     """Name of the culling with the best score among those that fit."""
     least = limits_for(scene.width).rough if test.packet_form.pairs else ROUGH_RAYS_PER_TRIANGLE
-    dense, kind, best, name = is_dense(scene, rays, least), scene.accelerator.kind, 0.0, ""
+    dense, kind, best, name = is_dense(scene, rays, least), scene.tree, 0.0, ""
     for culling in CULLINGS.values():
         dense_score, sparse_score = culling.filtered_scores if test.packet_form.pairs else culling.scores
         score = dense_score if dense else sparse_score
@@ -284,19 +296,19 @@ def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, te
     return name
 
 
-def stores_past_caches(scene: SceneState, rays: RayBuffers, query: str) -> bool:
+def stores_past_caches(scene: SceneFacts, rays: RayFacts, query: str) -> bool:
     """Whether packets write closest hits by non-temporal stores: so numerous that few of them would be in a cache when read."""
-    has_stores = scene.is_cpu and platform.machine().lower() in ("x86_64", "amd64")
+    has_stores = not scene.is_cuda and platform.machine().lower() in ("x86_64", "amd64")
     return has_stores and ANSWERS[query].shortens and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
 
 
-def choose_order(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:
+def choose_order(scene: SceneState, rays: RayFacts, traversal: Traversal, test: TriangleTest) -> str:
     """The order in which rays are traced."""
     if "tiles" in traversal.orders:
         return "tiles" if rays.columns > 0 else "none"
     return "cells" if "cells" in traversal.orders and rays.scattered and is_large(scene, rays, test) else "none"
 
 
-def is_large(scene: SceneState, rays: RayBuffers, test: TriangleTest) -> bool:
+def is_large(scene: SceneState, rays: RayFacts, test: TriangleTest) -> bool:
     """Whether the batch and the triangle records are large enough for sorting the rays to pay."""
     return rays.count >= MIN_RAYS_TO_REORDER and len(scene.tree.primitive) * 4 * test.record.components >= CACHED_BYTES

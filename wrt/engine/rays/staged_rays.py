@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.engine.rays.ray_arrays import lay_out
+from wrt.engine.facts.facts import RayFacts
+from wrt.engine.rays.device_rays import lay_out
 from wrt.engine.rays.rays import FLOAT32, FLOAT64, Rays, ResultForm, as_range, as_vectors, common_shape
 from wrt.kernels.layout.ray_batch import RayBatch
 
@@ -24,76 +25,46 @@ FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
 class StagedRays:
-    """Few rays on the CPU, as NumPy arrays and numbers; read as `wrt.engine.rays.ray_buffers.RayBuffers` are.
+    """Few rays on the CPU, as NumPy arrays and numbers.
 
     Attributes:
         origins, directions: (..., 3) float32 or float64.
         t_min, t_max: numbers, or (...) float32.
-        form: of the results; its shape is the leading shape that the four broadcast to.
-        count: number of rays.
+        facts, form: as in `wrt.engine.rays.device_rays.DeviceRays`.
         device: the scene's, a CPU.
         center: (3,) float64, the scene's.
     """
 
-    is_warp, coherent, scattered, columns, in_place = False, True, False, 0, True
+    in_place, sample = True, None
 
     def __init__(
         self,
         values: tuple[np.ndarray, np.ndarray, float | np.ndarray, float | np.ndarray],
+        facts: RayFacts,
         form: ResultForm,
-        count: int,
         device: wp.Device,
         center: np.ndarray,
     ) -> None:
         self.origins, self.directions, self.t_min, self.t_max = values
-        self.form, self.count, self.device, self.center = form, count, device, center
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Leading shape of the results."""
-        return self.form.shape
-
-    @property
-    def layout(self) -> str:
-        """The layout for which a query is prepared."""
-        return STAGED if self.origins.dtype == FLOAT32 else STAGED_CENTERED
-
-    @property
-    def given(self) -> StagedRays:
-        """As in `RayBuffers`."""
-        return self
-
-    @property
-    def arrays_or_batch(self) -> StagedRays:
-        """As in `RayBuffers`."""
-        return self
-
-    @property
-    def origin_stride(self) -> int:
-        """0 where all of several rays share their origin, else 1."""
-        if self.count == 1:
-            return 1
-        shape, strides = self.origins.shape, self.origins.strides
-        for axis in range(len(shape) - 1):
-            if shape[axis] > 1 and strides[axis]:
-                return 1
-        return 0
+        self.facts, self.form, self.device, self.center = facts, form, device, center
+        self.own_layout = STAGED if self.origins.dtype == FLOAT32 else STAGED_CENTERED
 
     @cached_property
     def batch(self) -> RayBatch:
         """The rays for kernels, in arrays of their own."""
-        return lay_out(Rays(self.origins, self.directions, self.t_min, self.t_max), self.device, self.center).batch()
+        return lay_out(Rays(self.origins, self.directions, self.t_min, self.t_max), self.device, self.center).new_batch()
 
     def copy_to(self, origins: np.ndarray, directions: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> None:
         """Copies the rays to arrays of float32 of their leading shape; origins in float64 relative to the scene's centre."""
-        if self.form.dtype is np.float32 and self.has_small_bounds:  # nothing can overflow
+        small = all(type(bound) is not float or not FLOAT32_MAX < bound < math.inf for bound in (self.t_min, self.t_max))
+        if small and self.form.dtype is np.float32:  # nothing can overflow
             self._copy(origins, directions, t_min, t_max)
         else:
             with np.errstate(all="ignore"):  # what float32 does not hold misses
                 self._copy(origins, directions, t_min, t_max)
 
     def _copy(self, origins: np.ndarray, directions: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> None:
-        if self.layout is STAGED:
+        if self.own_layout is STAGED:
             origins[...] = self.origins
         else:
             np.subtract(self.origins, self.center, origins)
@@ -101,17 +72,12 @@ class StagedRays:
         t_min[...] = self.t_min
         t_max[...] = self.t_max
 
-    @property
-    def has_small_bounds(self) -> bool:
-        """Whether float32 holds the bounds of t."""
-        return all(type(bound) is not float or not FLOAT32_MAX < bound < math.inf for bound in (self.t_min, self.t_max))
-
 
 def stage(rays: Rays, device: wp.Device, center: np.ndarray, most: int) -> StagedRays | None:
     """The rays, if they are 1 to `most` in NumPy arrays, lists or numbers, and no graph is being captured; else None.
 
     Raises:
-        TypeError, ValueError: as `wrt.engine.rays.ray_arrays.lay_out`.
+        TypeError, ValueError: as `wrt.engine.rays.device_rays.lay_out`.
     """
     origins, directions, t_min, t_max = rays.origins, rays.directions, rays.t_min, rays.t_max
     if type(directions) is np.ndarray and directions.size > 3 * most:  # usual, and soon told
@@ -127,7 +93,14 @@ def stage(rays: Rays, device: wp.Device, center: np.ndarray, most: int) -> Stage
     if not 0 < count <= most:
         return None
     dtype = np.float64 if FLOAT64 in (origins.dtype, directions.dtype) else np.float32
-    return StagedRays((origins, directions, t_min, t_max), ResultForm(shape, False, dtype), count, device, center)  # type: ignore[arg-type]
+    facts, values = RayFacts(count, shape, count > 1 and shares_origin(origins)), (origins, directions, t_min, t_max)
+    return StagedRays(values, facts, ResultForm(shape, False, dtype), device, center)  # type: ignore[arg-type]
+
+
+def shares_origin(origins: Any) -> bool:
+    """Whether vectors (..., 3) are one, repeated."""
+    shape, strides = origins.shape, origins.strides
+    return not any(shape[axis] > 1 and strides[axis] for axis in range(len(shape) - 1))
 
 
 def is_small(values: Any, most: int) -> bool:

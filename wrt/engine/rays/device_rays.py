@@ -1,22 +1,24 @@
-"""Rays as flat arrays on the device: without a copy where none is needed."""
+"""Rays as flat arrays on the device, without a copy where none is needed, and what is detected in them."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
+from wrt.engine.facts.facts import RayFacts
 from wrt.engine.host_arrays import HostArray, address_of, as_array, point_at
 from wrt.engine.memory import empty, keep_alive
+from wrt.engine.rays.coherence import columns_of_shape, detect_coherence, detect_shared_origin
 from wrt.engine.rays.host_rays import Layout, arrange, shared_point
-from wrt.engine.rays.ray_grids import detect_shared_origin
-from wrt.engine.rays.rays import FLOAT32, FLOAT64, Rays, as_range, as_vectors, check_number, common_shape
+from wrt.engine.rays.rays import FLOAT32, FLOAT64, Rays, ResultForm, as_range, as_vectors, check_number, common_shape
 from wrt.kernels.layout.ray_batch import RayBatch, center_float64_points, repeat_points
 from wrt.kernels.runtime.launch import kept, launch
+from wrt.kernels.validation import host_array
 
 ZERO_CENTER = np.zeros(3)
 """The centre that directions are relative to."""
@@ -28,17 +30,17 @@ ARRAYS = {"origins": wp.vec3, "directions": wp.vec3, "t_min": wp.float32, "t_max
 """The arrays of rays."""
 
 
-@dataclass
-class RayArrays:
-    """Rays as flat arrays on the device.
+@dataclass(eq=False)
+class DeviceRays:
+    """Rays as flat arrays on the device, and what is known of them.
 
     Attributes:
         origins, directions: (N,) or (1,) vec3; `batch` has them as Warp arrays.
         t_min, t_max: (N,) or (1,) float32.
         layout: which arrays have one shared element, and what the origins are relative to.
-        count: N.
         center: (3,) float64, the scene's centre.
-        shape, is_warp, dtype: as in `RayBuffers`.
+        facts: what plans depend on; `lay_out` leaves coherence to `examine`.
+        form: of results.
         keep: the arrays that were passed, which must live as long as these.
     """
 
@@ -47,29 +49,60 @@ class RayArrays:
     t_min: wp.array
     t_max: wp.array
     layout: Layout
-    count: int
     center: np.ndarray
-    shape: tuple[int, ...]
-    is_warp: bool
-    dtype: type
-    keep: tuple[Any, ...]
+    facts: RayFacts
+    form: ResultForm
+    keep: tuple[Any, ...] = ()
+
+    @classmethod
+    def of_batch(cls, batch: RayBatch, coherent: bool, scattered: bool) -> DeviceRays:
+        """Rays that kernels of this package made: relative to the scene's centre, read as the batch says."""
+        layout = Layout(batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, True)
+        facts = RayFacts(batch.count, (batch.count,), batch.origin_stride == 0, coherent, scattered)
+        arrays = batch.origins, batch.directions, batch.t_min, batch.t_max
+        rays = cls(*arrays, layout, ZERO_CENTER, facts, ResultForm(facts.shape, True, np.float32))
+        rays.batch = batch
+        return rays
 
     @property
-    def origin_stride(self) -> int:
-        """As in `RayBatch`."""
-        return self.layout.origins
+    def count(self) -> int:
+        """N."""
+        return self.facts.count
 
     @property
-    def direction_stride(self) -> int:
-        """As in `RayBatch`."""
-        return self.layout.directions
+    def shape(self) -> tuple[int, ...]:
+        """Leading shape of the results."""
+        return self.form.shape
 
+    @cached_property
     def batch(self) -> RayBatch:
-        """The rays for kernels."""
-        batch = new_batch(self.layout, self.center)
+        """The rays as kernels read them. A caller may modify it; it then replaces the arrays."""
+        return self.new_batch()
+
+    @property
+    def own_layout(self) -> Layout | None:
+        """The layout for which a query is prepared; None once there is a `batch`."""
+        return None if "batch" in self.__dict__ else self.layout
+
+    @property
+    def in_place(self) -> bool:
+        """Whether the rays are read where the caller has them, which `lay_out` does in no graph capture."""
+        return type(self.directions) is HostArray
+
+    def new_batch(self) -> RayBatch:
+        """The rays for kernels, in a batch of the caller's."""
+        batch = empty_batch(self.layout, self.center)
         batch.count = self.count
         batch.origins, batch.directions = as_array(self.origins), as_array(self.directions)
         batch.t_min, batch.t_max = self.t_min, self.t_max
+        return batch
+
+    def sample(self) -> RayBatch:
+        """The rays as kernels read them, for a look at some of them: the arrays stay what they are."""
+        if "batch" in self.__dict__:
+            return self.batch
+        batch = self.new_batch()
+        batch.columns = self.facts.columns
         return batch
 
     def write_to(self, arguments: Any) -> None:
@@ -79,10 +112,24 @@ class RayArrays:
         point_at(arguments.directions, self.directions)
         point_at(arguments.t_min, self.t_min)
         point_at(arguments.t_max, self.t_max)
-        arguments.count = self.count
+        arguments.count = self.facts.count
 
 
-def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
+def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> DeviceRays:
+    """`lay_out`, then `examine`."""
+    return examine(lay_out(rays, device, center), device)
+
+
+def examine(rays: DeviceRays, device: wp.Device) -> DeviceRays:
+    """The rays, after a look whether they are coherent, and the pixels of an image."""
+    count, shape, shared_origin, *_ = rays.facts
+    may_be_image = len(shape) == 1 and shared_origin and rays.layout.directions == 1
+    coherent, scattered, columns = detect_coherence(rays.origins, rays.directions, device, may_be_image)
+    rays.facts = RayFacts(count, shape, shared_origin, coherent, scattered, columns or columns_of_shape(shape))
+    return rays
+
+
+def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> DeviceRays:
     """The arrays of rays on the device. Float64 origins become float32 relative to `center`.
 
     Raises:
@@ -109,7 +156,8 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
     t_min, t_min_stride = _scalars(t_min, shape, device)
     t_max, t_max_stride = _scalars(t_max, shape, device)
     layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered)
-    return RayArrays(origins, directions, t_min, t_max, layout, math.prod(shape), center, shape, is_warp, dtype, given)
+    facts, form = RayFacts(math.prod(shape), shape, origin_stride == 0), ResultForm(shape, is_warp, dtype)
+    return DeviceRays(origins, directions, t_min, t_max, layout, center, facts, form, given)
 
 
 def are_usual(origins: Any, directions: Any, t_min: Any, t_max: Any) -> bool:
@@ -123,7 +171,7 @@ def are_usual(origins: Any, directions: Any, t_min: Any, t_max: Any) -> bool:
 
 def relative_rays(
     origins: wp.array, directions: wp.array, t_max: float, shape: tuple[int, ...], device: wp.Device, center: np.ndarray
-) -> RayArrays:
+) -> DeviceRays:
     """The arrays of rays that kernels of this package made on the device, relative to the scene's centre; t_min is 0.
 
     Args:
@@ -138,12 +186,13 @@ def relative_rays(
     each = int(count == 1)
     layout = Layout(each if len(origins) == 1 else 1, 1, each, each, True)
     low, high = (_scalars(value, shape, device)[0] for value in (0.0, t_max))
-    return RayArrays(origins, directions, low, high, layout, count, center, shape, True, np.float64, (origins, directions))
+    facts, form = RayFacts(count, shape, not layout.origins), ResultForm(shape, True, np.float64)
+    return DeviceRays(origins, directions, low, high, layout, center, facts, form, (origins, directions))
 
 
 def _in_place(
     origins: np.ndarray, directions: Any, t_min: Any, t_max: Any, device: wp.Device, center: np.ndarray
-) -> RayArrays | None:
+) -> DeviceRays | None:
     """The arrays of rays that need no copy, quickly; None for other rays."""
     if type(directions) is not np.ndarray or type(t_min) is not float or type(t_max) is not float or device.is_capturing:
         return None
@@ -160,10 +209,11 @@ def _in_place(
         points, dtype = HostArray(address_of(origins), count if layout.origins else 1, wp.vec3f, origins), np.float32
     vectors = HostArray(address_of(directions), count if layout.directions else 1, wp.vec3f, directions)
     low, high = _number(t_min, device.alias), _number(t_max, device.alias)
-    return RayArrays(points, vectors, low, high, layout, count, center, shape, False, dtype, given)
+    facts, form = RayFacts(count, shape, not layout.origins), ResultForm(shape, False, dtype)
+    return DeviceRays(points, vectors, low, high, layout, center, facts, form, given)
 
 
-def new_batch(layout: Layout, center: np.ndarray) -> RayBatch:
+def empty_batch(layout: Layout, center: np.ndarray) -> RayBatch:
     """A batch with this layout whose arrays are still to be set."""
     batch = RayBatch()
     batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, centered = layout
@@ -288,3 +338,70 @@ def _number(value: float, device: str) -> wp.array:
     """A cached array of one float32: most batches have the same bounds."""
     with np.errstate(over="ignore"), kept(wp.get_device(device)):
         return wp.array(np.array([value], dtype=np.float32), dtype=float, device=device)
+
+
+class Integers(NamedTuple):
+    """Integers of rays, a value for each or one for all, that a query may pass.
+
+    Attributes:
+        name: of the argument, and of the array in a `RayBatch`.
+        dtype: of the array.
+        low, high: smallest and largest value.
+        hint: the end of the message if they are no integers.
+    """
+
+    name: str
+    dtype: type
+    low: int
+    high: int
+    hint: str = ""
+
+    def set(self, rays: DeviceRays, values: Any, device: wp.Device) -> None:
+        """Gives rays an int for all, or integers that broadcast to their shape; their batch then replaces their arrays.
+
+        Raises:
+            TypeError: other values than integers.
+            ValueError: values out of range, a shape that does not broadcast, or an array on another device.
+        """
+        name, shape = self.name, rays.shape
+        if isinstance(values, wp.array):
+            if values.dtype is not self.dtype or values.device != device:
+                wanted = f"{self.dtype.__name__} on {device}"
+                raise ValueError(f"{name} must be a Warp array of {wanted}, not of {values.dtype.__name__} on {values.device}")
+            stride = 0 if values.size == 1 else 1
+            if stride and values.shape != shape:
+                text = f"{name} has the shape {values.shape}, the rays {shape}; Warp arrays broadcast only from one element"
+                raise ValueError(text)
+            each = values.flatten()
+        else:
+            flat, stride = flatten_shared(self.checked(values, shape), shape, ())
+            each = wp.array(flat, dtype=self.dtype, device=device)
+        setattr(rays.batch, name, each)
+        setattr(rays.batch, f"{name}_stride", stride)
+
+    def checked(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
+        """Integers from low to high, broadcast to a shape; errors as those of `set`."""
+        values = host_array(self.name, given)
+        if values.dtype.kind not in "iu":
+            raise TypeError(f"{self.name} must hold integers, not {values.dtype}{self.hint}")
+        if values.size and (values.min() < self.low or values.max() > self.high):
+            bounds = f"from {self.low} to 2**{(self.high + 1).bit_length() - 1} - 1"
+            raise ValueError(f"{self.name} must be {bounds}, but ranges from {values.min()} to {values.max()}")
+        try:
+            return np.broadcast_to(values.astype(wp.dtype_to_numpy(self.dtype)), shape)
+        except ValueError:
+            text = f"{self.name} has the shape {values.shape}, which does not broadcast to that of the rays, {shape}"
+            raise ValueError(text) from None
+
+
+MASKS = Integers("mask", wp.uint32, 0, (1 << 32) - 1, "; combine bits as 1 << 0 | 1 << 3")
+ENVIRONMENTS = Integers("environment", wp.int32, -1, (1 << 31) - 1)
+
+
+def shared_origin(batch: RayBatch) -> tuple[float, float, float]:
+    """The point at which all rays start, relative to the scene's centre, rounded as in
+    `wrt.kernels.layout.ray_batch.load_ray`."""
+    if len(batch.origins) == 0:
+        return (0.0, 0.0, 0.0)
+    origin = batch.origins[:1].numpy()[0].astype(np.float64) - np.array(batch.center, dtype=np.float64)
+    return tuple(origin.astype(np.float32).tolist())
