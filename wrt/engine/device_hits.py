@@ -134,9 +134,10 @@ class DeviceHits:
 
     def write_to(self, arguments: Any, query: str) -> None:
         """Writes addresses and lengths of a query's arrays into the packed form of a `HitBatch` that has such arrays."""
+        host = None if self._block is not None else self._host
         for name in ANSWERS[query].columns:
-            field = getattr(arguments, name)
-            field.data = self._address(name)
+            field, values = getattr(arguments, name), host and host.get(name)
+            field.data = values.ptr if type(values) is HostArray else self._address(name)
             field.shape[0] = self.count
 
     def point_to(self, struct: Any, names: Sequence[str]) -> None:

@@ -16,7 +16,9 @@ from wrt.engine.facts.query_kinds import AUTO, CLOSEST, QUERIES, Query
 from wrt.engine.launch.batch import trace_batch
 from wrt.engine.launch.prepared import prepare
 from wrt.engine.plan.planner import chosen_plan, find_plan
-from wrt.engine.rays.device_rays import ENVIRONMENTS, MASKS, DeviceRays, examine, lay_out, to_device
+from wrt.engine.rays.device_rays import DeviceRays, examine, to_device
+from wrt.engine.rays.ray_integers import ENVIRONMENTS, MASKS
+from wrt.engine.rays.rays import as_rays, one_object
 from wrt.engine.rays.staged_rays import StagedRays, stage
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import use_threads
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
     from wrt.engine.launch.given_areas import GivenAreas
     from wrt.engine.plan.plan import ChosenPlan, Plan
-    from wrt.engine.rays.rays import Rays, ResultForm
+    from wrt.engine.rays.rays import GivenRays, ResultForm
 
 
 class Answer(NamedTuple):
@@ -45,8 +47,13 @@ class Answer(NamedTuple):
     work: wp.array | None = None
 
 
-def answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
+def answer(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
     """Answers a query "closest", "any" or "count".
+
+    Args:
+        scene: what the rays meet.
+        rays: as the caller passed them.
+        query: its kind and options.
 
     Raises:
         TypeError, ValueError: as `wrt.Scene.intersect`.
@@ -57,12 +64,12 @@ def answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
         return _answer(scene, rays, query)
 
 
-def _answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
+def _answer(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
     given = None
     if query.areas is not None:
         from wrt.engine.launch.given_areas import take_areas
 
-        scene, given = take_areas(scene, query.areas, rays.shape)
+        scene, given = take_areas(scene, query.areas, one_object(rays).shape)
     brought = on_device(scene, rays, query, may_stage(scene, query))
     chosen = find_plan(scene, brought.facts, query, brought.sample)
     hits, work = trace_chosen(scene, chosen, brought, query.kind, query.counters, given)
@@ -83,10 +90,10 @@ def may_stage(scene: SceneState, query: Query) -> bool:
 
 
 @overload
-def on_device(scene: SceneState, rays: Rays, query: Query) -> DeviceRays: ...
+def on_device(scene: SceneState, rays: GivenRays, query: Query) -> DeviceRays: ...
 @overload
-def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool) -> DeviceRays | StagedRays: ...
-def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool = False) -> DeviceRays | StagedRays:
+def on_device(scene: SceneState, rays: GivenRays, query: Query, staged: bool) -> DeviceRays | StagedRays: ...
+def on_device(scene: SceneState, rays: GivenRays, query: Query, staged: bool = False) -> DeviceRays | StagedRays:
     """The rays on the scene's device, with the masks and environments of their query.
 
     Args:
@@ -102,14 +109,13 @@ def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool = False)
     """
     if query.mask is None and query.environment is None:
         few = scene.few_rays if staged else 0
-        if staged and (unread := stage(rays, scene.device, scene.center, few)) is not None:
-            return unread
-        brought = lay_out(rays, scene.device, scene.center)
-        return examine(brought, scene.device) if brought.facts.count > few else brought
+        own = as_rays(*rays) if isinstance(rays, tuple) else rays
+        staging = stage(own, scene.device, scene.center, few) if staged else None
+        return staging or to_device(own, scene.device, scene.center, few)
     if not scene.instances:
         name = "environment" if query.mask is None else "mask"
         raise ValueError(f"{name} needs instances, and this scene has none; make it from wrt.Instance(mesh, {name}=...)")
-    brought = to_device(rays, scene.device, scene.center)
+    brought = to_device(one_object(rays), scene.device, scene.center)
     for integers, values in ((MASKS, query.mask), (ENVIRONMENTS, query.environment)):
         if values is not None:
             integers.set(brought, values, scene.device)

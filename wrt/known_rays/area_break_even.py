@@ -210,7 +210,7 @@ def costs(scene: SceneState, plan: Plan, rays: RayBatch, chosen: np.ndarray, que
     hits, work = trace_batch(scene, plan, select_rays(rays, chosen, scene.device), query, True)
     counted, cost = work.numpy(), scene.accelerator.config(scene.tree.width).cost
     ray_cost = cost.traversal * counted["nodes"] + cost.block * counted["triangles"] / scene.tree.width
-    return ray_cost, hits.occluded.numpy() if query == ANY else hits.primitive.numpy() >= 0
+    return ray_cost, hits.primitive.numpy() >= 0 if hits.occluded is None else hits.occluded.numpy()
 
 
 def select_rays(rays: RayBatch, chosen: np.ndarray, device: wp.Device) -> RayBatch:

@@ -14,10 +14,10 @@ from wrt.query.skip import answer_skipping
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
-    from wrt.engine.rays.rays import Rays
+    from wrt.engine.rays.rays import GivenRays
 
 
-def closest_hits(scene: SceneState, rays: Rays, query: Query) -> Hits:
+def closest_hits(scene: SceneState, rays: GivenRays, query: Query) -> Hits:
     """Closest hits; options and errors as in `wrt.Scene.intersect`."""
     if query.skip is not None:
         found = answer_skipping(scene, rays, query)
@@ -30,7 +30,7 @@ def closest_hits(scene: SceneState, rays: Rays, query: Query) -> Hits:
     return Hits(found.hits, found.form, scene, found.plan, found.work)
 
 
-def ray_values(scene: SceneState, rays: Rays, query: Query) -> Any:
+def ray_values(scene: SceneState, rays: GivenRays, query: Query) -> Any:
     """The value of each ray in the rays' leading shape.
 
     Args:

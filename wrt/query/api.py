@@ -142,10 +142,10 @@ class Queries(BlockQueries, PointQueries):
         else:
             options = (traversal, triangle_test, cull_backfaces, counters, mask, environment, areas, skip, precise)
             query = checked(Query(CLOSEST, *options))
-        rays = as_rays(origins, directions, t_min, t_max)
         if tape_records():
+            rays = as_rays(origins, directions, t_min, t_max)
             refuse_tape("intersect", (rays.origins, rays.directions))
-        return closest_hits(self.state, rays, query)
+        return closest_hits(self.state, (origins, directions, t_min, t_max), query)
 
     @overload
     def occluded(self, origins: Rays[ArrayT], **options: Unpack[Occluded]) -> ArrayT: ...
@@ -221,7 +221,7 @@ class Queries(BlockQueries, PointQueries):
             query = QUERIES[ANY]
         else:
             query = checked(Query(ANY, traversal, triangle_test, cull_backfaces, False, mask, environment, areas, skip))
-        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query)
+        return ray_values(self.state, (origins, directions, t_min, t_max), query)
 
     @overload
     def intersect_all(self, origins: Rays[ArrayT], **options: Unpack[Listed]) -> AllHits[ArrayT]: ...
@@ -361,7 +361,7 @@ class Queries(BlockQueries, PointQueries):
             query = QUERIES[COUNT]
         else:
             query = checked(Query(COUNT, traversal, triangle_test, cull_backfaces, False, mask, environment, skip=skip))
-        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query)
+        return ray_values(self.state, (origins, directions, t_min, t_max), query)
 
     @lists_options
     def explain(

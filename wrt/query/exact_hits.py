@@ -18,7 +18,7 @@ from wrt.engine.plan.plan import stack_levels, traversal_config
 from wrt.engine.plan.planner import DEFAULT_TEST, find_plan
 from wrt.engine.rays.array_types import ArrayT
 from wrt.engine.rays.device_rays import flatten_shared
-from wrt.engine.rays.rays import as_vectors
+from wrt.engine.rays.rays import as_vectors, one_object
 from wrt.kernels.runtime.launch import kept, launch, specialise, use_threads
 from wrt.query.hits import Hits
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
     from wrt.engine.plan.plan import Plan
     from wrt.engine.rays.device_rays import DeviceRays
-    from wrt.engine.rays.rays import Rays, ResultForm
+    from wrt.engine.rays.rays import GivenRays, Rays, ResultForm
     from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays
 
 
@@ -77,7 +77,7 @@ class PreciseHits(Hits[ArrayT]):
         return kernels
 
 
-def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
+def find_precisely(scene: SceneState, given: GivenRays, query: Query) -> PreciseHits:
     """Closest hits in float64; see `wrt.Scene.intersect`.
 
     Raises:
@@ -88,7 +88,8 @@ def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
     if (query.traversal, query.triangle_test, query.counters, query.cull_backfaces) != (AUTO, AUTO, False, False):
         raise ValueError("precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out")
     with use_threads(scene.num_threads):
-        buffers, device = on_device(scene, rays, query), scene.device
+        rays, device = one_object(given), scene.device
+        buffers = on_device(scene, rays, query)
         plan = replace(find_plan(scene, buffers.facts, Query(CLOSEST, "single", DEFAULT_TEST)).plan, reason="in float64")
         hits = ExactHits()
         rounded = DeviceHits.new(EXACT, buffers.count, device)

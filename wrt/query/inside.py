@@ -32,7 +32,7 @@ from wrt.engine.memory import empty
 from wrt.engine.plan.plan import Plan
 from wrt.engine.plan.planner import make_plan
 from wrt.engine.rays.coherence import detect_coherence
-from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.device_rays import DeviceRays, to_device
 from wrt.engine.rays.rays import Rays, as_vectors
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.hit_lists import NONZERO, ODD, POSITIVE, aim_outwards, decide_inside
@@ -41,7 +41,6 @@ from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
-    from wrt.engine.rays.device_rays import DeviceRays
 
 DIRECTIONS = ((0.5163, 0.3781, 0.7684), (-0.7911, 0.4892, 0.3674), (0.2769, -0.8472, 0.4534))
 """Directions far from each other, and from all axes and diagonals."""

@@ -18,7 +18,7 @@ from wrt.engine.rays.device_rays import DeviceRays, lay_out
 from wrt.engine.rays.rays import Rays, ResultForm, check_number
 from wrt.kernels.layout.light_samples import GROUP, LightSamples, pattern_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
-from wrt.kernels.validation import as_int, as_numbers, as_real_array, host_array
+from wrt.kernels.validation import as_int, as_numbers, as_point, as_real_array, host_array
 
 if TYPE_CHECKING:
     from wrt.scene.scene import Scene
@@ -97,7 +97,7 @@ class AreaLightVisibility:
         """
         samples, patterns = as_int("samples", samples, 1, MAX_SAMPLES), as_int("patterns", patterns, 1, MAX_PATTERNS)
         seed = as_int("seed", seed, 0)
-        start, u, v = (as_point(value, name) for value, name in ((corner, "corner"), (edge_u, "edge_u"), (edge_v, "edge_v")))
+        start, u, v = (as_point(name, value) for value, name in ((corner, "corner"), (edge_u, "edge_u"), (edge_v, "edge_v")))
         places = jittered(samples, patterns, seed)
         return cls(scene, start + places[..., :1] * u + places[..., 1:] * v, triangle_test=triangle_test)
 
@@ -206,8 +206,8 @@ class AreaLightVisibility:
         from wrt.kernels.traversal.shadows.multi_frusta import FRUSTA, make_multi_frusta_kernel
 
         state = self.scene.state
-        plan = plan_for_query(find_plan(state, rays.facts, self._query).plan, ANY)
-        config = traversal_config(plan, state, ANY, False)
+        plan = plan_for_query(find_plan(state, rays.facts, self._query).plan, self._query.kind)
+        config = traversal_config(plan, state, self._query.kind, False)
         light = self._samples(rays.layout.centered)
         items = -(-rays.count // max(FRUSTA // light.groups, 1))
         inputs = [state.tree.struct(), records_of(state, plan, rays.batch), rays.batch, light, answers, counts]
@@ -259,16 +259,6 @@ def jittered(samples: int, patterns: int, seed: int) -> np.ndarray:
 def is_narrow(points: np.ndarray) -> bool:
     """Whether points are float32, so that rays are made in the caller's coordinates."""
     return points.dtype.kind == "f" and points.dtype.itemsize <= 4
-
-
-def as_point(value: Any, name: str) -> np.ndarray:
-    """(3,) float64, finite."""
-    point = as_numbers(name, value, finite=False)
-    if point.shape != (3,):
-        raise ValueError(f"{name} must have shape (3,), not {point.shape}")
-    if not np.isfinite(point).all():
-        raise ValueError(f"{name} must be finite, not {point.tolist()}")
-    return point
 
 
 def check_samples(positions: Any) -> np.ndarray:

@@ -18,7 +18,7 @@ from wrt.engine.rays.device_rays import DeviceRays, lay_out
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.layout.light_cells import CELL_BYTES, ENTRY_BYTES, FACES, MAX_RESOLUTION
 from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
-from wrt.kernels.validation import as_bool, as_int, as_numbers, as_real_array
+from wrt.kernels.validation import as_bool, as_int, as_point, as_real_array
 from wrt.query.skip import SceneTriangles, check_skip, skipped_triangles
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class LightBuffer:
         self._resolution = check_resolution(resolution)
         self._query = Query(ANY, "brute", triangle_test, as_bool("cull_backfaces", cull_backfaces))
         self._max_bytes = as_int("max_bytes", max_bytes, 1)
-        self._position = check_position(position)
+        self._position = as_point("position", position)
         self._built_for: Any = None
         self._build()
 
@@ -133,7 +133,7 @@ class LightBuffer:
         """
         before = self._position
         if position is not None:
-            self._position = check_position(position)
+            self._position = as_point("position", position)
         try:
             self._build()
         except BaseException:
@@ -238,11 +238,11 @@ class LightBuffer:
         refuse_capture("building a light buffer", state.device)
         with use_threads(state.num_threads):
             ray = lay_out(Rays(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)), state.device, state.center)
-            plan = plan_for_query(find_plan(state, ray.facts, self._query).plan, ANY)
+            plan = plan_for_query(find_plan(state, ray.facts, self._query).plan, self._query.kind)
             test = TRIANGLE_TESTS[plan.triangle_test]
             if test.needs_shared_origin:
                 raise ValueError(f"triangle test {test.name!r} needs rays with a shared origin; choose another")
-            config: TraversalConfig = traversal_config(plan, state, ANY, False)
+            config: TraversalConfig = traversal_config(plan, state, self._query.kind, False)
             mesh, tree = state.device_mesh, state.tree
             cells: LightCells = build_light_buffer(
                 LitMesh(mesh.vertices, mesh.faces, tree.low, tree.high),
@@ -290,13 +290,3 @@ def check_resolution(resolution: Any) -> int | None:
     if resolution is None:
         return None
     return as_int("resolution", resolution, 1, MAX_RESOLUTION)
-
-
-def check_position(position: Any) -> np.ndarray:
-    """(3,) float64."""
-    point = as_numbers("position", position, finite=False)
-    if point.shape != (3,):
-        raise ValueError(f"position must have shape (3,), not {point.shape}")
-    if not np.isfinite(point).all():
-        raise ValueError(f"position must be finite, not {point.tolist()}")
-    return point

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.validation import host_array
+from wrt.engine.rays.ray_integers import as_integers, broadcast
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
@@ -56,11 +56,7 @@ def take_areas(scene: SceneState, areas: Any, shape: tuple[int, ...]) -> tuple[S
         if place >= 0 and trees.triangles[place] == scene.triangle_count:
             return trees.scenes[place], None
         return scene, GivenAreas(wp.array([place], dtype=int, device=scene.device), 0)
-    try:
-        each = np.broadcast_to(places[values], shape)
-    except ValueError:
-        text = f"areas has the shape {values.shape}, which does not broadcast to that of the rays, {shape}"
-        raise ValueError(text) from None
+    each = broadcast("areas", places[values], shape)
     return scene, GivenAreas(wp.array(np.ascontiguousarray(each).ravel(), dtype=int, device=scene.device), 1)
 
 
@@ -72,10 +68,5 @@ def check_areas(scene: SceneState, areas: Any) -> np.ndarray:
         raise ValueError(
             "areas needs a scene with influence areas, and this one has none; build it with wrt.known_rays.RayAwareBvh"
         )
-    values = areas.numpy() if isinstance(areas, wp.array) else host_array("areas", areas)
-    if values.dtype.kind not in "iu":
-        raise TypeError(f"areas must hold integers, not {values.dtype}: places in the accelerator's areas, -1 for none")
-    last = len(scene.accelerator.areas) - 1
-    if values.size and (values.min() < -1 or values.max() > last):
-        raise ValueError(f"areas ranges from {values.min()} to {values.max()}; it must be from -1 to {last}, the last area")
-    return values
+    hint = ": places in the accelerator's areas, -1 for none"
+    return as_integers("areas", areas, -1, len(scene.accelerator.areas) - 1, hint)

@@ -115,7 +115,8 @@ def find_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample | 
         culled = cull_backfaces or traversal.cull_backfaces
         plan = check_plan(replace(traversal, cull_backfaces=culled), scene.facts, rays, kind)
         return chosen_plan(scene, plan, count, kind)
-    if not (isinstance(traversal, str) and isinstance(triangle_test, str)) or is_changing(scene, count):
+    is_named = isinstance(traversal, str) and isinstance(triangle_test, str)
+    if not is_named or (scene.changes_plans and is_changing(scene, count)):
         return chosen_plan(scene, choose_plan(scene, rays, query, sample), count, kind)
     # Plans are looked up: the longer Python takes for one, the longer a GPU waits for its kernel, and cores for theirs.
     each_alone = traversal == AUTO and (count <= scene.few_rays or not scene.is_cpu)

@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from wrt.engine.facts.facts import RayFacts
-from wrt.engine.host_arrays import HostArray, address_of, as_array, point_at
+from wrt.engine.host_arrays import HostArray, address_of, as_array
 from wrt.engine.memory import empty, keep_alive
 from wrt.engine.rays.coherence import columns_of_shape, detect_coherence, detect_shared_origin
 from wrt.engine.rays.host_rays import Layout, arrange, shared_point
 from wrt.engine.rays.rays import FLOAT32, FLOAT64, Rays, ResultForm, as_range, as_vectors, check_number, common_shape
 from wrt.kernels.layout.ray_batch import RayBatch, center_float64_points, repeat_points
 from wrt.kernels.runtime.launch import kept, launch
-from wrt.kernels.validation import host_array
 
 ZERO_CENTER = np.zeros(3)
 """The centre that directions are relative to."""
@@ -42,6 +41,7 @@ class DeviceRays:
         facts: what plans depend on; `lay_out` leaves coherence to `examine`.
         form: of results.
         keep: the arrays that were passed, which must live as long as these.
+        in_place: whether the rays are read where the caller has them, which `lay_out` does in no graph capture.
     """
 
     origins: wp.array | HostArray
@@ -53,6 +53,7 @@ class DeviceRays:
     facts: RayFacts
     form: ResultForm
     keep: tuple[Any, ...] = ()
+    in_place: bool = False
 
     @classmethod
     def of_batch(cls, batch: RayBatch, coherent: bool, scattered: bool) -> DeviceRays:
@@ -84,11 +85,6 @@ class DeviceRays:
         """The layout for which a query is prepared; None once there is a `batch`."""
         return None if "batch" in self.__dict__ else self.layout
 
-    @property
-    def in_place(self) -> bool:
-        """Whether the rays are read where the caller has them, which `lay_out` does in no graph capture."""
-        return type(self.directions) is HostArray
-
     def new_batch(self) -> RayBatch:
         """The rays for kernels, in a batch of the caller's."""
         batch = empty_batch(self.layout, self.center)
@@ -108,16 +104,20 @@ class DeviceRays:
     def write_to(self, arguments: Any) -> None:
         """Writes the addresses and lengths of the arrays and the number of rays into the packed arguments of a batch with this
         layout, which `prepare_arguments` has seen."""
-        point_at(arguments.origins, self.origins)
-        point_at(arguments.directions, self.directions)
-        point_at(arguments.t_min, self.t_min)
-        point_at(arguments.t_max, self.t_max)
+        for field, values in (
+            (arguments.origins, self.origins),
+            (arguments.directions, self.directions),
+            (arguments.t_min, self.t_min),
+            (arguments.t_max, self.t_max),
+        ):  # as `point_at`: four calls take longer than they do
+            field.data, field.shape[0] = values.ptr or 0, values.size
         arguments.count = self.facts.count
 
 
-def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> DeviceRays:
-    """`lay_out`, then `examine`."""
-    return examine(lay_out(rays, device, center), device)
+def to_device(rays: Rays, device: wp.Device, center: np.ndarray, few: int = 0) -> DeviceRays:
+    """`lay_out`, then `examine`, unless there are only this many rays."""
+    brought = lay_out(rays, device, center)
+    return examine(brought, device) if brought.facts.count > few else brought
 
 
 def examine(rays: DeviceRays, device: wp.Device) -> DeviceRays:
@@ -210,7 +210,7 @@ def _in_place(
     vectors = HostArray(address_of(directions), count if layout.directions else 1, wp.vec3f, directions)
     low, high = _number(t_min, device.alias), _number(t_max, device.alias)
     facts, form = RayFacts(count, shape, not layout.origins), ResultForm(shape, False, dtype)
-    return DeviceRays(points, vectors, low, high, layout, center, facts, form, given)
+    return DeviceRays(points, vectors, low, high, layout, center, facts, form, given, True)
 
 
 def empty_batch(layout: Layout, center: np.ndarray) -> RayBatch:
@@ -338,64 +338,6 @@ def _number(value: float, device: str) -> wp.array:
     """A cached array of one float32: most batches have the same bounds."""
     with np.errstate(over="ignore"), kept(wp.get_device(device)):
         return wp.array(np.array([value], dtype=np.float32), dtype=float, device=device)
-
-
-class Integers(NamedTuple):
-    """Integers of rays, a value for each or one for all, that a query may pass.
-
-    Attributes:
-        name: of the argument, and of the array in a `RayBatch`.
-        dtype: of the array.
-        low, high: smallest and largest value.
-        hint: the end of the message if they are no integers.
-    """
-
-    name: str
-    dtype: type
-    low: int
-    high: int
-    hint: str = ""
-
-    def set(self, rays: DeviceRays, values: Any, device: wp.Device) -> None:
-        """Gives rays an int for all, or integers that broadcast to their shape; their batch then replaces their arrays.
-
-        Raises:
-            TypeError: other values than integers.
-            ValueError: values out of range, a shape that does not broadcast, or an array on another device.
-        """
-        name, shape = self.name, rays.shape
-        if isinstance(values, wp.array):
-            if values.dtype is not self.dtype or values.device != device:
-                wanted = f"{self.dtype.__name__} on {device}"
-                raise ValueError(f"{name} must be a Warp array of {wanted}, not of {values.dtype.__name__} on {values.device}")
-            stride = 0 if values.size == 1 else 1
-            if stride and values.shape != shape:
-                text = f"{name} has the shape {values.shape}, the rays {shape}; Warp arrays broadcast only from one element"
-                raise ValueError(text)
-            each = values.flatten()
-        else:
-            flat, stride = flatten_shared(self.checked(values, shape), shape, ())
-            each = wp.array(flat, dtype=self.dtype, device=device)
-        setattr(rays.batch, name, each)
-        setattr(rays.batch, f"{name}_stride", stride)
-
-    def checked(self, given: Any, shape: tuple[int, ...]) -> np.ndarray:
-        """Integers from low to high, broadcast to a shape; errors as those of `set`."""
-        values = host_array(self.name, given)
-        if values.dtype.kind not in "iu":
-            raise TypeError(f"{self.name} must hold integers, not {values.dtype}{self.hint}")
-        if values.size and (values.min() < self.low or values.max() > self.high):
-            bounds = f"from {self.low} to 2**{(self.high + 1).bit_length() - 1} - 1"
-            raise ValueError(f"{self.name} must be {bounds}, but ranges from {values.min()} to {values.max()}")
-        try:
-            return np.broadcast_to(values.astype(wp.dtype_to_numpy(self.dtype)), shape)
-        except ValueError:
-            text = f"{self.name} has the shape {values.shape}, which does not broadcast to that of the rays, {shape}"
-            raise ValueError(text) from None
-
-
-MASKS = Integers("mask", wp.uint32, 0, (1 << 32) - 1, "; combine bits as 1 << 0 | 1 << 3")
-ENVIRONMENTS = Integers("environment", wp.int32, -1, (1 << 31) - 1)
 
 
 def shared_origin(batch: RayBatch) -> tuple[float, float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Union, overload
 
 import numpy as np
 import warp as wp
@@ -62,6 +62,10 @@ class Rays(Generic[ArrayT]):
         return math.prod(self.shape)
 
 
+GivenRays = Union[Rays, "tuple[Any, Any, Any, Any]"]
+"""Rays as a caller passed them: in one object, or the arguments of `as_rays`."""
+
+
 class ResultForm(NamedTuple):
     """The form of results for some rays.
 
@@ -92,6 +96,11 @@ def as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:
     values = rays.__dict__
     values["origins"], values["directions"], values["t_min"], values["t_max"] = origins, directions, t_min, t_max
     return rays
+
+
+def one_object(rays: GivenRays) -> Rays:
+    """The rays that a caller passed; errors as those of `as_rays`."""
+    return as_rays(*rays) if isinstance(rays, tuple) else rays
 
 
 def check_number(shape: tuple[int, ...]) -> None:
