@@ -45,7 +45,7 @@ _HOME = {
     "Material": "wrt.materials.material",
     "OrthographicCamera": "wrt.imaging.cameras",
     "PinholeCamera": "wrt.imaging.cameras",
-    "Rays": "wrt.rays.rays",
+    "Rays": "wrt.engine.rays.rays",
     "Scene": "wrt.scene.scene",
     "Texture": "wrt.materials.material",
     "TriangleMesh": "wrt.meshes.mesh",

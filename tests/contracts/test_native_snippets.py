@@ -18,6 +18,7 @@ from native_guards import has_assembly, x86_without_guard
 from native_names import free_names
 
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
+from wrt.engine.facts.query_kinds import QUERIES
 from wrt.kernels.classics.studies.bare_triangle_tests import make_frusta
 from wrt.kernels.classics.studies.distance_checks import in_range
 from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
@@ -36,7 +37,6 @@ from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, S
 from wrt.kernels.traversal.two_level.instance_packets import make_instance_packet_kernel
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import make_packing_kernel
-from wrt.state.query_kinds import QUERIES
 
 WIDTH = 4
 

@@ -18,9 +18,9 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator
+from wrt.engine.facts.query_kinds import AUTO
 from wrt.kernels.runtime.launch import as_device, check_num_threads, launch, use_threads
 from wrt.kernels.validation import as_bool, host_array
-from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
     import trimesh
