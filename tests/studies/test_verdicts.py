@@ -100,6 +100,7 @@ NUMBERS = {
     "pichler-variants": ("ratio", {}, 1.1, 0.9),
     "pichler-unit-triangle": ("ratio", {"test": "ferko_utm"}, 0.9, 1.1),
     "pichler-hybrid": ("ratio", {"test": "ferko_hybrid"}, 9.0, 0.1),
+    "inside-first": ("tests", {"order": "inside first", "exit": "outside an edge"}, 0.9, 0.3),
     "fans-brute-force": ("ratio", {"way": ("fans", "fans, edges, normals")}, 0.3, 0.9),
     "fans-trees": ("ratio", {"way": ("fans, bvh", "fans, kdtree")}, 0.9, 1.1),
     "sorting-sweep": ("build", {"builder": "sorting_sweep"}, 5.0, 0.5),

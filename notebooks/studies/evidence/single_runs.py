@@ -99,6 +99,18 @@ def komatsu_depths(models: Path | None, effort: Effort) -> Tables:
     return {"depths": rows}
 
 
+def inside_first(models: Path | None, effort: Effort) -> Tables:
+    """Where Plücker's test ends if the edges are asked first; counted."""
+    from studies.triangles import komatsu_packets
+    from studies.triangles.inside_first import compare_orders
+
+    rows = []
+    for mesh in [*komatsu_packets.scenes(models).values()][:2]:
+        found = compare_orders(mesh, tests=effort.tests, rounds=1)
+        rows += named(mesh, [short(row, "order", "exit", measures=("tests", "vectors")) for row in found])
+    return {"orders": rows}
+
+
 def pichler(models: Path | None, effort: Effort) -> Tables:
     """Tables 6.1 to 6.4."""
     from studies.triangles import pichler_tables as tables
@@ -183,6 +195,7 @@ STUDIES = {
     "komatsu_scenes": Study(komatsu_scenes, ("studies.triangles.komatsu_tables",)),
     "komatsu": Study(komatsu, ("studies.triangles.komatsu_tables", "studies.triangles.komatsu_packets")),
     "komatsu_depths": Study(komatsu_depths, ("studies.triangles.komatsu_tables",)),
+    "inside_first": Study(inside_first, ("studies.triangles.inside_first",), is_counted=True),
     "pichler": Study(pichler, ("studies.triangles.pichler_tables",)),
     "fans": Study(fans, ("studies.triangles.fan_comparison",)),
     "traversal": Study(traversal, ()),

@@ -197,6 +197,22 @@ def errors(held: Held) -> Found:
     )
 
 
+@claim(
+    "inside-first",
+    "rahikainen",
+    "2.1",
+    "With the edges asked first, Plücker's test ends there in at least 52 % of the tests",
+    "inside_first",
+)
+def edges_first(held: Held) -> Found:
+    edges = held["inside_first"].take("orders", "tests", order="inside first", exit="outside an edge")
+    facing = held["inside_first"].take("orders", "tests", order="facing first", exit="turned away")
+    return judge(edges, at_least=0.52), (
+        f"{span(edges, '.1f', 100)} % of the tests without a hit end at the edges if they are asked first,"
+        f" {span(facing, '.0f', 100)} % at the first exit as printed (paper: {KOMATSU_3.row('Pluecker')['first']:.0f} %)"
+    )
+
+
 @claim("fans-brute-force", "rahikainen", "2.1", "Fans are nearly 40 % faster", "fans")
 def fans_alone(held: Held) -> Found:
     """Like for like: both precompute, or neither does."""

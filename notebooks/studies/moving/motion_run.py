@@ -76,3 +76,16 @@ def motion_tables(rounds: int) -> dict[str, list[Row]]:
             for row in split
         ],
     }
+
+
+def drifts(*, rounds: int = 3) -> list[Row]:
+    """Nodes of the first frame around the triangles of later ones, against trees built for the frame (Yang et al. 2008)."""
+    walk = walking_figure(frames=12, detail=16)
+    close = camera(160, 32, (-2.6, -2.6, 1.6), (0.0, 0.0, 0.9))
+    return [{"tree": tree} | row for tree in ("bvh", "kdtree") for row in motion.drift(walk, tree, close.rays(), rounds=rounds)]
+
+
+def fuzzy_boxes(*, rounds: int = 3) -> list[Row]:
+    """Fuzzy boxes by the number of frames that they cover (Günther et al. 2006)."""
+    close = camera(160, 32, (-2.6, -2.6, 1.6), (0.0, 0.0, 0.9))
+    return motion.fuzzy_growth(walking_figure(frames=24, detail=10), (1, 4, 12, 24), close.rays(), rounds=rounds)
