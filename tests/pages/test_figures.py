@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import pytest
@@ -103,3 +104,34 @@ def test_quotes_of_the_papers():
     assert all(table.document in DOCUMENTS and table.place and table.read for table in TABLES)
     with pytest.raises(ValueError, match="2 numbers, 1 columns"):
         Table("komatsu", "9", "nowhere", "none", ("one",), {"row": (1, 2)})
+
+
+def test_tables_of_speed_say_what_they_are_of():
+    folder = results.FOLDER / "tables"
+    held = {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("*.json")}
+    marked = {name for page in PAGES for _, kind, name, *_ in MARK.findall(read(page)) if kind == "table"}
+    assert marked == held.keys()
+    for name, table in held.items():
+        assert "from" in table or {"commit", "measured", "note"} <= table["origin"].keys(), name
+
+
+def test_tables_of_one_run_agree():
+    """The bunny's row of the comparison by scene, and the first table."""
+    first, scenes = (
+        json.loads((results.FOLDER / "tables" / f"{name}.json").read_text()) for name in ("queries", "by-scene-zen4")
+    )
+    for column, row in (("Embree", "AVX-512, bunny"), ("AVX2: Embree", "AVX2, bunny")):
+        mine = [values[first["columns"].index(column)] for values in first["rows"]]
+        theirs = next(values[1:] for values in scenes["rows"] if values[0] == row)
+        assert [f"{a:.1f}" for a in mine] == [f"{middle:.1f}" for middle, *_ in theirs]
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "text"),
+    [
+        (None, ".2f", "-"), (19.2, "2gx", "19x"), (3, "2gx", "3.0x"), (1.266, "2fx", "1.27x"), ([4240, 9110], ",.0f", "4,240 / 9,110"),
+        ([1.0, 0.9, 1.1], "range", "1.00 (0.90 to 1.10)"), ("as it is", "text", "as it is"), (13, "ms", "13 ms"),
+    ],
+)  # fmt: skip
+def test_numbers_as_text(value, form, text):
+    assert page_filling.shown(value, form) == text

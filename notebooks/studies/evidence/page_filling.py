@@ -74,7 +74,7 @@ def table(name: str) -> str:
     for label, *values in held["rows"]:
         cells = [shown(value, form) for value, form in zip(values, held["forms"], strict=True)]
         lines.append("| " + " | ".join([label, *cells]) + " |")
-    return "\n".join(lines)
+    return "\n".join(lines).replace("|  |", "| |")
 
 
 def chosen(held: dict[str, Any]) -> dict[str, Any]:
@@ -89,7 +89,7 @@ def chosen(held: dict[str, Any]) -> dict[str, Any]:
 
 
 def shown(value: Any, form: str) -> str:
-    """A number as text: "text", a format, or a format after which an x follows ("2gx"); several numbers with strokes."""
+    """A number as text: "text", "range", "ms", "2gx" or "2fx" (times), or a format; several numbers with strokes."""
     if value is None:
         return "-"
     if form == "text":
@@ -98,7 +98,11 @@ def shown(value: Any, form: str) -> str:
         return "{:.2f} ({:.2f} to {:.2f})".format(*value)
     if isinstance(value, list):
         return " / ".join(shown(part, form) for part in value)
-    return f"{value:.2g}x" if form == "2gx" else f"{value:.2f}x" if form == "2fx" else format(value, form)
+    if form == "ms":
+        return f"{value} ms"
+    if form == "2gx":
+        return f"{value:.0f}x" if value >= 10 else f"{value:.1f}x"
+    return f"{value:.2f}x" if form == "2fx" else format(value, form)
 
 
 def fill(text: str) -> str:
