@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -24,6 +26,8 @@ from studies.evidence.verdicts import (
     not_comparable,
     smaller,
 )
+from studies.triangles import komatsu_tables
+from wrt.scenes import build
 
 
 @pytest.mark.parametrize(
@@ -176,6 +180,25 @@ def test_runs_become_results(tmp_path):
         found.take("4", "speed")
 
 
+def test_rounds_of_one_run_are_enough_where_they_are_kept():
+    """Of a run that builds for minutes."""
+    about = {"origin": {"kind": "runs", "of": "", "measured": "", "commit": ""}, "machine": "", "settings": {}, "sources": ()}
+    row = {"scene": "a", "ratio": 1.0, "least": 0.9, "greatest": 1.1, "rounds": 5.0}
+    (ratio,) = collect("made_up", [{"4": [row]}], **about).take("4", "ratio")
+    assert (ratio.value, ratio.least, ratio.greatest, ratio.runs) == (1.0, 0.9, 1.1, 5)
+
+
+def test_a_tessellated_mesh_is_the_same_surface():
+    mesh = komatsu_tables.tessellated(build("teapot", level=2, ground=False), 2)
+    plain = build("teapot", level=2, ground=False)
+    assert mesh.triangle_count == 16 * plain.triangle_count
+    areas = [
+        np.linalg.norm(np.cross(*np.diff(m.vertices[m.faces], axis=1).transpose(1, 0, 2)), axis=-1).sum() for m in (mesh, plain)
+    ]
+    assert areas[0] == pytest.approx(areas[1], rel=1e-5)
+    assert np.allclose(mesh.bounds, plain.bounds)
+
+
 def test_a_command_makes_one_run(tmp_path):
     file = tmp_path / "run.json"
     done = CliRunner().invoke(studies, ["measure", "komatsu_counts", "--json", str(file)])
@@ -186,8 +209,17 @@ def test_a_command_makes_one_run(tmp_path):
     assert "are runs of komatsu_counts, not of komatsu" in refused.output
 
 
-def test_why_figures_stay_has_to_be_said():
-    with pytest.raises(ValueError, match="say why"):
-        results.keep("komatsu_counts", " ", "2026-11-27")
+def test_why_figures_stay_has_to_be_said(tmp_path, monkeypatch):
+    found = results.load("komatsu_counts")
+    monkeypatch.setattr(results, "FOLDER", tmp_path)
+    path = results.write(found, tmp_path)
     with pytest.raises(ValueError, match="have not changed"):
         results.keep("komatsu_counts", "none", "2026-11-27")
+    path.write_text(path.read_text().replace(results.recorded_hash("komatsu_counts"), "0" * 16))
+    with pytest.raises(ValueError, match="say why"):
+        results.keep("komatsu_counts", " ", "2026-11-27")
+    results.keep("komatsu_counts", "a name has changed", "2026-11-27")
+    held = json.loads(path.read_text())
+    assert held["code"]["hash"] == results.code_hash(found.sources)
+    assert held["code"]["kept"] == [{"date": "2026-11-27", "reason": "a name has changed"}]
+    assert results.load("komatsu_counts") == found

@@ -97,8 +97,8 @@ def load(study: str) -> Results:
     return Results(held["study"], held["origin"], held["machine"], held["settings"], held["code"]["sources"], rows)
 
 
-def write(results: Results, folder: Path = FOLDER) -> Path:
-    """Writes a file with the present hash of its sources."""
+def write(results: Results, folder: Path | None = None, kept: Sequence[Mapping[str, str]] = ()) -> Path:
+    """Writes a file with the present hash of its sources; `kept`: why its figures stayed when these changed."""
     if results.origin["kind"] not in KINDS:
         raise ValueError(f"origin of {results.study!r} is {results.origin['kind']!r}; one of {', '.join(KINDS)}")
     held = {
@@ -108,6 +108,8 @@ def write(results: Results, folder: Path = FOLDER) -> Path:
         "settings": dict(results.settings),
         "code": {"sources": list(results.sources), "hash": code_hash(results.sources)},
     }
+    if kept:
+        held["code"]["kept"] = list(kept)
     rows = [
         {
             "table": row.table,
@@ -117,6 +119,7 @@ def write(results: Results, folder: Path = FOLDER) -> Path:
         for row in results.rows
     ]
     lines = ",\n".join("  " + json.dumps(row, ensure_ascii=False) for row in rows)
+    folder = folder or FOLDER
     folder.mkdir(exist_ok=True)
     path = folder / f"{results.study}.json"
     head = json.dumps(held, ensure_ascii=False, indent=1).removesuffix("\n}")
@@ -132,20 +135,12 @@ def short(value: float) -> float:
 def keep(study: str, reason: str, today: str) -> None:
     """Says that a change of the sources leaves the figures as they are: the new hash, with the reason and the date."""
     path = FOLDER / f"{study}.json"
-    text = path.read_text(encoding="utf-8")
-    held = json.loads(text)
-    old, new = held["code"]["hash"], code_hash(held["code"]["sources"])
+    held = json.loads(path.read_text(encoding="utf-8"))
     if not reason.strip():
         raise ValueError("say why the figures stay")
-    if old == new:
+    if held["code"]["hash"] == code_hash(held["code"]["sources"]):
         raise ValueError(f"the sources of {study!r} have not changed")
-    kept = [*held["code"].get("kept", []), {"date": today, "reason": reason}]
-    results = load(study)
-    write(results)
-    held = json.loads(path.read_text(encoding="utf-8"))
-    text = path.read_text(encoding="utf-8")
-    before = json.dumps({"hash": held["code"]["hash"]}, indent=1)[2:-2].strip()
-    path.write_text(text.replace(before, f'{before},\n  "kept": {json.dumps(kept, ensure_ascii=False)}'), encoding="utf-8")
+    write(load(study), kept=[*held["code"].get("kept", []), {"date": today, "reason": reason}])
 
 
 def recorded_hash(study: str) -> str:
@@ -213,7 +208,8 @@ def collect(
 
     Args:
         study: name of the file.
-        runs: of each run its rows by table. Numbers with a decimal point are measures, all else is part of the key.
+        runs: of each run its rows by table. Numbers with a decimal point are measures, all else is part of the key. One run
+            whose rows have "rounds", "least" and "greatest" beside the "ratio" is as good as its rounds.
         is_counted: whether nothing is timed, so that one run is enough.
         about: further attributes of `Results`.
 
@@ -232,6 +228,10 @@ def collect(
                         gathered[table, key][name].append(value)
     rows = []
     for (table, key), measures in gathered.items():
+        if len(runs) == 1 and "rounds" in measures:
+            (value,), (least,), (greatest,), (rounds,) = (measures[name] for name in ("ratio", "least", "greatest", "rounds"))
+            rows.append(Row(table, dict(key), {"ratio": Measure(value, least, greatest, int(rounds))}))
+            continue
         lacking = [name for name, values in measures.items() if len(values) != len(runs)]
         if lacking:
             raise ValueError(f"{study}, table {table}, {dict(key)}: {', '.join(lacking)} in some of {len(runs)} runs only")
