@@ -273,12 +273,12 @@ SOURCES = {
 
 
 def last_change(notebook: str, cell: int) -> tuple[str, str]:
-    """Commit and date at which the outputs of a cell became what they are."""
-    now = texts(cells_of(notebook)[cell])
+    """Commit and date at which the tables of a cell became what they are."""
+    now = tables(cells_of(notebook)[cell])
     commit, date = "", ""
     for line in git("log", "--format=%h %ad", "--date=short", "--", f"notebooks/{notebook}.ipynb").splitlines():
         at, day = line.split()
-        if not any(texts(old) == now for old in cells_of(notebook, at) if old["cell_type"] == "code"):
+        if not any(tables(old) == now for old in cells_of(notebook, at) if old["cell_type"] == "code"):
             break
         commit, date = at, day
     return commit, date

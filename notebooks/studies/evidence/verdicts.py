@@ -163,3 +163,8 @@ def span(cases: Iterable[Measure], form: str = ".2f", factor: float = 1.0) -> st
     values = [case.value * factor for case in cases]
     low, high = format(min(values), form), format(max(values), form)
     return low if low == high else f"{low} to {high}"
+
+
+def in_one_run(fulfilled: bool, is_counted: bool = False) -> str:
+    """A verdict of a notebook, which runs once: what is timed is said to hold, or not, "in this run"."""
+    return (HOLDS if fulfilled else FAILS) + ("" if is_counted else " in this run")
