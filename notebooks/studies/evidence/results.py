@@ -161,8 +161,8 @@ def code_hash(sources: Iterable[str]) -> str:
         if name in texts:
             continue
         tree = ast.parse(cell_source(name) if "[" in name else module_path(name).read_text(encoding="utf-8"))
-        texts[name] = statements(tree)
         waiting += [module for module in imported(tree) if not module.startswith("studies.evidence")]
+        texts[name] = statements(tree)
     return hashlib.sha256("\n".join(f"{name}\n{texts[name]}" for name in sorted(texts)).encode()).hexdigest()[:16]
 
 
@@ -181,13 +181,19 @@ def cell_source(name: str) -> str:
 
 
 def statements(tree: ast.Module) -> str:
-    """A module without docstrings, comments and layout."""
+    """A module without docstrings, comments and layout; of imports only the names, so that modules can move."""
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    names = sorted({alias.asname or alias.name for node in imports for alias in node.names})
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list):
-            texts = [line for line in body if not (isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant))]
-            node.body = texts or [ast.Pass()]
-    return ast.dump(tree)
+            node.body = [line for line in body if line not in imports and not is_text(line)] or [ast.Pass()]
+    return f"{names}\n{ast.dump(tree)}"
+
+
+def is_text(line: ast.stmt) -> bool:
+    """Whether a statement is a docstring."""
+    return isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
 
 
 def imported(tree: ast.Module) -> list[str]:
