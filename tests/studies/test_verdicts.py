@@ -13,6 +13,7 @@ from studies.__main__ import studies
 from studies.evidence import page_filling, results
 from studies.evidence.claims import CLAIMS
 from studies.evidence.results import Results, Row, collect
+from studies.evidence.single_runs import STUDIES, Effort
 from studies.evidence.verdicts import (
     FAILS,
     HOLDS,
@@ -207,6 +208,21 @@ def test_a_command_makes_one_run(tmp_path):
     refused = CliRunner().invoke(studies, ["figures", "--collect", "komatsu", str(file)])
     assert refused.exit_code != 0
     assert "are runs of komatsu_counts, not of komatsu" in refused.output
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", ["komatsu_counts", "komatsu_scenes", "traversal", "kdtree_builders"])
+def test_a_small_run_can_be_judged(name):
+    """With built-in scenes, one round: all claims on it find their rows. The other studies compile for minutes."""
+    study = STUDIES[name]
+    tables = study.run(None, Effort(rounds=1, size=64, tests=1 << 12))
+    about = {"origin": {"kind": "runs", "of": "", "measured": "", "commit": ""}, "machine": "", "settings": {}, "sources": ()}
+    found = collect(name, [tables], study.is_counted, **about)
+    for claim in CLAIMS.values():
+        if [*claim.needs] == [name]:
+            verdict, here = claim.judge({name: found})
+            assert here
+            assert verdict.word != HOLDS or study.is_counted
 
 
 def test_why_figures_stay_has_to_be_said(tmp_path, monkeypatch):
