@@ -33,7 +33,7 @@ def fewest_operations(held: Held) -> Found:
         f for f in range(1, 1000) if all(once["Proposed"] + each["Proposed"] * f < once[n] + each[n] * f for n in names[:3])
     )
     printed = max(break_even("Proposed", name) for name in names[:2])
-    return judge([counted(first)], 6, 6), f"from {first} rays on by our counts, from {printed} on by the table as printed"
+    return judge([counted(first)], at_most=6), f"from {first} rays on by our counts, from {printed} on by the table as printed"
 
 
 @claim(
