@@ -40,9 +40,8 @@ REFERENCES = re.compile(r"(\breference_samples = )\d+")
 SMALLER = {"detail": 5, "cells": 14, "level": 8, "trees": 3, "samples": 8, "size": 64}
 """Largest sizes of built-in scenes, samples of a pixel and pixels along a side; only whole ones."""
 
-POWERS = re.compile(r"\b1 << (\d+)")
-LARGEST_POWER = 14
-"""Numbers of rays, and of rays times triangles, that a notebook measures with."""
+EFFORT = re.compile(r'("tests": |pairs=)1 << \d+')
+"""Pairs of a ray and a triangle that a notebook measures with; here few."""
 
 FEWER = (
     ("in TRAVERSALS.items():", 'in [(way, TRAVERSALS[way]) for way in ("single", "packet", "interleaved")]:'),
@@ -66,7 +65,7 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 def reduced(source: str) -> str:
     """The source of a cell, with few rounds, samples and triangles."""
     source = SIZES.sub(r"\g<1>(64,)", REFERENCES.sub(r"\g<1>100", ROUNDS.sub(r"\g<1>1", source)))
-    source = POWERS.sub(lambda given: f"1 << {min(int(given[1]), LARGEST_POWER)}", source)
+    source = EFFORT.sub(r"\g<1>1 << 14", source)
     for whole, part in FEWER:
         source = source.replace(whole, part)
     return WHOLE_SIZES.sub(lambda given: f"{given[1]}={min(int(given[2]), SMALLER[given[1]])}", source)
