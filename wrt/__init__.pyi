@@ -1,4 +1,5 @@
 # Written by `python -m tests.typed.stubs` from the table of names in wrt/__init__.py.
+from wrt import analysis as analysis
 from wrt import batches as batches
 from wrt import classics as classics
 from wrt import cluster as cluster
