@@ -11,18 +11,18 @@ import numpy as np
 import warp as wp
 
 from wrt.analysis.winding_numbers import ACCURACY, winding_numbers_of
+from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.fields.distance_signs import apply_signs, find_sides, sides_of_numbers, sides_of_rule
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.query.inside import contains
 from wrt.query.points.closest_point import closest_point, flat_points, relative_points
-from wrt.rays.rays import as_vectors
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.query.points.closest_points import ClosestPoints
-    from wrt.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.scene.scene import Scene
-    from wrt.state.scene_state import SceneState
 
 INF = float("inf")
 AUTO = "auto"

@@ -11,17 +11,17 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import resolve_accelerator
-from wrt.execution.triangle_records import vertex_blocks
+from wrt.engine.launch.triangle_records import vertex_blocks
 from wrt.kernels.fields.cluster_moments import MOMENTS, Sums, gather_radii, store_moments, sum_children, sum_leaves, vec10d
 from wrt.kernels.fields.winding_walk import Clusters, set_far
 from wrt.kernels.runtime.launch import launch
 from wrt.scene.mesh_state import build_state
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.scene_state import SceneState
     from wrt.kernels.layout.bvh_nodes import WideNodes
     from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
     from wrt.meshes.mesh import TriangleMesh
-    from wrt.state.scene_state import SceneState
 
 
 class WindingTree(NamedTuple):

@@ -12,18 +12,18 @@ import numpy as np
 import warp as wp
 
 from wrt.analysis.winding_clusters import clusters_of, visible_mesh, winding_tree
-from wrt.execution.triangle_records import vertex_blocks
+from wrt.engine.launch.triangle_records import vertex_blocks
+from wrt.engine.rays.rays import MAX_RAYS, as_vectors
 from wrt.kernels.fields.winding_walk import make_winding_kernel
 from wrt.kernels.points.point_order import morton_order
 from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
 from wrt.kernels.validation import as_float
 from wrt.query.points.closest_point import flat_points, relative_points
-from wrt.rays.rays import MAX_RAYS, as_vectors
 
 if TYPE_CHECKING:
-    from wrt.rays.array_types import ArrayLike, NumpyLike, WarpLike
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.array_types import ArrayLike, NumpyLike, WarpLike
     from wrt.scene.scene import Scene
-    from wrt.state.scene_state import SceneState
 
 ACCURACY = 0.5
 """The default: clusters are at least 2.8 of their radii away."""
