@@ -35,11 +35,19 @@ class ClosestPoints(Hits):
             front); 0 if nothing was found and for a triangle without area.
         is_hit: (...) bool, whether something was found.
         t: the same as `distance`.
-        counters: no work is counted: ValueError.
+        counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work for each point, if requested: inner nodes and
+            leaves visited, and triangles in those leaves. A block that was near another point is tried first, and not counted.
     """
 
-    def __init__(self, batch: DeviceHits, feature: wp.array, form: ResultForm, scene: SceneState) -> None:
-        super().__init__(batch, form, scene, None)
+    def __init__(
+        self,
+        batch: DeviceHits,
+        feature: wp.array,
+        form: ResultForm,
+        scene: SceneState,
+        work: wp.array | None = None,
+    ) -> None:
+        super().__init__(batch, form, scene, None, work)
         self._feature = feature
 
     def __repr__(self) -> str:

@@ -1,0 +1,111 @@
+"""All triangles within a distance of points: lists of different lengths, concatenated.
+
+Triangles are counted, then listed, which takes two walks; the number of a list is known before there is memory for it.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.points.point_batch import NearLists, copy_lists
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
+from wrt.memory import empty
+from wrt.query.all_hits import MAX_TOTAL, AllHits
+from wrt.query.points.closest_point import as_points, check_scene, nearest_batch, search
+from wrt.rays.array_types import ArrayT
+from wrt.state.device_hits import DeviceHits, shaped
+
+if TYPE_CHECKING:
+    from wrt.rays.rays import ResultForm
+    from wrt.state.scene_state import SceneState
+
+
+class TrianglesWithin(AllHits[ArrayT]):
+    """Triangles within a distance of points, point after point, each list sorted by distance, then geometry, then triangle.
+
+    The triangles of point i of the flattened batch are the elements offsets[i] .. offsets[i + 1] - 1 of the arrays of M
+    triangles. The attributes are NumPy arrays if the points were, else Warp arrays on the scene's device.
+
+    Attributes:
+        offsets: (N + 1,) int64, index of each point's first triangle; the last is M.
+        count: (...) int32, number of each point's triangles, in the points' leading shape.
+        distance: (M,) float32, from the point to `position`.
+        position: (M, 3), the nearest point of the triangle, of the type of `ClosestPoints.position`.
+        primitive_id: (M,) int32, index of the triangle within its geometry.
+        geometry_id: (M,) int32, index of the mesh within the scene.
+        instance_id: (M,) int32, index of the instance, or of the mesh in a scene without instances.
+        uv: (M, 2) float32, weights of the triangle's second and third vertex.
+        feature: (M,) int8, what `position` is on: 0 a vertex of the triangle, 1 an edge, 2 its face.
+        normal: (M, 3), unit vectors, float64 if the points were, else float32, from the triangle's winding; 0 for a triangle
+            without area.
+        point_id: (M,) int32, index of the point in the flattened batch.
+        t, ray_id: the same as `distance` and `point_id`.
+        plan: None.
+    """
+
+    def __init__(self, batch: DeviceHits, feature: wp.array, offsets: wp.array, form: ResultForm, scene: SceneState) -> None:
+        super().__init__(batch, offsets, form, scene, None)  # type: ignore[arg-type]
+        self._feature = feature
+
+    def __repr__(self) -> str:
+        return f"TrianglesWithin({len(self)} triangles of points of shape {self.shape})"
+
+    @property
+    def distance(self) -> ArrayT:
+        return self.t
+
+    @property
+    def point_id(self) -> ArrayT:
+        return self.ray_id
+
+    @cached_property
+    def feature(self) -> ArrayT:
+        return shaped(self._feature, self._form._replace(shape=self._feature.shape))
+
+
+def triangles_within(scene: SceneState, points: Any, radius: Any, mask: Any = None, environment: Any = None) -> TrianglesWithin:
+    """All triangles within a distance of points; see `wrt.Scene.within`."""
+    refuse_capture("within", scene.device)
+    check_scene(scene, "within")
+    with use_threads(scene.num_threads):
+        given, device = as_points(scene, points, radius, "radius", mask, environment), scene.device
+        lists, count = NearLists(), given.batch.count
+        lists.count = empty(count, wp.int32, device)
+        search(scene, given.batch, lists, "count")
+        room = sum_up(lists.count.numpy())
+        lists.begin = wp.array(room[:-1].astype(np.int32), dtype=int, device=device)
+        hits, feature = new_lists(int(room[-1]), device)
+        lists.found = nearest_batch(hits, feature)
+        search(scene, given.batch, lists, "list")
+        offsets = sum_up(lists.count.numpy())
+        if offsets[-1] < room[-1]:  # some triangles are in several leaves
+            hits, feature = new_lists(int(offsets[-1]), device)
+            begin = wp.array(offsets[:-1].astype(np.int32), dtype=int, device=device)
+            launch(copy_lists, count, [lists, begin, nearest_batch(hits, feature)], device=device, chunk=1024)
+        ends = wp.array(offsets, dtype=wp.int64, device=device)
+    return TrianglesWithin(hits, feature, ends, given.form, scene)
+
+
+def new_lists(count: int, device: wp.Device) -> tuple[DeviceHits, wp.array]:
+    """Memory for lists of this many triangles together, and for their features."""
+    return DeviceHits.lists(0, count, 0, device), empty(count, wp.int8, device)
+
+
+def sum_up(counts: np.ndarray) -> np.ndarray:
+    """(N + 1,) int64: where each of N lists begins, and the end of the last.
+
+    Raises:
+        ValueError: more than `MAX_TOTAL` triangles.
+    """
+    offsets = np.zeros(len(counts) + 1, dtype=np.int64)
+    np.cumsum(counts, dtype=np.int64, out=offsets[1:])
+    if offsets[-1] > MAX_TOTAL:
+        raise ValueError(
+            f"{int(offsets[-1]):,} triangles are within radius of these points, and one result holds {MAX_TOTAL:,}; pass fewer "
+            "points at a time, or a smaller radius"
+        )
+    return offsets
