@@ -22,7 +22,7 @@ _HOME = {
     "Plan": "wrt.planning.plan",
     "PreciseHits": "wrt.query.exact_hits",
     "SceneStatistics": "wrt.scene.scene_statistics",
-    "TrianglesWithin": "wrt.query.points.triangles_within",
+    "TrianglesWithin": "wrt.query.points.closest_points",
     "UpdateReport": "wrt.scene.updates",
     "Verification": "wrt.query.verification",
 }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 import trimesh
@@ -86,6 +88,16 @@ def test_ends_of_lists(device):
     lists = scene.within(given, 0.5)
     assert all(isinstance(values, wp.array) for values in (lists.distance, lists.offsets, lists.feature))
     assert lists.feature.numpy().tolist() == near.feature.tolist()
+    for kept in (near, lists):
+        again = pickle.loads(pickle.dumps(kept))
+        assert (type(again), again.shape) == (wrt.results.TrianglesWithin, kept.shape)
+        for name in ("offsets", "count", "point_id", *COLUMNS, "position", "normal"):
+            values, expected = getattr(again, name), getattr(kept, name)
+            assert type(values) is type(expected)
+            np.testing.assert_array_equal(np.asarray(values), np.asarray(expected))
+    again = pickle.loads(pickle.dumps(some))
+    np.testing.assert_array_equal(again.distance, some.distance)
+    assert again.position.shape == (3, 2, 3)
 
 
 def test_lists_are_independent_of_neighbours():

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from wrt.meshes.mesh import TriangleMesh
     from wrt.planning.plan import Plan
     from wrt.query.hits import Hits
-    from wrt.query.points.closest_points import ClosestPoints
-    from wrt.query.points.triangles_within import TrianglesWithin
+    from wrt.query.points.closest_points import ClosestPoints, TrianglesWithin
     from wrt.query.verification import Verification
     from wrt.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.state.scene_state import SceneState

@@ -5,7 +5,6 @@ Triangles are counted, then listed, which takes two walks; the number of a list 
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,57 +13,13 @@ import warp as wp
 from wrt.kernels.points.point_batch import NearLists, copy_lists
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.memory import empty
-from wrt.query.all_hits import MAX_TOTAL, AllHits
+from wrt.query.all_hits import MAX_TOTAL
 from wrt.query.points.closest_point import as_points, check_scene, nearest_batch, search
-from wrt.rays.array_types import ArrayT
-from wrt.state.device_hits import DeviceHits, shaped
+from wrt.query.points.closest_points import TrianglesWithin
+from wrt.state.device_hits import DeviceHits
 
 if TYPE_CHECKING:
-    from wrt.rays.rays import ResultForm
     from wrt.state.scene_state import SceneState
-
-
-class TrianglesWithin(AllHits[ArrayT]):
-    """Triangles within a distance of points, point after point, each list sorted by distance, then geometry, then triangle.
-
-    The triangles of point i of the flattened batch are the elements offsets[i] .. offsets[i + 1] - 1 of the arrays of M
-    triangles. The attributes are NumPy arrays if the points were, else Warp arrays on the scene's device.
-
-    Attributes:
-        offsets: (N + 1,) int64, index of each point's first triangle; the last is M.
-        count: (...) int32, number of each point's triangles, in the points' leading shape.
-        distance: (M,) float32, from the point to `position`.
-        position: (M, 3), the nearest point of the triangle, of the type of `ClosestPoints.position`.
-        primitive_id: (M,) int32, index of the triangle within its geometry.
-        geometry_id: (M,) int32, index of the mesh within the scene.
-        instance_id: (M,) int32, index of the instance, or of the mesh in a scene without instances.
-        uv: (M, 2) float32, weights of the triangle's second and third vertex.
-        feature: (M,) int8, what `position` is on: 0 a vertex of the triangle, 1 an edge, 2 its face.
-        normal: (M, 3), unit vectors, float64 if the points were, else float32, from the triangle's winding; 0 for a triangle
-            without area.
-        point_id: (M,) int32, index of the point in the flattened batch.
-        t, ray_id: the same as `distance` and `point_id`.
-        plan: None.
-    """
-
-    def __init__(self, batch: DeviceHits, feature: wp.array, offsets: wp.array, form: ResultForm, scene: SceneState) -> None:
-        super().__init__(batch, offsets, form, scene, None)  # type: ignore[arg-type]
-        self._feature = feature
-
-    def __repr__(self) -> str:
-        return f"TrianglesWithin({len(self)} triangles of points of shape {self.shape})"
-
-    @property
-    def distance(self) -> ArrayT:
-        return self.t
-
-    @property
-    def point_id(self) -> ArrayT:
-        return self.ray_id
-
-    @cached_property
-    def feature(self) -> ArrayT:
-        return shaped(self._feature, self._form._replace(shape=self._feature.shape))
 
 
 def triangles_within(scene: SceneState, points: Any, radius: Any, mask: Any = None, environment: Any = None) -> TrianglesWithin:
