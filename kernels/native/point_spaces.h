@@ -190,6 +190,19 @@ template <class Kind, int W, int U, int ROWS, class Top, class Parts> struct Ins
     }
 };
 
+/// Distance, weights and number (its bits) of the nearest triangle to a point that has entered a space, or that cannot find anything.
+template <class Vec4, class Space> inline CUDA_CALLABLE Vec4 nearest_in(Space space, bool has_entered, float most)
+{
+    NearestTriangle kept(most);
+    OnTriangle at = {0.0f, 0.0f, 0.0f, -1};
+    if (has_entered & (most >= 0.0f)) {
+        space.start(kept);
+        space.search(kept);
+    }
+    if (kept.slot >= 0) at = space.nearest(kept.number, kept.slot);
+    return Vec4(kept.distance, at.u, at.v, __builtin_bit_cast(float, kept.number));
+}
+
 template <class Kind, int W, int ROWS, class Tree, class Triangles>
 inline CUDA_CALLABLE OneTree<Kind, W, ROWS, Tree, Triangles> one_tree(const Tree& tree, const Triangles& triangles)
 {

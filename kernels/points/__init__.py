@@ -47,6 +47,8 @@ finds nothing, nor does one farther than 1.8e19 from all triangles: its square o
     point_batch.py      points and answers on the device
     point_order.py      the order in which points are searched
     brute_points.py     every triangle
+    device_points.py    points in your own kernels
+    point_gradients.py  closest points of given triangles, with adjoints
     tree_points.py      the kernels that walk trees, by kernels/native/point_groups.h
 
 References: ericson-2005 (section 5.1.5); arya-mount-1993; morton-1966.

@@ -23,6 +23,7 @@ from wrt.rays.ray_buffers import set_environment, set_mask
 from wrt.rays.rays import MAX_RAYS, ResultForm, as_vectors
 from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import CLOSEST
+from wrt.tapes import refuse_tape
 
 if TYPE_CHECKING:
     from wrt.state.scene_state import SceneState
@@ -61,6 +62,7 @@ def closest_point(
 ) -> ClosestPoints:
     """The closest point on the scene of each point; see `wrt.Scene.closest_point`."""
     refuse_capture("closest_point", scene.device)
+    refuse_tape("closest_point", (points,), "differentiable_points")
     check_scene(scene)
     if k is not None and not 1 <= as_int("k", k) <= MAX_NEAREST:
         raise ValueError(

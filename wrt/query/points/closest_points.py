@@ -59,6 +59,11 @@ class ClosestPoints(Hits):
     def distance(self) -> Any:
         return self.t
 
+    @property
+    def features(self) -> tuple[wp.array, wp.array, wp.array]:
+        """(N,) each, on the device: triangles numbered through the scene, weights, and features."""
+        return self.batch.primitive, self.batch.uv, self._feature  # type: ignore[return-value]
+
     @cached_property
     def feature(self) -> Any:
         return shaped(self._feature, self._form)

@@ -169,7 +169,8 @@ class PointQueries:
             TypeError: points or distances are not real numbers, `k` is not an int, or masks or environments are not integers.
             ValueError: wrong shapes, a negative distance or a NaN, `k` out of range, an array on another device; masks or
                 environments in a scene without instances; instances that are sheared or not scaled alike along all axes; a
-                scene of fans, groups or fuzzy boxes.
+                scene of fans, groups or fuzzy boxes; points that require gradients inside a `wp.Tape` (call
+                `wrt.device.differentiable_points` for gradients).
         """
         from wrt.query.points.closest_point import closest_point
 

@@ -17,6 +17,7 @@ from wrt.query.all_hits import MAX_TOTAL
 from wrt.query.points.closest_point import as_points, check_scene, nearest_batch, search
 from wrt.query.points.closest_points import TrianglesWithin
 from wrt.state.device_hits import DeviceHits
+from wrt.tapes import refuse_tape
 
 if TYPE_CHECKING:
     from wrt.state.scene_state import SceneState
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 def triangles_within(scene: SceneState, points: Any, radius: Any, mask: Any = None, environment: Any = None) -> TrianglesWithin:
     """All triangles within a distance of points; see `wrt.Scene.within`."""
     refuse_capture("within", scene.device)
+    refuse_tape("within", (points,), "differentiable_points")
     check_scene(scene, "within")
     with use_threads(scene.num_threads):
         given, device = as_points(scene, points, radius, "radius", mask, environment), scene.device
