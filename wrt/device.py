@@ -78,12 +78,12 @@ from wrt.tapes import takes_gradients, tape_records
 if TYPE_CHECKING:  # the first three are the names of `_HOME`, for type checkers
     from wrt.kernels.compilation.compile_progress import show_compiling as show_compiling
     from wrt.query.gradients import differentiable_hits as differentiable_hits
-    from wrt.query.points.point_gradients import differentiable_points as differentiable_points
+    from wrt.query.points.differentiable_points import differentiable_points as differentiable_points
     from wrt.state.scene_state import SceneState
 
 _HOME = {
     "differentiable_hits": "wrt.query.gradients",
-    "differentiable_points": "wrt.query.points.point_gradients",
+    "differentiable_points": "wrt.query.points.differentiable_points",
     "show_compiling": "wrt.kernels.compilation.compile_progress",
 }
 

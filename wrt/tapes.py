@@ -35,7 +35,7 @@ def refuse_tape(query: str, arrays: Iterable[Any], remedy: str = "differentiable
     """
     if tape_records() and any(isinstance(values, wp.array) and values.requires_grad for values in arrays):
         raise ValueError(
-            f"{query} has no gradients, and inside a wp.Tape these {'rays' if 'hits' in remedy else 'points'} require them; call "
-            f"it before the tape, or with wp.clone(array, requires_grad=False), and pass its results to wrt.device.{remedy} "
+            f"{query} has no gradients, and inside a wp.Tape these {'rays' if 'hits' in remedy else 'points'} require them; "
+            f"call it before the tape, or with wp.clone(array, requires_grad=False), and pass its results to wrt.device.{remedy} "
             "inside the tape"
         )
