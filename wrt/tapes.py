@@ -36,6 +36,6 @@ def refuse_tape(query: str, arrays: Iterable[Any], remedy: str = "differentiable
     if tape_records() and any(isinstance(values, wp.array) and values.requires_grad for values in arrays):
         raise ValueError(
             f"{query} has no gradients, and inside a wp.Tape these {'rays' if 'hits' in remedy else 'points'} require them; "
-            f"call it before the tape, or with wp.clone(array, requires_grad=False), and pass its results to wrt.device.{remedy} "
-            "inside the tape"
+            "call it before the tape, or with wp.clone(array, requires_grad=False), and pass its results to "
+            f"wrt.device.{remedy} inside the tape"
         )

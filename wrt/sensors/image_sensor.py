@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.memory import ArraysOfBlock, empty, outputs_of
 from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_real_array, convert_fields
-from wrt.memory import ArraysOfBlock, empty, outputs_of
 from wrt.sensors.camera_conversion import camera_of, lens_of
 from wrt.sensors.checks import as_time, check_at_least
 from wrt.sensors.hit_outputs import HitOutputs

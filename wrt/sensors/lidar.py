@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.memory import outputs_of
 from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_int, convert_fields
-from wrt.memory import outputs_of
 from wrt.sensors.checks import as_time, check_at_least, check_real
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
@@ -31,13 +32,12 @@ from wrt.sensors.time_slices import (
     trace_slices,
 )
 from wrt.sensors.trajectory import StillPoses, Trajectory, as_poses
-from wrt.state.query_kinds import AUTO
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.engine.memory import ArraysOfBlock
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.kernels.sensors.lidar_returns import Detector, Noise, Returns
-    from wrt.memory import ArraysOfBlock
     from wrt.scene.scene import Scene
 
 KEEP = {"strongest": 0, "first": 1, "last": 2}

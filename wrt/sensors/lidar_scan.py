@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     import warp as wp
 
-    from wrt.memory import ArraysOfBlock
+    from wrt.engine.memory import ArraysOfBlock
     from wrt.sensors.lidar_pattern import LidarPattern
 
 POINT_TYPE = np.dtype(

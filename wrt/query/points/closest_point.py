@@ -9,6 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.facts.query_kinds import CLOSEST
+from wrt.engine.memory import empty
+from wrt.engine.rays.ray_integers import ENVIRONMENTS, MASKS
+from wrt.engine.rays.rays import MAX_RAYS, ResultForm, as_vectors
 from wrt.instances.instance_tables import vertex_parts
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.point_batch import NearestBatch, NearLists, PointBatch, make_widen
@@ -16,17 +21,12 @@ from wrt.kernels.points.tree_points import GROUP, PointConfig, as_lists, as_spac
 from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.validation import as_bool, as_int, as_real_array
-from wrt.memory import empty
 from wrt.query.points.closest_points import ClosestPoints
 from wrt.query.points.similar_instances import check_maps
-from wrt.rays.ray_buffers import set_environment, set_mask
-from wrt.rays.rays import MAX_RAYS, ResultForm, as_vectors
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import CLOSEST
 from wrt.tapes import refuse_tape
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 MIN_SORTED = 1024
 """Fewest points that are sorted."""
@@ -169,12 +169,13 @@ def as_points(
         batch.exact, center = empty(count, wp.vec3d, device), wp.vec3d(*map(float, scene.center))
         launch(specialise(make_widen, flat.dtype), count, [center, flat, batch.exact], device=device, chunk=4096)
     found = Points(batch, shape, ResultForm(shape, is_warp, np.float64 if is_wide else np.float32))
-    for key, values, write in (("mask", mask, set_mask), ("environment", environment, set_environment)):
+    for integers, values in ((MASKS, mask), (ENVIRONMENTS, environment)):
         if values is None:
             continue
         if not scene.instances:
+            key = integers.name
             raise ValueError(f"{key} needs instances, and this scene has none; make it from wrt.Instance(mesh, {key}=...)")
-        write(found, values, device)  # type: ignore[arg-type]
+        integers.set(found, values, device)  # type: ignore[arg-type]
     return found
 
 
@@ -203,8 +204,8 @@ def search(scene: SceneState, points: PointBatch, lists: NearLists, task: str, w
         task: which of its arrays.
         work: (N,) `Counters`, for those that count.
     """
-    from wrt.execution.traversal_launch import no_work
-    from wrt.execution.triangle_records import vertex_blocks
+    from wrt.engine.launch.traversal_launch import no_work
+    from wrt.engine.launch.triangle_records import vertex_blocks
 
     device, instances = scene.device, bool(scene.instances)
     group = 1 if device.is_cuda else GROUP

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 UNEVEN = 1e-6
 """How far the axes of a map may differ in length and from right angles, relative to their length."""

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.memory import empty
 from wrt.kernels.points.point_batch import NearLists, copy_lists
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
-from wrt.memory import empty
 from wrt.query.all_hits import MAX_TOTAL
 from wrt.query.points.closest_point import as_points, check_scene, nearest_batch, search
 from wrt.query.points.closest_points import TrianglesWithin
-from wrt.state.device_hits import DeviceHits
 from wrt.tapes import refuse_tape
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 
 def triangles_within(scene: SceneState, points: Any, radius: Any, mask: Any = None, environment: Any = None) -> TrianglesWithin:
