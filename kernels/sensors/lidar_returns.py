@@ -25,7 +25,7 @@ import warp as wp
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, triangle_normal, triangle_of
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.sensors.lidar_beams import Beams, beam_at
-from wrt.kernels.sensors.philox import normal_pair, philox, uniform
+from wrt.kernels.sensors.philox import normal_number, philox, uniform
 
 exact_module(__name__)
 
@@ -253,7 +253,7 @@ def write_measured(noise: Noise, returns: Returns, at: int, mean: float, power: 
         if is_noisy(noise):
             words = philox(wp.vec4ui(wp.uint32(at), wp.uint32(0), wp.uint32(0), wp.uint32(0)), noise.key)
             kept = uniform(words[2]) >= noise.dropout
-            shift = noise.range * normal_pair(words[0], words[1])[0]
+            shift = noise.range * normal_number(words[0], words[1])
         if kept:
             distance = wp.max(wp.float64(mean) + shift, wp.float64(0.0))
             intensity = power

@@ -5,7 +5,7 @@ An array (0,) is not asked for.
 
 import warp as wp
 
-from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, hit_normal
+from wrt.kernels.query.hit_attributes import SceneMesh, hit_normal
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.sensors.lidar_beams import Beams, across, beam_at, beam_offset, place_of
 from wrt.kernels.sensors.lidar_returns import Detector, Motions, Noise, Returns, Traced, is_noisy
@@ -174,6 +174,8 @@ def surface_velocity(motions: Motions, instance: int, point: wp.vec3d):
 @wp.kernel
 def fill_velocities(
     first: int,
+    block: int,
+    count: int,
     beams: Beams,
     path: PosePath,
     traced: Traced,
@@ -183,16 +185,23 @@ def fill_velocities(
     returns: Returns,
     layers: ReturnLayers,
 ):
-    """Writes the radial velocity of a return. Item: a return, in the order of tracing."""
-    found = return_at(beams, traced, detector, returns, first + wp.tid())
-    speed = wp.float32(wp.nan)
-    if found.primitive >= 0:
-        place = place_of(beams, found.beam)
-        pose = pose_of(path, place.sensor, beams.start + beams.times[place.beam])
-        axis = wp.quat_rotate(pose.rotation, wp.normalize(wp.vec3d(beams.directions[place.beam])))
-        origin = pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, place.beam))
-        instance = geometry_of(mesh, found.primitive)
-        against = surface_velocity(motions, instance, origin + wp.float64(found.t) * axis)
-        against = against - pose.velocity - wp.cross(pose.spin, origin - pose.position)
-        speed = wp.float32(wp.dot(axis, against))
-    layers.radial_velocity[found.at] = speed
+    """Writes the radial velocities of returns. Item: a block of returns, in the order of tracing."""
+    begin = (first + wp.tid()) * block
+    pose = Pose()
+    sensor = int(-1)
+    ids = SurfaceIds()
+    for i in range(begin, wp.min(begin + block, count)):
+        found = return_at(beams, traced, detector, returns, i)
+        speed = wp.float32(wp.nan)
+        if found.primitive >= 0:
+            place = place_of(beams, found.beam)
+            if place.sensor != sensor or path.times.shape[0] > 1:
+                pose = pose_of(path, place.sensor, beams.start + beams.times[place.beam])
+                sensor = place.sensor
+            axis = wp.quat_rotate(pose.rotation, wp.normalize(wp.vec3d(beams.directions[place.beam])))
+            origin = pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, place.beam))
+            ids = surface_ids(mesh, ids, found.primitive)
+            against = surface_velocity(motions, ids.instance, origin + wp.float64(found.t) * axis)
+            against = against - pose.velocity - wp.cross(pose.spin, origin - pose.position)
+            speed = wp.float32(wp.dot(axis, against))
+        layers.radial_velocity[found.at] = speed

@@ -94,7 +94,7 @@ class MeasuredReturns(TracedLayers):
             last = [self._detector, returns, struct]
             if group[0] == "radial_velocity":
                 inputs = [self._beams, self._path, found.traced, found.mesh, found.motions, *last]
-                launch(fill_velocities, count, inputs, device=device, chunk=1024)
+                launch_blocks(fill_velocities, count, inputs, device)
             else:
                 kernel, labels = (fill_normals, []) if group[0] == "normal" else (fill_ids, [self.labels])
                 launch_blocks(kernel, count, [self._beams, found.traced, found.mesh, *labels, *last], device)

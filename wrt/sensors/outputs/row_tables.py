@@ -10,6 +10,7 @@ import warp as wp
 
 from wrt.instances.instance_boxes import on_device
 from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.memory import empty
 
 
 class Field(NamedTuple):
@@ -66,13 +67,12 @@ def row_table(
             launch(count_rows, blocks, [source], device=host, chunk=4)
             begins[1:] = np.cumsum(begins[:-1])
             begins[0] = 0
-        table = np.empty(int(begins[-1]), dtype=dtype)
+        rows = empty(int(begins[-1]) * dtype.itemsize, wp.uint8, host)
         columns, kept = _columns(fields, dtype, count)
-        if len(table):
-            rows = on_device(table, wp.uint8, host)
+        if rows.size:
             launch(write_rows, blocks, [source, columns, dtype.itemsize, rows], device=host, chunk=4)
     del kept
-    return table
+    return rows.numpy().view(dtype)
 
 
 def _columns(fields: Sequence[Field], dtype: np.dtype, count: int) -> tuple[wp.array, list[np.ndarray]]:
