@@ -47,7 +47,8 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from wrt.execution.triangle_records import records_of
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.plan import Plan, stack_levels
 from wrt.kernels.query.device_functions import (
     TRIANGLE_TEST,
     Hit,
@@ -70,13 +71,12 @@ from wrt.kernels.runtime import launch as launching
 from wrt.kernels.validation import as_int
 from wrt.lazy_names import lazy_names
 from wrt.meshes.instance import EVERY, MAX_MASK, check_environment, check_mask
-from wrt.planning.plan import Plan, stack_levels
 from wrt.tapes import takes_gradients, tape_records
 
 if TYPE_CHECKING:  # the first two are the names of `_HOME`, for type checkers
+    from wrt.engine.facts.scene_state import SceneState
     from wrt.kernels.compilation.compile_progress import show_compiling as show_compiling
     from wrt.query.gradients import differentiable_hits as differentiable_hits
-    from wrt.state.scene_state import SceneState
 
 _HOME = {
     "differentiable_hits": "wrt.query.gradients",

@@ -19,7 +19,7 @@ _HOME = {
     "InsideCheck": "wrt.query.checks.inside_check",
     "KdTreeStatistics": "wrt.builders.kdtree.kdtree_statistics",
     "MeshMaterials": "wrt.materials.mesh_materials",
-    "Plan": "wrt.planning.plan",
+    "Plan": "wrt.engine.plan.plan",
     "PreciseHits": "wrt.query.exact_hits",
     "SceneStatistics": "wrt.scene.scene_statistics",
     "UpdateReport": "wrt.scene.updates",

@@ -20,7 +20,7 @@ from wrt.lazy_names import lazy_names
 ROOT = Path(__file__).resolve().parents[2]
 MOST_NAMES = 30
 
-DOORS = [name for name in wrt.__all__ if isinstance(getattr(wrt, name), ModuleType)]
+DOORS = [name for name in (*wrt.__all__, *wrt._BESIDE) if isinstance(getattr(wrt, name), ModuleType)]
 """Public modules."""
 
 TABLES = ["wrt", *(f"wrt.{name}" for name in DOORS if hasattr(getattr(wrt, name), "_HOME"))]
@@ -31,6 +31,8 @@ EVERY_NAME = ["__version__", *(name for module in TABLES for name in import_modu
 def test_few_names_at_the_front():
     assert len([name for name in wrt.__all__ if name != "__version__"]) <= MOST_NAMES
     assert set(wrt.__all__) == set(dir(wrt))
+    assert not set(wrt._BESIDE) & set(dir(wrt))
+    assert all(isinstance(getattr(wrt, name), ModuleType) for name in wrt._BESIDE)
     assert {"Scene", "TriangleMesh", "Hits", "render", "lights", "moving", "sensors"} <= set(dir(wrt))
     assert not {name for _, name, _ in MOVED} & set(dir(wrt))
 

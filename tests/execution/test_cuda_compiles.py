@@ -24,6 +24,7 @@ from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.scan.reference_chunks import make_decide
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
+from wrt.engine.facts.query_kinds import ANY, CLOSEST, QUERIES
 from wrt.kernels.classics.studies.bare_triangle_tests import make_blocks, make_frusta, make_pairs, make_scalar
 from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
 from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
@@ -48,7 +49,6 @@ from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, S
 from wrt.kernels.traversal.two_level import instance_single
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import make_packing_kernel
-from wrt.state.query_kinds import ANY, CLOSEST, QUERIES
 
 ARCHITECTURE = 75
 

@@ -12,10 +12,10 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt import memory
 from wrt.builders.core.levels import LiveNode
-from wrt.execution.triangle_records import records_of
-from wrt.memory import GRAIN, BlockPool, large_pages
+from wrt.engine import memory
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.memory import GRAIN, BlockPool, large_pages
 
 COUNT = 1 << 20
 

@@ -9,12 +9,12 @@ import pytest
 from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_rays
 
 import wrt
-import wrt.planning.planner
+import wrt.engine.plan.planner
+from wrt.engine.plan.plan import Plan
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.packet_bvh import MAX_STEPS_PER_RAY
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.planning.plan import Plan
 
 FITTING = [
     (c, t, own)
@@ -364,7 +364,7 @@ def test_large_scattered_batches_are_reordered(monkeypatch):
     rng = np.random.default_rng(0)
     origins, directions = rng.normal(size=(2, 70_000, 3)).astype(np.float32)
     assert scene.explain(origins, directions).reorder == "none"
-    monkeypatch.setattr(wrt.planning.planner, "CACHED_BYTES", 1)
+    monkeypatch.setattr(wrt.engine.plan.planner, "CACHED_BYTES", 1)
     scene.state.cache.clear()  # which rays like these have
     order = "cells" if scene.state.width == 16 else "none"  # rays that take turns are not sorted: that makes them slower
     assert scene.explain(origins, directions).reorder == order

@@ -9,9 +9,9 @@ from conftest import degenerate_soup, mixed_rays, snapped_soup
 from test_cuda_compiles import FUSIBLE, compile_to_ptx
 
 import wrt
+from wrt.engine.facts.query_kinds import ANY, CLOSEST
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
-from wrt.state.query_kinds import ANY, CLOSEST
 
 TREES = ("bvh", "kdtree")
 

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.triangle_records import records_of
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.memory import keep_alive
 from wrt.kernels.layout.instance_maps import Geometry
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import kept
-from wrt.memory import keep_alive
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.plan.plan import Plan
     from wrt.instances.instance_boxes import UpperTree
     from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.kernels.traversal.two_level.instance_single import InstanceTree
-    from wrt.planning.plan import Plan
-    from wrt.state.scene_state import SceneState
 
 
 MAX_TRIANGLES = (1 << 31) - 1

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.runtime.launch import kept, launch, load
 from wrt.kernels.validation import as_real_array
-from wrt.rays.rays import as_vectors
 
 if TYPE_CHECKING:
     from wrt.query.api import Queries

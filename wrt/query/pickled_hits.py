@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 import numpy as np
 import warp as wp
 
+from wrt.engine.device_hits import DTYPES, DeviceHits
+from wrt.engine.rays.rays import ResultForm
 from wrt.query.all_hits import AllHits
 from wrt.query.exact_hits import PreciseHits
 from wrt.query.hits import Hits
 from wrt.query.points.closest_points import ClosestPoints
-from wrt.rays.rays import ResultForm
-from wrt.state.device_hits import DTYPES, DeviceHits
 
 if TYPE_CHECKING:
-    from wrt.planning.plan import Plan
+    from wrt.engine.plan.plan import Plan
 
 ATTRIBUTES = ("t", "primitive_id", "geometry_id", "instance_id", "uv", "is_hit", "position", "normal")
 

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.memory import empty
 from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.integrators.device_materials import device_materials, scene_materials, shaded_mesh
 from wrt.imaging.integrators.rendering_job import Rendering
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.wavefront.ray_queue import Wave
 from wrt.materials.material import Material
-from wrt.memory import empty
 from wrt.sensors.checks import check_at_least
 
 if TYPE_CHECKING:

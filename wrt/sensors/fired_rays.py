@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.memory import empty
 from wrt.kernels.runtime.launch import as_device, kept, launch
-from wrt.memory import empty
 from wrt.sensors.time_slices import no_vectors
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.memory import empty
 from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, convert_fields
-from wrt.memory import empty
 from wrt.sensors.camera_conversion import camera_of, lens_of
 from wrt.sensors.checks import as_time, check_at_least
 from wrt.sensors.fired_rays import fire, spread_on

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.facts.query_kinds import AUTO
 from wrt.kernels.runtime.launch import as_device, kept, refuse_capture, use_threads
 from wrt.kernels.validation import as_int, convert_fields
 from wrt.sensors.checks import as_time, check_at_least, check_real
@@ -32,7 +33,6 @@ from wrt.sensors.time_slices import (
     trace_slices,
 )
 from wrt.sensors.trajectory import Trajectory, as_poses
-from wrt.state.query_kinds import AUTO
 from wrt.tables import lookup
 
 if TYPE_CHECKING:

@@ -21,19 +21,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import closest_of_relative
+from wrt.engine.executor import closest_of_relative
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.rays.device_rays import relative_rays
 from wrt.instances.instance_boxes import on_device
 from wrt.kernels.validation import as_int, as_real_array
 from wrt.meshes.placement import check_index
-from wrt.rays.ray_arrays import relative_rays
 from wrt.sensors.trajectory import Trajectory
-from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
+    from wrt.engine.device_hits import DeviceHits
     from wrt.kernels.query.hit_attributes import SceneMesh
     from wrt.kernels.sensors.lidar_returns import Motions, Traced
     from wrt.scene.scene import Scene
-    from wrt.state.device_hits import DeviceHits
 
 MAX_SLICES = 4096
 

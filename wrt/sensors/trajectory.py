@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.memory import keep_alive
+from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.runtime.launch import as_device, launch, refuse_capture
 from wrt.kernels.validation import host_array
-from wrt.memory import keep_alive
-from wrt.rays.rays import as_vectors
 from wrt.sensors.checks import SAME_STRETCH, as_time, check_matrix, check_real, is_rigid
 
 if TYPE_CHECKING:

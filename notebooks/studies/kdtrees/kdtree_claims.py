@@ -23,9 +23,9 @@ from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.bench.core.workloads import WorkloadMaker
 from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree, unpack
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 MAILBOX = "hashed"

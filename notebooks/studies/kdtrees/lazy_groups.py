@@ -18,8 +18,8 @@ import numpy as np
 from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.builders.kdtree.kdtree_config import GRID, GROUPS, MESHES
+from wrt.engine.rays.rays import Rays
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 HOUSE = 8.0

@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.facts.query_kinds import CLOSEST
+from wrt.engine.memory import empty
+from wrt.engine.rays.rays import MAX_RAYS, ResultForm, as_vectors
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.point_batch import NearestBatch, PointBatch
 from wrt.kernels.points.tree_points import GROUP, PointConfig, make_points_kernel
 from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
 from wrt.kernels.validation import as_real_array
-from wrt.memory import empty
 from wrt.query.points.closest_points import ClosestPoints
 from wrt.query.points.instanced_points import check_maps, search_instances
-from wrt.rays.rays import MAX_RAYS, ResultForm, as_vectors
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import CLOSEST
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 MIN_SORTED = 1024
 """Fewest points that are sorted."""
@@ -121,7 +121,7 @@ def find_nearest(scene: SceneState, given: wp.array, points: PointBatch) -> tupl
 
 def search_tree(scene: SceneState, points: PointBatch, found: NearestBatch) -> None:
     """Fills what is nearest to points among triangles in one tree."""
-    from wrt.execution.triangle_records import vertex_blocks
+    from wrt.engine.launch.triangle_records import vertex_blocks
 
     scene.complete()
     device, tree = scene.device, scene.tree

@@ -5,15 +5,15 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from wrt.engine.device_hits import shaped
 from wrt.query.hits import Hits
-from wrt.state.device_hits import shaped
 
 if TYPE_CHECKING:
     import warp as wp
 
-    from wrt.rays.rays import ResultForm
-    from wrt.state.device_hits import DeviceHits
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.device_hits import DeviceHits
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.rays import ResultForm
 
 
 class ClosestPoints(Hits):

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from wrt.engine.memory import empty
 from wrt.kernels.points.instance_points import PointMap, leave_instance, make_enter
 from wrt.kernels.points.point_batch import NearestBatch, PointBatch
 from wrt.kernels.runtime.launch import launch, specialise
-from wrt.memory import empty
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 UNEVEN = 1e-6
 """How far the axes of a map may differ in length and from right angles, relative to their length."""

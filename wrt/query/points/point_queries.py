@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, overload
 
-from wrt.state.query_kinds import AUTO
+from wrt.engine.facts.query_kinds import AUTO
 
 if TYPE_CHECKING:
     import numpy as np
     import warp as wp
 
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.plan.plan import Plan
+    from wrt.engine.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.meshes.instance import Instance
     from wrt.meshes.mesh import TriangleMesh
-    from wrt.planning.plan import Plan
     from wrt.query.hits import Hits
     from wrt.query.points.closest_points import ClosestPoints
     from wrt.query.verification import Verification
-    from wrt.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
-    from wrt.state.scene_state import SceneState
 
 
 INF = float("inf")

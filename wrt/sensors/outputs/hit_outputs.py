@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import warp as wp
 
+from wrt.engine.memory import outputs_of
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
-from wrt.memory import outputs_of
 
 if TYPE_CHECKING:
     from wrt.sensors.time_slices import TracedSlice

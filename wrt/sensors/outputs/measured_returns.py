@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import warp as wp
 
+from wrt.engine.memory import outputs_of
 from wrt.kernels.runtime.launch import launch
-from wrt.memory import outputs_of
 from wrt.sensors.fired_rays import launch_blocks
 from wrt.sensors.outputs.hit_outputs import TracedLayers
 

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
+from wrt.engine.memory import empty
 from wrt.instances.instance_boxes import on_device
 from wrt.kernels.runtime.launch import launch, use_threads
-from wrt.memory import empty
 
 
 class Field(NamedTuple):
