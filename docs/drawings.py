@@ -21,8 +21,8 @@ QUERY = (
     ("wrt.scene.scene", "Scene", "holds the state, which an update replaces"),
     ("wrt.query.api", "Queries.intersect", "signature and docstring; rays become a wrt.Rays"),
     ("wrt.query.answers", "closest_hits", "ordinary, precise, or skipping a triangle"),
-    ("wrt.execution.executor", "answer", "rays to the device, plan, prepared query or batch"),
-    ("wrt.execution.prepared", "PreparedQuery.run", "addresses of rays and hits into packed arguments"),
+    ("wrt.engine.executor", "answer", "rays to the device, plan, prepared query or batch"),
+    ("wrt.engine.launch.prepared", "PreparedQuery.run", "addresses of rays and hits into packed arguments"),
     ("wrt.kernels.runtime.launch", "PreparedLaunch.run", "items into chunks"),
     ("wrt.kernels.runtime.pool", "Pool.run", "threads claim chunks in native code"),
     ("wrt.kernels.traversal", "kernel", "one kernel for the whole plan"),
@@ -30,8 +30,8 @@ QUERY = (
 """Modules from `Scene.intersect` to the kernel, what is called there, and what it does."""
 
 ASIDE = {
-    "wrt.execution.executor": ("wrt.rays", "wrt.planning.planner"),
-    "wrt.execution.prepared": ("wrt.state.device_hits",),
+    "wrt.engine.executor": ("wrt.engine.rays", "wrt.engine.plan.planner"),
+    "wrt.engine.launch.prepared": ("wrt.engine.device_hits",),
 }
 """What a module on the way calls beside the next one."""
 

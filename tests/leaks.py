@@ -29,9 +29,9 @@ import wrt
 from wrt.bench.core.benchmark_results import machine
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities
+from wrt.engine.facts.query_kinds import CLOSEST, COUNT
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
-from wrt.state.query_kinds import CLOSEST, COUNT
 
 sys.path.insert(0, str(Path(__file__).parent / "support"))
 from hostile_bodies import Body, bodies

@@ -18,7 +18,7 @@
 What everybody needs is here. The rest is in public modules, by purpose: `wrt.lights`, `wrt.pictures`, `wrt.moving`,
 `wrt.sensors`, `wrt.device` (programs in Warp), `wrt.batches` (more rays than memory holds), `wrt.cluster` (several machines),
 `wrt.disk` (more triangles than memory holds), `wrt.compat` (trimesh, Open3D), `wrt.scenes` (built in), `wrt.known_rays`,
-`wrt.results` (what methods return), `wrt.classics`.
+`wrt.results` (what methods return), `wrt.analysis` (signed distances, winding numbers), `wrt.classics`.
 
 Names are loaded on first use, so that `import wrt` costs little more than `import warp`.
 """
@@ -45,7 +45,7 @@ _HOME = {
     "Material": "wrt.materials.material",
     "OrthographicCamera": "wrt.imaging.cameras",
     "PinholeCamera": "wrt.imaging.cameras",
-    "Rays": "wrt.rays.rays",
+    "Rays": "wrt.engine.rays.rays",
     "Scene": "wrt.scene.scene",
     "Texture": "wrt.materials.material",
     "TriangleMesh": "wrt.meshes.mesh",
@@ -117,6 +117,11 @@ _MOVED = {
     "show_compiling": "wrt.device",
 }
 
+_BESIDE = {
+    "analysis": "wrt",
+}
+"""Public modules that are not listed at the front, whose names are few."""
+
 __all__ = ["__version__", *_HOME]
 
-__getattr__, __dir__ = lazy_names(__name__, _HOME, _MOVED)
+__getattr__, __dir__ = lazy_names(__name__, _HOME | _BESIDE, _MOVED)

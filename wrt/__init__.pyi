@@ -1,4 +1,5 @@
 # Written by `python -m tests.typed.stubs` from the table of names in wrt/__init__.py.
+from wrt import analysis as analysis
 from wrt import batches as batches
 from wrt import classics as classics
 from wrt import cluster as cluster
@@ -14,6 +15,7 @@ from wrt import scenes as scenes
 from wrt import sensors as sensors
 from wrt.accelerators.tree_descriptions import Bvh as Bvh
 from wrt.accelerators.tree_descriptions import KdTree as KdTree
+from wrt.engine.rays.rays import Rays as Rays
 from wrt.imaging.cameras import OrthographicCamera as OrthographicCamera
 from wrt.imaging.cameras import PinholeCamera as PinholeCamera
 from wrt.imaging.image_files import save_image as save_image
@@ -26,7 +28,6 @@ from wrt.meshes.instance import Instance as Instance
 from wrt.meshes.mesh import TriangleMesh as TriangleMesh
 from wrt.query.all_hits import AllHits as AllHits
 from wrt.query.hits import Hits as Hits
-from wrt.rays.rays import Rays as Rays
 from wrt.scene.scene import Scene as Scene
 from wrt.viewer.live_view import view as view
 

@@ -28,9 +28,17 @@ REFERENCES = {
     ),
     "asprs-2019": "American Society for Photogrammetry and Remote Sensing: LAS specification 1.4, revision 15. 2019.",
     "badouel-1990": "D. Badouel: An efficient ray-polygon intersection. Graphics Gems, Academic Press, 1990.",
+    "baerentzen-aanaes-2005": (
+        "J. A. Bærentzen, H. Aanæs: Signed distance computation using the angle weighted pseudonormal. IEEE Transactions on "
+        "Visualization and Computer Graphics 11(3), 2005."
+    ),
     "baldwin-weber-2016": (
         "D. Baldwin, M. Weber: Fast ray-triangle intersections by coordinate transformation. Journal of Computer Graphics "
         "Techniques 5(3), 2016."
+    ),
+    "barill-2018": (
+        "G. Barill, N. G. Dickson, R. Schmidt, D. I. W. Levin, A. Jacobson: Fast winding numbers for soups and clouds. ACM "
+        "Transactions on Graphics 37(4), 2018."
     ),
     "barringer-akenine-moeller-2014": (
         "R. Barringer, T. Akenine-Möller: Dynamic ray stream traversal. ACM Transactions on Graphics 33(4), 2014."
@@ -157,6 +165,10 @@ REFERENCES = {
     "geometry-center-1996": "Geometry Center: Geomview manual, object file formats. University of Minnesota, 1996.",
     "goldsmith-salmon-1987": (
         "J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987."
+    ),
+    "gonzalez-2010": (
+        "Á. González: Measurement of areas on a sphere using Fibonacci and latitude-longitude lattices. Mathematical "
+        "Geosciences 42, 2010."
     ),
     "goral-1984": (
         "C. M. Goral, K. E. Torrance, D. P. Greenberg, B. Battaile: Modeling the interaction of light between diffuse "
@@ -389,6 +401,10 @@ REFERENCES = {
     ),
     "segura-feito-2001": (
         "R. J. Segura, F. R. Feito: Algorithms to test ray-triangle intersection. Comparative study. WSCG 2001."
+    ),
+    "shapira-2008": (
+        "L. Shapira, A. Shamir, D. Cohen-Or: Consistent mesh partitioning and skeletonisation using the shape diameter "
+        "function. The Visual Computer 24(4), 2008."
     ),
     "shevtsov-2007-kdtree": (
         "M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of "

@@ -18,12 +18,12 @@ class Capabilities(Flag):
     LONG_STREAMS = auto()
     """Streams through the boxes of one level are not in a thread's local memory, so that they may be long."""
     QUEUED = auto()
-    """Rays wait at subtrees, and kernels trace them generation by generation (`wrt.execution.queued_tracing`)."""
+    """Rays wait at subtrees, and kernels trace them generation by generation (`wrt.engine.launch.queued_tracing`)."""
     LONG_ITEMS = auto()
     """An item may be several times as many rays (`RayBatch.run`)."""
     SHORT_ITEMS = auto()
-    """Where there are few items for each thread, items are cut (`wrt.execution.traversal_launch`); without it, that costs more
-    than it balances."""
+    """Where there are few items for each thread, items are cut (`wrt.engine.launch.traversal_launch`); without it, that
+    costs more than it balances."""
     SHARED_ORIGIN = auto()
     """All rays of a batch must start at the same point."""
     FRONT_FACES = auto()

@@ -16,24 +16,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution import queued_tracing
-from wrt.execution.executor import on_device
-from wrt.execution.traversal_launch import no_work
-from wrt.execution.triangle_records import records_of
+from wrt.bench.core.workloads import WorkloadMaker
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.executor import on_device
+from wrt.engine.facts.query_kinds import CLOSEST, QUERIES
+from wrt.engine.launch import queued_tracing
+from wrt.engine.launch.traversal_launch import no_work
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.plan import traversal_config, traversal_of
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.rays import as_rays
 from wrt.kernels.classics.studies.cache_model import LINE, count_misses
 from wrt.kernels.classics.studies.visit_log import make_log_kernel
 from wrt.kernels.compilation.cache_size import l2_bytes
 from wrt.kernels.runtime.launch import launch, specialise
 from wrt.kernels.traversal.capabilities import Capabilities
-from wrt.planning.plan import traversal_config, traversal_of
-from wrt.planning.planner import make_plan
-from wrt.rays.rays import as_rays
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import CLOSEST, QUERIES
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from wrt.planning.plan import Plan
-    from wrt.scene.scene import Scene
+    from wrt.engine.plan.plan import Plan
 
 WAYS = 8
 """Ways of the modelled cache, as in current L2 caches."""
@@ -111,6 +113,12 @@ def memory_traffic(
     return results
 
 
+def compare_traffic(mesh: TriangleMesh, *, size: int = 128, packet: int = 32) -> list[MemoryTraffic]:
+    """Bytes that rays of a view read, one by one, in packets and in queues (Navratil et al. 2007)."""
+    (view,) = WorkloadMaker(mesh, size=size).make(["far"])
+    return memory_traffic(Scene(mesh, "bvh", device="cpu", num_threads=1), view.origins, view.directions, packet)
+
+
 Log = tuple[np.ndarray, np.ndarray]
 """(visits,) ray of each visit, and (visits,) node number, or child word of a leaf, in order."""
 
@@ -143,7 +151,7 @@ def queued_plan(scene: Scene, buffers: Any) -> Plan:
     from wrt.kernels.traversal import TRAVERSALS
 
     name = next(name for name, entry in TRAVERSALS.items() if Capabilities.QUEUED in entry.capabilities)
-    return make_plan(scene.state, buffers, name, "auto")
+    return make_plan(scene.state, buffers, name, "auto", CLOSEST)
 
 
 def in_packets(log: Log, packet: int) -> Log:

@@ -8,9 +8,9 @@ import numpy as np
 from conftest import ENGINE_TESTS, SCENES, mixed_rays
 
 import wrt
+from wrt.engine.facts.query_kinds import ALL, ANY, CLOSEST, COUNT
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT
 
 from .digests import digest
 

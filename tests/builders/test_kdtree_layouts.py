@@ -25,11 +25,11 @@ from wrt.builders.kdtree.kdtree_statistics import unpack
 from wrt.builders.kdtree.update.refill import refill
 from wrt.builders.tree_check import check_tree
 from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.engine.facts.query_kinds import ANY, CLOSEST
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.layout.compact_nodes import HEIGHTS
 from wrt.kernels.traversal.traversal_config import SingleConfig
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
-from wrt.state.query_kinds import ANY, CLOSEST
 
 pytestmark = pytest.mark.classics
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import sys
 from collections import Counter
 
 import import_graph
 import numpy as np
 import pytest
+import query_walk
 
 import wrt
 from wrt.kernels.runtime.launch import PreparedLaunch
@@ -17,6 +19,12 @@ MOST_FILES = 13
 
 MOST_MODULES = 8
 """Modules on the way from `Scene.intersect` to the launch of its kernel."""
+
+MOST_HAND_OVERS = 20
+"""Of the origins, from file to file, in a call whose query is prepared."""
+
+MOST_CALLS = 60
+"""Functions of wrt that such a call runs."""
 
 
 def test_no_circle_of_modules():
@@ -76,3 +84,29 @@ def test_way_of_a_query(monkeypatch, count):
         assert len(way) <= MOST_MODULES, way
         assert way == drawn[: len(way)], "docs/drawings.py draws another way"
         assert [floor[name] for name in way] == sorted((floor[name] for name in way), reverse=True), way
+
+
+@pytest.mark.parametrize("count", [1, 5000])
+def test_rays_are_handed_down(count):
+    """A call whose query is prepared runs few functions; the origins pass few files, and go to no room above."""
+    scene = wrt.Scene(wrt.scenes.build("teapot", level=2), device="cpu")
+    rays = np.random.default_rng(0).normal(size=(2, count, 3)).astype(np.float32)
+    for _ in range(2):
+        scene.intersect(*rays)
+    own = rays.copy()
+    seen = query_walk.walk(scene.intersect, own[0], own[1])
+    assert ("wrt.engine.executor", "wrt.engine.launch.prepared") in seen.hand_overs or count == 1
+    assert 5 < len(seen.hand_overs) <= MOST_HAND_OVERS, seen.hand_overs
+    assert 20 < seen.calls <= MOST_CALLS
+    assert not seen.climbs
+
+
+def test_nothing_compares_the_kind_of_a_query():
+    """A query's kind is a row of a table, whose switches say what it does: no `if kind == ANY`."""
+    kinds = {"CLOSEST", "ANY", "COUNT", "ALL", "EXACT", "WINDING"}
+    readers = [name for name, used in import_graph.imports().items() if "wrt.engine.facts.query_kinds" in used]
+    assert len(readers) > 20
+    for name in readers:
+        for node in ast.walk(ast.parse(import_graph.modules()[name].read_text())):
+            if isinstance(node, ast.Compare) and name != "wrt.bench.peers.engines":  # which has kinds of workloads
+                assert not kinds & {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}, (name, node.lineno)

@@ -26,7 +26,7 @@ AS_USERS = """
 import json
 import warp as wp
 from bits.hit_bits import hit_hashes
-from wrt.state.query_kinds import ANY, CLOSEST
+from wrt.engine.facts.query_kinds import ANY, CLOSEST
 
 engines = ["single", "stream", "packet", "interleaved"]
 hashes = list(hit_hashes(["teapot", "grid"], engines, ["woop"], (CLOSEST, ANY)))

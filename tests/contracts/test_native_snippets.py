@@ -18,11 +18,13 @@ from native_guards import has_assembly, x86_without_guard
 from native_names import free_names
 
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
+from wrt.engine.facts.query_kinds import QUERIES
 from wrt.kernels.classics.studies.bare_triangle_tests import make_frusta
 from wrt.kernels.classics.studies.distance_checks import in_range
 from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
 from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
-from wrt.kernels.points.tree_points import TREES, PointConfig, make_points_kernel
+from wrt.kernels.fields.winding_walk import make_winding_kernel
+from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
 from wrt.kernels.runtime import native
 from wrt.kernels.simd.box_lanes import ray_boxes
 from wrt.kernels.traversal import TRAVERSALS
@@ -35,7 +37,6 @@ from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, S
 from wrt.kernels.traversal.two_level.instance_packets import make_instance_packet_kernel
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import make_packing_kernel
-from wrt.state.query_kinds import QUERIES
 
 WIDTH = 4
 
@@ -68,7 +69,9 @@ def make_all_kernels() -> list[wp.Kernel]:
     kernels += [
         make_multi_frusta_kernel(TraversalConfig(name, WIDTH), each) for name in ("woop", "wald") for each in (False, True)
     ]
-    kernels += [make_points_kernel(PointConfig(tree, WIDTH)) for tree in TREES]
+    kernels.append(make_winding_kernel(WIDTH))
+    kernels += [make_points_kernel(PointConfig(tree, WIDTH, task=task)) for tree in TREES for task in TASKS]
+    kernels += [make_points_kernel(PointConfig(tree, WIDTH, instances=True)) for tree in TREES]
     return kernels
 
 

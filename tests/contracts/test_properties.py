@@ -32,7 +32,7 @@ from random_cases import (
 )
 
 import wrt
-from wrt.planning.plan import Plan
+from wrt.engine.plan.plan import Plan
 
 
 @ON_DEVICES

@@ -18,7 +18,7 @@ from wrt.accelerators.accelerator import Accelerator
 from wrt.builders.influence.influence_area import InfluenceArea
 from wrt.lights.device_lights import Light
 
-MODULES = ["wrt", *(f"wrt.{name}" for name in wrt.__all__ if isinstance(getattr(wrt, name), ModuleType))]
+MODULES = ["wrt", *(f"wrt.{name}" for name in (*wrt.__all__, *wrt._BESIDE) if isinstance(getattr(wrt, name), ModuleType))]
 TABLES = {module: import_module(module) for module in MODULES}
 PUBLIC = {f"{module}.{name}": getattr(table, name) for module, table in TABLES.items() for name in table.__all__}
 CLASSES = {value.__name__ for value in PUBLIC.values() if inspect.isclass(value)}

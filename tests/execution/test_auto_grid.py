@@ -7,14 +7,13 @@ choices on any machine. A changed choice is no error, but needs a new record.
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import pytest
 
+from wrt.engine.facts.facts import RayFacts, SceneFacts
+from wrt.engine.facts.query_kinds import ANY, CLOSEST, few_rays
+from wrt.engine.plan import planner
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.traversal_scores import Overlap, Situation, score_interleaved, score_packet
-from wrt.planning import planner
-from wrt.state.query_kinds import ANY, CLOSEST, few_rays
 
 # scene, triangles, instances, kind of rays, rays, neighbours; with 16 lanes, share of different steps : steps a ray, choice;
 # the same with 8
@@ -123,32 +122,17 @@ CASES = [facts_of(line) for line in GRID.strip().splitlines()]
 
 
 @pytest.mark.parametrize("lanes", [8, 16])
-def test_choices(lanes, monkeypatch):
+def test_choices(lanes):
     """Every case of the grid; a sample is traced exactly where only it can tell."""
     for scene, triangles, instances, kind, rays, coherent, found in CASES:
         overlap, expected = found[lanes]
-        asked = []
-
-        def measure(*args, asked=asked, overlap=overlap):
-            asked.append(args)
-            return overlap
-
-        monkeypatch.setattr(planner, "measure_overlap", measure)
-        state = SimpleNamespace(
-            device=SimpleNamespace(is_cuda=False, is_cpu=True),
-            only_single=False,
-            instances=(None,) * instances,
-            accelerator=SimpleNamespace(kind="bvh"),
-            lazy_tree=None,
-            triangle_count=triangles,
-            few_rays=few_rays(triangles, not instances),
-            width=lanes,
-        )
-        arrays = SimpleNamespace(origin_stride=0 if kind in ("view", "scan") else 1)
-        batch = SimpleNamespace(count=rays, coherent=coherent, arrays_or_batch=arrays, to_sample=lambda: "rays")
-        query = "any" if kind in ("shadow", "ao") else "closest"
-        assert planner.choose_traversal(state, batch, query)[0] == expected, (scene, kind, rays)
-        assert asked == ([] if overlap is None else [(state, "rays", 2 * lanes, query)]), (scene, kind, rays)
+        few = few_rays(triangles, not instances)
+        facts = SceneFacts(tree="bvh", width=lanes, triangles=triangles, instances=instances, few_rays=few)
+        known = RayFacts(rays, (rays,), kind in ("view", "scan"), coherent)
+        told = planner.situation_of(facts, known, "any" if kind in ("shadow", "ao") else "closest")
+        assert told.needs_sample == (overlap is not None), (scene, kind, rays)
+        told = told if overlap is None else told._replace(overlap=overlap)
+        assert planner.choose_traversal(facts, told)[0] == expected, (scene, kind, rays)
 
 
 def situation(rays: int, triangles: int, shared_origin: bool, share: float, lanes: int) -> Situation:
@@ -206,6 +190,6 @@ def test_larger_packets(lanes, query, count, stride, instances, vectors):
     """With 8 lanes, dense rays from one point, and any-hit rays, go in larger packets
     (notebooks/records/2026-11-23-short-rows.md); rays from one point that are denser still, in packets of 64
     (notebooks/records/2026-11-25-packet-pairs.md)."""
-    scene = SimpleNamespace(width=lanes, accelerator=SimpleNamespace(kind="bvh"), instances=instances, triangle_count=100)
-    rays = SimpleNamespace(count=count, arrays_or_batch=SimpleNamespace(origin_stride=stride))
+    scene = SceneFacts(tree="bvh", width=lanes, triangles=100, instances=len(instances))
+    rays = RayFacts(count, (count,), shared_origin=stride == 0)
     assert planner.packet_vectors(scene, rays, query, TRAVERSALS["packet"]) == vectors

@@ -12,13 +12,12 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt import memory
 from wrt.builders.core.levels import LiveNode
-from wrt.execution.triangle_records import records_of
+from wrt.engine import device_memory, memory
+from wrt.engine.device_hits import DTYPES, DeviceHits
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.memory import GRAIN, BlockPool, large_pages
 from wrt.kernels.answers import ANSWERS
-from wrt.memory import GRAIN, BlockPool, large_pages
-from wrt.state import device_memory
-from wrt.state.device_hits import DTYPES, DeviceHits
 
 COUNT = 1 << 20
 

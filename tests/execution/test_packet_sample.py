@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import wrt
+from wrt.engine.plan import planner
+from wrt.engine.plan.packet_sample import measure_overlap
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.query.ordering.packet_overlap import SAMPLED_RAYS
 from wrt.kernels.traversal.traversal_scores import Overlap
-from wrt.planning import planner
-from wrt.planning.packet_sample import measure_overlap
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def scene(teapot) -> wrt.Scene:
 def sample(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray, query: str = "closest") -> Overlap:
     state = scene.state
     rays = to_device(Rays(origins.astype(np.float32), directions.astype(np.float32)), state.device, state.center)
-    return measure_overlap(state, rays.to_sample(), 2 * state.width, query)
+    return measure_overlap(state, rays.sample(), 2 * state.width, query)
 
 
 def equal_rays(scene: wrt.Scene, count: int = 1200) -> tuple[np.ndarray, np.ndarray]:

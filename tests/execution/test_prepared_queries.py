@@ -13,12 +13,12 @@ import warp as wp
 from conftest import mixed_rays
 
 import wrt
-from wrt.execution.prepared import PreparedQuery
+from wrt.engine.facts.query_cache import MAX_PLANS, QueryCache
+from wrt.engine.facts.query_kinds import FEW_RAYS
+from wrt.engine.launch.prepared import PreparedQuery
+from wrt.engine.rays.device_rays import lay_out
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import use_threads
-from wrt.rays.ray_arrays import lay_out
-from wrt.rays.rays import Rays
-from wrt.state.query_cache import MAX_PLANS, QueryCache
-from wrt.state.query_kinds import FEW_RAYS
 
 ATTRIBUTES = ("t", "uv", "primitive_id", "geometry_id", "instance_id", "is_hit", "position", "normal")
 COUNT = 60
@@ -100,12 +100,12 @@ def test_as_the_ordinary_way(scene, name):
 
 def prepared_by(scene: wrt.Scene) -> list[PreparedQuery]:
     """The prepared queries of a scene that no caller holds."""
-    return [one for chosen in scene.state.cache.plans for one in chosen.waiting()]
+    return [one for chosen in scene.state.cache.plans for one in chosen.prepared.items()]
 
 
 def layouts_of(scene: wrt.Scene) -> set:
     """Layouts of rays that queries are prepared for."""
-    return {layout for chosen in scene.state.cache.plans for layout in chosen._free}
+    return {layout for chosen in scene.state.cache.plans for layout in chosen.prepared}
 
 
 def test_who_comes_here(scene):

@@ -10,16 +10,15 @@ from types import SimpleNamespace
 
 import pytest
 
-import wrt.execution
+import wrt.engine
 import wrt.kernels
-import wrt.planning
-import wrt.state
+from wrt.engine.facts.facts import RayFacts, SceneFacts
+from wrt.engine.facts.wide_trees import wide_form_pays
+from wrt.engine.plan.planner import choose_culling, choose_traversal, situation_of
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.traversal_scores import limits_for
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.planning.planner import choose_culling, choose_traversal
-from wrt.state.query_kinds import FEW_RAYS
 
 SCENES = ("bvh", "kdtree", "lazy", "instances bvh", "instances kdtree", "spaces")
 RAYS = (1, 1024, 1025, 100_000, 10_000_000)
@@ -30,26 +29,31 @@ SIMILAR, DISSIMILAR = "neighbouring rays are coherent", "neighbouring rays are i
 SINGLE_RAYS = "two levels, one ray at a time"
 
 
-def make_scene(kind: str, triangles: int, cuda: bool, wide: bool, savings: float, width: int = 16) -> SimpleNamespace:
-    """The facts about a scene that a choice depends on; `wide`: its wide form exists; `width`: children of a node."""
-    return SimpleNamespace(
-        device=SimpleNamespace(is_cuda=cuda, is_cpu=not cuda),
-        only_single=kind == "spaces",
-        instances=(None,) * 8 if kind.startswith("instances") else (),
-        accelerator=SimpleNamespace(kind="kdtree" if kind in ("kdtree", "lazy", "instances kdtree") else "bvh"),
-        lazy_tree=object() if kind == "lazy" else None,
-        shares_leaves=False,
-        triangle_count=triangles,
-        few_rays=FEW_RAYS,
+def make_scene(kind: str, triangles: int, cuda: bool = False, width: int = 16) -> SceneFacts:
+    """The facts about a scene that a choice depends on; `width`: children of a node."""
+    return SceneFacts(
+        tree="kdtree" if kind in ("kdtree", "lazy", "instances kdtree") else "bvh",
         width=width,
-        cache=SimpleNamespace(wide=object() if wide else None, missed_savings=savings),
+        triangles=triangles,
+        instances=8 if kind.startswith("instances") else 0,
+        is_cuda=cuda,
+        own_spaces=kind == "spaces",
+        is_lazy=kind == "lazy",
     )
 
 
-def make_rays(count: int, coherent: bool, shared: bool) -> SimpleNamespace:
+def make_rays(count: int, coherent: bool, shared: bool) -> RayFacts:
     """The facts about rays that a choice depends on."""
-    arrays = SimpleNamespace(origin_stride=0 if shared else 1)
-    return SimpleNamespace(count=count, coherent=coherent, arrays_or_batch=arrays, to_sample=lambda: None)
+    return RayFacts(count, (count,), shared, coherent)
+
+
+def choose(
+    scene: SceneFacts, rays: RayFacts, query: str, culls: bool = False, wide: bool = False, savings: float = 0.0
+) -> tuple[str, str]:
+    """The choice, without a sample; `wide`: the wide form exists; `savings`: what it would have saved."""
+    cache = SimpleNamespace(wide=wide or None, missed_savings=savings)
+    state = SimpleNamespace(facts=scene, triangle_count=scene.triangles, cache=cache)
+    return choose_traversal(scene, situation_of(scene, rays, query, culls, has_wide_form=wide_form_pays(state, rays)))
 
 
 def expected(
@@ -112,8 +116,8 @@ def test_choices_on_the_cpu(kind):
         TRIANGLES, (False, True), (0.0, 990_000.0), RAYS, (False, True), (False, True), QUERIES, (False, True), (4, 8, 16)
     ):
         triangles, wide, savings, count, coherent, shared, query, culls, width = facts
-        scene = make_scene(kind, triangles, False, wide, savings, width)
-        choice = choose_traversal(scene, make_rays(count, coherent, shared), query, culls)
+        scene = make_scene(kind, triangles, width=width)
+        choice = choose(scene, make_rays(count, coherent, shared), query, culls, wide, savings)
         assert choice == expected(kind, *facts), facts
         chosen.add(choice)
     assert (
@@ -133,8 +137,8 @@ def test_choices_on_the_cpu(kind):
 def test_choices_on_cuda(kind):
     """On CUDA each thread traces a ray, whatever the rays are."""
     for count, coherent, shared, query, culls in product(RAYS, (False, True), (False, True), QUERIES, (False, True)):
-        scene, rays = make_scene(kind, 1000, True, True, 0.0), make_rays(count, coherent, shared)
-        assert choose_traversal(scene, rays, query, culls) == ("single", "one CUDA thread per ray")
+        scene, rays = make_scene(kind, 1000, cuda=True), make_rays(count, coherent, shared)
+        assert choose(scene, rays, query, culls, wide=True) == ("single", "one CUDA thread per ray")
 
 
 @pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
@@ -145,7 +149,7 @@ def test_choices_of_a_culling(triangle_test):
     filtered = bool(test.packet_form.pairs)
     packets = [way for way in TRAVERSALS.values() if Capabilities.PACKETS in way.capabilities]
     for way, kind, count, shared in product(packets, ("bvh", "kdtree", "instances bvh"), (999, 1000, 100_000), (False, True)):
-        scene, rays = make_scene(kind, 500, False, False, 0.0), make_rays(count, True, shared)
+        scene, rays = make_scene(kind, 500), make_rays(count, True, shared)
         least = 500 * limits_for(scene.width).rough if filtered else 1000
         dense = shared and count >= least and kind != "instances bvh"
         boxes = Capabilities.WIDE_FORM in way.capabilities or kind != "kdtree"
@@ -160,18 +164,18 @@ def test_a_new_traversal_is_chosen_by_its_entry(monkeypatch):
     entry = replace(TRAVERSALS["packet"], name="new", score=lambda situation: (9.0, f"{situation.rays} rays"))
     monkeypatch.setitem(TRAVERSALS, "new", entry)
     rays = make_rays(5000, False, False)
-    scene = make_scene("bvh", 500, False, False, 0.0)
-    assert choose_traversal(scene, rays, "closest") == ("new", "5000 rays")
-    assert choose_traversal(scene, rays, "count")[0] == "stream", "packets do not count"
-    assert choose_traversal(scene, rays, "closest", cull_backfaces=True)[0] == "stream", "packets do not cull back faces"
-    assert choose_traversal(make_scene("spaces", 500, False, False, 0.0), rays, "closest")[0] == "single"
-    assert choose_traversal(make_scene("instances kdtree", 500, False, False, 0.0), rays, "closest")[0] == "single"
+    scene = make_scene("bvh", 500)
+    assert choose(scene, rays, "closest") == ("new", "5000 rays")
+    assert choose(scene, rays, "count")[0] == "stream", "packets do not count"
+    assert choose(scene, rays, "closest", culls=True)[0] == "stream", "packets do not cull back faces"
+    assert choose(make_scene("spaces", 500), rays, "closest")[0] == "single"
+    assert choose(make_scene("instances kdtree", 500), rays, "closest")[0] == "single"
     wide = replace(entry, capabilities=entry.capabilities | Capabilities.WIDE_FORM)
     monkeypatch.setitem(TRAVERSALS, "new", wide)
-    assert choose_traversal(make_scene("lazy", 500, False, False, 0.0), rays, "closest")[0] == "lockstep", "it is not complete"
+    assert choose(make_scene("lazy", 500), rays, "closest")[0] == "lockstep", "it is not complete"
 
 
-ROOMS = [Path(room.__file__).parent for room in (wrt.execution, wrt.planning, wrt.state, wrt.kernels)]
+ROOMS = [Path(room.__file__).parent for room in (wrt.engine, wrt.kernels)]
 
 
 def test_nothing_compares_the_name_of_a_traversal():

@@ -11,8 +11,8 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt import memory
 from wrt.builders.bvh import binned_bvh
+from wrt.engine import memory
 from wrt.kernels.runtime import workspace
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.runtime.launch_loop import Step

@@ -1,16 +1,15 @@
 """`wrt warm` and what is compiled ahead: just the kernels that a build, a query and a picture need."""
 
-from collections import deque
-
 import numpy as np
 import pytest
 from test_cli import run
 
 import wrt
-import wrt.execution.expected_kernels
+import wrt.engine.launch.expected_kernels
+import wrt.engine.rays.coherence
 import wrt.kernels.runtime.launch
-import wrt.rays.coherence
 from wrt.cli.warm_features import FEATURES, Samples
+from wrt.engine.free_list import FreeList
 
 COMPILED_FOR_LONG = ("kdtree", "instances", "partitioned", "whitted", "distribution", "path")
 """Features whose kernels no other test compiles: a minute each."""
@@ -82,8 +81,8 @@ def test_a_scene_and_a_picture_expect_just_the_kernels_that_they_need(monkeypatc
     monkeypatch.setattr(module_compiler, "expect", ahead)
     monkeypatch.setattr(module_compiler, "load_modules", note)
     monkeypatch.setattr(wrt.kernels.runtime.launch, "_loaded", set())
-    monkeypatch.setattr(wrt.execution.expected_kernels, "_expected", set())
-    monkeypatch.setattr(wrt.rays.coherence, "_free", deque())
+    monkeypatch.setattr(wrt.engine.launch.expected_kernels, "_expected", set())
+    monkeypatch.setattr(wrt.engine.rays.coherence, "_detectors", FreeList())
     scene = wrt.Scene(wrt.scenes.build("teapot"), device="cpu")
     wrt.render(scene, wrt.PinholeCamera.framing(scene, 640, 480), ambient_samples=2)
     ahead_of_need = set().union(*expected)

@@ -10,8 +10,8 @@ from conftest import SCENES, assert_same_hits
 
 import wrt
 from wrt.builders.influence.area_top_level import region_of
-from wrt.execution.area_trees import assign
-from wrt.rays.ray_buffers import to_device
+from wrt.engine.launch.area_trees import assign
+from wrt.engine.rays.device_rays import to_device
 
 PLANES = (
     wrt.known_rays.PlaneInfluenceArea(position=(0, 0, 5), direction=(0.2, 0.1, -1), width=4, height=3, depth=9),

@@ -11,11 +11,11 @@ import wrt
 from wrt.builders.influence import area_octree as octree
 from wrt.builders.influence.area_top_level import TopLevel, region_of
 from wrt.builders.influence.regions import classify_boxes, contain_points
-from wrt.execution.area_trees import assign
+from wrt.engine.launch.area_trees import assign
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.influence.region_tests import DISJOINT
 from wrt.kernels.influence.region_tests import Region as RegionStruct
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 from wrt.scene.scene import scene_of_state
 
 MESHES = ("teapot", "random_triangles", "grid", "degenerate")

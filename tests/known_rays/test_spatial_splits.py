@@ -18,9 +18,9 @@ from wrt.builders.bvh.bvh_statistics import bvh_statistics, unpack
 from wrt.builders.bvh.spatial import spatial_build
 from wrt.builders.core.clip import PAD
 from wrt.builders.triangle_boxes import boxes_of, triangle_boxes
+from wrt.engine.plan.plan import stack_levels
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import use_threads
-from wrt.planning.plan import stack_levels
 
 
 def described(mesh: wrt.TriangleMesh, kind: str = "point", share: float = 0.5, **options) -> wrt.known_rays.ProjectedBvh:

@@ -119,7 +119,7 @@ MUTATIONS = [
         promise="indices are checked in the copy that kernels read",
     ),
     Mutation(
-        path="wrt/memory.py",
+        path="wrt/engine/memory.py",
         old="if size <= block.nbytes <= 2 * size]",
         new="if block.nbytes <= 2 * size]",
         tests=(
@@ -129,14 +129,14 @@ MUTATIONS = [
         promise="memory that is used again is as large as what is asked for",
     ),
     Mutation(
-        path="wrt/memory.py",
+        path="wrt/engine/memory.py",
         old="return keep_alive(wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=size, device=device), lease)",
         new="return wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=size, device=device)",
         tests="tests/execution/test_memory.py::test_arrays_share_memory_only_one_after_the_other",
         promise="results that are held keep their memory",
     ),
     Mutation(
-        path="wrt/memory.py",
+        path="wrt/engine/memory.py",
         old='" bytes on device " not in str(error)',
         new='" bytes on device " in str(error)',
         tests="tests/execution/test_memory.py::test_failed_allocations_say_for_what",

@@ -13,7 +13,9 @@ from packet_loops import OPTIONS
 from test_packets import packet_plan
 
 import wrt
-from wrt.execution.triangle_records import records_of
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.plan import traversal_config
+from wrt.engine.rays.device_rays import lay_out
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.traversal.packet.core.joined_packets import JOINED, answer_together, may_cover
@@ -23,8 +25,6 @@ from wrt.kernels.traversal.packet.leaves import occluder_cache
 from wrt.kernels.traversal.packet.leaves.covering_triangle import covered_packets
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-from wrt.planning.plan import traversal_config
-from wrt.rays.ray_arrays import lay_out
 
 PACKETS, RAYS = 3, 32
 """Of a group."""
@@ -46,7 +46,7 @@ def is_covered(scene: wrt.Scene, rays: wrt.Rays) -> bool:
     records = records_of(scene.state, scene.explain(rays, query="any", traversal="packet"), None).records
     found = wp.zeros(1, dtype=int, device="cpu")
     kernel = covering_kernel(scene.state.width, rays.origins.ndim == 1)
-    wp.launch(kernel, 1, [lay_out(rays, wp.get_device("cpu"), scene.center).batch(), records, found], device="cpu")
+    wp.launch(kernel, 1, [lay_out(rays, wp.get_device("cpu"), scene.center).batch, records, found], device="cpu")
     assert found.numpy()[0] in (0, PACKETS)
     return bool(found.numpy()[0])
 
@@ -208,7 +208,7 @@ def test_groups_that_are_occluded_are_found(picture, sun):
         answered[wp.tid()] += answer(tree, triangles, rays, wp.vec2i(first, first + group), packet, keys, hits, missed)
 
     groups, kernel = pixels**2 // group, wp.kernel(run, **OPTIONS)
-    batch, tree = lay_out(rays, wp.get_device("cpu"), scene.center).batch(), scene.state.tree
+    batch, tree = lay_out(rays, wp.get_device("cpu"), scene.center).batch, scene.state.tree
     batch.columns = pixels if picture else 0
     hits = HitBatch()
     hits.occluded = wp.zeros(pixels**2, dtype=wp.bool, device="cpu")

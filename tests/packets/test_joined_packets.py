@@ -12,6 +12,8 @@ from packet_loops import OPTIONS
 from test_packets import packet_plan
 
 import wrt
+from wrt.engine.plan.plan import traversal_config
+from wrt.engine.rays.device_rays import lay_out
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.traversal.packet.core.joined_packets import JOINED, root_misses
@@ -21,8 +23,6 @@ from wrt.kernels.traversal.packet.rays.joint_bounds import join_packets
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
-from wrt.planning.plan import traversal_config
-from wrt.rays.ray_arrays import lay_out
 
 RAYS = 32
 PACKETS = 3
@@ -212,7 +212,7 @@ def test_groups_that_miss_are_found(picture, own_origins, query):
         joined[wp.tid()] = misses(tree, rays, first, wp.static(JOINED), packet, keys)
 
     groups = 256 * 256 // group
-    batch = lay_out(rays, wp.get_device("cpu"), scene.center).batch()
+    batch = lay_out(rays, wp.get_device("cpu"), scene.center).batch
     batch.columns = 256 if picture else 0
     joined = wp.zeros(groups, dtype=int, device="cpu")
     wp.launch(wp.kernel(run, **OPTIONS), groups, [scene.state.tree.struct(), batch, joined], device="cpu")

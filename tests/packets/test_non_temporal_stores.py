@@ -8,16 +8,16 @@ from conftest import SCENES, assert_same_hits
 from test_packets import beams, packet_plan
 
 import wrt
-import wrt.memory
-import wrt.planning.planner
-from wrt.planning.plan import Plan
+import wrt.engine.memory
+import wrt.engine.plan.planner
+from wrt.engine.plan.plan import Plan
 
 
 @pytest.mark.width
 @pytest.mark.parametrize("vectors", [2, 4])
 def test_hits(vectors, monkeypatch, device):
     """Whole lines in the middle, and what is left over; through pictures, whose tiles are no lines; with other queries."""
-    monkeypatch.setattr(wrt.memory, "MIN_BYTES", 1 << 12)  # smaller arrays do not begin with a cache line
+    monkeypatch.setattr(wrt.engine.memory, "MIN_BYTES", 1 << 12)  # smaller arrays do not begin with a cache line
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh, device=device)
     eye, directions = beams(mesh, 90, False)
@@ -41,8 +41,8 @@ def test_plans(monkeypatch):
         return scene.explain(rays, query=query, **{"traversal": "packet", **choice})
 
     def machine(name: str, cache_bytes: int) -> None:
-        monkeypatch.setattr(wrt.planning.planner.platform, "machine", lambda: name)
-        monkeypatch.setattr(wrt.planning.planner, "l3_bytes", lambda: cache_bytes)
+        monkeypatch.setattr(wrt.engine.plan.planner.platform, "machine", lambda: name)
+        monkeypatch.setattr(wrt.engine.plan.planner, "l3_bytes", lambda: cache_bytes)
 
     machine("x86_64", 2 * 16 * len(directions))
     assert plan().non_temporal

@@ -9,8 +9,8 @@ import pytest
 from conftest import assert_same_hits, brute_force, mixed_rays
 
 import wrt
+from wrt.classics.packet_arrangement import arrange_rays
 from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
-from wrt.rays.packet_arrangement import arrange_rays
 
 PACKET = 8
 

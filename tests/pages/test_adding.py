@@ -23,12 +23,12 @@ from conftest import SCENES
 import wrt
 from studies.kdtrees.kdtree_pictures import color_of
 from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities, KdTreeBuilder
+from wrt.engine.facts.query_kinds import Query
+from wrt.engine.rays.rays import as_rays
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.query.answers import ray_values
-from wrt.rays.rays import as_rays
-from wrt.state.query_kinds import Query
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "adding.md").read_text(encoding="utf-8")
@@ -248,8 +248,8 @@ from wrt.kernels.answers import ANSWERS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.query.answers import ray_values
-from wrt.rays.rays import as_rays
-from wrt.state.query_kinds import Query
+from wrt.engine.rays.rays import as_rays
+from wrt.engine.facts.query_kinds import Query
 KDTREE_BUILDERS["mean_split"] = KDTREE_BUILDERS["object_median"]
 TRIANGLE_TESTS["dot_products"] = TRIANGLE_TESTS["badouel"]
 """

@@ -21,6 +21,7 @@ from wrt.builders.kdtree import KDTREE_BUILDERS, LAYOUTS
 from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, HIERARCHIES, SEARCHED_AXES
 from wrt.builders.tree import TERMINATIONS
 from wrt.cli.catalogue import PAPERS, all_tables
+from wrt.engine.plan.planner import DEFAULT_TEST
 from wrt.imaging.integrators.render_settings import INTEGRATORS
 from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
 from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
@@ -33,7 +34,6 @@ from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.shadows import SHADOW_TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.planning.planner import DEFAULT_TEST
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "algorithms.md").read_text(encoding="utf-8")
 

@@ -82,6 +82,10 @@ def check_drop_in(names):
     assert set(names["index_ray"]) == set(np.flatnonzero(names["number"]))
     assert (names["hidden"] == np.isfinite(names["answer"]["t_hit"])).all()
     assert len(names["lists"]["ray_ids"]) == names["number"].sum()
+    np.testing.assert_allclose(names["apart"], names["distance"], rtol=1e-4, atol=1e-6)
+    assert np.isclose(names["depth"], -names["signed"], rtol=1e-4, atol=1e-6).mean() > 0.99  # the model has gaps
+    np.testing.assert_array_equal(names["occupied"], names["inside"])
+    np.testing.assert_allclose(names["deep"], names["depth"], rtol=1e-4, atol=1e-5)
 
 
 def check_lidar(names):
@@ -243,6 +247,21 @@ def check_tutorial(names: dict) -> None:
     assert 0.0 < np.nanmin(names["thickness"]) < np.nanmax(names["thickness"]) < np.inf
 
 
+def check_distances(names: dict) -> None:
+    assert names["rule"] == "winding"
+    within = np.abs(names["distance"]) <= 0.05
+    np.testing.assert_array_equal(names["band"], np.where(within, names["distance"], np.copysign(np.inf, names["distance"])))
+    assert 0.01 < within.mean() < 0.9
+    assert 0.05 < (names["number"] > 0.5).mean() < 0.9
+    assert names["wall"].shape == names["diameter"].shape == names["openness"].shape == names["surface"].shape
+    assert 0.0 < names["openness"].min() + 0.1 < names["openness"].max() <= 1.0
+    assert 0.1 < names["seen"].mean() < 0.6
+    assert 0.05 < names["view"].mean() < 0.95
+    assert np.abs(names["thin"].values).max() == np.float32(0.1)
+    assert names["x"].shape == names["grid"].values.shape[:1]
+    assert np.median(names["scene"].closest_point(names["again"].vertices).distance) < 0.1 * names["grid"].spacing
+
+
 CHECKS = {
     "start.md": check_start,
     "tutorial.md": check_tutorial,
@@ -260,6 +279,7 @@ CHECKS = {
     "guides/own_kernels.md": check_own_kernels,
     "guides/gradients.md": check_gradients,
     "guides/exact.md": check_exact,
+    "guides/distances.md": check_distances,
     "guides/known_rays.md": check_known_rays,
     "guides/cameras.md": check_cameras,
     "guides/rendering.md": check_rendering,
@@ -326,7 +346,7 @@ def test_every_page_is_in_a_contents_list():
     assert PAGES.keys() <= listed
 
 
-MODULES = tuple(name for name in wrt.__all__ if isinstance(getattr(wrt, name), ModuleType))
+MODULES = tuple(name for name in (*wrt.__all__, *wrt._BESIDE) if isinstance(getattr(wrt, name), ModuleType))
 """Public modules, whose own names are public."""
 
 

@@ -10,10 +10,10 @@ from conftest import mixed_rays
 from test_watertight import BODIES, feature_points
 
 import wrt
+from wrt.engine.facts.query_kinds import ALL, COUNT
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.query import all_hits
-from wrt.state.query_kinds import ALL, COUNT
 
 pytestmark = pytest.mark.width
 

@@ -12,9 +12,9 @@ import warp as wp
 from conftest import mixed_rays
 
 import wrt
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.query.blocks import BYTES_PER_RAY, parse_memory
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 
 COUNT = 3000
 ATTRIBUTES = ("t", "primitive_id", "geometry_id", "uv", "is_hit", "position", "normal")

@@ -8,10 +8,10 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.execution.executor import may_stage
-from wrt.execution.expected_kernels import ExpectedRays
-from wrt.planning.planner import choose_plan
-from wrt.state.query_kinds import AUTO, CLOSEST, FEW_RAYS, MANY_TRIANGLES, Query
+from wrt.engine.executor import may_stage
+from wrt.engine.facts.facts import RayFacts
+from wrt.engine.facts.query_kinds import CLOSEST, FEW_RAYS, MANY_TRIANGLES, Query
+from wrt.engine.plan.planner import choose_plan
 
 pytestmark = pytest.mark.width
 
@@ -205,7 +205,7 @@ def test_rays_that_take_long_are_few_only_up_to_512():
 
     def chosen(count, faces, accelerator="bvh"):
         state = wrt.Scene(wrt.TriangleMesh(vertices, faces), accelerator, device="cpu").state
-        return choose_plan(state, ExpectedRays(CLOSEST, count, coherent=False), AUTO, AUTO, CLOSEST, False).traversal
+        return choose_plan(state, RayFacts(count, (count,), coherent=False), Query(CLOSEST)).traversal
 
     assert len(faces) >= MANY_TRIANGLES
     assert chosen(512, faces) == "single" != chosen(513, faces)

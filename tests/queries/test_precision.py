@@ -9,10 +9,10 @@ from conftest import degenerate_soup, mixed_rays, snapped_soup
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
+from wrt.engine.facts.query_kinds import EXACT
 from wrt.kernels.query.exact_closest import make_exact_kernel
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.query.verification import nearest64
-from wrt.state.query_kinds import EXACT
 
 TREES = ("bvh", "kdtree")
 

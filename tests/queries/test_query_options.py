@@ -13,11 +13,11 @@ import wrt
 from wrt.accelerators.accelerator import ACCELERATORS, AcceleratorName
 from wrt.disk.partitioned_scene import MODES
 from wrt.disk.queries_of_parts import Mode, Parts
+from wrt.engine.facts.query_kinds import CLOSEST, QUERIES, Query
 from wrt.query.blocks import MEMORY
 from wrt.query.hits import SIDES, Side
 from wrt.query.query_options import Closest, Counted, Listed, Occluded, QueryKind
 from wrt.scene.updates import ALWAYS, AUTO, NEVER, When
-from wrt.state.query_kinds import CLOSEST, QUERIES, Query
 
 OF_PLANS = {"traversal", "triangle_test"}
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +10,8 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.rays.coherence import detect_coherence
-from wrt.state.query_cache import MAX_PLANS
+from wrt.engine.facts.query_cache import MAX_PLANS
+from wrt.engine.rays.coherence import detect_coherence
 
 PAIRS = 64
 
@@ -43,10 +42,8 @@ def expected_columns(directions: np.ndarray) -> int:
         return columns if (np.abs(np.diff(directions[::columns], axis=0)) < limit).all() else 0
 
 
-def arrays_of(origins: np.ndarray, directions: np.ndarray) -> SimpleNamespace:
-    vectors = (wp.array(values, dtype=wp.vec3, device="cpu") for values in (origins, directions))
-    strides = {"origin_stride": int(len(origins) > 1), "direction_stride": 1}
-    return SimpleNamespace(**dict(zip(("origins", "directions"), vectors, strict=True)), **strides)
+def arrays_of(*vectors: np.ndarray) -> list[wp.array]:
+    return [wp.array(values, dtype=wp.vec3, device="cpu") for values in vectors]
 
 
 def pixels(columns: int, rows: int) -> np.ndarray:
@@ -71,7 +68,7 @@ def test_looks_are_as_numpy_finds():
             if rng.random() < 0.1:
                 spoiled = rng.integers(len(values), size=int(len(values) * rng.random()))
                 values[spoiled] = rng.choice(np.float32([0.0, np.nan, np.inf, 1e30]))
-        found = detect_coherence(arrays_of(origins, directions), wp.get_device("cpu"), is_list=True)
+        found = detect_coherence(*arrays_of(origins, directions), wp.get_device("cpu"), len(origins) == 1)
         is_list = len(origins) == 1 and len(directions) >= 4096
         assert found == (*expected_look(origins, directions), expected_columns(directions) if is_list else 0)
         seen.append((*found[:2], found.columns > 0))
@@ -80,7 +77,7 @@ def test_looks_are_as_numpy_finds():
 
 def test_few_rays_are_not_looked_at():
     rays = arrays_of(np.zeros((1, 3)), np.random.default_rng(0).normal(size=(2 * PAIRS - 1, 3)))
-    assert detect_coherence(rays, wp.get_device("cpu"), is_list=True) == (True, False, 0)
+    assert detect_coherence(*rays, wp.get_device("cpu"), True) == (True, False, 0)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +105,7 @@ def test_answers_by_what_is_ready_are_the_calls_own(scene):
         known = expected[number % len(batches)]
         assert_same_hits(hits, known)
         np.testing.assert_array_equal(dark, known.is_hit)
-    kept = [prepared for chosen in scene.state.cache.plans for prepared in chosen.waiting()]
+    kept = [prepared for chosen in scene.state.cache.plans for prepared in chosen.prepared.items()]
     assert 4 <= len(kept) < 40
 
 

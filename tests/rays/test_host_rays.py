@@ -9,10 +9,10 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.host_arrays import HostArray, address_of, as_array
+from wrt.engine.host_arrays import HostArray, address_of, as_array
+from wrt.engine.rays.device_rays import lay_out
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import use_threads
-from wrt.rays.ray_arrays import lay_out
-from wrt.rays.rays import Rays
 
 N, H, W = 24, 4, 6
 CENTER = np.array([1.0, -2.0, 0.5])
@@ -58,7 +58,7 @@ def test_rays_are_those_that_were_passed(name):
     shape = np.broadcast_shapes(np.shape(origins)[:-1], np.shape(directions)[:-1])
     assert (arrays.shape, arrays.count) == (shape, int(np.prod(shape)))
     assert arrays.layout.centered == (np.asarray(origins).dtype != np.float32)
-    batch, offset = arrays.batch(), CENTER if arrays.layout.centered else 0.0
+    batch, offset = arrays.batch, CENTER if arrays.layout.centered else 0.0
     for values, packed, stride, shift in (
         (origins, batch.origins, batch.origin_stride, offset),
         (directions, batch.directions, batch.direction_stride, 0.0),

@@ -7,7 +7,7 @@ import pytest
 from conftest import assert_same_hits
 
 import wrt
-from wrt.rays import ray_grids as pictures
+from wrt.engine.rays import coherence as pictures
 
 
 def flat_rays(mesh: wrt.TriangleMesh, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:

@@ -13,14 +13,14 @@ from conftest import assert_same_hits, mixed_rays
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
-from wrt.execution.executor import trace
+from wrt.engine.executor import trace
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import CUDA_BLOCK, use_threads
 from wrt.kernels.traversal import TRAVERSALS as TABLE
 from wrt.kernels.traversal.traversal_config import StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
-from wrt.planning.planner import make_plan
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
 BOX = wrt.TriangleMesh.from_trimesh(trimesh.creation.box())
@@ -71,7 +71,7 @@ def asked_alone(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray) -
                 for v in (relative, directions.astype(np.float64))
             ]
         buffers = to_device(Rays(*own), part.device, np.zeros(3))
-        batch, _ = trace(part, make_plan(part, buffers, "brute", "auto"), buffers, "closest")
+        batch, _ = trace(part, make_plan(part, buffers, "brute", "auto", "closest"), buffers, "closest")
         counted, _ = trace(part, make_plan(part, buffers, "brute", "auto", "count"), buffers, "count")
         answers.append((batch.t.numpy(), batch.primitive.numpy(), batch.uv.numpy(), counted.counts.numpy()))
     return answers
@@ -218,8 +218,8 @@ def test_more_boxes_than_a_list_holds(traversal):
 @pytest.mark.parametrize("traversal", ["stream", "packet"])
 def test_blocks_of_a_picture(traversal, monkeypatch):
     """Blocks that end within rows of tiles, rounds of a few rays: nothing shows."""
-    monkeypatch.setattr("wrt.execution.instance_rounds.BLOCK", 512)
-    monkeypatch.setattr("wrt.execution.instance_rounds.MIN_ROUND_SHARE", 1 / 1000)
+    monkeypatch.setattr("wrt.engine.launch.instance_rounds.BLOCK", 512)
+    monkeypatch.setattr("wrt.engine.launch.instance_rounds.MIN_ROUND_SHARE", 1 / 1000)
     scene = wrt.Scene(random_instances(), device="cpu")
     rays = wrt.PinholeCamera.framing(scene.flattened(), 61, 43).rays()
     hits = scene.intersect(rays, traversal=traversal)

@@ -15,7 +15,8 @@ import wrt
 from wrt.disk import partitioned_scene, ray_job
 from wrt.disk.cycling import PAIRS_PER_RAY, cycle
 from wrt.disk.partition_files import LIST, MAPPED, RECORDS, RELATIVE, part_path
-from wrt.execution import executor, triangle_records
+from wrt.engine import executor
+from wrt.engine.launch import triangle_records
 from wrt.revisions import TREE_REVISION
 from wrt.scene.archives import array_places, checksum, read_archive, write_archive
 

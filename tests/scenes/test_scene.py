@@ -96,7 +96,7 @@ def test_dtypes(scene):
 
 def test_no_needless_copy(scene):
     """Contiguous float32 arrays are read where they are."""
-    from wrt.rays.ray_buffers import to_device
+    from wrt.engine.rays.device_rays import to_device
 
     origins, directions = (np.ascontiguousarray(a) for a in mixed_rays(scene.meshes[0], 50))
     buffers = to_device(wrt.Rays(origins, directions), scene.device, scene.center)

@@ -13,8 +13,9 @@ import warp as wp
 import wrt
 from wrt.builders.bvh import small_mesh_build
 from wrt.builders.triangle_boxes import triangle_boxes
-from wrt.execution import prepared
-from wrt.execution.prepared import PreparedQuery
+from wrt.engine.free_list import FreeList
+from wrt.engine.launch import prepared
+from wrt.engine.launch.prepared import PreparedQuery
 from wrt.kernels.runtime import workspace
 from wrt.kernels.simd.lanes import native_width
 from wrt.meshes.placement import MAX_EXTENT, place_meshes
@@ -128,7 +129,7 @@ def test_a_prepared_query_serves_the_next_scene(dtype, monkeypatch):
     """A query that was prepared for a scene that is gone finds the triangles of the next one, elsewhere and more of them."""
     made, prepare = [], PreparedQuery.__init__
     monkeypatch.setattr(PreparedQuery, "__init__", lambda self, *given: (made.append(given[2:]), prepare(self, *given))[1])
-    monkeypatch.setattr(prepared, "_retired", {})
+    monkeypatch.setattr(prepared, "_retired", FreeList(prepared.MAX_FREE))
     for seed in range(4):
         mesh = soup(200 + 300 * seed, seed, dtype, 1.0 + seed, 10.0 * seed)
         scene = wrt.Scene(mesh, device="cpu")
@@ -171,7 +172,7 @@ def test_scenes_of_other_kinds_have_plans_of_their_own():
 
 def test_a_query_in_a_cycle_of_garbage_does_not_come_back():
     """The collector gave its memory for rays to another query first; two threads then wrote to the same rays."""
-    from wrt.execution import prepared
+    from wrt.engine.launch import prepared
 
     for _ in range(3):
         scene = wrt.Scene(wrt.scenes.build("teapot", level=1), device="cpu")
@@ -180,7 +181,6 @@ def test_a_query_in_a_cycle_of_garbage_does_not_come_back():
         cycle.append(cycle)
         del scene, cycle
         gc.collect()
-    retired = [query._staging for queries in prepared._retired.values() for query in queries]
-    free = [staging for stagings in prepared._free.values() for staging in stagings]
-    together = [*map(id, retired), *map(id, free)]
+    retired = [query._staging for query in prepared._retired.items()]
+    together = [*map(id, retired), *map(id, prepared._stagings.items())]
     assert len(set(together)) == len(together), "no memory is in two places"

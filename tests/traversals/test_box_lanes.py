@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 
 import wrt
+from wrt.engine.rays.device_rays import to_device
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT, intersected_boxes, nearest_child, ray_boxes
 from wrt.kernels.simd.boxes import ray_slabs, slab_interval
@@ -16,7 +17,6 @@ from wrt.kernels.traversal.packet.culling.interval_culling import cull_boxes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
-from wrt.rays.ray_buffers import to_device
 
 pytestmark = pytest.mark.width
 

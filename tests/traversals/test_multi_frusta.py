@@ -143,8 +143,8 @@ def test_an_unobstructed_half():
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        (((0, 0), (1, 0, 0), (0, 1, 0)), ValueError, "corner must have shape"),
-        (((0, 0, 1), (np.inf, 0, 0), (0, 1, 0)), ValueError, "edge_u must be finite"),
+        (((0, 0), (1, 0, 0), (0, 1, 0)), ValueError, "corner must be three numbers"),
+        (((0, 0, 1), (np.inf, 0, 0), (0, 1, 0)), ValueError, "edge_u is .* must be finite"),
         (((0, 0, 1), (1, 0, 0), "v"), TypeError, "edge_v"),
         (((0, 0, 1), (1, 0, 0), (0, 1, 0), 0), ValueError, "samples is 0"),
         (((0, 0, 1), (1, 0, 0), (0, 1, 0), 1.5), TypeError, "samples must be an int"),

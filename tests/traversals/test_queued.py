@@ -8,7 +8,7 @@ from conftest import assert_same_hits, brute_force, mixed_rays
 
 import wrt
 from wrt.builders.convert.queue_points import child_bytes, find_queue_points
-from wrt.execution import queued_tracing
+from wrt.engine.launch import queued_tracing
 from wrt.kernels.compilation.cache_size import USUAL_L2, USUAL_L3, l2_bytes, l3_bytes
 
 NAME = "queued"

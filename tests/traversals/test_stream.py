@@ -11,11 +11,11 @@ from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_
 from test_packets import beams
 
 import wrt
+from wrt.engine.plan.plan import Plan
+from wrt.engine.plan.plan_checks import MAX_LOCAL_STREAM, MAX_STREAM, longest_stream
+from wrt.engine.plan.planner import CUDA_STREAM, STREAMS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.planning.plan import Plan
-from wrt.planning.plan_checks import MAX_LOCAL_STREAM, MAX_STREAM, longest_stream
-from wrt.planning.planner import CUDA_STREAM, STREAMS
 
 pytestmark = pytest.mark.width
 
@@ -100,7 +100,7 @@ def test_sizes(tree, size, device):
     mesh = wrt.scenes.build("teapot", level=4)
     scene = wrt.Scene(mesh, tree, device=device)
     origins, directions = mixed_rays(mesh, 4500, seed=size)
-    if size > longest_stream(scene.state, TRAVERSALS["stream"]):
+    if size > longest_stream(scene.state.facts, TRAVERSALS["stream"]):
         with pytest.raises(ValueError, match=r"plan\.stream"):
             assert_equals_brute_force(scene, wrt.Rays(origins, directions), size)
         return

@@ -9,9 +9,9 @@ from conftest import ENGINE_TESTS, OTHER_WAYS_TO_PACKETS, assert_same_hits, brut
 import wrt
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.engine.facts.query_kinds import ANY, CLOSEST
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.state.query_kinds import ANY, CLOSEST
 
 TREES = [wrt.KdTree(builder="in_place"), wrt.KdTree(builder="binned")] + [wrt.Bvh(builder=name) for name in BVH_BUILDERS]
 WALKS = [(tree, name) for name, way in TRAVERSALS.items() for tree in way.trees if tree != "none"]

@@ -16,9 +16,9 @@ from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree.kdtree_statistics import unpack
 from wrt.builders.tree import Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes, triangle_boxes
+from wrt.engine.facts.wide_trees import wide_tree
 from wrt.kernels.layout.kdtree_nodes import LEAF
 from wrt.kernels.runtime.launch import use_threads
-from wrt.state.wide_trees import wide_tree
 
 pytestmark = pytest.mark.width
 

@@ -11,8 +11,8 @@ import pytest
 from conftest import SCENES, assert_same_hits, mixed_rays
 
 import wrt
+from wrt.engine.facts.query_kinds import ANY, CLOSEST
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.state.query_kinds import ANY, CLOSEST
 
 TREES = {"kdtree": wrt.KdTree(builder="in_place"), "bvh": wrt.Bvh()}
 MESH = SCENES["random_triangles"]()

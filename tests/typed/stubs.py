@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 
-TABLE = "_HOME"
+TABLE, BESIDE = "_HOME", "_BESIDE"
 
 HEAD = "# Written by `python -m tests.typed.stubs` from the table of names in {source}.\n"
 
@@ -58,8 +58,9 @@ def checked_imports(path: Path) -> dict[str, str]:
 
 
 def table_of(path: Path) -> dict[str, str]:
-    """The table of names of a module."""
-    return getattr(importlib.import_module(module_name(path)), TABLE)
+    """The table of names of a module, with those that it does not list."""
+    module = importlib.import_module(module_name(path))
+    return getattr(module, TABLE) | getattr(module, BESIDE, {})
 
 
 def module_name(path: Path) -> str:

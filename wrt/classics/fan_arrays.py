@@ -8,12 +8,12 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.triangle_fans import TriangleFans, build_fans
-from wrt.execution.traversal_launch import BRUTE_FORCE_TESTS
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.launch.traversal_launch import BRUTE_FORCE_TESTS
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.fan_brute_force import FanSet, make_fan_kernel
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
-from wrt.state.device_hits import DeviceHits
 
 
 def fans_of(scene: Any, start: int | None = None) -> TriangleFans:

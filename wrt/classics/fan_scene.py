@@ -14,14 +14,14 @@ from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders import tree as common
 from wrt.builders.triangle_fans import TriangleFans
 from wrt.classics.fan_arrays import fan_boxes, fans_of, on_device
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.facts.scene_settings import as_settings
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.traversal.fan_brute_force import FAN_FORMS, NORMALS, VERTICES, VERTICES_NORMALS, FanSet
 from wrt.meshes.placement import as_meshes, place_meshes
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import AUTO
-from wrt.state.scene_settings import as_settings
 from wrt.tables import lookup
 
 DEFAULT_TREES = {

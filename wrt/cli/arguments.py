@@ -152,7 +152,7 @@ def expect_build(given: Mapping[str, Any]) -> None:
     import warp as wp
 
     from wrt.accelerators.accelerator import resolve_accelerator
-    from wrt.execution.expected_kernels import MANY_TRIANGLES, build_kernels
+    from wrt.engine.launch.expected_kernels import MANY_TRIANGLES, build_kernels
     from wrt.kernels.runtime.launch import expect, use_threads
 
     with use_threads(given["threads"]), suppress(ValueError):  # `make_scene` says what is wrong with a name

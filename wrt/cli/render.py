@@ -245,7 +245,7 @@ def check_size(width: int, height: int) -> None:
     Raises:
         click.UsageError: their pixels alone, three float32 each, do not fit.
     """
-    from wrt.memory import machine_bytes
+    from wrt.engine.memory import machine_bytes
 
     size, most = 12 * width * height, machine_bytes()
     if most and size > most:

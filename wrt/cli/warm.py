@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     import warp as wp
 
-    from wrt.execution.expected_kernels import ExpectedRays
+    from wrt.engine.launch.expected_kernels import ExpectedRays
     from wrt.scene.scene import Scene
 
 STACK_DEPTHS = (8, 16)
@@ -122,15 +122,15 @@ def loaded(kernels: list[wp.Kernel]) -> list[wp.Module]:
 
 def default_kernels() -> list[wp.Kernel]:
     """One kernel of each module that the default paths on the CPU need: builds, closest hits and occlusion, pictures."""
-    from wrt.execution.expected_kernels import ExpectedRays
+    from wrt.engine.facts.query_kinds import ANY, CLOSEST
+    from wrt.engine.launch.expected_kernels import expected_rays
     from wrt.imaging.rendering import shading_kernels
-    from wrt.state.query_kinds import ANY, CLOSEST
 
     rays = []
     for count in RAY_COUNTS:
         for kind in (CLOSEST, ANY):
-            rays += [ExpectedRays(kind, count, origin_stride=stride) for stride in (0, 1)]
-            rays.append(ExpectedRays(kind, count, coherent=False))
+            rays += [expected_rays(kind, count, shared_origin=shared) for shared in (True, False)]
+            rays.append(expected_rays(kind, count, coherent=False))
     kernels = [*shading_kernels(smooth=True, ambient_rays=True), *first_hit_kernels(), *_tracing_kernels(_grid(), rays)]
     return [*dict.fromkeys(kernels)]
 
@@ -141,7 +141,7 @@ def first_hit_kernels() -> list[wp.Kernel]:
     import warp as wp
 
     from wrt.accelerators.tree_descriptions import Bvh
-    from wrt.execution.expected_kernels import FEW, build_kernels
+    from wrt.engine.launch.expected_kernels import FEW, build_kernels
     from wrt.kernels.query.hit_attributes import hit_positions
 
     kernels, device = [hit_positions], wp.get_device("cpu")
@@ -170,7 +170,7 @@ def _tracing_kernels(scene: Scene, rays: Iterable[ExpectedRays]) -> list[wp.Kern
     """The kernels that trace rays, as it were through trees of several depths."""
     from dataclasses import replace
 
-    from wrt.execution.expected_kernels import query_kernels
+    from wrt.engine.launch.expected_kernels import query_kernels
 
     found = []
     for depth in STACK_DEPTHS:

@@ -13,9 +13,9 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from wrt.engine.rays.rays import Rays
     from wrt.imaging.cameras import PinholeCamera
     from wrt.meshes.mesh import TriangleMesh
-    from wrt.rays.rays import Rays
     from wrt.scene.scene import Scene
 
 FEW, WIDTH, HEIGHT = 8, 160, 120
@@ -65,7 +65,7 @@ class Samples:
         """Few rays; many of a picture; and many that start on surfaces and go anywhere."""
         import numpy as np
 
-        from wrt.rays.rays import Rays
+        from wrt.engine.rays.rays import Rays
 
         many = self.camera.rays()
         few = Rays(np.broadcast_to(many.origins, many.directions.shape)[0, :FEW], many.directions[0, :FEW])

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from wrt.engine.rays.rays import Rays
 from wrt.query.batches.block_outputs import ATTRIBUTES
 from wrt.query.batches.block_work import BlockQuery, BlockWork, PickledWork
 from wrt.query.batches.shared_files import SharedScene, deliver_scene, dumps, share_scene
 from wrt.query.batches.workers import Workers, task_threads
 from wrt.query.hits import rounds_positions
-from wrt.rays.rays import Rays
 
 FORMS = {
     "t": (np.float32, 0),

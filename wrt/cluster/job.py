@@ -22,12 +22,12 @@ from wrt.cluster.identity.scene_hashes import scene_hash
 from wrt.cluster.job_blocks import BLOCK_HASH, ExamineBlock, block_count, chunk_label, has_rows, rows_of_block
 from wrt.cluster.job_folder import JobFolder
 from wrt.cluster.stored_answers import unpack_answer
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.validation import as_int
 from wrt.query.batches.block_limits import finished_before_interrupt, progress_bar
 from wrt.query.batches.block_outputs import ATTRIBUTES, check_out, store
 from wrt.query.batches.block_work import BlockQuery
 from wrt.query.blocks import Blocks, Piece, joined
-from wrt.rays.rays import Rays
 from wrt.revisions import ANSWER_REVISION
 from wrt.scene.storage import UNREADABLE
 

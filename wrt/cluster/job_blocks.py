@@ -18,12 +18,12 @@ from wrt.cluster.identity.ray_hashes import block_hash, generated_hash
 from wrt.cluster.identity.scene_hashes import scene_hash
 from wrt.cluster.job_folder import JobFolder
 from wrt.cluster.stored_answers import pack_answer
+from wrt.engine.rays.rays import Rays
 from wrt.query.batches.block_outputs import value_of
 from wrt.query.batches.block_rows import GeneratedRays
 from wrt.query.batches.block_work import BlockWork
 from wrt.query.batches.shared_files import kept
 from wrt.query.blocks import Blocks
-from wrt.rays.rays import Rays
 from wrt.revisions import ANSWER_REVISION
 
 BLOCK_HASH = "rays_hash"

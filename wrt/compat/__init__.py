@@ -1,6 +1,8 @@
-"""Drop-in replacements for the ray tracers of other libraries: code written for them runs unchanged on `wrt`.
+"""Drop-in replacements for the ray and distance queries of other libraries: code written for them runs unchanged on `wrt`.
 
     mesh.ray = wrt.compat.RayMeshIntersector(mesh)         # trimesh's intersector
+    mesh.nearest = wrt.compat.ProximityQuery(mesh)         # trimesh's nearest points
+    with wrt.compat.for_all_meshes(): ...                  # both, for all meshes that are made meanwhile
     scene = wrt.compat.RaycastingScene()                   # Open3D's scene, on NumPy arrays
 
 An adapter translates arguments and results; all geometry is computed by `wrt.Scene`.
@@ -11,8 +13,10 @@ from __future__ import annotations
 from wrt.lazy_names import lazy_names
 
 _HOME = {
+    "ProximityQuery": "wrt.compat.trimesh_proximity",
     "RayMeshIntersector": "wrt.compat.trimesh_rays",
     "RaycastingScene": "wrt.compat.open3d_rays",
+    "for_all_meshes": "wrt.compat.trimesh_proximity",
 }
 
 __all__ = [*_HOME]

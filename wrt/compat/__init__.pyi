@@ -1,8 +1,12 @@
 # Written by `python -m tests.typed.stubs` from the table of names in wrt/compat/__init__.py.
 from wrt.compat.open3d_rays import RaycastingScene as RaycastingScene
+from wrt.compat.trimesh_proximity import ProximityQuery as ProximityQuery
+from wrt.compat.trimesh_proximity import for_all_meshes as for_all_meshes
 from wrt.compat.trimesh_rays import RayMeshIntersector as RayMeshIntersector
 
 __all__ = [
+    "ProximityQuery",
     "RayMeshIntersector",
     "RaycastingScene",
+    "for_all_meshes",
 ]

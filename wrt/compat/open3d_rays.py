@@ -5,8 +5,7 @@ Differences: arrays are NumPy's, without a `.numpy()` method; each crossing is c
 vertices; each of several coincident triangles is hit; lists of hits are sorted by t; float64 rays are not rounded to
 float32.
 
-Distance queries (`compute_distance`, `compute_signed_distance`, `compute_closest_points`, `compute_occupancy`) are not
-implemented: to ask for one is an AttributeError that says what to use instead, such as `wrt.Scene.contains` for inside tests.
+Distance queries are in `wrt.compat.open3d_distances`.
 
 References: zhou-2018 (the interface).
 """
@@ -18,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.compat.open3d_distances import DistanceQueries, as_numpy
 from wrt.kernels.runtime.launch import MAX_THREADS, as_device, use_threads
-from wrt.kernels.validation import as_float, as_int, as_numbers, as_real_array, unreadable
+from wrt.kernels.validation import as_float, as_int, as_numbers, as_real_array
 from wrt.meshes.mesh import TriangleMesh
 
 if TYPE_CHECKING:
@@ -28,27 +28,12 @@ FAR_CAMERA = 2.0**14
 """Coordinate beyond which rays of a camera are float64: float32 is spaced by more than 1/1024 there."""
 
 
-MISSING = {
-    "compute_closest_points": "this object's attribute `scene` has closest_point(points), which finds them and their triangles",
-    "compute_distance": "this object's attribute `scene` has closest_point(points), whose answer has `distance`",
-    "compute_signed_distance": (
-        "closest_point(points).distance of this object's attribute `scene` is the distance, and its contains(points) tells "
-        "which points are inside, where the sign is negative"
-    ),
-    "compute_occupancy": (
-        "scene.contains(points) of a wrt.Scene, or of this object's attribute `scene`, tells which points are inside; "
-        ".astype(np.float32) of it is Open3D's occupancy"
-    ),
-}
-"""Methods of Open3D's scene that are not here, and what to use instead."""
-
-
-class RaycastingScene:
-    """Ray queries of several meshes, with the methods of Open3D's `t.geometry.RaycastingScene`.
+class RaycastingScene(DistanceQueries):
+    """Queries of several meshes, with the methods of Open3D's `t.geometry.RaycastingScene`.
 
     `rays` is a real array (..., 6) of origins and directions of any length; t is in units of that length. Any leading shape
     is kept. A ray with a NaN or an infinity, or with a zero direction, misses, as does every ray in an empty scene. The
-    tree is built by the first query after triangles were added. Open3D's distance queries are not implemented.
+    tree is built by the first query after triangles were added.
 
     Args:
         nthreads: CPU threads, 0 or None for `wrt.get_num_threads()`; every query may pass its own number.
@@ -60,9 +45,6 @@ class RaycastingScene:
         ValueError: `nthreads` is negative, or there is no such device.
     """
 
-    INVALID_ID = 0xFFFFFFFF
-    """Geometry and primitive id of a miss."""
-
     def __init__(self, nthreads: int | None = 0, device: Any = None) -> None:
         self._nthreads = _as_threads(nthreads)
         self._device = None if device is None else as_device(device).alias
@@ -70,11 +52,6 @@ class RaycastingScene:
 
     def __repr__(self) -> str:
         return f"RaycastingScene({len(self._meshes)} geometries)"
-
-    def __getattr__(self, name: str) -> Any:
-        if name in MISSING:
-            raise AttributeError(f"{type(self).__name__} has no {name}: {MISSING[name]}")
-        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "scene"}
@@ -231,16 +208,6 @@ def _as_threads(nthreads: int | None) -> int:
     return 0 if nthreads is None else as_int("nthreads", nthreads, 0, MAX_THREADS)
 
 
-def _as_numpy(name: str, values: Any) -> Any:
-    """An Open3D tensor, or any object with a method `numpy`, as a NumPy array; what NumPy converts itself, unchanged."""
-    if not callable(getattr(values, "numpy", None)) or hasattr(values, "__array__"):
-        return values
-    try:
-        return values.numpy()
-    except Exception as error:  # each library has its own
-        raise TypeError(unreadable(name, values, error)) from error
-
-
 def _as_mesh(mesh: Any) -> TriangleMesh:
     if isinstance(mesh, TriangleMesh):
         return mesh
@@ -255,12 +222,12 @@ def _as_mesh(mesh: Any) -> TriangleMesh:
 
 
 def _mesh_of_arrays(vertex_positions: Any, triangle_indices: Any) -> TriangleMesh:
-    return TriangleMesh(_as_numpy("vertex_positions", vertex_positions), _as_numpy("triangle_indices", triangle_indices))
+    return TriangleMesh(as_numpy("vertex_positions", vertex_positions), as_numpy("triangle_indices", triangle_indices))
 
 
 def _split(rays: Any) -> tuple[np.ndarray, np.ndarray]:
     """Origins and directions of rays (..., 6)."""
-    rays = as_real_array("rays", _as_numpy("rays", rays))
+    rays = as_real_array("rays", as_numpy("rays", rays))
     if rays.ndim == 0 or rays.shape[-1] != 6:
         raise ValueError(f"rays must have shape (..., 6), origin and direction, not {rays.shape}")
     return rays[..., :3], rays[..., 3:]
@@ -270,7 +237,7 @@ def _rays_of_matrices(intrinsic_matrix: Any, extrinsic_matrix: Any, width_px: in
     """Rays R^-1 K^-1 (x, y, 1) from the point that the camera matrix [R t] maps to 0."""
     inverses = []
     for name, matrix, size in (("intrinsic_matrix", intrinsic_matrix, 3), ("extrinsic_matrix", extrinsic_matrix, 4)):
-        matrix = as_numbers(name, _as_numpy(name, matrix), finite=False)
+        matrix = as_numbers(name, as_numpy(name, matrix), finite=False)
         if matrix.shape != (size, size) or not np.isfinite(matrix).all():
             raise ValueError(f"{name} must be a finite {size} x {size} matrix, not of shape {matrix.shape}")
         try:
@@ -290,7 +257,7 @@ def _rays_of_matrices(intrinsic_matrix: Any, extrinsic_matrix: Any, width_px: in
 def _rays_of_view(fov_deg: float, center: Any, eye: Any, up: Any, width_px: int, height_px: int) -> np.ndarray:
     """The matrices of a camera at `eye` that looks at `center`, and their rays."""
     given = {"center": center, "eye": eye, "up": up}
-    center, eye, up = (as_numbers(name, _as_numpy(name, vector), finite=False) for name, vector in given.items())
+    center, eye, up = (as_numbers(name, as_numpy(name, vector), finite=False) for name, vector in given.items())
     width_px, height_px, fov_deg = (
         as_int("width_px", width_px, 1),
         as_int("height_px", height_px, 1),

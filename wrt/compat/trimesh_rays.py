@@ -18,9 +18,9 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator
+from wrt.engine.facts.query_kinds import AUTO
 from wrt.kernels.runtime.launch import as_device, check_num_threads, launch, use_threads
 from wrt.kernels.validation import as_bool, host_array
-from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
     import trimesh
@@ -34,8 +34,8 @@ class RayMeshIntersector:
 
     `mesh.ray = wrt.compat.RayMeshIntersector(mesh)` makes the mesh, and trimesh's functions that use its rays, use this one. As
     with trimesh's intersectors, it follows changes of the mesh, pickles without its tree, and a copy of it refers to the
-    same mesh. `mesh.copy()` makes a new mesh with trimesh's own intersector. To give all meshes this intersector,
-    primitives included, replace the class that trimesh uses, such as `trimesh.ray.ray_pyembree.RayMeshIntersector`.
+    same mesh. `mesh.copy()` makes a new mesh with trimesh's own intersector; `wrt.compat.for_all_meshes` gives all meshes this
+    one, copies and primitives included.
 
     `ray_origins` and `ray_directions` are both (n, 3), directions of any length. Hits count if t >= 0. A ray with a NaN or
     an infinity, or with a zero direction, misses. A mesh without faces is never hit.
@@ -174,7 +174,7 @@ class RayMeshIntersector:
             TypeError: points are not an array of real numbers.
             ValueError: points are not (n, 3).
         """
-        points = _as_rows(points, "points")
+        points = as_rows(points, "points")
         scene = self.scene
         return np.zeros(len(points), dtype=bool) if scene is None else scene.contains(points)
 
@@ -202,7 +202,7 @@ def locate(
 
 
 def _checked_rays(origins: Any, directions: Any) -> tuple[np.ndarray, np.ndarray]:
-    origins, directions = _as_rows(origins, "ray_origins"), _as_rows(directions, "ray_directions")
+    origins, directions = as_rows(origins, "ray_origins"), as_rows(directions, "ray_directions")
     if origins.shape != directions.shape:
         raise ValueError(
             f"ray_origins {origins.shape} and ray_directions {directions.shape} must have the same shape; "
@@ -211,7 +211,7 @@ def _checked_rays(origins: Any, directions: Any) -> tuple[np.ndarray, np.ndarray
     return origins, directions
 
 
-def _as_rows(values: Any, name: str) -> np.ndarray:
+def as_rows(values: Any, name: str) -> np.ndarray:
     """`values` as (n, 3) float32 or float64."""
     try:
         array = host_array(name, values)

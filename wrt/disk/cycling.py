@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from wrt.engine.memory import empty, new_rays
 from wrt.kernels.query.ordering.ray_order import scan_counts
 from wrt.kernels.query.part_queries import make_gather_live
 from wrt.kernels.runtime.launch import get_num_threads, launch
 from wrt.kernels.traversal.queued.queue_lists import QueuePairs, make_list_live, make_list_points, sort_pairs
-from wrt.memory import empty, new_rays
 
 if TYPE_CHECKING:
     from wrt.disk.ray_job import RayJob

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.execution.traversal_launch import counter_rows, no_work
+from wrt.engine.launch.traversal_launch import counter_rows, no_work
+from wrt.engine.memory import empty
 from wrt.kernels.query.ordering.ray_order import sort_buckets
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.queued.next_queue import RayQueue, gather_numbers, make_advance
-from wrt.memory import empty
 
 if TYPE_CHECKING:
     from wrt.disk.ray_job import RayJob

@@ -23,7 +23,7 @@ import numpy as np
 
 from wrt.disk.part_loading import Part, PartLoader
 from wrt.disk.partition_files import PartList
-from wrt.state.scene_settings import Settings
+from wrt.engine.facts.scene_settings import Settings
 
 if TYPE_CHECKING:
     from wrt.kernels.triangle.support.record_blocks import Record

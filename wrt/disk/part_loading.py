@@ -33,18 +33,18 @@ import warp as wp
 from wrt.builders.tree import Bvh
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.disk.partition_files import RECORDS, RELATIVE, PartList, label_of, part_path
+from wrt.engine.facts.scene_settings import Settings
+from wrt.engine.facts.scene_state import SceneState
+from wrt.engine.memory import empty, keep_alive
 from wrt.kernels.layout.mesh_placement import shifted
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import as_device
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-from wrt.memory import empty, keep_alive
 from wrt.scene.archives import ALIGNED, ArrayPlace, array_places, read_archive
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.storage import UNREADABLE, parse_scene, tree_key
-from wrt.state.scene_settings import Settings
-from wrt.state.scene_state import SceneState
 
 if TYPE_CHECKING:
     from wrt.kernels.triangle.support.record_blocks import Record

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.plan.plan_checks import check_culling, check_query
+from wrt.engine.plan.planner import DEFAULT_TEST
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.planning.answer_checks import check_culling, check_query
-from wrt.planning.planner import DEFAULT_TEST
-from wrt.state.query_kinds import AUTO
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.state.query_kinds import Query
+    from wrt.engine.facts.query_kinds import Query
 
 
 def check_traversal(query: Query) -> None:

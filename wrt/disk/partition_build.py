@@ -35,17 +35,17 @@ from wrt.disk.partition_files import (
     write_list,
 )
 from wrt.disk.spatial_parts import Division, Grid, divide
+from wrt.engine.facts.scene_state import Settings, new_mark
+from wrt.engine.plan.planner import default_test
 from wrt.kernels.runtime.launch import as_device
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT, as_meshes, members_of, place_meshes
-from wrt.planning.planner import default_test
 from wrt.scene.archives import write_archive
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.storage import scene_arrays
-from wrt.state.scene_state import Settings, new_mark
 
 
 @dataclass
@@ -245,7 +245,7 @@ def part_state(
 
 def stored_records(state: MeshState) -> dict[str, np.ndarray]:
     """The triangle records of a part's tree, by the name of their array."""
-    test, mesh, tree = default_test(state.settings), state.device_mesh, state.tree
+    test, mesh, tree = default_test(state.triangle_test), state.device_mesh, state.tree
     blocks = pack_blocks(TRIANGLE_TESTS[test].record, mesh.vertices, mesh.faces, tree.primitive, tree.width)
     return {RECORDS + test: blocks.records.numpy()}
 

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 import warp as wp
 
+from wrt.engine.rays.array_types import ArrayT
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.query.hits import Hits
 from wrt.query.pickled_hits import reduce_hits
-from wrt.rays.array_types import ArrayT
 
 if TYPE_CHECKING:
     from wrt.disk.partition_files import PartList
-    from wrt.planning.plan import Plan
-    from wrt.rays.rays import ResultForm
-    from wrt.state.device_hits import DeviceHits
+    from wrt.engine.device_hits import DeviceHits
+    from wrt.engine.plan.plan import Plan
+    from wrt.engine.rays.rays import ResultForm
 
 
 class PartitionedHits(Hits[ArrayT]):

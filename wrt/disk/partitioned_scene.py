@@ -20,27 +20,27 @@ from wrt.disk.partition_build import build_parts
 from wrt.disk.partition_files import PartList, read_list
 from wrt.disk.queries_of_parts import CYCLE, PartQueries
 from wrt.disk.ray_job import RayJob, UpperTree
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.facts.query_kinds import AUTO, Query
+from wrt.engine.facts.scene_settings import as_settings
+from wrt.engine.memory import empty
+from wrt.engine.plan.plan import stack_levels
+from wrt.engine.plan.planner import DEFAULT_TEST
+from wrt.engine.rays.device_rays import DeviceRays, to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout import bvh_nodes
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.validation import as_bool, as_int
-from wrt.memory import empty
-from wrt.planning.plan import stack_levels
-from wrt.planning.planner import DEFAULT_TEST
 from wrt.query.all_hits import part_of
 from wrt.query.blocks import parse_memory, progress_bar
-from wrt.rays.ray_buffers import RayBuffers, to_device
-from wrt.rays.rays import Rays
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import AUTO, Query
-from wrt.state.scene_settings import as_settings
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.engine.plan.plan import Plan
     from wrt.kernels.layout.ray_batch import HitBatch
-    from wrt.planning.plan import Plan
 
 MEMORY = "1 GB"
 
@@ -254,7 +254,7 @@ class PartitionedScene(PartQueries):
             )
         return needed
 
-    def _answer(self, rays: Rays, query: Query, mode: str) -> tuple[RayBuffers, DeviceHits, wp.array, Plan | None]:
+    def _answer(self, rays: Rays, query: Query, mode: str) -> tuple[DeviceRays, DeviceHits, wp.array, Plan | None]:
         """The answers of all rays: the rays on the device, the answers, the corners of triangles hit, and a plan."""
         run = lookup(MODES, mode, "mode")
         check_traversal(query)
@@ -278,7 +278,7 @@ class PartitionedScene(PartQueries):
                 hits = piece_of(batch, query.kind, begin, end)
                 own = corners[3 * begin : 3 * end] if answer.names_triangles else corners
                 block = part_of(buffers.batch, begin, end)
-                job = RayJob(self._cache, self._upper, query, block, buffers.coherent, hits, own, needed)
+                job = RayJob(self._cache, self._upper, query, block, buffers.facts.coherent, hits, own, needed)
                 if run(job):
                     jobs.append(job)
                 else:

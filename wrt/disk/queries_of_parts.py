@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypedDict, overload
 
 from wrt.disk.partitioned_hits import PartitionedHits
+from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST, COUNT, Query
+from wrt.engine.rays.rays import as_rays
 from wrt.query.query_options import checked, lists_options
-from wrt.rays.rays import as_rays
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST, COUNT, Query
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from wrt.disk.partition_files import PartList
-    from wrt.planning.plan import Plan
-    from wrt.rays.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
-    from wrt.rays.ray_buffers import RayBuffers
-    from wrt.rays.rays import Rays
-    from wrt.state.device_hits import DeviceHits
+    from wrt.engine.device_hits import DeviceHits
+    from wrt.engine.plan.plan import Plan
+    from wrt.engine.rays.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
+    from wrt.engine.rays.device_rays import DeviceRays
+    from wrt.engine.rays.rays import Rays
 
 INF = float("inf")
 
@@ -47,7 +47,7 @@ class PartQueries:
         @property
         def num_threads(self) -> int | None: ...
 
-    def _answer(self, rays: Rays, query: Query, mode: str) -> tuple[RayBuffers, DeviceHits, wp.array, Plan | None]:
+    def _answer(self, rays: Rays, query: Query, mode: str) -> tuple[DeviceRays, DeviceHits, wp.array, Plan | None]:
         """The answers of all rays: the rays on the device, the answers, the corners of triangles hit, and a plan."""
         raise NotImplementedError
 

@@ -13,28 +13,25 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import trace_chosen
+from wrt.engine.executor import trace_chosen
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.memory import new_rays
+from wrt.engine.plan.plan import stack_levels
+from wrt.engine.plan.planner import default_test, find_plan
+from wrt.engine.rays.device_rays import DeviceRays
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.query.part_queries import make_gather, make_part_merge
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.memory import new_rays
-from wrt.planning.plan import stack_levels
-from wrt.planning.planner import default_test, find_plan
-from wrt.rays.ray_arrays import ZERO_CENTER, Layout, RayArrays
-from wrt.rays.ray_buffers import RayBuffers
-from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
     from wrt.disk.part_cache import PartCache
+    from wrt.engine.facts.query_kinds import Query
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.plan.plan import ChosenPlan, Plan
     from wrt.kernels.layout.bvh_nodes import WideNodes
     from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
-    from wrt.planning.plan import ChosenPlan, Plan
-    from wrt.state.query_kinds import Query
-    from wrt.state.scene_state import SceneState
-
-COPIES = Layout(1, 1, 1, 1, centered=True)
-"""Layout of rays copied from a block."""
 
 CHUNK = 1024
 """Rays that are worth a chunk of their own."""
@@ -82,7 +79,11 @@ class RayJob:
         self.hits, self.corners, self.expected_bytes = hits, corners, expected_bytes
         self.device, self.parts = cache.settings.device, len(cache.parts)
         by_tree = query.traversal == AUTO or TRAVERSALS[query.traversal].walks_tree
-        test = default_test(cache.settings, query.kind) if query.triangle_test == AUTO else query.triangle_test
+        test = (
+            default_test(cache.settings.triangle_test, ANSWERS[query.kind].crossings)
+            if query.triangle_test == AUTO
+            else query.triangle_test
+        )
         self.record = TRIANGLE_TESTS[test].record if by_tree else None
         self.plan: Plan | None = None
         self._plans: dict[Hashable, ChosenPlan] = {}
@@ -105,10 +106,10 @@ class RayJob:
         """
         part = self.cache.part(number, int(self.expected_bytes[number]), self.record)
         count, kind = len(order), self.query.kind
-        buffers = self._buffers(rays)
-        chosen = self._plan_for(part.state, buffers)
-        found, _ = trace_chosen(part.state, chosen, buffers, kind, False)
-        for prepared in chosen.waiting():
+        known = self._known(rays)
+        chosen = self._plan_for(part.state, known)
+        found, _ = trace_chosen(part.state, chosen, known, kind)
+        for prepared in chosen.prepared.items():
             prepared.let_go()  # of the part, which may leave memory
         inputs = [order, part.state.device_mesh, part.ids, found.struct(), self.hits, self.corners]
         launch(make_part_merge(kind), count, inputs, device=self.device, chunk=CHUNK)
@@ -117,25 +118,23 @@ class RayJob:
         self.traced += count
         self.cache.note_use(number)
 
-    def _buffers(self, rays: RayBatch) -> RayBuffers:
+    def _known(self, rays: RayBatch) -> DeviceRays:
         """Copies of rays: on the CPU with the layout of their arrays, so that queries about them are prepared."""
-        shape = (rays.count,)
-        given: RayArrays | RayBatch = rays
+        known = DeviceRays.of_batch(rays, self.coherent, False)
         if self.device.is_cpu:
-            arrays = rays.origins, rays.directions, rays.t_min, rays.t_max
-            given = RayArrays(*arrays, COPIES, rays.count, ZERO_CENTER, shape, False, np.float32, ())
-        return RayBuffers(given, shape, False, np.float32, self.coherent, False, [])
+            del known.batch
+        return known
 
-    def _plan_for(self, state: SceneState, buffers: RayBuffers) -> ChosenPlan:
+    def _plan_for(self, state: SceneState, rays: DeviceRays) -> ChosenPlan:
         """The plan of a part's rays. On the CPU, parts and rays of similar numbers share a plan and what is prepared for it: to
         choose one and to prepare it takes Python longer than to trace some thousand rays."""
         if not self.device.is_cpu:
-            return find_plan(state, buffers, self.query)
-        sizes = buffers.count.bit_length(), state.triangle_count.bit_length()
-        key = *sizes, buffers.count <= state.few_rays, stack_levels(state.depth)
+            return find_plan(state, rays.facts, self.query, rays.sample)
+        sizes = rays.count.bit_length(), state.triangle_count.bit_length()
+        key = *sizes, rays.count <= state.few_rays, stack_levels(state.depth)
         chosen = self._plans.get(key)
         if chosen is None:
-            chosen = find_plan(state, buffers, self.query)
+            chosen = find_plan(state, rays.facts, self.query, rays.sample)
             if chosen.carried_out.accelerator == "bvh":
                 self._plans[key] = chosen
         return chosen

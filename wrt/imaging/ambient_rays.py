@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.expected_kernels import ExpectedRays
+from wrt.engine.facts.query_kinds import ANY
+from wrt.engine.launch.expected_kernels import ExpectedRays, expected_rays
+from wrt.engine.memory import empty
 from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading import ambient
 from wrt.kernels.shading.surface import Surface
-from wrt.memory import empty
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import ANY
 
 DIRECTIONS_AT_ONCE = 16
 """Most rays of a point that are traced at once; bounds the memory."""
@@ -58,7 +58,7 @@ class AmbientRays:
     ) -> None:
         self._scene, self._samples, self._seed, self._query = scene, samples, seed, query
         self._width, self._radius, self.scale = width, radius, int(ambient.SHARES) if radius else 1
-        self._expected = expected_rays(points, samples)
+        _, self._expected = most_rays(points, samples)
         self._origins, self._directions = (empty(self._expected.count, wp.vec3, scene.device) for _ in range(2))
         self._distance = wp.array(np.array([distance], np.float32), dtype=float, device=scene.device)
 
@@ -99,6 +99,6 @@ class AmbientRays:
         launch(kernel, len(hit), inputs, device=self._scene.device, chunk=CHUNK)
 
 
-def expected_rays(points: int, samples: int) -> ExpectedRays:
+def most_rays(points: int, samples: int) -> ExpectedRays:
     """The most ambient rays that are traced at once, of this many points with this many rays each."""
-    return ExpectedRays(ANY, points * min(samples, DIRECTIONS_AT_ONCE), coherent=False)
+    return expected_rays(ANY, points * min(samples, DIRECTIONS_AT_ONCE), coherent=False)

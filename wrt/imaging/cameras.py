@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.rays.rays import Rays
 from wrt.imaging.view_frames import check_pose, corners_of, default_view, frame_of, nearest_view
 from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.shading.pixel_rays import View, orthographic_origins, pinhole_directions
 from wrt.kernels.validation import as_float, as_int, as_point
 from wrt.meshes.up_axis import default_up
-from wrt.rays.rays import Rays
 
 if TYPE_CHECKING:
     from typing_extensions import Self

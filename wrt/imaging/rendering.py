@@ -18,20 +18,21 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
-from wrt.execution.expected_kernels import picture_rays, query_kernels
-from wrt.imaging.ambient_rays import AmbientRays, expected_rays
+from wrt.engine.launch.expected_kernels import picture_rays, query_kernels
+from wrt.engine.rays.rays import Rays
+from wrt.imaging.ambient_rays import AmbientRays, most_rays
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import expect, launch, refuse_capture, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.kernels.shading.pixel_rays import pinhole_directions
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_point
-from wrt.rays.rays import Rays
+from wrt.meshes.vertex_values import joined, smooth_corner_normals
 from wrt.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
-from wrt.state.query_kinds import AUTO
+    pass
+from wrt.engine.facts.query_kinds import AUTO
 
 __all__ = ["AmbientRendering", "corner_normals", "default_light", "render"]
 
@@ -214,8 +215,8 @@ def render(scene: Scene, camera: Camera, *, progress: Callable[[int, int], Any] 
 def _kernels(scene: Scene, camera: Camera, tile: int, settings: _Settings, smooth: bool) -> list[wp.Kernel]:
     """One kernel of each module that a picture needs."""
     shared = isinstance(camera, PinholeCamera)
-    rays = picture_rays(tile, 0 if shared else 1, settings.shadows)
-    rays += [expected_rays(tile, settings.ambient_samples)] if settings.ambient_samples else []
+    rays = picture_rays(tile, shared, settings.shadows)
+    rays += [most_rays(tile, settings.ambient_samples)] if settings.ambient_samples else []
     shading = shading_kernels(smooth, settings.ambient_samples > 0)
     return [*query_kernels(scene.state, rays, **settings.query), *shading]
 
@@ -244,30 +245,9 @@ def corner_normals(scene: Scene, crease_angle: float) -> wp.array:
         made = {}
         _corner_normals[scene] = scene.state.device_mesh, made
     if crease_angle not in made:
-        parts = [_smooth_normals(part, crease_angle) for part in scene.state.parts]  # type: ignore[arg-type]
-        made[crease_angle] = parts[0] if len(parts) == 1 else _joined(parts)
+        parts = [(part.device_mesh.vertices, part.device_mesh.faces, part.meshes) for part in scene.state.parts]
+        made[crease_angle] = joined([smooth_corner_normals(*part, crease_angle) for part in parts])
     return made[crease_angle]
-
-
-def _smooth_normals(scene: SceneState, crease_angle: float) -> wp.array:
-    mesh, device = scene.device_mesh, scene.device
-    count = mesh.faces.shape[0]
-    flat = wp.empty(count, dtype=wp.vec3, device=device)
-    angles = wp.empty(3 * count, dtype=float, device=device)
-    result = wp.empty(3 * count, dtype=wp.vec3, device=device)
-    launch(normals.face_normals_and_angles, count, [mesh.vertices, mesh.faces, flat, angles], device=device)
-    inputs = [_vertex_corners(scene), flat, angles, float(np.cos(np.radians(crease_angle))), result]
-    launch(normals.smooth_corner_normals, 3 * count, inputs, device=device)
-    return result
-
-
-def _joined(parts: list[wp.array]) -> wp.array:
-    joined = wp.empty(sum(map(len, parts)), dtype=wp.vec3, device=parts[0].device)
-    begin = 0
-    for part in parts:
-        wp.copy(joined, part, dest_offset=begin)
-        begin += len(part)
-    return joined
 
 
 @dataclass(frozen=True)
@@ -385,20 +365,3 @@ def _colors(name: str, value: Any, counts: tuple[int, ...], maximum: float) -> n
         limit = f"from 0 to {maximum:g}" if np.isfinite(maximum) else "finite and not negative"
         raise ValueError(f"{name} must be {limit}, but ranges from {colors.min():g} to {colors.max():g}")
     return colors
-
-
-def _vertex_corners(scene: SceneState) -> normals.VertexCorners:
-    """The triangle corners that meet at each point; different meshes of a scene share no points."""
-    vertex, vertices = [], 0
-    for mesh in scene.meshes:
-        welded = mesh.welded()
-        vertex.append(welded.faces.ravel() + vertices)
-        vertices += welded.vertex_count
-    joined = np.concatenate(vertex).astype(np.int32)
-    start = np.zeros(vertices + 1, dtype=np.int32)
-    np.cumsum(np.bincount(joined, minlength=vertices), out=start[1:])
-    around = normals.VertexCorners()
-    around.vertex = wp.array(joined, dtype=int, device=scene.device)
-    around.start = wp.array(start, dtype=int, device=scene.device)
-    around.corner = wp.array(np.argsort(joined, kind="stable").astype(np.int32), dtype=int, device=scene.device)
-    return around

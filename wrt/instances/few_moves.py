@@ -7,13 +7,13 @@ written is thrown away.
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.instance_forest import cost_of
+from wrt.engine.free_list import FreeList
 from wrt.instances.instance_boxes import InstanceBoxes, UpperTree, address_of
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch
@@ -88,7 +88,7 @@ def address(field: Any, values: np.ndarray, count: int) -> None:
     field.shape[0] = count
 
 
-_free: deque[Mover] = deque(maxlen=MAX_FREE)
+_movers: FreeList[Mover] = FreeList(MAX_FREE)
 
 
 def move_few(
@@ -110,12 +110,9 @@ def move_few(
     }
     boxes, table, tree, extremes = state.boxes.copied(), state.table.copy(), state.tree, np.empty(EXTREMES + 2)
     low, high, bounds = tree.corners[0].copy(), tree.corners[1].copy(), tree.host.copy()
-    try:
-        mover = _free.pop()
-    except IndexError:
-        mover = Mover()
+    mover = _movers.take() or Mover()
     mover.run(state, moves, boxes, [table, low, high, bounds, extremes])
-    _free.append(mover)
+    _movers.give_back(mover)
     *corners, nodes, of_instances = extremes.tolist()
     boxes.__dict__["extremes"] = corners
     if not boxes.are_resolved or boxes.frame != state.boxes.frame:

@@ -22,14 +22,14 @@ from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders import tree as common
 from wrt.builders.bvh.instance_forest import InstanceForest, build_forest
 from wrt.builders.triangle_boxes import boxes_of
+from wrt.engine.memory import keep_alive
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.two_level.instance_bounds import LANES, BoundedInstances, CoverPoints, bound_instances
-from wrt.memory import keep_alive
 from wrt.meshes.instance import MIN_RELATIVE_SIZE
 from wrt.meshes.placement import MAX_COORDINATE
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 CELLS = 8
 """Cells per axis of the grid that covers a mesh."""

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from wrt.engine.facts.scene_state import SceneState, new_mark
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.validation import as_bool
 from wrt.meshes.instance import as_instances
 from wrt.meshes.node_graph import NodeGraph
-from wrt.state.scene_state import SceneState, new_mark
 
 
 class Members:

@@ -26,24 +26,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.area_trees import assign, with_range
-from wrt.execution.batch import trace_batch
+from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST
+from wrt.engine.launch.area_trees import assign, with_range
+from wrt.engine.launch.batch import trace_batch
+from wrt.engine.memory import empty
+from wrt.engine.plan.plan import Plan, plan_for_query
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import as_rays
 from wrt.kernels.query.ordering.ray_order import sort_rays
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.validation import as_int
-from wrt.memory import empty
-from wrt.planning.plan import Plan, plan_for_query
-from wrt.planning.planner import make_plan
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import as_rays
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.builders.influence.influence_area import InfluenceArea
+    from wrt.engine.facts.scene_state import SceneState
     from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.scene.scene import Scene
-    from wrt.state.scene_state import SceneState
 
 AREA_LOOKUP_COST = 2.0
 """Cost of finding the area of a ray, in node visits (notebooks/records/2026-11-21-influence-areas.md)."""
@@ -210,7 +210,7 @@ def costs(scene: SceneState, plan: Plan, rays: RayBatch, chosen: np.ndarray, que
     hits, work = trace_batch(scene, plan, select_rays(rays, chosen, scene.device), query, True)
     counted, cost = work.numpy(), scene.accelerator.config(scene.tree.width).cost
     ray_cost = cost.traversal * counted["nodes"] + cost.block * counted["triangles"] / scene.tree.width
-    return ray_cost, hits.occluded.numpy() if query == ANY else hits.primitive.numpy() >= 0
+    return ray_cost, hits.primitive.numpy() >= 0 if hits.occluded is None else hits.occluded.numpy()
 
 
 def select_rays(rays: RayBatch, chosen: np.ndarray, device: wp.Device) -> RayBatch:

@@ -34,8 +34,8 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.validation import as_float, as_int, as_numbers, as_real_array
-from wrt.rays.rays import Rays
 
 SAMPLES = 2000
 """Default number of sampled rays: a distribution with 5 % of the rays is found."""

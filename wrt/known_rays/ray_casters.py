@@ -23,9 +23,9 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.influence.influence_area import Point, check_numbers, check_positive, frame_of
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.validation import as_int, convert_fields
-from wrt.rays.rays import Rays
 
 if TYPE_CHECKING:
     from wrt.builders.influence.influence_area import PlaneInfluenceArea, PointInfluenceArea

@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wrt.atomic_files import write_text
-from wrt.execution.area_trees import assign
-from wrt.execution.executor import trace
+from wrt.engine.executor import trace
+from wrt.engine.facts.query_kinds import CLOSEST, COUNT
+from wrt.engine.launch.area_trees import assign
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.validation import as_float
-from wrt.planning.planner import make_plan
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
-from wrt.state.query_kinds import CLOSEST, COUNT
 
 if TYPE_CHECKING:
     from wrt.builders.bvh.bvh_analysis import BoxMeasures
     from wrt.builders.influence.influence_area import InfluenceArea
+    from wrt.engine.device_hits import DeviceHits
+    from wrt.engine.facts.scene_state import SceneState
     from wrt.scene.scene import Scene
-    from wrt.state.device_hits import DeviceHits
-    from wrt.state.scene_state import SceneState
 
 __all__ = ["CountedWork", "TreeAnalysis", "analyse", "analyse_areas"]
 

@@ -27,6 +27,7 @@ from wrt.meshes.exact_encoding import encode_mesh
 from wrt.meshes.files.mesh_reading import OWN_FORMATS, read_by_trimesh, read_own_format
 from wrt.meshes.files.up_in_files import with_stated_up
 from wrt.meshes.graph_transforms import graph_transform
+from wrt.meshes.height_map import height_map_arrays
 from wrt.meshes.mesh_arrays import checked_faces, checked_vertices, frozen
 from wrt.meshes.mesh_measures import extremes, first_of_equal_points, normals_and_areas
 from wrt.meshes.up_axis import Direction, checked_up, common_up, mapped_up, up_of_format
@@ -153,6 +154,18 @@ class TriangleMesh:
         if not parts:
             raise ValueError("no triangles in it: a mesh needs at least one (point clouds and paths do not count)")
         return cls.concatenate(parts, name=name)
+
+    @classmethod
+    def from_heightmap(cls, heights: Any, *, spacing: Any = 1.0, origin: Any = (0, 0, 0)) -> TriangleMesh:
+        """A terrain, z up: vertex i * columns + j is at origin + (j dx, i dy, heights[i, j]), float64.
+
+        Takes (rows, columns) `heights`, NaN where there is no ground; `spacing`, a number or (dx, dy), dy < 0 for rows from the
+            north; `origin` (3,).
+
+        Raises:
+            TypeError, ValueError: wrong types or shapes, a spacing of 0, or no cell with four heights.
+        """
+        return cls(*height_map_arrays(heights, spacing, origin), up=(0, 0, 1))
 
     def to_trimesh(self) -> trimesh.Trimesh:
         """Returns a trimesh.Trimesh with copies of the arrays; no vertices are merged."""

@@ -75,31 +75,60 @@ def corner_normals_of(meshes: tuple[TriangleMesh, ...], crease_angle: float, dev
         if key not in made:
             made[key] = _make_corner_normals(mesh, crease_angle, device)
         parts.append(made[key])
-    if len(parts) == 1:
-        return parts[0]
-    joined = wp.empty(sum(map(len, parts)), dtype=wp.vec3, device=device)
-    begin = 0
-    for part in parts:
-        wp.copy(joined, part, dest_offset=begin)
-        begin += len(part)
-    return joined
+    return joined(parts)
 
 
 def _make_corner_normals(mesh: TriangleMesh, crease_angle: float, device: wp.Device) -> wp.array:
-    count = mesh.triangle_count
     vertices = wp.array((mesh.vertices - mesh.center).astype(np.float32), dtype=wp.vec3, device=device)
     faces = wp.array(mesh.faces, dtype=wp.vec3i, device=device)
-    welded = mesh.welded()
-    corners = welded.faces.ravel().astype(np.int32)
-    around = normals.VertexCorners()
-    around.vertex = wp.array(corners, dtype=int, device=device)
-    start = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=welded.vertex_count))])
-    around.start = wp.array(start.astype(np.int32), dtype=int, device=device)
-    around.corner = wp.array(np.argsort(corners, kind="stable").astype(np.int32), dtype=int, device=device)
+    return smooth_corner_normals(vertices, faces, (mesh,), crease_angle)
+
+
+def smooth_corner_normals(
+    vertices: wp.array, faces: wp.array, meshes: tuple[TriangleMesh, ...], crease_angle: float
+) -> wp.array:
+    """(3 F,) vec3: smooth unit normals of all corners.
+
+    Args:
+        vertices: (V,) vec3.
+        faces: (F,) vec3i, of all meshes; different meshes share no points.
+        meshes: the same before, whose points are welded.
+        crease_angle: degrees between triangles from which an edge is sharp.
+    """
+    count, device = len(faces), vertices.device
     flat = wp.empty(count, dtype=wp.vec3, device=device)
     angles = wp.empty(3 * count, dtype=float, device=device)
     result = wp.empty(3 * count, dtype=wp.vec3, device=device)
     launch(normals.face_normals_and_angles, count, [vertices, faces, flat, angles], device=device)
-    inputs = [around, flat, angles, float(np.cos(np.radians(crease_angle))), result]
+    inputs = [_corners_around(meshes, device), flat, angles, float(np.cos(np.radians(crease_angle))), result]
     launch(normals.smooth_corner_normals, 3 * count, inputs, device=device)
+    return result
+
+
+def _corners_around(meshes: tuple[TriangleMesh, ...], device: wp.Device) -> normals.VertexCorners:
+    """The triangle corners that meet at each point."""
+    corners, points = [], 0
+    for mesh in meshes:
+        welded = mesh.welded()
+        corners.append(welded.faces.ravel() + points)
+        points += welded.vertex_count
+    vertex = np.concatenate(corners).astype(np.int32)
+    start = np.concatenate([[0], np.cumsum(np.bincount(vertex, minlength=points))])
+    around = normals.VertexCorners()
+    around.vertex, around.start, around.corner = (
+        wp.array(values.astype(np.int32), dtype=int, device=device)
+        for values in (vertex, start, np.argsort(vertex, kind="stable"))
+    )
+    return around
+
+
+def joined(parts: list[wp.array]) -> wp.array:
+    """Flat arrays one after the other, on their device."""
+    if len(parts) == 1:
+        return parts[0]
+    result = wp.empty(sum(map(len, parts)), dtype=parts[0].dtype, device=parts[0].device)
+    begin = 0
+    for part in parts:
+        wp.copy(result, part, dest_offset=begin)
+        begin += len(part)
     return result

@@ -12,6 +12,9 @@ import warp as wp
 
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders import tree as common
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.facts.scene_settings import as_settings
+from wrt.engine.facts.scene_state import Settings, new_mark
 from wrt.kernels.layout.mesh_placement import relative_to
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
@@ -20,9 +23,6 @@ from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, find_center, moved_mesh, place_meshes
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import AUTO
-from wrt.state.scene_settings import as_settings
-from wrt.state.scene_state import Settings, new_mark
 
 if TYPE_CHECKING:
     from wrt.builders.motion_clusters import Decomposition

@@ -21,8 +21,8 @@ from wrt.tables import lookup
 if TYPE_CHECKING:
     from wrt.builders import tree as common
     from wrt.builders.convert.kdtree_links import Hierarchy, LinkedKdTrees
+    from wrt.engine.facts.scene_settings import Settings
     from wrt.meshes.placement import PlacedMeshes
-    from wrt.state.scene_settings import Settings
 
 TREE, LIST = "tree", "list"
 TOPS = {

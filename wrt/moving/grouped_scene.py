@@ -30,15 +30,15 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.facts.scene_settings import as_settings
+from wrt.engine.facts.scene_state import Settings, new_mark
 from wrt.kernels.runtime.launch import run_tasks, use_threads
 from wrt.meshes.placement import as_meshes, nested, place_meshes
 from wrt.moving.group_trees import TREE, GroupLayout
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.scene import Scene
 from wrt.scene.updates import MovedTriangles, UpdatePolicy, UpdateReport, can_move, move_tree, typical_motion
-from wrt.state.query_kinds import AUTO
-from wrt.state.scene_settings import as_settings
-from wrt.state.scene_state import Settings, new_mark
 
 if TYPE_CHECKING:
     from wrt.builders import tree as common

@@ -22,6 +22,9 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.facts.scene_settings import as_settings
+from wrt.engine.facts.scene_state import Settings, new_mark
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.validation import as_int, as_numbers, as_real_array
@@ -30,9 +33,6 @@ from wrt.meshes.placement import find_center, moved_mesh, place_meshes
 from wrt.meshes.skeleton import Skeleton, skinned
 from wrt.moving.fuzzy_scene import FrameTrees, FuzzyState, as_maps, check_kdtree, cluster_rows, join_parts, triangle_corners
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import AUTO
-from wrt.state.scene_settings import as_settings
-from wrt.state.scene_state import Settings, new_mark
 
 MARGIN = 0.05
 """Enlargement of a sampled box on each side, as a share of its longest side."""

@@ -17,23 +17,23 @@ from typing import TYPE_CHECKING, Generic
 import numpy as np
 import warp as wp
 
-from wrt.execution.batch import run
-from wrt.execution.executor import on_device
-from wrt.execution.traversal_launch import no_work
+from wrt.engine.device_hits import DeviceHits, shaped
+from wrt.engine.executor import on_device
+from wrt.engine.facts.query_kinds import ALL, COUNT, Query
+from wrt.engine.launch.batch import run
+from wrt.engine.launch.traversal_launch import no_work
+from wrt.engine.memory import empty
+from wrt.engine.plan.plan import Plan, traversal_of
+from wrt.engine.plan.planner import find_plan
+from wrt.engine.rays.array_types import ArrayT
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_int
-from wrt.memory import empty
-from wrt.planning.plan import Plan, traversal_of
-from wrt.planning.planner import find_plan
 from wrt.query.hits import Hits
-from wrt.rays.array_types import ArrayT
-from wrt.state.device_hits import DeviceHits, shaped
-from wrt.state.query_kinds import ALL, COUNT, Query
 
 if TYPE_CHECKING:
-    from wrt.rays.rays import Rays, ResultForm
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.rays import Rays, ResultForm
 
 ROOM = 8
 """Slots for hits of each ray in the first pass, 16 bytes each; 4 to 8 are best (notebooks/records/2026-11-21-queries.md)."""
@@ -166,7 +166,7 @@ def list_hits(scene: SceneState, rays: Rays, query: Query) -> AllHits:
     bound = check_max_hits(query.max_hits)
     with use_threads(scene.num_threads):
         buffers = on_device(scene, rays, query)
-        plan = find_plan(scene, buffers, query).plan
+        plan = find_plan(scene, buffers.facts, query, buffers.sample).plan
         hits, offsets = find_all(scene, plan, buffers.batch, bound)
     return AllHits(hits, offsets, buffers.form, scene, plan)
 

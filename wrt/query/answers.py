@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from wrt.execution.executor import answer
+from wrt.engine.executor import answer
+from wrt.engine.facts.query_kinds import AUTO, Query
 from wrt.kernels.answers import ANSWERS
 from wrt.query import pickled_hits  # noqa: F401, says how hits are pickled
 from wrt.query.exact_hits import find_precisely
 from wrt.query.hits import Hits
 from wrt.query.skip import answer_skipping
-from wrt.state.query_kinds import AUTO, Query
 
 if TYPE_CHECKING:
-    from wrt.rays.rays import Rays
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.rays import GivenRays
 
 
-def closest_hits(scene: SceneState, rays: Rays, query: Query) -> Hits:
+def closest_hits(scene: SceneState, rays: GivenRays, query: Query) -> Hits:
     """Closest hits; options and errors as in `wrt.Scene.intersect`."""
     if query.skip is not None:
         found = answer_skipping(scene, rays, query)
@@ -30,7 +30,7 @@ def closest_hits(scene: SceneState, rays: Rays, query: Query) -> Hits:
     return Hits(found.hits, found.form, scene, found.plan, found.work)
 
 
-def ray_values(scene: SceneState, rays: Rays, query: Query) -> Any:
+def ray_values(scene: SceneState, rays: GivenRays, query: Query) -> Any:
     """The value of each ray in the rays' leading shape.
 
     Args:

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, overload
 
-from wrt.execution.executor import on_device
+from wrt.engine.executor import on_device
+from wrt.engine.facts.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
+from wrt.engine.plan.planner import find_plan
+from wrt.engine.rays.rays import Rays, as_rays
 from wrt.kernels.runtime.launch import use_threads
-from wrt.planning.planner import find_plan
 from wrt.query.answers import closest_hits, ray_values
 from wrt.query.batches.block_queries import BlockQueries
 from wrt.query.points.point_queries import PointQueries
 from wrt.query.query_options import QueryKind, checked, lists_options, unknown_option
-from wrt.rays.rays import Rays, as_rays
-from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
 from wrt.tables import lookup
 from wrt.tapes import refuse_tape, tape_records
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     import warp as wp
     from typing_extensions import Unpack
 
-    from wrt.planning.plan import Plan
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.plan.plan import Plan
+    from wrt.engine.rays.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
     from wrt.query.all_hits import AllHits
     from wrt.query.hits import Hits
     from wrt.query.query_options import Closest, Counted, Listed, Occluded
-    from wrt.rays.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
-    from wrt.state.scene_state import SceneState
 
 INF = float("inf")
 
@@ -142,10 +142,10 @@ class Queries(BlockQueries, PointQueries):
         else:
             options = (traversal, triangle_test, cull_backfaces, counters, mask, environment, areas, skip, precise)
             query = checked(Query(CLOSEST, *options))
-        rays = as_rays(origins, directions, t_min, t_max)
         if tape_records():
+            rays = as_rays(origins, directions, t_min, t_max)
             refuse_tape("intersect", (rays.origins, rays.directions))
-        return closest_hits(self.state, rays, query)
+        return closest_hits(self.state, (origins, directions, t_min, t_max), query)
 
     @overload
     def occluded(self, origins: Rays[ArrayT], **options: Unpack[Occluded]) -> ArrayT: ...
@@ -221,7 +221,7 @@ class Queries(BlockQueries, PointQueries):
             query = QUERIES[ANY]
         else:
             query = checked(Query(ANY, traversal, triangle_test, cull_backfaces, False, mask, environment, areas, skip))
-        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query)
+        return ray_values(self.state, (origins, directions, t_min, t_max), query)
 
     @overload
     def intersect_all(self, origins: Rays[ArrayT], **options: Unpack[Listed]) -> AllHits[ArrayT]: ...
@@ -361,7 +361,7 @@ class Queries(BlockQueries, PointQueries):
             query = QUERIES[COUNT]
         else:
             query = checked(Query(COUNT, traversal, triangle_test, cull_backfaces, False, mask, environment, skip=skip))
-        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query)
+        return ray_values(self.state, (origins, directions, t_min, t_max), query)
 
     @lists_options
     def explain(
@@ -401,4 +401,5 @@ class Queries(BlockQueries, PointQueries):
         kind = lookup(QUERIES, query, "query").kind
         asked = checked(Query(kind, traversal, triangle_test, cull_backfaces, False, mask, environment))
         with use_threads(scene.num_threads):
-            return find_plan(scene, on_device(scene, rays, asked), asked).plan
+            brought = on_device(scene, rays, asked)
+            return find_plan(scene, brought.facts, asked, brought.sample).plan

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.validation import as_bool
 from wrt.query.batches.block_limits import finished_before_interrupt, parse_memory, progress_bar
 from wrt.query.batches.block_outputs import TakeAttributes, check_out, for_workers, rows_together, store
@@ -25,7 +26,6 @@ from wrt.query.batches.block_work import BlockQuery, BlockWork, Deliver, Examine
 from wrt.query.batches.reductions import as_array, as_block_reduction
 from wrt.query.batches.task_window import run_tasks
 from wrt.query.batches.workers import Workers, as_workers
-from wrt.rays.rays import Rays
 
 BYTES_PER_RAY = 320
 """Largest memory per ray: 32 bytes on the device, 46 while rays are sorted, 16 for a hit and 93 for all attributes computed

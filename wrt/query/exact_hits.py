@@ -9,25 +9,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import on_device
-from wrt.execution.triangle_records import records_of
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.executor import on_device
+from wrt.engine.facts.query_kinds import AUTO, CLOSEST, EXACT, Query
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.memory import empty, keep_alive
+from wrt.engine.plan.plan import stack_levels, traversal_config
+from wrt.engine.plan.planner import DEFAULT_TEST, find_plan
+from wrt.engine.rays.array_types import ArrayT
+from wrt.engine.rays.device_rays import flatten_shared
+from wrt.engine.rays.rays import as_vectors, one_object
 from wrt.kernels.runtime.launch import kept, launch, specialise, use_threads
-from wrt.memory import empty, keep_alive
-from wrt.planning.plan import stack_levels, traversal_config
-from wrt.planning.planner import DEFAULT_TEST, find_plan
 from wrt.query.hits import Hits
-from wrt.rays.array_types import ArrayT
-from wrt.rays.ray_arrays import flatten_shared
-from wrt.rays.rays import as_vectors
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import AUTO, CLOSEST, EXACT, Query
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.plan.plan import Plan
+    from wrt.engine.rays.device_rays import DeviceRays
+    from wrt.engine.rays.rays import GivenRays, Rays, ResultForm
     from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays
-    from wrt.planning.plan import Plan
-    from wrt.rays.ray_buffers import RayBuffers
-    from wrt.rays.rays import Rays, ResultForm
-    from wrt.state.scene_state import SceneState
 
 
 class PreciseHits(Hits[ArrayT]):
@@ -77,7 +77,7 @@ class PreciseHits(Hits[ArrayT]):
         return kernels
 
 
-def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
+def find_precisely(scene: SceneState, given: GivenRays, query: Query) -> PreciseHits:
     """Closest hits in float64; see `wrt.Scene.intersect`.
 
     Raises:
@@ -88,8 +88,9 @@ def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
     if (query.traversal, query.triangle_test, query.counters, query.cull_backfaces) != (AUTO, AUTO, False, False):
         raise ValueError("precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out")
     with use_threads(scene.num_threads):
-        buffers, device = on_device(scene, rays, query), scene.device
-        plan = replace(find_plan(scene, buffers, Query(CLOSEST, "single", DEFAULT_TEST)).plan, reason="in float64")
+        rays, device = one_object(given), scene.device
+        buffers = on_device(scene, rays, query)
+        plan = replace(find_plan(scene, buffers.facts, Query(CLOSEST, "single", DEFAULT_TEST)).plan, reason="in float64")
         hits = ExactHits()
         rounded = DeviceHits.new(EXACT, buffers.count, device)
         hits.rounded = rounded.struct()
@@ -138,7 +139,7 @@ def exact_mesh(scene: SceneState) -> ExactMesh:
     return mesh
 
 
-def exact_rays(rays: Rays, buffers: RayBuffers, device: wp.Device) -> ExactRays:
+def exact_rays(rays: Rays, buffers: DeviceRays, device: wp.Device) -> ExactRays:
     """Rays in float64 on the device; they were checked when `buffers` were made."""
     from wrt.kernels.query.exact_closest import ExactRays
 
@@ -151,7 +152,7 @@ def exact_rays(rays: Rays, buffers: RayBuffers, device: wp.Device) -> ExactRays:
     return exact
 
 
-def _exact_array(values: Any, buffers: RayBuffers, trailing: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
+def _exact_array(values: Any, buffers: DeviceRays, trailing: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
     """(float64 array of N elements, 1), or (array of one element, 0) if all rays share it."""
     dtype = wp.vec3d if trailing else wp.float64
     if isinstance(values, wp.array):

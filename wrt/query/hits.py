@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeAlias, overload
 import numpy as np
 import warp as wp
 
+from wrt.engine.device_hits import shaped
+from wrt.engine.memory import empty
+from wrt.engine.rays.array_types import ArrayLike, ArrayT, NumpyLike, WarpLike
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_float
-from wrt.memory import empty
-from wrt.rays.array_types import ArrayLike, ArrayT, NumpyLike, WarpLike
-from wrt.state.device_hits import shaped
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.engine.device_hits import DeviceHits
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.plan.plan import Plan
+    from wrt.engine.rays.rays import ResultForm
     from wrt.kernels.query.hit_attributes import SceneMesh
-    from wrt.planning.plan import Plan
-    from wrt.rays.rays import ResultForm
-    from wrt.state.device_hits import DeviceHits
-    from wrt.state.scene_state import SceneState
 
 Side: TypeAlias = Literal["direction", "front", "back"]
 
@@ -245,8 +245,8 @@ class Hits(Generic[ArrayT]):
 
     def _leaving(self, directions: Any) -> tuple[Any, ResultForm]:
         """Directions of rays that leave the hits, on the device, and the form of results for them."""
-        from wrt.rays.ray_buffers import to_device
-        from wrt.rays.rays import Rays, ResultForm
+        from wrt.engine.rays.device_rays import to_device
+        from wrt.engine.rays.rays import Rays, ResultForm
 
         if isinstance(directions, wp.array):
             rays = to_device(Rays(np.zeros(3, dtype=np.float32), directions), self._device, np.zeros(3))
@@ -257,7 +257,7 @@ class Hits(Generic[ArrayT]):
             shape = rays.shape
         if shape[len(shape) - len(self.shape) :] != self.shape:
             raise ValueError(f"directions have the leading shape {rays.shape}, which neither equals nor ends with {self.shape}")
-        return rays, ResultForm(shape, rays.is_warp or self._form.is_warp, np.float32)
+        return rays, ResultForm(shape, rays.form.is_warp or self._form.is_warp, np.float32)
 
     def smooth_normal(self, crease_angle: float = 60.0) -> ArrayT:
         """(..., 3) float32: normals interpolated between the vertices of smooth surfaces, as `wrt.render` shades by them.

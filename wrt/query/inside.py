@@ -20,29 +20,27 @@ References: shimrat-1962 (parity); jacobson-2013 (winding numbers).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import trace
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.executor import trace
+from wrt.engine.facts.query_kinds import ANY, AUTO, COUNT, WINDING
+from wrt.engine.memory import empty
+from wrt.engine.plan.plan import Plan
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.coherence import detect_coherence
+from wrt.engine.rays.device_rays import DeviceRays, to_device
+from wrt.engine.rays.rays import Rays, as_vectors
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.hit_lists import NONZERO, ODD, POSITIVE, aim_outwards, decide_inside
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
-from wrt.memory import empty
-from wrt.planning.plan import Plan
-from wrt.planning.planner import make_plan
-from wrt.rays.coherence import detect_coherence
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays, as_vectors
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, AUTO, COUNT, WINDING
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.rays.ray_buffers import RayBuffers
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 DIRECTIONS = ((0.5163, 0.3781, 0.7684), (-0.7911, 0.4892, 0.3674), (0.2769, -0.8472, 0.4534))
 """Directions far from each other, and from all axes and diagonals."""
@@ -78,7 +76,8 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO, rule:
         scene = scene.distinct()
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         aim(buffers.batch, DIRECTIONS[0], scene.device)
-        buffers.scattered = detect_coherence(buffers.batch, scene.device).scattered
+        found = detect_coherence(buffers.batch.origins, buffers.batch.directions, scene.device)
+        buffers.facts = buffers.facts._replace(scattered=found.scattered)
         plan = make_plan(scene, buffers, traversal, AUTO, chosen.query)
         inside = decide(scene, plan, buffers, chosen)
         if not scene.is_closed:
@@ -87,7 +86,7 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO, rule:
             undecided = np.flatnonzero(inside.occluded.numpy() != other.occluded.numpy()).astype(np.int32)
             if len(undecided):
                 order = wp.array(undecided, dtype=int, device=scene.device)
-                few = replace(buffers, given=sort_rays(buffers.batch, order, empty), shape=(len(undecided),))
+                few = DeviceRays.of_batch(sort_rays(buffers.batch, order, empty), buffers.facts.coherent, found.scattered)
                 aim(few.batch, DIRECTIONS[2], scene.device)
                 unsort_hits(order, decide(scene, plan, few, chosen).struct(), inside.struct(), ANY)
     return inside.values(ANY, buffers.form)
@@ -99,7 +98,7 @@ def aim(points: RayBatch, direction: tuple[float, ...], device: wp.Device) -> No
     launch(aim_outwards, points.count, [points, wp.vec3(*direction), points.directions], device=device, chunk=4096)
 
 
-def decide(scene: SceneState, plan: Plan, rays: RayBuffers, rule: Rule) -> DeviceHits:
+def decide(scene: SceneState, plan: Plan, rays: DeviceRays, rule: Rule) -> DeviceHits:
     """Whether the origin of each ray is inside by what the ray crosses, stored as `occluded`."""
     crossings, _ = trace(scene, plan, rays, rule.query)
     inside = DeviceHits.new(ANY, rays.count, scene.device)

@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar
 
+from wrt.engine.facts.query_kinds import Query
 from wrt.kernels.validation import as_bool
-from wrt.state.query_kinds import Query
 
 if TYPE_CHECKING:
-    from wrt.planning.plan import Plan
+    from wrt.engine.plan.plan import Plan
+    from wrt.engine.rays.array_types import Numbers
     from wrt.query.hits import Hits
-    from wrt.rays.array_types import Numbers
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 

@@ -14,20 +14,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import Answer, on_device
-from wrt.execution.triangle_records import records_of
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.executor import Answer, on_device
+from wrt.engine.facts.query_kinds import AUTO, Query
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.plan import kernel_factory, plan_for_query, stack_levels, traversal_config
+from wrt.engine.plan.planner import find_plan
+from wrt.engine.rays.ray_integers import as_integers
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
-from wrt.kernels.validation import host_array
-from wrt.planning.plan import kernel_factory, plan_for_query, stack_levels, traversal_config
-from wrt.planning.planner import find_plan
 from wrt.query.hits import Hits
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import AUTO, Query
 
 if TYPE_CHECKING:
-    from wrt.rays.ray_buffers import RayBuffers
-    from wrt.rays.rays import Rays
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.device_rays import DeviceRays
+    from wrt.engine.rays.rays import GivenRays
 
 
 class SceneTriangles(NamedTuple):
@@ -40,7 +40,7 @@ class SceneTriangles(NamedTuple):
     numbers: wp.array
 
 
-def answer_skipping(scene: SceneState, rays: Rays, query: Query) -> Answer:
+def answer_skipping(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
     """Answers a query "closest", "any" or "count" of rays that each pass through one triangle; see `wrt.Scene.intersect`.
 
     Args:
@@ -53,7 +53,7 @@ def answer_skipping(scene: SceneState, rays: Rays, query: Query) -> Answer:
         check_skip(scene, {name: getattr(query, name) for name in ("traversal", "triangle_test", "counters", "precise")})
         skipped = skipped_triangles(query.skip, scene, buffers)
         single = Query(query.kind, "single", AUTO, query.cull_backfaces)
-        plan = replace(find_plan(scene, buffers, single).plan, reason="each ray skips a triangle")
+        plan = replace(find_plan(scene, buffers.facts, single).plan, reason="each ray skips a triangle")
         carried_out = plan_for_query(plan, query.kind)
         scene.complete()
         hits = DeviceHits.new(query.kind, buffers.count, scene.device)
@@ -86,7 +86,7 @@ def check_skip(scene: SceneState, others: dict[str, Any]) -> None:
         raise ValueError(f"skip cannot be combined with {', '.join(given)}; leave one or the other out")
 
 
-def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.array:
+def skipped_triangles(skip: Any, scene: SceneState, buffers: DeviceRays) -> wp.array:
     """The triangle that each ray ignores, numbered through all meshes, for
     `wrt.kernels.traversal.single.single_kernel.make_skipping_kernel`.
 
@@ -107,7 +107,8 @@ def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.a
             raise ValueError(
                 f"skip holds triangles of one {what}, and the scene has {count}; pass the wrt.Hits where rays start"
             )
-        values, shape = (skip, skip.shape) if isinstance(skip, wp.array) else as_triangles(skip, scene.triangle_count)  # type: ignore[assignment]
+        values = skip if isinstance(skip, wp.array) else as_triangles(skip, scene.triangle_count)
+        shape = values.shape
     if isinstance(values, wp.array) and values.device != scene.device:
         raise ValueError(f"skip is on {values.device}, the scene on {scene.device}; copy it there, or make the hits there")
     if isinstance(values, wp.array) and values.dtype is not wp.int32:
@@ -115,21 +116,9 @@ def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.a
     return spread_rows(values, shape, buffers.shape, scene.device)
 
 
-def as_triangles(skip: Any, count: int) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Checked triangle indices of a mesh of `count` triangles as int32, and their shape.
-
-    Raises:
-        TypeError: not integers.
-        ValueError: an index out of range.
-    """
-    values = host_array("skip", skip)
-    if values.dtype.kind not in "iu":
-        raise TypeError(f"skip must be a wrt.Hits or hold integers, primitive ids or -1 for none, not {values.dtype}")
-    if values.size and (values.min() < -1 or values.max() >= count):
-        raise ValueError(
-            f"skip must be from -1, for none, to {count - 1}, but its values range from {values.min()} to {values.max()}"
-        )
-    return values.astype(np.int32), values.shape
+def as_triangles(skip: Any, count: int) -> np.ndarray:
+    """Checked triangle indices of a mesh of `count` triangles as int32; errors as those of `as_integers`."""
+    return as_integers("skip", skip, -1, count - 1, "; pass a wrt.Hits, or primitive ids, -1 for none").astype(np.int32)
 
 
 def spread_rows(values: np.ndarray | wp.array, shape: tuple[int, ...], wanted: tuple[int, ...], device: wp.Device) -> wp.array:

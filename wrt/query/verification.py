@@ -28,19 +28,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wrt.engine.facts.query_kinds import ANY, CLOSEST, Query
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.query.nearest64 import nearest_hits, vertex_rows
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.validation import as_int
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.answers import closest_hits, ray_values
 from wrt.query.checks.inside_check import InsideCheck, check_inside
-from wrt.rays.rays import Rays
-from wrt.state.query_kinds import ANY, CLOSEST, Query
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 TOLERANCE = 2.0**-21
 """Largest accepted error, as a share of the ray's reach: eight roundings of half a unit in the last place."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.facts.scene_settings import as_settings
 from wrt.kernels.runtime.launch import use_threads
 from wrt.scene.instanced_state import build_instanced_state
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import AUTO
-from wrt.state.scene_settings import as_settings
 
 
 class InstancedScene(Scene):

@@ -20,6 +20,8 @@ import warp as wp
 
 from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
+from wrt.engine.facts.query_cache import QueryCache
+from wrt.engine.facts.scene_state import SceneState, Settings, new_mark
 from wrt.instances.few_moves import MOST_AT_ONCE, move_few
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, UpperTree, build_upper, cover, on_device, write_maps
 from wrt.instances.instance_tables import first_triangles, geometry_table, part_table, upper_struct
@@ -32,13 +34,11 @@ from wrt.meshes.node_graph import NodeGraph
 from wrt.meshes.placement import check_indices, find_center
 from wrt.meshes.repeated_surfaces import distinct_instances
 from wrt.scene.mesh_state import MeshState, build_state
-from wrt.state.query_cache import QueryCache
-from wrt.state.scene_state import SceneState, Settings, new_mark
 
 if TYPE_CHECKING:
+    from wrt.engine.plan.plan import Plan
     from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.kernels.traversal.two_level.instance_single import InstanceTree
-    from wrt.planning.plan import Plan
     from wrt.scene.updates import UpdatePolicy, UpdateReport
 
 

@@ -14,18 +14,18 @@ from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders.bvh import small_mesh_build
 from wrt.builders.triangle_boxes import triangle_boxes
-from wrt.execution.expected_kernels import expect_build
+from wrt.engine.facts.query_cache import QueryCache
+from wrt.engine.facts.scene_settings import Settings
+from wrt.engine.facts.scene_state import SceneState
+from wrt.engine.launch.expected_kernels import expect_build
+from wrt.engine.memory import memory_for
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
-from wrt.memory import memory_for
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import as_meshes, hierarchy_of, lay_out_few, moved_meshes, nested, place_meshes
 from wrt.meshes.repeated_surfaces import without_repeated
 from wrt.scene.storage import find_tree
 from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
-from wrt.state.query_cache import QueryCache
-from wrt.state.scene_settings import Settings
-from wrt.state.scene_state import SceneState
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -145,7 +145,7 @@ def build_state(
     )
     if not isinstance(settings.accelerator, RayAwareBvh):
         return state
-    from wrt.execution.area_trees import build_area_trees
+    from wrt.engine.launch.area_trees import build_area_trees
 
     return replace(state, area_trees=build_area_trees(state, boxes))
 

@@ -11,6 +11,9 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator, AcceleratorName
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.facts.scene_settings import as_settings
+from wrt.engine.facts.scene_state import SceneState
 from wrt.instances.members import Members
 from wrt.kernels.runtime.launch import check_num_threads, refuse_capture, use_threads
 from wrt.meshes.instance import Instance, has_instances
@@ -19,15 +22,12 @@ from wrt.query.api import Queries
 from wrt.scene.instanced_state import build_instanced_state
 from wrt.scene.mesh_state import state_of_meshes
 from wrt.scene.updates import UpdatePolicy, When, as_policy
-from wrt.state.query_kinds import AUTO
-from wrt.state.scene_settings import as_settings
-from wrt.state.scene_state import SceneState
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from wrt.builders import tree as common
-    from wrt.rays.array_types import ArrayLike
+    from wrt.engine.rays.array_types import ArrayLike
     from wrt.scene.scene_statistics import SceneStatistics
     from wrt.scene.storage import TreeSource
     from wrt.scene.updates import UpdateReport

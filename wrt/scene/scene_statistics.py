@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from wrt.builders.bvh.bvh_statistics import BvhStatistics, bvh_statistics
 from wrt.builders.kdtree.kdtree_statistics import KdTreeStatistics, kdtree_statistics
+from wrt.engine.plan.planner import DEFAULT_TEST
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.planning.planner import DEFAULT_TEST
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from dataclasses import replace
 import numpy as np
 import warp as wp
 
+from wrt.engine.facts.query_cache import QueryCache
 from wrt.instances.instance_boxes import InstanceBoxes, build_upper, on_device, write_maps
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.meshes.instance import check_extent, check_transforms
 from wrt.scene.instanced_state import InstancedState
-from wrt.state.query_cache import QueryCache
 
 
 def sliced(state: InstancedState, chosen: list[int], transforms: np.ndarray) -> InstancedState:

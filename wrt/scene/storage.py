@@ -42,9 +42,9 @@ if TYPE_CHECKING:
     from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.builders.triangle_boxes import TriangleBoxes
+    from wrt.engine.facts.scene_state import SceneState
     from wrt.meshes.placement import PlacedMeshes
     from wrt.scene.updates import TreeRecipe
-    from wrt.state.scene_state import SceneState
 
 FORMAT = 2
 """Version of the file format; incremented when the contents change."""

@@ -21,19 +21,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import closest_of_relative
+from wrt.engine.executor import closest_of_relative
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.rays.device_rays import relative_rays
 from wrt.instances.instance_boxes import on_device
 from wrt.kernels.validation import as_int, as_real_array
 from wrt.meshes.placement import check_index
-from wrt.rays.ray_arrays import relative_rays
 from wrt.sensors.trajectory import Trajectory
-from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
+    from wrt.engine.device_hits import DeviceHits
     from wrt.kernels.query.hit_attributes import SceneMesh
     from wrt.kernels.sensors.lidar_returns import Motions, Traced
     from wrt.scene.scene import Scene
-    from wrt.state.device_hits import DeviceHits
 
 MAX_SLICES = 4096
 
@@ -274,6 +274,23 @@ def for_each_ray(
         flat = np.repeat(flat if order is None else flat[order], bundle)
         found[name] = wp.array(flat, dtype=dtype, device=device)
     return found
+
+
+def labels_on(labels: Any, scene: Scene) -> wp.array:
+    """(I,) int32 on the scene's device, or (0,) for none.
+
+    Raises:
+        TypeError: not integers.
+        ValueError: another number of labels, or a negative one.
+    """
+    if labels is None:
+        return no_order(scene.device.alias)
+    values, count = as_real_array("labels", labels), len(scene.instances) or len(scene.meshes)
+    if values.dtype.kind not in "iu":
+        raise TypeError(f"labels must hold integers, not {values.dtype}")
+    if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
+        raise ValueError(f"labels must be {count} numbers from 0 to 2**31 - 1, one for each instance, not {labels!r:.80}")
+    return wp.array(values.astype(np.int32), dtype=int, device=scene.device)
 
 
 def as_motions(motions: Any, scene: Scene, begin: float, end: float) -> Mapping[int, Trajectory]:

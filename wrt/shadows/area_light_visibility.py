@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.triangle_records import records_of
+from wrt.engine.device_hits import shaped
+from wrt.engine.facts.query_kinds import ANY, AUTO, Query
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.memory import empty
+from wrt.engine.plan.plan import plan_for_query, traversal_config
+from wrt.engine.plan.planner import find_plan
+from wrt.engine.rays.device_rays import DeviceRays, lay_out
+from wrt.engine.rays.rays import Rays, ResultForm, check_number
 from wrt.kernels.layout.light_samples import GROUP, LightSamples, pattern_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
-from wrt.kernels.validation import as_int, as_numbers, as_real_array, host_array
-from wrt.memory import empty
-from wrt.planning.plan import plan_for_query, traversal_config
-from wrt.planning.planner import find_plan
-from wrt.rays.ray_arrays import RayArrays, lay_out
-from wrt.rays.ray_buffers import RayBuffers
-from wrt.rays.rays import Rays, ResultForm, check_number
-from wrt.state.device_hits import shaped
-from wrt.state.query_kinds import ANY, AUTO, Query
+from wrt.kernels.validation import as_int, as_numbers, as_point, as_real_array, host_array
 
 if TYPE_CHECKING:
     from wrt.scene.scene import Scene
@@ -98,7 +97,7 @@ class AreaLightVisibility:
         """
         samples, patterns = as_int("samples", samples, 1, MAX_SAMPLES), as_int("patterns", patterns, 1, MAX_PATTERNS)
         seed = as_int("seed", seed, 0)
-        start, u, v = (as_point(value, name) for value, name in ((corner, "corner"), (edge_u, "edge_u"), (edge_v, "edge_v")))
+        start, u, v = (as_point(name, value) for value, name in ((corner, "corner"), (edge_u, "edge_u"), (edge_v, "edge_v")))
         places = jittered(samples, patterns, seed)
         return cls(scene, start + places[..., :1] * u + places[..., 1:] * v, triangle_test=triangle_test)
 
@@ -185,9 +184,9 @@ class AreaLightVisibility:
         if each:
             occluded = wp.array(ptr=answers.ptr, dtype=wp.bool, shape=count, device=device)
             occluded.used = answers  # type: ignore[attr-defined]
-            return shaped(occluded, ResultForm(shape, rays.is_warp, rays.dtype))
+            return shaped(occluded, ResultForm(shape, rays.form.is_warp, rays.form.dtype))
         fraction = (1.0 - counts.numpy().astype(np.float32) / np.float32(self.samples)).reshape(shape)
-        return wp.array(fraction, dtype=wp.float32, device=device) if rays.is_warp else fraction
+        return wp.array(fraction, dtype=wp.float32, device=device) if rays.form.is_warp else fraction
 
     def _in_frusta(self) -> bool:
         """Whether the scene's tree and device suit multi-frusta."""
@@ -195,24 +194,23 @@ class AreaLightVisibility:
         one_tree = not (state.instances or state.only_single or state.area_trees is not None)
         return state.device.is_cpu and one_tree and state.accelerator.kind == "bvh"
 
-    def _traced(self, rays: RayArrays, points: Any, t_min: Any, t_max: Any, each: bool) -> Any:
+    def _traced(self, rays: DeviceRays, points: Any, t_min: Any, t_max: Any, each: bool) -> Any:
         """The same answers by `wrt.Scene.occluded`."""
         values = self.scene.occluded(self.shadow_rays(points, t_min, t_max), triangle_test=self._query.triangle_test)
         if not each:
             dark = np.asarray(values).sum(axis=-1)
             values = (1.0 - dark.astype(np.float32) / np.float32(self.samples)).astype(np.float32)
-        return wp.array(values, device=self.scene.device) if rays.is_warp else values
+        return wp.array(values, device=self.scene.device) if rays.form.is_warp else values
 
-    def _launch(self, rays: RayArrays, each: bool, answers: wp.array, counts: wp.array) -> None:
+    def _launch(self, rays: DeviceRays, each: bool, answers: wp.array, counts: wp.array) -> None:
         from wrt.kernels.traversal.shadows.multi_frusta import FRUSTA, make_multi_frusta_kernel
 
         state = self.scene.state
-        buffers = RayBuffers(rays, rays.shape, rays.is_warp, rays.dtype, True, False, list(rays.keep))
-        plan = plan_for_query(find_plan(state, buffers, self._query).plan, ANY)
-        config = traversal_config(plan, state, ANY, False)
+        plan = plan_for_query(find_plan(state, rays.facts, self._query).plan, self._query.kind)
+        config = traversal_config(plan, state, self._query.kind, False)
         light = self._samples(rays.layout.centered)
         items = -(-rays.count // max(FRUSTA // light.groups, 1))
-        inputs = [state.tree.struct(), records_of(state, plan, rays.batch()), rays.batch(), light, answers, counts]
+        inputs = [state.tree.struct(), records_of(state, plan, rays.batch), rays.batch, light, answers, counts]
         kernel = specialise(lambda config: make_multi_frusta_kernel(plain(config), each), config)
         launch(kernel, items, inputs, device=state.device, chunk=CHUNK)
 
@@ -261,16 +259,6 @@ def jittered(samples: int, patterns: int, seed: int) -> np.ndarray:
 def is_narrow(points: np.ndarray) -> bool:
     """Whether points are float32, so that rays are made in the caller's coordinates."""
     return points.dtype.kind == "f" and points.dtype.itemsize <= 4
-
-
-def as_point(value: Any, name: str) -> np.ndarray:
-    """(3,) float64, finite."""
-    point = as_numbers(name, value, finite=False)
-    if point.shape != (3,):
-        raise ValueError(f"{name} must have shape (3,), not {point.shape}")
-    if not np.isfinite(point).all():
-        raise ValueError(f"{name} must be finite, not {point.tolist()}")
-    return point
 
 
 def check_samples(positions: Any) -> np.ndarray:

@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.triangle_records import records_of
+from wrt.engine.device_hits import shaped
+from wrt.engine.facts.query_kinds import ANY, AUTO, Query
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.memory import empty
+from wrt.engine.plan.plan import plan_for_query, traversal_config
+from wrt.engine.plan.planner import find_plan
+from wrt.engine.rays.device_rays import DeviceRays, lay_out
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.layout.light_cells import CELL_BYTES, ENTRY_BYTES, FACES, MAX_RESOLUTION
 from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
-from wrt.kernels.validation import as_bool, as_int, as_numbers, as_real_array
-from wrt.memory import empty
-from wrt.planning.plan import plan_for_query, traversal_config
-from wrt.planning.planner import find_plan
+from wrt.kernels.validation import as_bool, as_int, as_point, as_real_array
 from wrt.query.skip import SceneTriangles, check_skip, skipped_triangles
-from wrt.rays.ray_arrays import RayArrays, lay_out
-from wrt.rays.ray_buffers import RayBuffers
-from wrt.rays.rays import Rays, ResultForm
-from wrt.state.device_hits import shaped
-from wrt.state.query_kinds import ANY, AUTO, Query
 
 if TYPE_CHECKING:
     from wrt.kernels.layout.light_cells import LightCells
@@ -86,7 +85,7 @@ class LightBuffer:
         self._resolution = check_resolution(resolution)
         self._query = Query(ANY, "brute", triangle_test, as_bool("cull_backfaces", cull_backfaces))
         self._max_bytes = as_int("max_bytes", max_bytes, 1)
-        self._position = check_position(position)
+        self._position = as_point("position", position)
         self._built_for: Any = None
         self._build()
 
@@ -134,7 +133,7 @@ class LightBuffer:
         """
         before = self._position
         if position is not None:
-            self._position = check_position(position)
+            self._position = as_point("position", position)
         try:
             self._build()
         except BaseException:
@@ -177,28 +176,26 @@ class LightBuffer:
             rays = lay_out(Rays(points, np.zeros(3, dtype=np.float32), t_min, t_max), state.device, state.center)
             return self._answer(rays, skip)
 
-    def _answer(self, rays: RayArrays, skip: Any) -> Any:
+    def _answer(self, rays: DeviceRays, skip: Any) -> Any:
         from wrt.kernels.traversal.shadows.light_buffer_query import Skipped
 
         state, device, count = self.scene.state, self.scene.device, rays.count
-        form = ResultForm(rays.shape, rays.is_warp, rays.dtype)
         answers, undecided = empty(count, wp.uint8, device), wp.zeros(1, dtype=int, device=device)
         skipped = Skipped()
         if skip is None:
             skipped.triangles, skipped.stride = self._no_skip, 0
         else:
             check_skip(state, {"triangle_test": self._query.triangle_test})
-            skipped.triangles, skipped.stride = skipped_triangles(skip, state, buffers_of(rays)), 1
+            skipped.triangles, skipped.stride = skipped_triangles(skip, state, rays), 1
         target = self._position - (state.center if rays.layout.centered else 0.0)
-        batch = rays.batch()
-        inputs = [self._cells, self._records, batch, wp.vec3d(*map(float, target)), skipped, answers, undecided]
+        inputs = [self._cells, self._records, rays.batch, wp.vec3d(*map(float, target)), skipped, answers, undecided]
         kernel, run = self._kernel()
         launch(kernel, -(-count // run), inputs, device=device, chunk=CHUNK // run)
         occluded = wp.array(ptr=answers.ptr, dtype=wp.bool, shape=count, device=device)
         occluded.used = answers  # type: ignore[attr-defined]
         if count and undecided.numpy()[0]:
             self._trace_rest(rays, answers, skipped.triangles.numpy() if skip is not None else None)
-        return shaped(occluded, form)
+        return shaped(occluded, rays.form)
 
     def _kernel(self) -> tuple[wp.Kernel, int]:
         """The kernel that answers rays, and the number of rays of its items."""
@@ -209,7 +206,7 @@ class LightBuffer:
             return specialise(make_lane_kernel, self._config.triangle_test), RUN
         return specialise(make_light_buffer_kernel, self._config), 1
 
-    def _trace_rest(self, rays: RayArrays, answers: wp.array, skipped: np.ndarray | None) -> None:
+    def _trace_rest(self, rays: DeviceRays, answers: wp.array, skipped: np.ndarray | None) -> None:
         """Traces the rays that the lists do not decide, and writes their answers."""
         from wrt.kernels.traversal.shadows.light_rays import UNDECIDED
 
@@ -241,11 +238,11 @@ class LightBuffer:
         refuse_capture("building a light buffer", state.device)
         with use_threads(state.num_threads):
             ray = lay_out(Rays(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)), state.device, state.center)
-            plan = plan_for_query(find_plan(state, buffers_of(ray), self._query).plan, ANY)
+            plan = plan_for_query(find_plan(state, ray.facts, self._query).plan, self._query.kind)
             test = TRIANGLE_TESTS[plan.triangle_test]
             if test.needs_shared_origin:
                 raise ValueError(f"triangle test {test.name!r} needs rays with a shared origin; choose another")
-            config: TraversalConfig = traversal_config(plan, state, ANY, False)
+            config: TraversalConfig = traversal_config(plan, state, self._query.kind, False)
             mesh, tree = state.device_mesh, state.tree
             cells: LightCells = build_light_buffer(
                 LitMesh(mesh.vertices, mesh.faces, tree.low, tree.high),
@@ -273,11 +270,6 @@ def pack_triangles(state: Any) -> wp.array:
     return records
 
 
-def buffers_of(rays: RayArrays) -> RayBuffers:
-    """Rays for a plan that does not depend on their coherence."""
-    return RayBuffers(rays, rays.shape, rays.is_warp, rays.dtype, True, False, list(rays.keep))
-
-
 def default_resolution(triangles: int) -> int:
     """A power of two, so that the lists of cells are short and cells are not many more than triangles."""
     wanted = math.sqrt(CELLS_PER_TRIANGLE * triangles / FACES)
@@ -298,13 +290,3 @@ def check_resolution(resolution: Any) -> int | None:
     if resolution is None:
         return None
     return as_int("resolution", resolution, 1, MAX_RESOLUTION)
-
-
-def check_position(position: Any) -> np.ndarray:
-    """(3,) float64."""
-    point = as_numbers("position", position, finite=False)
-    if point.shape != (3,):
-        raise ValueError(f"position must have shape (3,), not {point.shape}")
-    if not np.isfinite(point).all():
-        raise ValueError(f"position must be finite, not {point.tolist()}")
-    return point

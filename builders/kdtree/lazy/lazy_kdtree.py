@@ -23,7 +23,7 @@ of every builder.
 
 **What we changed.** The paper's tracer stops at a node that is not built, builds it and resumes. Warp kernels cannot stop. Here
 rays are traced through the parts that are built, and record the cells that they reach before their hit. When these cells have
-been built, the rays that recorded any are traced again, until there are none (`wrt.execution.lazy_tracing`). A snapshot is
+been built, the rays that recorded any are traced again, until there are none (`wrt.engine.launch.lazy_tracing`). A snapshot is
 replaced, never modified, so several threads may trace while one of them builds.
 
 **Limits.** A cell is built as a whole. As long as any cell is not built, rays pay for recording cells

@@ -9,7 +9,7 @@ In each generation, all rays are sorted by subtree, and each subtree with its ra
 from memory once, however many rays wait there. A ray without a hit before its next subtree moves on to the next generation.
 
 **Data.** A waiting ray is its number in the list `order`, its best hit in the answers, and the last queue point that it has
-passed (`wrt.kernels.traversal.queued.next_queue`). `wrt.execution.queued_tracing` has the loop over generations.
+passed (`wrt.kernels.traversal.queued.next_queue`). `wrt.engine.launch.queued_tracing` has the loop over generations.
 
 **Differences from the papers.** Generations here are steps of rays that exist, from subtree to subtree, not bounces: shading is
 the caller's, who passes each bounce as a batch. The cut depends on bytes, also within what would be one voxel of Pharr's grid.

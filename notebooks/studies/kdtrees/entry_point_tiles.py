@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 
 from wrt.bench.core.single_thread_timing import ratios, timed
-from wrt.execution.traversal_launch import divide, kernel_and_inputs, no_work
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.facts.query_kinds import CLOSEST
+from wrt.engine.launch.traversal_launch import divide, kernel_and_inputs, no_work
+from wrt.engine.plan.plan import traversal_config
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.traversal_config import TileConfig
 from wrt.meshes.mesh import TriangleMesh
-from wrt.planning.plan import traversal_config
-from wrt.planning.planner import make_plan
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import CLOSEST
 
 
 def tile_query(

@@ -23,9 +23,9 @@ from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.bench.core.workloads import WorkloadMaker
 from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree, unpack
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 MAILBOX = "hashed"
@@ -114,6 +114,12 @@ def first_frames(mesh: TriangleMesh, rays: Rays, builders: Sequence[str], *, rou
         FirstFrame(name, *map(float, np.median(spent[name], axis=0)), float(np.median(whole[name] / whole[builders[0]])))
         for name in builders
     ]
+
+
+def compare_first_frames(mesh: TriangleMesh, *, size: int = 128, rounds: int = 3) -> list[FirstFrame]:
+    """A scene and its first view of size x size rays with lazy, binned and exact builders (Hunt et al. 2007)."""
+    (view,) = WorkloadMaker(mesh, size=size).make(["far"])
+    return first_frames(mesh, view.rays, ("in_place", "binned", "lazy"), rounds=rounds)
 
 
 def built_part(scene: Scene, rays: Rays) -> BuiltPart:

@@ -16,9 +16,9 @@ from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.comparisons.build_comparison import BUDGET, SETTLE
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.bench.core.workloads import Workload, WorkloadMaker
+from wrt.engine.facts.query_kinds import AUTO
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import AUTO
 
 REFERENCE = "sweep"
 """The builder that all figures refer to."""

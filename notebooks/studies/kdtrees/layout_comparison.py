@@ -17,21 +17,21 @@ from wrt.bench.core.workloads import WorkloadMaker
 from wrt.builders.classics.kdtree.compact_subtrees import to_compact
 from wrt.builders.classics.kdtree.node_layouts import in_records, lay_out
 from wrt.builders.kdtree import LAYOUTS
-from wrt.execution.triangle_records import records_of
+from wrt.engine.facts.query_kinds import CLOSEST
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.layout.compact_nodes import HEIGHTS
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.traversal.traversal_config import SingleConfig
 from wrt.meshes.mesh import TriangleMesh
-from wrt.planning.planner import make_plan
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import CLOSEST
 
 if TYPE_CHECKING:
     from wrt.builders import tree as common
-    from wrt.rays.ray_buffers import RayBuffers
-    from wrt.state.device_hits import DeviceHits
+    from wrt.engine.device_hits import DeviceHits
+    from wrt.engine.rays.device_rays import DeviceRays
 
 REFERENCE = "random"
 """The layout that all figures refer to."""
@@ -96,20 +96,20 @@ class LayoutFigures:
     ratios: dict[str, float | None]
 
 
-def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers, words: int = 1) -> DeviceHits:
+def trace_pairs(scene: Scene, tree: common.KdTree, rays: DeviceRays, words: int = 1) -> DeviceHits:
     """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs, in records of this many words."""
     return trace_placed(scene, tree, rays, SingleConfig(pair_words=words))
 
 
-def trace_placed(scene: Scene, tree: common.KdTree, rays: RayBuffers, walk: SingleConfig, query: str = CLOSEST) -> DeviceHits:
+def trace_placed(scene: Scene, tree: common.KdTree, rays: DeviceRays, walk: SingleConfig, query: str = CLOSEST) -> DeviceHits:
     """Closest or any hits of the rays, by a walk of the scene's tree in another form."""
-    from wrt.execution.traversal_launch import counter_rows, no_work
+    from wrt.engine.device_hits import DeviceHits
+    from wrt.engine.launch.traversal_launch import counter_rows, no_work
+    from wrt.engine.plan.plan import traversal_config
     from wrt.kernels.traversal.leaf import Counters
     from wrt.kernels.traversal.single.single_kdtree import make_single_kdtree_kernel
-    from wrt.planning.plan import traversal_config
-    from wrt.state.device_hits import DeviceHits
 
-    plan = make_plan(scene.state, rays, "single", "auto")
+    plan = make_plan(scene.state, rays, "single", "auto", CLOSEST)
     config = replace(traversal_config(plan, scene.state, query, False), single=walk)
     hits = DeviceHits.new(query, rays.count, scene.device)
     counters = counter_rows(no_work(Counters, scene.device.alias))

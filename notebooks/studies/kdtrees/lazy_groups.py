@@ -18,8 +18,8 @@ import numpy as np
 from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.builders.kdtree.kdtree_config import GRID, GROUPS, MESHES
+from wrt.engine.rays.rays import Rays
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 HOUSE = 8.0
@@ -88,6 +88,11 @@ def first_views(
         times = (1e3 * median(column) for column in zip(*turns, strict=True))
         row |= zip(("scene", "first", "again", "both"), times, strict=True)
     return list(rows.values())
+
+
+def compare_hierarchies(*, blocks: int = 8, size: int = 128, rounds: int = 5) -> list[dict[str, Any]]:
+    """A view into a district of blocks x blocks groups of meshes, in lazy kd-trees from each hierarchy."""
+    return first_views(district(blocks), street_view(blocks, size), rounds=rounds)
 
 
 def opened_part(scene: Scene) -> dict[str, int]:

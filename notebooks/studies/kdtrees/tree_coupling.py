@@ -14,20 +14,20 @@ import numpy as np
 
 from studies.kdtrees.entry_point_tiles import morton_view, tile_query
 from wrt.bench.core.single_thread_timing import ratios, timed
-from wrt.execution.traversal_launch import counter_rows, divide, no_work
-from wrt.execution.triangle_records import records_of
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.facts.query_kinds import CLOSEST
+from wrt.engine.launch.traversal_launch import counter_rows, divide, no_work
+from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.plan import Plan, traversal_config, walked_tree
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.classics.studies.variants.coupled_trees import CoupledTrees, make_kernel
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.meshes.mesh import TriangleMesh
-from wrt.planning.plan import Plan, traversal_config, walked_tree
-from wrt.planning.planner import make_plan
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import CLOSEST
 
 
 def coupled_query(

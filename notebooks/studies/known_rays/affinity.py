@@ -27,10 +27,10 @@ from studies.known_rays.ray_aware_comparison import (
 )
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh
-from wrt.execution.area_trees import assign
-from wrt.execution.given_areas import GivenAreas
+from wrt.engine.launch.area_trees import assign
+from wrt.engine.launch.given_areas import GivenAreas
+from wrt.engine.rays.device_rays import to_device
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.ray_buffers import to_device
 from wrt.scene.scene import Scene
 
 

@@ -27,14 +27,14 @@ from wrt.builders.bvh.phases.split_axes import AxisChoice
 from wrt.builders.influence.area_top_level import region_of
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea
 from wrt.builders.influence.regions import contain_points
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.classics.studies.walk_orders import EMPTY, INNER, LEAF, ORDERS, Lanes, Walked, make_kernel
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 from wrt.known_rays.tree_analysis import BOX_COST, TRIANGLE_COST, analyse
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene, scene_of_state
 
 Row = dict[str, Any]

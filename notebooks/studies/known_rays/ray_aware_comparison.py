@@ -30,7 +30,11 @@ from wrt.accelerators.tree_descriptions import Bvh
 from wrt.bench.comparisons.build_comparison import BUDGET, SETTLE
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
-from wrt.execution.executor import trace
+from wrt.engine.executor import trace
+from wrt.engine.facts.query_kinds import ANY, CLOSEST
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.runtime.launch import use_threads
 from wrt.known_rays.influence_areas import corners_of
@@ -42,11 +46,7 @@ from wrt.known_rays.ray_casters import (
     point_shadow_rays,
 )
 from wrt.meshes.mesh import TriangleMesh
-from wrt.planning.planner import make_plan
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import ANY, CLOSEST
 
 REFERENCE = "Bvh"
 """The tree that all figures refer to."""

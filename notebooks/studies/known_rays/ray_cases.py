@@ -20,10 +20,10 @@ import numpy as np
 from studies.known_rays.ray_scenes import head, palace
 from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
+from wrt.engine.rays.rays import Rays
 from wrt.known_rays.influence_areas import corners_of
 from wrt.known_rays.ray_casters import PlaneCaster
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays
 from wrt.scenes import build
 from wrt.scenes.shapes import boxes, copies, lathe, sheets
 

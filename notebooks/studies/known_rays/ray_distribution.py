@@ -37,14 +37,14 @@ from wrt.builders.influence.area_top_level import TopLevel, lookup_margin, regio
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
 from wrt.builders.influence.regions import contain_points
 from wrt.builders.triangle_boxes import triangle_boxes
-from wrt.execution.area_trees import CHUNK
+from wrt.engine.launch.area_trees import CHUNK
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.influence.area_assignment import assign_rays
 from wrt.kernels.influence.area_lanes import AreaSplits
 from wrt.kernels.runtime.launch import launch
 from wrt.known_rays.area_break_even import break_even
 from wrt.known_rays.tree_analysis import TreeAnalysis, analyse
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 Row = dict[str, Any]

@@ -11,10 +11,10 @@ import numpy as np
 from studies.light.bounce_rays import BOUNCES, BounceRays, trace_paths
 from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
+from wrt.classics.packet_arrangement import ArrangedRays, arrange_rays
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.packet_arrangement import ArrangedRays, arrange_rays
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 PACKET = 64

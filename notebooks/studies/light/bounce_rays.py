@@ -9,13 +9,13 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.tree_descriptions import Bvh
+from wrt.engine.device_hits import DeviceHits
 from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.integrators.rendering_job import Rendering
 from wrt.lights.sky_image import Sky
 from wrt.materials.material import Material
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene
-from wrt.state.device_hits import DeviceHits
 
 BOUNCES = 10
 

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from wrt.bench.core.paired_timing import Contender, take_turns
+from wrt.engine.device_hits import DeviceHits
 from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.rendering_job import Rendering
@@ -37,7 +38,6 @@ from wrt.materials.material import Material
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene
 from wrt.scenes.shapes import plane
-from wrt.state.device_hits import DeviceHits
 
 STREAM = 4096
 """Rays of a stream, 64 x 64, as in Ramani et al. (2009)."""

@@ -24,13 +24,13 @@ from studies.moving.animation_comparison import Stage, WayFigures, answer, by_up
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.builders.motion_clusters import Decomposition, fuzzy_boxes
+from wrt.engine.rays.rays import Rays
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
 from wrt.moving.fuzzy_scene import FuzzyScene, find_motion, triangle_corners
 from wrt.moving.grouped_scene import GroupedScene
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.scenes.animations import Animation
 

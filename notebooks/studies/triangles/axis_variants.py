@@ -18,12 +18,12 @@ from studies.kdtrees.entry_point_tiles import morton_view
 from studies.triangles.isolated_tests import Beams, Run, Soup, closest
 from studies.triangles.volume_search import random_soup
 from wrt.bench.core.single_thread_timing import ratios, timed
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.classics.studies.variants.axis_flag import TEST as FLAGGED
 from wrt.kernels.classics.studies.variants.axis_selection import SELECTIONS
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 NAMES = ("shevtsov", FLAGGED.name)

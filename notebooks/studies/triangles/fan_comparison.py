@@ -23,18 +23,18 @@ from wrt.builders.triangle_fans import TriangleFans
 from wrt.classics.fan_arrays import closest_by_fans, fans_of, on_device
 from wrt.classics.fan_files import load_fans, save_fans
 from wrt.classics.fan_scene import FanScene
-from wrt.execution.traversal_launch import kernel_and_inputs, no_work
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.facts.query_kinds import CLOSEST
+from wrt.engine.launch.traversal_launch import kernel_and_inputs, no_work
+from wrt.engine.plan.plan import traversal_config
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.fan_brute_force import EDGES, NORMALS, PLANES, VERTICES, VERTICES_NORMALS, FanSet
 from wrt.kernels.traversal.leaf import Counters
 from wrt.meshes.mesh import TriangleMesh
-from wrt.planning.plan import traversal_config
-from wrt.planning.planner import make_plan
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import CLOSEST
 
 TESTS = ("moeller_trumbore", "moeller_trumbore_precomputed", "baldwin_weber", "havel_herout")
 """Triangle by triangle; the first is the reference."""

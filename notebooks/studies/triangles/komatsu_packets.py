@@ -26,12 +26,12 @@ from studies.triangles.isolated_tests import Beams, Soup, closest
 from studies.triangles.komatsu_tables import CONTENDERS, LANES
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.bench.core.workloads import WorkloadMaker, normalized
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import Record
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.scenes import build
 

@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, replace
 
-from wrt.execution.traversal_launch import divide, kernel_and_inputs, no_work
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.launch.traversal_launch import divide, kernel_and_inputs, no_work
+from wrt.engine.plan.plan import plan_for_query, traversal_config
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.traversal_config import SingleConfig
-from wrt.planning.plan import plan_for_query, traversal_config
-from wrt.planning.planner import make_plan
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
-from wrt.state.device_hits import DeviceHits
 
 
 def leaf_query(scene: Scene, rays: Rays, triangle_test: str, kind: str, *, scalar_test: bool) -> Callable[[], DeviceHits]:

@@ -26,6 +26,9 @@ import warp as wp
 from studies.triangles.leaf_queries import leaf_query
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.core.workloads import Workload, WorkloadMaker
+from wrt.engine.facts.query_kinds import ANY, CLOSEST
+from wrt.engine.rays.device_rays import to_device
+from wrt.engine.rays.rays import Rays
 from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.rendering import render
 from wrt.kernels.classics.studies.pruning_counts import Pruned, make_kernel
@@ -35,11 +38,8 @@ from wrt.kernels.classics.triangle.ferko.variant import Variant
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.ray_buffers import to_device
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.scenes import build
-from wrt.state.query_kinds import ANY, CLOSEST
 
 Row = dict[str, Any]
 

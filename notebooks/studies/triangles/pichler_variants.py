@@ -26,6 +26,7 @@ from studies.triangles.isolated_tests import Beams, Soup, closest, pairs
 from studies.triangles.pichler_tables import ROUNDS, SCENES, Case
 from studies.triangles.triangle_precision import leaks, solve
 from wrt.bench.core.single_thread_timing import ratios, timed
+from wrt.engine.rays.device_rays import to_device
 from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
 from wrt.kernels.classics.studies.pichler_2018 import STUDIED, UNIT_RAY
 from wrt.kernels.classics.studies.replayed_tests import make_kernel, make_lists
@@ -33,7 +34,6 @@ from wrt.kernels.classics.studies.variants.watertight_pruning import PRUNED, UNP
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.brute_force import AllTriangles
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.rays.ray_buffers import to_device
 
 Row = dict[str, Any]
 

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from wrt.bench.core.workloads import CLOSEST, OCCLUSION, Workload, WorkloadMaker
+from wrt.engine.rays.rays import Rays
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.scenes import atrium
 

@@ -14,18 +14,17 @@ from typing import Any
 
 from wrt.bench.comparisons.auto_cases import KINDS, SIZES, Case, cases
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
+from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST
+from wrt.engine.plan.plan import Plan
+from wrt.engine.plan.plan_checks import can_answer, fits
+from wrt.engine.plan.planner import default_test, make_plan
+from wrt.engine.rays.device_rays import to_device
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.meshes.mesh import TriangleMesh
-from wrt.planning.answer_checks import can_answer
-from wrt.planning.plan import Plan
-from wrt.planning.plan_checks import fits
-from wrt.planning.planner import default_test, make_plan
-from wrt.rays.ray_buffers import to_device
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST
 
 HOPELESS = 4.0
 """An engine that once took this many times as long as another takes no part: it would take most of the time."""
@@ -134,7 +133,9 @@ def engines(scene: Scene, case: Case) -> dict[str, Plan]:
     buffers = to_device(case.rays, state.device, state.center)
     plans = {AUTO: make_plan(state, buffers, AUTO, AUTO, kind)}
     for traversal in TRAVERSALS.values():
-        if traversal.score is None or not can_answer(traversal, state, kind, False, default_test(state, kind)):
+        if traversal.score is None or not can_answer(
+            traversal, state.facts, kind, False, default_test(state.facts.triangle_test)
+        ):
             continue
         plan = make_plan(state, buffers, traversal.name, AUTO, kind)
         test = TRIANGLE_TESTS[plan.triangle_test]

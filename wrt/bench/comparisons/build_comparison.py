@@ -19,8 +19,8 @@ from wrt.bench.peers.peer import Peer
 from wrt.bench.peers.peer_table import Open3D
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.engine.facts.query_kinds import AUTO
 from wrt.meshes.mesh import TriangleMesh
-from wrt.state.query_kinds import AUTO
 
 BUDGET = 10.0
 """Seconds for each builder."""

@@ -21,8 +21,8 @@ from functools import cached_property
 
 import numpy as np
 
+from wrt.engine.rays.rays import Rays
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.tables import lookup
 

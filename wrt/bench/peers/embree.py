@@ -23,7 +23,7 @@ from wrt.bench.core.workloads import Workload
 from wrt.bench.peers.embree_library import EMBREES, Device, Scene, address_of, library, thread_limit
 from wrt.bench.peers.embree_packets import NO_GEOMETRY, trace_packets
 from wrt.bench.peers.peer import Answer, Peer, Query, spread_rays
-from wrt.execution.traversal_launch import MIN_CHUNK
+from wrt.engine.launch.traversal_launch import MIN_CHUNK
 from wrt.kernels.compilation.target import target_name
 from wrt.kernels.runtime.launch import MAX_CHUNK, Chunks, PreparedLaunch, use_threads
 from wrt.meshes.mesh import TriangleMesh

@@ -20,7 +20,7 @@ from wrt.bench.peers.embree import COHERENT, Embree
 from wrt.bench.peers.embree_library import address_of
 from wrt.bench.peers.embree_packets import trace_arrays
 from wrt.bench.peers.peer import Answer, Query
-from wrt.execution.traversal_launch import MIN_CHUNK
+from wrt.engine.launch.traversal_launch import MIN_CHUNK
 from wrt.kernels.runtime.launch import MAX_CHUNK, Chunks, PreparedLaunch, use_threads
 from wrt.meshes.mesh import TriangleMesh
 

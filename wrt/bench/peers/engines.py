@@ -10,13 +10,13 @@ from wrt.accelerators.accelerator import Accelerator, AcceleratorName
 from wrt.accelerators.tree_descriptions import Bvh
 from wrt.bench.core.workloads import ALL, INSIDE, Workload
 from wrt.bench.peers.peer import Answer, Lists, Peer, Query, device_rays
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
-from wrt.state.query_kinds import AUTO
 
 BRUTE_FORCE_PAIRS = 1 << 26
 """Pairs of ray and triangle that a traversal without a tree is asked to test in one call."""

@@ -16,9 +16,9 @@ import numpy as np
 
 from wrt.cluster.identity.array_hashes import PIECES, array_hash, hashed, sampled_hash, size_of
 from wrt.cluster.identity.described import code_of
+from wrt.engine.rays.rays import Rays, leading_shape
 from wrt.query.batches.block_rows import GeneratedRays, SkippedTriangles, cut_rows, is_cut
 from wrt.query.batches.block_work import BlockWork
-from wrt.rays.rays import Rays, leading_shape
 
 WHOLE = 1 << 28
 """Bytes up to which arrays are hashed whole."""

@@ -19,6 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.facts.query_kinds import ANY, CLOSEST
+from wrt.engine.memory import empty
 from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.ray_tracer import TileRays
 from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES, STOP, TileRuns
@@ -33,9 +36,6 @@ from wrt.kernels.shading.wavefront.picture import Film
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 from wrt.lights.device_lights import samples_sky
-from wrt.memory import empty
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, CLOSEST
 
 if TYPE_CHECKING:
     from wrt.imaging.integrators.ray_tracer import RayTracer

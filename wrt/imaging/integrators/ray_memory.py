@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from wrt.engine.memory import empty
 from wrt.kernels.shading.wavefront import ray_queue
-from wrt.memory import empty
 
 __all__ = ["new_queue"]
 

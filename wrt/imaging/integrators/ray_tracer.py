@@ -11,23 +11,23 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import trace_chosen
-from wrt.execution.expected_kernels import ExpectedRays
-from wrt.execution.traversal_launch import RAYS, kernel_and_inputs, no_work
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.executor import trace_chosen
+from wrt.engine.facts.facts import RayFacts
+from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST, Query
+from wrt.engine.facts.scene_state import SceneState
+from wrt.engine.launch.traversal_launch import RAYS, kernel_and_inputs, no_work
+from wrt.engine.plan.plan import ChosenPlan, config_for_layout, traversal_config, traversal_of
+from wrt.engine.plan.plan_checks import can_answer
+from wrt.engine.plan.planner import find_plan, is_changing
+from wrt.engine.rays.device_rays import DeviceRays, Layout
+from wrt.engine.rays.rays import ResultForm
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.launch import kept
 from wrt.kernels.runtime.launch_chain import Stage
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
-from wrt.planning.answer_checks import can_answer
-from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
-from wrt.planning.planner import default_test, find_plan, is_changing
-from wrt.rays.ray_arrays import Layout, RayArrays
-from wrt.rays.ray_buffers import RayBuffers
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST, Query
-from wrt.state.scene_state import SceneState
 
 STREAM = 2048
 """Rays of a stream at most, where tiles of them stay in the cache."""
@@ -101,7 +101,7 @@ class RayTracer:
         return self._trace(ANY, origins, segments, count, self._one, similar, False).occluded
 
     def blocked_from_points(
-        self, origins: wp.array, directions: wp.array, count: int, distance: wp.array, expected: ExpectedRays
+        self, origins: wp.array, directions: wp.array, count: int, distance: wp.array, expected: RayFacts
     ) -> wp.array:
         """(count,) bool: whether rays in all directions from points that follow one another hit anything.
 
@@ -111,15 +111,17 @@ class RayTracer:
             expected: the most rays that there can be; the plan is made for them, so that batches of any size have the same.
         """
         rays = self._rays(origins, directions, count, distance, False, False)
-        chosen = find_plan(self._state, expected, self._queries[ANY])  # type: ignore[arg-type]
-        return trace_chosen(self._state, chosen, rays, ANY, False)[0].occluded
+        chosen = find_plan(self._state, expected, self._queries[ANY])
+        return trace_chosen(self._state, chosen, rays, ANY)[0].occluded
 
     def _trace(
         self, kind: str, origins: wp.array, directions: wp.array, count: int, t_max: wp.array, similar: bool, shared: bool
     ) -> DeviceHits:
-        buffers = self._rays(origins, directions, count, t_max, similar, not similar, shared)
-        chosen = find_plan(self._state, buffers, self._queries[kind])
-        return trace_chosen(self._state, chosen, buffers, kind, False)[0]
+        rays = self._rays(origins, directions, count, t_max, similar, not similar, shared)
+        return trace_chosen(self._state, self._plan(rays, self._queries[kind]), rays, kind)[0]
+
+    def _plan(self, rays: DeviceRays, query: Query) -> ChosenPlan:
+        return find_plan(self._state, rays.facts, query, rays.sample)
 
     def _rays(
         self,
@@ -130,11 +132,11 @@ class RayTracer:
         coherent: bool,
         scattered: bool,
         shared: bool = False,
-    ) -> RayBuffers:
+    ) -> DeviceRays:
         shape, kept = (max(ROUND, 1 << (count - 1).bit_length()),), (origins, directions)
         layout, center = Layout(int(not shared), 1, 0, 0, True), self._state.center
-        given = RayArrays(origins, directions, self._zero, t_max, layout, count, center, shape, True, np.float32, kept)
-        return RayBuffers(given, shape, True, np.float32, coherent, scattered, [])
+        facts, form = RayFacts(count, shape, shared, coherent, scattered), ResultForm(shape, True, np.float32)
+        return DeviceRays(origins, directions, self._zero, t_max, layout, center, facts, form, kept)
 
     def makes_stages(self, count: int) -> bool:
         """Whether rays of all kinds can be traced tile by tile: see `stages`. Not where a plan orders many rays at once (as
@@ -147,8 +149,8 @@ class RayTracer:
         if state.instances or state.area_trees is not None:
             return False
         for query in self._queries.values():
-            rays = ExpectedRays(query.kind, count, coherent=False, scattered=True)
-            if is_changing(state, rays) or not find_plan(state, rays, query).prepares:  # type: ignore[arg-type]
+            rays = RayFacts(count, (count,), coherent=False, scattered=True)
+            if is_changing(state, count) or not find_plan(state, rays, query).prepares:
                 return False
         return True
 
@@ -177,16 +179,16 @@ class RayTracer:
         query, state = self._queries[kind], self._state
         by_speed = query.traversal == AUTO and (not similar or sample is None)
         scattered = self._rays(origins, directions, count, end, False, True, shared) if by_speed else known
-        plan = find_plan(state, scattered, query).carried_out
+        plan = self._plan(scattered, query).carried_out
         plans = [plan]
         if by_speed and similar:
-            if can_answer(TRAVERSALS[TOGETHER], state, kind, False, default_test(state)):
-                plans.insert(0, find_plan(state, rays, query._replace(traversal=TOGETHER)).carried_out)
+            if can_answer(TRAVERSALS[TOGETHER], state.facts, kind, False):
+                plans.insert(0, self._plan(rays, query._replace(traversal=TOGETHER)).carried_out)
         elif by_speed and plan.traversal in INCOHERENT[state.triangle_count < MIN_TRIANGLES :]:  # all, or all but streams
             plans += [replace(plan, traversal=name) for name in INCOHERENT if name != plan.traversal]
         made = []
         for plan in plans:
-            batch = rays.given.batch()  # one for each plan, as the rays per item differ
+            batch = rays.new_batch()  # one for each plan, as the rays per item differ
             traversal = traversal_of(plan)
             streams = Capabilities.STREAMS in traversal.capabilities
             if streams:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from wrt.engine.facts.query_kinds import AUTO
 from wrt.imaging.integrators import INTEGRATORS
 from wrt.imaging.integrators.texture_tiles import MIN_BUDGET
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS
@@ -14,7 +15,6 @@ from wrt.kernels.shading.wavefront.picture import TONE_MAPPINGS
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.validation import as_int, convert_fields
 from wrt.materials.material import as_color
-from wrt.state.query_kinds import AUTO
 
 __all__ = ["INTEGRATORS", "RenderSettings"]
 

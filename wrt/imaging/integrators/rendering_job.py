@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.memory import empty
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
 from wrt.imaging.image_files import save_exr, save_image
 from wrt.imaging.integrators.device_materials import scene_materials, shaded_mesh, tiled_materials
@@ -27,7 +28,6 @@ from wrt.kernels.validation import as_float, as_int
 from wrt.lights.device_lights import check_lights, device_lights
 from wrt.lights.sky_image import Sky
 from wrt.materials.material import Material
-from wrt.memory import empty
 from wrt.scene.scene import Scene
 
 __all__ = ["LAYERS", "Rendering"]

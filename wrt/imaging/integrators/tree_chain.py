@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.facts.query_kinds import ANY, CLOSEST
+from wrt.engine.memory import empty
 from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.ray_tracer import TileRays
 from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES, STOP, TileRuns
@@ -27,9 +30,6 @@ from wrt.kernels.shading.wavefront.camera_rays import CameraModel
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 from wrt.kernels.shading.wavefront.tree_step import ShadowList, TreeStep
-from wrt.memory import empty
-from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, CLOSEST
 
 if TYPE_CHECKING:
     from wrt.imaging.integrators.ray_tracer import RayTracer

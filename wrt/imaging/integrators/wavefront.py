@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.device_hits import DeviceHits
+from wrt.engine.memory import empty
 from wrt.imaging.integrators.path_chain import PathChain, Paths
 from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.ray_tracer import RayTracer
@@ -30,8 +32,6 @@ from wrt.kernels.shading.wavefront.camera_rays import CameraModel, start_rays
 from wrt.kernels.shading.wavefront.picture import Film
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.scene_light import LitScene
-from wrt.memory import empty
-from wrt.state.device_hits import DeviceHits
 
 ROULETTE_FROM = 3
 """First generation of path tracing whose rays may end by roulette."""

@@ -56,13 +56,14 @@ def finished_before_interrupt() -> Iterator[None]:
 
 
 @contextmanager
-def progress_bar(shown: bool, total: int | None, start: int = 0) -> Iterator[Callable[[int], None]]:
+def progress_bar(shown: bool, total: int | None, start: int = 0, what: str = "rays") -> Iterator[Callable[[int], None]]:
     """A progress bar on stderr, if `shown`. The yielded function takes the number of rays that a block adds.
 
     Args:
         shown: whether there is one.
         total: rays in all; None if that is not known.
         start: rays that were answered before.
+        what: the word for what is counted.
     """
     if not shown:
         yield lambda rays: None
@@ -70,13 +71,13 @@ def progress_bar(shown: bool, total: int | None, start: int = 0) -> Iterator[Cal
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (BarColumn(), TextColumn("{task.completed:,} rays"), TimeRemainingColumn(), TextColumn("{task.description}"))
+    columns = (BarColumn(), TextColumn(f"{{task.completed:,}} {what}"), TimeRemainingColumn(), TextColumn("{task.description}"))
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task, begun, done = bar.add_task("", total=total, completed=start), perf_counter(), 0
 
         def advance(rays: int) -> None:
             nonlocal done
             done += rays
-            bar.update(task, advance=rays, description=f"{done / (perf_counter() - begun) / 1e6:.1f} Mrays/s")
+            bar.update(task, advance=rays, description=f"{done / (perf_counter() - begun) / 1e6:.1f} M{what}/s")
 
         yield advance

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from wrt.engine.facts.query_kinds import AUTO
 from wrt.query.batches.block_rows import as_source
 from wrt.query.blocks import MEMORY, blocks_of
 from wrt.query.query_options import chosen, lists_options
-from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
-    from wrt.planning.plan import Plan
+    from wrt.engine.plan.plan import Plan
+    from wrt.engine.rays.array_types import Numbers
     from wrt.query.blocks import Blocks
     from wrt.query.hits import Hits
-    from wrt.rays.array_types import Numbers
 
 INF = float("inf")
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.rays.rays import Rays, leading_shape
 from wrt.kernels.validation import as_float, as_int, convert_fields
 from wrt.query.hits import Hits
 from wrt.query.skip import SceneTriangles
-from wrt.rays.rays import Rays, leading_shape
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ import numpy as np
 import warp as wp
 
 from wrt.atomic_files import replaced
+from wrt.engine.rays.rays import Rays, leading_shape
 from wrt.query.batches.array_files import SMALL, opened, opened_by_workers
 from wrt.query.batches.block_rows import GeneratedRays, SkippedTriangles, cut_rows, is_cut
 from wrt.query.batches.reductions import BlockReduction
 from wrt.query.batches.shared_files import SharedScene, deliver_scene, dumps, kept, share_scene
 from wrt.query.batches.workers import Workers, task_threads
-from wrt.rays.rays import Rays, leading_shape
 
 Deliver = Callable[[slice, Any], Any]
 """What is done with the answer to some rows; its result is what the client gets."""

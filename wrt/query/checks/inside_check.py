@@ -23,8 +23,8 @@ from wrt.meshes.mesh_measures import first_of_equal_points
 from wrt.query.inside import PARITY, RULES, contains
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.scene_state import SceneState
     from wrt.meshes.mesh import TriangleMesh
-    from wrt.state.scene_state import SceneState
 
 MOST_PAIRS = 20_000_000
 """Pairs of a point and a triangle for which winding numbers are computed."""

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.device_hits import DTYPES, DeviceHits
+from wrt.engine.rays.rays import ResultForm
 from wrt.kernels.answers.answer_kind import HIT_COLUMNS
 from wrt.kernels.runtime.launch import use_threads
 from wrt.query.hits import Hits
-from wrt.rays.rays import ResultForm
-from wrt.state.device_hits import DTYPES, DeviceHits
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 TOLERANCE = 1e-3
 """Greatest distance of a point from its triangle, as a fraction of the triangle's longest edge."""

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import trace
+from wrt.engine.executor import trace
+from wrt.engine.facts.query_kinds import ALL, AUTO, CLOSEST
+from wrt.engine.memory import empty, new_rays
+from wrt.engine.plan.planner import make_plan
+from wrt.engine.rays.coherence import detect_coherence
+from wrt.engine.rays.device_rays import DeviceRays
+from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
-from wrt.memory import empty, new_rays
-from wrt.planning.planner import make_plan
-from wrt.rays.coherence import detect_coherence
-from wrt.rays.ray_buffers import RayBuffers
-from wrt.rays.rays import as_vectors
-from wrt.state.query_kinds import ALL, AUTO, CLOSEST
 
 if TYPE_CHECKING:
-    from wrt.state.scene_state import SceneState
+    from wrt.engine.facts.scene_state import SceneState
 
 BLOCK = 1 << 20
 """Pairs traced at a time, which takes about 60 MB."""
@@ -68,16 +68,16 @@ def visible_block(scene: SceneState, ends: list[tuple[wp.array, wp.array]], roun
     center = wp.vec3d(*map(float, scene.center))
     pairs = [from_points, to_points, from_index, to_index, center, rounding, rays, targets, verdict]
     launch(connect_points, count, pairs, device=device, chunk=4096)
-    coherent, scattered, _ = detect_coherence(rays, device)
-    buffers = RayBuffers(rays, (count,), True, np.float32, coherent, scattered, [])
-    nearest, _ = trace(scene, make_plan(scene, buffers, AUTO, AUTO), buffers, CLOSEST)
+    coherent, scattered, _ = detect_coherence(rays.origins, rays.directions, device)
+    known = DeviceRays.of_batch(rays, coherent, scattered)
+    nearest, _ = trace(scene, make_plan(scene, known, AUTO, AUTO, CLOSEST), known, CLOSEST)
     pairs = [scene.device_mesh, rays, targets]
     launch(classify_by_nearest, count, [*pairs, nearest.primitive, rounding, verdict], device=device, chunk=4096)
     undecided = np.flatnonzero(verdict.numpy() == UNDECIDED).astype(np.int32)
     if len(undecided):
         order = wp.array(undecided, dtype=int, device=device)
         few = sort_rays(rays, order, empty)
-        hits, offsets = find_all(scene, make_plan(scene, buffers, AUTO, AUTO, ALL), few, MAX_TOTAL)
+        hits, offsets = find_all(scene, make_plan(scene, known, AUTO, AUTO, ALL), few, MAX_TOTAL)
         lists = [*pairs, order, offsets, hits.primitive, rounding, verdict]
         launch(classify_by_all_hits, len(undecided), lists, device=device, chunk=1024)
     return verdict.numpy() == VISIBLE

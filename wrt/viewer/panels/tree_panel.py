@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from wrt.engine.facts.scene_state import SceneState
 from wrt.scene.scene import Scene
-from wrt.state.scene_state import SceneState
 from wrt.viewer.client_session import ClientSession
 from wrt.viewer.trees.box_lines import box_corners, draw_boxes, heat_colors
 from wrt.viewer.trees.tree_levels import MEASURES, TreeBoxes, tree_boxes

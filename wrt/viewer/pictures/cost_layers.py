@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 import warp as wp
 
+from wrt.engine.rays.rays import Rays
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.shading import false_color
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.viewer.pictures.layers import Layer, packet_plan, scale_of
 from wrt.viewer.pictures.wish import Wish

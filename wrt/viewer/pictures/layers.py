@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.plan.plan import Plan
+from wrt.engine.rays.rays import Rays
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.runtime.launch import get_num_threads, launch, use_threads
 from wrt.kernels.shading import false_color
-from wrt.planning.plan import Plan
 from wrt.query.hits import Hits
-from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.viewer.pictures.wish import Wish
 

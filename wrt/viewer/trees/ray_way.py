@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.state.scene_state import SceneState
+from wrt.engine.facts.scene_state import SceneState
 from wrt.viewer.trees.instance_walk import InstanceWalk
 from wrt.viewer.trees.tree_walk import Placed, Visit, Walk
 

@@ -16,7 +16,7 @@ import numpy as np
 from wrt.builders.bvh import bvh_statistics
 from wrt.builders.kdtree import kdtree_statistics
 from wrt.builders.tree import Bvh
-from wrt.state.scene_state import SceneState
+from wrt.engine.facts.scene_state import SceneState
 from wrt.viewer.trees.box_lines import box_corners
 
 __all__ = ["Placed", "Visit", "Walk", "interval", "nearest_first"]

@@ -1,0 +1,124 @@
+"""What queries learn about a scene and keep for the next ones: plans, prepared queries, triangle records, a wide tree.
+
+A scene's state never changes (`wrt.engine.facts.scene_state`); this cache beside it does. It has a lock of its own. Prepared
+queries are kept with their plan (`wrt.engine.plan.plan.ChosenPlan`). Each serves one caller at a time: it is taken out and put
+back, and as many are made as callers run at once.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Hashable
+from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
+
+if TYPE_CHECKING:
+    from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
+
+MAX_PLANS = 64
+"""Plans that a cache holds; one more clears them, and the queries prepared for them."""
+
+MAX_CHOICES = 256
+"""Choices that a cache holds; one more clears them."""
+
+Origin = tuple[float, float, float]
+"""A point relative to the scene's centre."""
+
+KnownRecords = dict[tuple[str, "Record"], tuple["Origin | None", "TriangleBlocks"]]
+"""Blocks by kind of tree and of record, with the origin that they were made for, if they depend on one."""
+
+_caches: WeakSet[QueryCache] = WeakSet()
+
+
+class QueryCache:
+    """Plans, prepared queries, triangle records and the wide form of one scene state.
+
+    Attributes:
+        lock: guards what is not one operation on a dict or a deque.
+        records: triangle records by kind of tree and record (`wrt.engine.launch.triangle_records`).
+        wide: a `wrt.engine.facts.wide_trees.WideForm`, the wide form of a kd-tree; None as long as there is none.
+        binary: the nodes and triangles that `wrt.engine.launch.persistent_launch` makes of a tree of width 2; None as long as
+            nobody asked.
+        missed_savings: what rays so far would have saved with a wide form, in triangles that it could be made of.
+        calls: what usual calls on CUDA have in common, by kind of query and bounds of t (`wrt.engine.launch.device_calls`).
+        tables: what kernels read of instanced meshes, by kind of tree and triangle test; a tree above its queue points, by
+            kind of triangle record.
+        distinct: what `SceneState.distinct` has found, one state or none; None as long as nobody asked.
+    """
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.records: KnownRecords = {}
+        self.wide: Any = None
+        self.binary: tuple[Any, Any] | None = None
+        self.missed_savings = 0.0
+        self.calls: dict[Hashable, Any] = {}
+        self.tables: dict[tuple[str, str], Any] = {}
+        self.distinct: tuple[Any, ...] | None = None
+        self._plans: dict[Hashable, Any] = {}
+        self._choices: dict[Hashable, list[Any]] = {}
+        _caches.add(self)
+
+    @property
+    def plans(self) -> list[Any]:
+        """All plans, each with the queries that are prepared for it."""
+        with self.lock:
+            return [*self._plans.values()]
+
+    def plan(self, key: Hashable) -> Any | None:
+        """The `wrt.engine.plan.plan.ChosenPlan` of a key; None if there is none."""
+        return self._plans.get(key)
+
+    def keep_plan(self, key: Hashable, plan: Any) -> Any:
+        """Keeps a plan for the next queries of its key, and returns it."""
+        with self.lock:
+            if len(self._plans) >= MAX_PLANS:
+                self._plans.clear()
+                self._choices.clear()
+                self.calls.clear()
+            self._plans[key] = plan
+        return plan
+
+    def choice(self, key: Hashable) -> Any | None:
+        """The plan that was chosen before for queries and rays of a key; None if it is not known, or was used often enough."""
+        kept = self._choices.get(key)
+        if kept is None:
+            return None
+        kept[1] -= 1
+        return kept[0] if kept[1] >= 0 else None
+
+    def keep_choice(self, key: Hashable, plan: Any, uses: float = float("inf")) -> Any:
+        """Caches a choice of plan for a limited number of uses, and returns it. Batches of many shapes share few plans, so
+        these are kept apart."""
+        with self.lock:
+            if len(self._choices) >= MAX_CHOICES:
+                self._choices.clear()
+            self._choices[key] = [plan, uses]
+        return plan
+
+    def of_moved(self) -> QueryCache:
+        """A cache for the same trees elsewhere: with this one's plans, prepared queries (`PreparedQuery.fit`) and tables."""
+        other = QueryCache()
+        with self.lock:
+            other._plans.update(self._plans)
+            other._choices.update((key, kept[:]) for key, kept in self._choices.items())
+        other.tables.update(self.tables)
+        return other
+
+    def clear(self) -> None:
+        """Drops plans, the queries that are prepared for them, and what was chosen."""
+        with self.lock:
+            self._plans.clear()
+            self._choices.clear()
+            self.calls.clear()
+
+
+def _renew_locks() -> None:
+    """A lock that another thread held while the process was forked would never be released in the child."""
+    for cache in _caches:
+        cache.lock = threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew_locks)

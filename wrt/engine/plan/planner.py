@@ -1,0 +1,316 @@
+"""Choosing a plan: what "auto" stands for, from the scene, the device and the rays."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from wrt.engine.facts.query_kinds import AUTO, Query
+from wrt.engine.facts.wide_trees import wide_form_pays, wide_form_savings, wide_width
+from wrt.engine.plan.packet_sample import measure_overlap
+from wrt.engine.plan.plan import ChosenPlan, Plan, plan_for_query, traversal_of
+from wrt.engine.plan.plan_checks import can_answer, check_answer, check_origins, check_plan, fits, longest_stream
+from wrt.kernels.answers import ANSWERS
+from wrt.kernels.compilation.cache_size import l3_bytes
+from wrt.kernels.runtime.launch import get_num_threads
+from wrt.kernels.traversal import TRAVERSALS, Traversal
+from wrt.kernels.traversal.capabilities import Capabilities
+from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.traversal_scores import Situation, limits_for
+from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
+from wrt.tables import lookup
+
+if TYPE_CHECKING:
+    from wrt.engine.facts.facts import RayFacts, SceneFacts
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.device_rays import DeviceRays
+    from wrt.kernels.layout.ray_batch import RayBatch
+
+Sample: TypeAlias = "Callable[[], RayBatch]"
+
+DEFAULT_TEST = "woop"
+"""The triangle test of "auto": the only watertight one. It costs a few per cent over Moeller and Trumbore's test at most
+(notebooks/records/2026-11-21-plans.md).
+"""
+
+PACKET_VECTORS = 2
+"""Rays of a packet, in vectors of the tree's width: best or within 5 % of the best of 1, 2, 4 and 8 with 16 lanes
+(notebooks/records/2026-11-21-plans.md); `Limits.large_packet` and CROWDED_PACKET have the exceptions.
+"""
+
+CROWDED_PACKET = 64
+"""Rays of a packet of camera rays that are at least `Limits.crowded` for each triangle
+(notebooks/records/2026-11-23-edge-functions.md)."""
+
+MANY_RAYS_PER_TRIANGLE = 1.0
+"""Rays per triangle of the scene from which packets of camera rays have `Limits.large_packet` vectors
+(notebooks/records/2026-11-23-edge-functions.md)."""
+
+ROUGH_RAYS_PER_TRIANGLE = 2.0
+"""Rays per triangle up to which camera rays use a transient frustum at each leaf if the triangle test does not filter pairs: a
+packet then reaches a leaf with few active rays (notebooks/records/2026-11-21-plans.md). Else it is `Limits.rough`."""
+
+STREAMS, CUDA_STREAM = (16384, 4096, 1024, 256), 64
+"""Rays of a stream, the largest first. Longer streams fill their vector lanes better, if each thread still has several
+streams. On CUDA, a thread traces a stream and holds its rays in local memory.
+"""
+
+STREAMS_PER_THREAD = 4
+
+HIT_BYTES = 16
+"""Bytes of a closest hit: t, primitive, u and v. Hits of half of the last-level cache or more are written by non-temporal
+stores (notebooks/records/2026-11-24-streams.md).
+"""
+
+MIN_RAYS_TO_REORDER = 1 << 16
+"""Smallest batch whose rays are sorted before tracing."""
+
+CACHED_BYTES = 1 << 24
+"""Bytes of triangle records that the caches of a core hold. Rays are not sorted for scenes with fewer."""
+
+
+CHOICE_USES = 64
+"""Queries after which a choice for many rays is made again: it may depend on a sample of the rays, and a camera moves. A sample
+takes some 0.2 ms (notebooks/records/2026-11-22-auto.md).
+"""
+
+MAX_SHARED = 256
+"""Plans of few rays that scenes share: more than there are kinds of queries in one program."""
+
+_few_ray_plans: dict[Hashable, Plan] = {}
+"""Plans by kind of query, of rays and of scene: few rays go one by one, however many triangles there are."""
+
+
+def make_plan(
+    scene: SceneState,
+    rays: DeviceRays,
+    traversal: str | Plan,
+    triangle_test: str,
+    query: str,
+    cull_backfaces: bool = False,
+) -> Plan:
+    """Chooses what the caller left on "auto". A given plan is checked.
+
+    Raises:
+        ValueError: an unknown name, a traversal that does not support the scene's tree or the query, or a plan that does
+            not fit the scene and the rays.
+    """
+    return find_plan(scene, rays.facts, Query(query, traversal, triangle_test, cull_backfaces), rays.sample).plan
+
+
+def find_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample | None = None) -> ChosenPlan:
+    """The plan of a query, from the scene's cache or made; errors as in `make_plan`.
+
+    Args:
+        scene: what the rays meet.
+        rays: what is known of them.
+        query: its kind and options.
+        sample: makes a batch of which some rays may be traced, if only that can tell how; None if there are no rays yet.
+    """
+    kind, traversal, triangle_test, cull_backfaces = query[:4]
+    count = rays.count
+    if isinstance(traversal, Plan):
+        culled = cull_backfaces or traversal.cull_backfaces
+        plan = check_plan(replace(traversal, cull_backfaces=culled), scene.facts, rays, kind)
+        return chosen_plan(scene, plan, count, kind)
+    is_named = isinstance(traversal, str) and isinstance(triangle_test, str)
+    if not is_named or (scene.changes_plans and is_changing(scene, count)):
+        return chosen_plan(scene, choose_plan(scene, rays, query, sample), count, kind)
+    # Plans are looked up: the longer Python takes for one, the longer a GPU waits for its kernel, and cores for theirs.
+    each_alone = traversal == AUTO and (count <= scene.few_rays or not scene.is_cpu)
+    known = (count > 1, rays[2:]) if each_alone else (rays[1:], get_num_threads())
+    key = kind, traversal, triangle_test, cull_backfaces, known
+    chosen = scene.cache.choice(key)
+    if chosen is not None:
+        return chosen
+    shared = (key, scene.triangle_test, scene.width) if each_alone and scene.shares_few_rays else None
+    plan = None if shared is None else _few_ray_plans.get(shared)
+    if plan is None:
+        plan = choose_plan(scene, rays, query, sample)
+        if shared is not None and len(_few_ray_plans) < MAX_SHARED:
+            _few_ray_plans[shared] = plan
+    uses = float("inf") if each_alone else CHOICE_USES
+    return scene.cache.keep_choice(key, chosen_plan(scene, plan, count, kind), uses)
+
+
+def chosen_plan(scene: SceneState, plan: Plan, count: int, kind: str) -> ChosenPlan:
+    """A plan for a kind of query about this many rays, with what is prepared for it in the scene's cache."""
+    few = count <= scene.few_rays
+    key = plan, kind, few
+    return scene.cache.plan(key) or scene.cache.keep_plan(key, choose_for(scene, plan, few, kind))
+
+
+def choose_for(scene: SceneState, plan: Plan, few: bool, kind: str) -> ChosenPlan:
+    """A plan for a kind of query, and whether such queries can be prepared: see `wrt.engine.executor`."""
+    carried_out = plan_for_query(plan, kind)
+    through_instances = bool(scene.instances) and not traversal_of(carried_out).walks_single_rays
+    by_area = scene.area_trees is not None and not (few and scene.is_cpu)
+    by_origin = TRIANGLE_TESTS[carried_out.triangle_test].record.per_origin
+    by_steps = carried_out.reorder == "cells" or Capabilities.QUEUED in traversal_of(carried_out).capabilities
+    prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or by_steps)
+    no_savings = carried_out.is_wide or not scene.facts.can_be_wide
+    missed_savings = 0.0 if no_savings else wide_form_savings(1, carried_out.coherent)
+    return ChosenPlan(plan, carried_out, prepares, missed_savings)
+
+
+def is_changing(scene: SceneState, count: int) -> bool:
+    """Whether the plan of this many rays depends on what came before."""
+    return scene.changes_plans and (scene.lazy_tree is not None or count > scene.few_rays)
+
+
+def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample | None = None) -> Plan:
+    """A new plan for these rays; arguments and errors as in `find_plan`."""
+    kind, given, triangle_test, cull_backfaces = query[:4]
+    known = scene.facts
+    wanted = default_test(known.triangle_test, ANSWERS[kind].crossings) if triangle_test == AUTO else triangle_test
+    test = lookup(TRIANGLE_TESTS, wanted, "triangle_test")
+    if given == AUTO:
+        situation = situation_of(known, rays, kind, cull_backfaces, has_wide_form=wide_form_pays(scene, rays))
+        if situation.needs_sample and sample is not None:
+            situation = situation._replace(overlap=measure_overlap(scene, sample(), PACKET_VECTORS * known.width, kind))
+        name, reason = choose_traversal(known, situation, test.name)
+    else:
+        name, reason = given, "as given"
+    chosen = lookup(TRAVERSALS, name, "traversal")
+    check_origins(test, chosen, rays)
+    tree = tree_for(chosen, known)
+    check_answer(known, kind, chosen, tree, test, cull_backfaces)
+    width = wide_width(known.width) if Capabilities.WIDE_FORM in chosen.capabilities else known.width
+    options: dict[str, Any] = {}
+    if Capabilities.PACKETS in chosen.capabilities:
+        options["packet"] = packet_vectors(known, rays, kind, chosen) * width
+        options["culling"] = choose_culling(known, rays, chosen, test)
+    if Capabilities.STREAMS in chosen.capabilities:
+        options["stream"] = stream_size(known, rays, chosen)
+    if given == AUTO or "tiles" in chosen.orders:
+        options["reorder"] = choose_order(scene, rays, chosen, test)
+    if Capabilities.NON_TEMPORAL in chosen.capabilities and options["reorder"] != "tiles":
+        options["non_temporal"] = stores_past_caches(known, rays, kind)
+    return Plan(
+        accelerator=tree,
+        traversal=chosen.name,
+        triangle_test=test.name,
+        width=width,
+        coherent=rays.coherent,
+        shared_origin=rays.shared_origin and not known.instances,
+        reason=reason,
+        cull_backfaces=cull_backfaces,
+        **options,
+    )
+
+
+def default_test(triangle_test: str, crossings: bool = False) -> str:
+    """Name of the triangle test for queries that name none: the scene's, or the default test if the query asks for crossings
+    and the scene's test has none.
+    """
+    if triangle_test == AUTO or (crossings and TRIANGLE_TESTS[triangle_test].crossing is None):
+        return DEFAULT_TEST
+    return triangle_test
+
+
+def choose_traversal(scene: SceneFacts, situation: Situation, triangle_test: str = DEFAULT_TEST) -> tuple[str, str]:
+    """Name of the traversal with the best score among those that can answer, and the reason for it."""
+    best, name, reason = 0.0, "", ""
+    for traversal in TRAVERSALS.values():
+        score = None if traversal.score is None else traversal.score(situation)
+        if score is None or score[0] <= best:
+            continue
+        if can_answer(traversal, scene, situation.query, situation.cull_backfaces, triangle_test):
+            (best, reason), name = score, traversal.name
+    return name, reason
+
+
+def situation_of(
+    scene: SceneFacts, rays: RayFacts, query: str, cull_backfaces: bool = False, *, has_wide_form: bool = False
+) -> Situation:
+    """What the scores of traversals depend on, before any ray is traced."""
+    return Situation(
+        query=query,
+        cull_backfaces=cull_backfaces,
+        is_cuda=scene.is_cuda,
+        tree=scene.tree,
+        lanes=scene.width,
+        triangles=scene.triangles,
+        instances=scene.instances,
+        own_spaces=scene.own_spaces,
+        has_wide_form=has_wide_form,
+        rays=rays.count,
+        few=rays.count <= scene.few_rays,
+        coherent=rays.coherent,
+        shared_origin=rays.shared_origin,
+    )
+
+
+def tree_for(traversal: Traversal, scene: SceneFacts) -> str:
+    """Kind of tree that a traversal walks in a scene.
+
+    Raises:
+        ValueError: the traversal does not walk the scene's kind of tree.
+    """
+    kind = scene.tree
+    if not traversal.walks_tree:
+        return "none"
+    if kind not in traversal.trees:
+        able = ", ".join(name for name, entry in TRAVERSALS.items() if kind in entry.trees)
+        other = f"make the scene with accelerator={traversal.trees[0]!r}"
+        raise ValueError(f"traversal {traversal.name!r} does not walk a {kind}; {other}, or choose from auto, {able}")
+    return kind
+
+
+def stream_size(scene: SceneFacts, rays: RayFacts, traversal: Traversal) -> int:
+    """Rays of a stream: fewer if the batch would not give each thread several streams."""
+    if scene.is_cuda:
+        return CUDA_STREAM
+    share = rays.count / max(STREAMS_PER_THREAD * get_num_threads(), scene.instances)
+    most = min(share, longest_stream(scene, traversal))
+    return next((size for size in STREAMS if size <= most), STREAMS[-1])
+
+
+def packet_vectors(scene: SceneFacts, rays: RayFacts, query: str, traversal: Traversal) -> int:
+    """Rays of a packet, in vectors of the tree's width."""
+    if Capabilities.ONE_VECTOR in traversal.capabilities:
+        return 1
+    limits = limits_for(scene.width)
+    if is_dense(scene, rays, limits.crowded):
+        return max(CROWDED_PACKET // scene.width, PACKET_VECTORS)
+    measured = scene.tree == "bvh" and traversal.walks_boxes("bvh")
+    large = is_dense(scene, rays, MANY_RAYS_PER_TRIANGLE) or (ANSWERS[query].ends_at_first and not scene.instances)
+    return limits.large_packet if measured and large else PACKET_VECTORS
+
+
+def is_dense(scene: SceneFacts, rays: RayFacts, least: float) -> bool:
+    """Whether rays from one point are at least this many for each triangle, in a scene of one level."""
+    from_one_point = rays.shared_origin and not scene.instances
+    return from_one_point and rays.count >= least * scene.triangles
+
+
+def choose_culling(scene: SceneFacts, rays: RayFacts, traversal: Traversal, test: TriangleTest) -> str:
+    """Name of the culling with the best score among those that fit."""
+    least = limits_for(scene.width).rough if test.packet_form.pairs else ROUGH_RAYS_PER_TRIANGLE
+    dense, kind, best, name = is_dense(scene, rays, least), scene.tree, 0.0, ""
+    for culling in CULLINGS.values():
+        dense_score, sparse_score = culling.filtered_scores if test.packet_form.pairs else culling.scores
+        score = dense_score if dense else sparse_score
+        if score > best and fits(culling, traversal, kind, test):
+            best, name = score, culling.name
+    return name
+
+
+def stores_past_caches(scene: SceneFacts, rays: RayFacts, query: str) -> bool:
+    """Whether packets write closest hits by non-temporal stores: so numerous that few of them would be in a cache when read."""
+    has_stores = not scene.is_cuda and platform.machine().lower() in ("x86_64", "amd64")
+    return has_stores and ANSWERS[query].shortens and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
+
+
+def choose_order(scene: SceneState, rays: RayFacts, traversal: Traversal, test: TriangleTest) -> str:
+    """The order in which rays are traced."""
+    if "tiles" in traversal.orders:
+        return "tiles" if rays.columns > 0 else "none"
+    return "cells" if "cells" in traversal.orders and rays.scattered and is_large(scene, rays, test) else "none"
+
+
+def is_large(scene: SceneState, rays: RayFacts, test: TriangleTest) -> bool:
+    """Whether the batch and the triangle records are large enough for sorting the rays to pay."""
+    return rays.count >= MIN_RAYS_TO_REORDER and len(scene.tree.primitive) * 4 * test.record.components >= CACHED_BYTES
