@@ -28,11 +28,11 @@ class WindingTree(NamedTuple):
     """A wide BVH of the triangles of a scene, each in one leaf, and its clusters.
 
     Attributes:
-        state: whose tree this is: the scene's own, or one that was built for winding numbers.
+        other: the state that was built for winding numbers; None if the scene's own has such a tree.
         moments: as in `wrt.kernels.fields.winding_walk.Clusters`.
     """
 
-    state: SceneState
+    other: SceneState | None  # not the scene's own, which would keep itself alive
     moments: wp.array
 
 
@@ -45,7 +45,8 @@ def winding_tree(scene: SceneState) -> WindingTree:
     with _lock:
         if scene not in _known:
             state = state_of_one_bvh(scene)
-            _known[scene] = WindingTree(state, moments_of(state.tree.struct(), vertex_blocks(state), state.width))
+            moments = moments_of(state.tree.struct(), vertex_blocks(state), state.width)
+            _known[scene] = WindingTree(None if state is scene else state, moments)
         return _known[scene]
 
 
@@ -100,9 +101,9 @@ def levels_of(child: np.ndarray) -> list[tuple[int, int]]:
     return levels
 
 
-def clusters_of(tree: WindingTree, accuracy: float) -> Clusters:
-    """The clusters for an accuracy above 0."""
-    clusters, state = Clusters(), tree.state
+def clusters_of(tree: WindingTree, state: SceneState, accuracy: float) -> Clusters:
+    """The clusters for an accuracy above 0; `state`: whose tree they are of."""
+    clusters = Clusters()
     lanes = len(tree.moments) // int(MOMENTS)
     clusters.moments, clusters.far = tree.moments, wp.empty(lanes, dtype=float, device=state.device)
     factor = 1.0 / farthest_share(accuracy)

@@ -102,13 +102,13 @@ def sum_of_all(state: SceneState, points: np.ndarray | wp.array) -> wp.array:
 def sum_of_clusters(state: SceneState, points: np.ndarray | wp.array, accuracy: float) -> wp.array:
     """(N,) float32, by the walk of a tree."""
     tree = winding_tree(state)
-    own, device = tree.state, state.device
+    own, device = tree.other or state, state.device
     relative = relative_points(own, flat_points(own, points, points.dtype in (wp.vec3d, np.dtype(np.float64))))
     count = len(relative)
     order = wp.empty(0, dtype=int, device=device)
     if count >= MIN_SORTED:
         order = morton_order(relative, own.device_mesh.low, own.device_mesh.high)
     found = wp.empty(count, dtype=float, device=device)
-    inputs = [own.tree.struct(), vertex_blocks(own), clusters_of(tree, accuracy), relative, order, found]
+    inputs = [own.tree.struct(), vertex_blocks(own), clusters_of(tree, own, accuracy), relative, order, found]
     launch(specialise(make_winding_kernel, own.width), count, inputs, device=device, chunk=64, longest=4096)
     return found
