@@ -223,7 +223,7 @@ struct WaitingCell {
     float away[3];
 };
 
-/// Walks a kd-tree, the nearer child first; arguments as of `walk_boxes`.
+/// Walks a kd-tree, the nearer child first; arguments as in `walk_boxes`.
 template <class Tree, class Kept, class Leaf>
 inline CUDA_CALLABLE void walk_cells(const Tree& tree, const SearchPoint& point, Kept& kept, const Leaf& leaf)
 {
