@@ -268,7 +268,7 @@ def measure_jobs(
     Args:
         names: keys of `JOBS`.
         size: as in `Cell` and `Court`.
-        rounds: turns of each contender.
+        rounds: in which contenders take turns.
         threads: as in `Cell`.
         process: whether to time fresh processes, too.
         on_turn: told what is under way.
