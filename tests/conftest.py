@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gc
 import os
+import random
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -62,16 +64,44 @@ CLASSICS = {
 """Algorithms of kernels/classics and builders/classics. "none" is a key of several tables."""
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Marks the tests that have a classic as a parameter, and those of studies; files about classics alone mark themselves.
-    Leaves out what is marked `exhaustive`, unless `-m` names that."""
+SLOW = frozenset((Path(__file__).with_name("slow.txt")).read_text().split())
+"""Files whose tests take more than some 6 s of a core even when all kernels are compiled."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--sample", metavar="N:SEED", help="of the chosen cases of each test one in N, but at least one")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Iterator[None]:
+    """Marks the tests that have a classic as a parameter, those of studies, and those of slow files; files about classics alone
+    mark themselves. Leaves out what is marked `exhaustive`, unless `-m` names that, and what is not in the sample."""
     for item in items:
+        if item.nodeid.partition("::")[0] in SLOW:
+            item.add_marker("slow")
         if hasattr(item, "callspec") and any(isinstance(one, str) and one in CLASSICS for one in item.callspec.params.values()):
             item.add_marker("classics")
         if item.path.parent.name == "studies":
             item.add_marker("studies")
     if "exhaustive" not in config.option.markexpr:
         items[:] = [item for item in items if not item.get_closest_marker("exhaustive")]
+    yield
+    if config.option.sample:
+        number, _, seed = config.option.sample.partition(":")
+        chosen = sample(items, int(number), seed)
+        kept = {*chosen}
+        config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+        items[:] = chosen
+
+
+def sample(items: list[pytest.Item], number: int, seed: str) -> list[pytest.Item]:
+    """One in `number` of the cases of each test, drawn by the seed, and at least one."""
+    names = [item.nodeid.partition("[")[0] for item in items]
+    drawn = [random.Random(f"{seed} {item.nodeid}").random() for item in items]
+    least: dict[str, float] = {}
+    for name, value in zip(names, drawn, strict=True):
+        least[name] = min(least.get(name, 1.0), value)
+    return [item for item, name, value in zip(items, names, drawn, strict=True) if value < 1 / number or value == least[name]]
 
 
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]

@@ -7,7 +7,9 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
+import conftest
 import pytest
 
 import wrt
@@ -104,3 +106,20 @@ print(before, "wrt.builders.classics.kdtree.naive" in classics())
 """
     result = subprocess.run([sys.executable, "-c", code.replace("QUERY", query)], capture_output=True, text=True, check=True)
     assert result.stdout.splitlines()[-1] == "[] True"
+
+
+def test_slow_files_exist():
+    assert [name for name in conftest.SLOW if not (ROOT / name).is_file()] == []
+
+
+def test_a_sample_has_every_test():
+    """Cases that a seed leaves out, another draws."""
+    items = [SimpleNamespace(nodeid=f"tests/test_one.py::test_{name}[{case}]") for name in "ab" for case in range(30)]
+    items.append(SimpleNamespace(nodeid="tests/test_one.py::test_c"))
+    drawn = [[item.nodeid for item in conftest.sample(items, 3, str(seed))] for seed in range(40)]
+    for nodes in drawn:
+        assert {node.partition("[")[0][-1] for node in nodes} == {*"abc"}
+        assert 8 <= len(nodes) <= 40
+    assert drawn[0] != drawn[1]
+    assert {node for nodes in drawn for node in nodes} == {item.nodeid for item in items}
+    assert conftest.sample(items, 1, "") == items

@@ -37,7 +37,7 @@ from wrt.kernels.classics.studies.variants.watertight_pruning import PRUNED
 from wrt.kernels.classics.studies.walk_orders import make_kernel as make_walk_kernel
 from wrt.kernels.classics.triangle.ferko import VARIANTS
 from wrt.kernels.layout.mesh_placement import make_shift
-from wrt.kernels.points.tree_points import TREES, PointConfig, make_points_kernel
+from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
 from wrt.kernels.query import instance_exact, instance_gradients
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS
@@ -79,38 +79,61 @@ FUSIBLE = re.compile(r"\b(?:fma\.rn|mad|mul|add|sub)\.f32")
 """A multiply-add in one, or an operation without `.rn`, which later steps may make one of: it breaks watertightness and the
 equality of devices."""
 
+HEAD = re.compile(r"^(?:\.\w+ )*\.(entry|func) *(?:\([^)]*\))?\s*([\w$]+)\s*\(", re.MULTILINE)
+"""The head of a kernel or of a function, declared or defined."""
+
+CALL = re.compile(r"\bcall(?:\.uni)?\s*(?:\([^)]*\),)?\s*([\w$]+)")
+
 
 @pytest.fixture(autouse=True)
-def lightly_optimised(monkeypatch):
-    """What is asked here is whether code compiles, not how fast it is."""
-    monkeypatch.setattr(wp.config, "optimization_level", 1)
-
-
-@pytest.fixture
 def not_optimised(monkeypatch):
-    """For tests that do not read the code: NVRTC then takes a fifth of the time for large kernels."""
+    """What is asked here is whether code compiles, not how fast it is: without optimising, NVRTC takes a third of the time for
+    large kernels. Its precompiled headers take longer to load than Warp's header to parse."""
     monkeypatch.setattr(wp.config, "mode", "debug")
+    monkeypatch.setattr(wp.config, "use_precompiled_headers", False)
 
 
 def compile_to_ptx(module, folder) -> str:
+    """The code of a module's kernels and of the functions that they call, themselves or by others: NVRTC, not optimising, keeps
+    all functions of Warp's header."""
     wp.compile_aot_module(module, arch=ARCHITECTURE, module_dir=folder, use_ptx=True)
     (text,) = (path.read_text() for path in folder.glob("*.ptx"))
-    return text
+    heads = list(HEAD.finditer(text))
+    ends = [*(head.start() for head in heads[1:]), len(text)]
+    bodies = {head[2]: text[head.start() : end] for head, end in zip(heads, ends, strict=True) if "{" in text[head.end() : end]}
+    found = [head[2] for head in heads if head[1] == "entry"]
+    for name in found:  # grows
+        found += (set(CALL.findall(bodies[name])) & bodies.keys()) - set(found)
+    return "\n".join(map(bodies.get, found))
 
 
-@pytest.mark.usefixtures("not_optimised")
+@pytest.mark.parametrize("may_fuse", [False, True])
+def test_plain_operations_are_found(may_fuse, tmp_path):
+    """What the tests below look for, in a function that the kernel calls: not optimised, they have no `.rn` even where Warp
+    forbids to fuse them."""
+
+    @wp.func
+    def scaled(x: float, by: float):
+        return by * x
+
+    @wp.kernel(module="unique", module_options={"fuse_fp": may_fuse})
+    def moved(x: wp.array(dtype=float)):
+        i = wp.tid()
+        x[i] = scaled(x[i], 3.0)
+
+    assert FUSIBLE.search(compile_to_ptx(moved.module, tmp_path))
+
+
 @pytest.mark.parametrize("name", modules_with_kernels())
 def test_module(name, tmp_path):
     assert ".entry" in compile_to_ptx(importlib.import_module(name), tmp_path)
 
 
-@pytest.mark.usefixtures("not_optimised")
 @pytest.mark.parametrize("method", KDTREE_METHODS, ids=lambda method: method.search.key)
 def test_kdtree_subtrees(method, tmp_path):
     assert ".entry" in compile_to_ptx(make_build_subtrees(method).module, tmp_path)
 
 
-@pytest.mark.usefixtures("not_optimised")
 @pytest.mark.parametrize("method", SCANNING_METHODS, ids=lambda method: method.search.key)
 def test_kdtree_levels(method, tmp_path):
     assert ".entry" in compile_to_ptx(make_decide(method.memory, method.search).module, tmp_path)
@@ -135,9 +158,15 @@ def test_bvh_builder(name, tmp_path):
     assert ".entry" in compile_to_ptx(BVH_KERNELS[name].module, tmp_path)
 
 
-@pytest.mark.parametrize("tree", TREES)
-def test_points(tree, tmp_path):
-    text = compile_to_ptx(make_points_kernel(PointConfig(tree, 2, 1)).module, tmp_path)
+POINTS = [
+    *((tree, "nearest", instances) for tree in TREES for instances in (False, True)),
+    *(("bvh", task, False) for task in TASKS if task != "nearest"),
+]
+
+
+@pytest.mark.parametrize(("tree", "task", "instances"), POINTS)
+def test_points(tree, task, instances, tmp_path):
+    text = compile_to_ptx(make_points_kernel(PointConfig(tree, 2, 1, task, instances)).module, tmp_path)
     assert ".entry" in text
     assert not FUSIBLE.search(text)
 

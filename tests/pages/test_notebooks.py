@@ -40,6 +40,17 @@ REFERENCES = re.compile(r"(\breference_samples = )\d+")
 SMALLER = {"detail": 5, "cells": 14, "level": 8, "trees": 3, "samples": 8, "size": 64}
 """Largest sizes of built-in scenes, samples of a pixel and pixels along a side; only whole ones."""
 
+EFFORT = re.compile(r'("tests": |pairs=)1 << \d+')
+"""Pairs of a ray and a triangle that a notebook measures with; here few."""
+
+FEWER = (
+    ("in TRAVERSALS.items():", 'in [(way, TRAVERSALS[way]) for way in ("single", "packet", "interleaved")]:'),
+    ("for name in CULLINGS", 'for name in ("none", "vertex", "frustum")'),
+    ('scenes.build("atrium")\ncamera', 'scenes.build("atrium", detail=2)\ncamera'),
+)
+"""What notebooks go through from end to end, and here in part: each row takes kernels of its own, which other tests hold
+against brute force, and the code of a notebook is the same for all."""
+
 WHOLE_SIZES = re.compile(rf"\b({'|'.join(SMALLER)})=(\d+)\b(?!\.)")
 
 RATIO = re.compile(r"\b\d+\.\d+x\b|\b\d+(?:\.\d+)? times\b|\d %")
@@ -54,11 +65,19 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 def reduced(source: str) -> str:
     """The source of a cell, with few rounds, samples and triangles."""
     source = SIZES.sub(r"\g<1>(64,)", REFERENCES.sub(r"\g<1>100", ROUNDS.sub(r"\g<1>1", source)))
+    source = EFFORT.sub(r"\g<1>1 << 14", source)
+    for whole, part in FEWER:
+        source = source.replace(whole, part)
     return WHOLE_SIZES.sub(lambda given: f"{given[1]}={min(int(given[2]), SMALLER[given[1]])}", source)
 
 
 def test_there_are_notebooks():
     assert NOTEBOOKS
+
+
+@pytest.mark.parametrize("whole", [whole for whole, _ in FEWER])
+def test_what_is_shortened_is_in_a_notebook(whole):
+    assert any(whole in "".join(cell["source"]) for path in NOTEBOOKS for cell in json.loads(path.read_text())["cells"])
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -260,8 +260,22 @@ def test_degenerate_triangles_miss(name, device):
         assert not hits.is_hit.any()
 
 
-@pytest.mark.parametrize(("tree", "traversal"), [("kdtree", "single"), ("bvh", "packet"), ("bvh", "stream")])
-@pytest.mark.parametrize("name", [name for name in TRIANGLE_TESTS if name not in ENGINE_TESTS])
+OTHER_TESTS = [name for name in TRIANGLE_TESTS if name not in ENGINE_TESTS]
+ONE_RAY_EACH = (("kdtree", "single"), ("bvh", "stream"))
+"""Ways to meet leaves with one ray and many triangles, which a test answers in its one form for these."""
+
+
+@pytest.mark.parametrize(
+    ("name", "tree", "traversal"),
+    [
+        *((name, "bvh", "packet") for name in OTHER_TESTS),
+        *(
+            pytest.param(name, *way, marks=[pytest.mark.exhaustive] if (i + k) % 2 else [])
+            for i, name in enumerate(OTHER_TESTS)
+            for k, way in enumerate(ONE_RAY_EACH)
+        ),
+    ],
+)
 def test_in_the_engine(name, tree, traversal, device):
     """Trees find with any test what brute force finds with it; `ENGINE_TESTS` go through all the engine elsewhere."""
     scene = wrt.Scene(degenerate_soup(), tree, device=device)
