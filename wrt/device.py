@@ -24,6 +24,7 @@ ray at a time, it can call:
 * `first_hit(...)`, then `next_hit(scene, origin, direction, hit, t_max)` until it misses: all hits, as
   `Scene.intersect_all`. Each call is a new search from the previous hit on: nothing is stored, and the number of hits is
   not limited;
+* `closest_point(scene, point, max_distance)`: a `Hit` whose t is the distance, as `Scene.closest_point`;
 * `position(scene, hit)`, `normal(scene, hit)`, `faces(scene, hit, direction)`, `spawn(scene, hit, direction)`: as in
   `wrt.Hits`;
 * `seeing(scene, mask, environment)`: in a scene of instances, the handle for rays that see those instances only, as `mask` and
@@ -35,8 +36,8 @@ not have, and without fused multiply-add, which would change hits and let rays s
 refused. A kernel is compiled once for each kind, width and depth (in steps of eight levels) of tree that it is launched
 with. Results are the same on every device.
 
-Two more functions for programs in Warp: `differentiable_hits` gives hits with gradients for a `wp.Tape`, and `show_compiling`
-shows the progress of compiling.
+More functions for programs in Warp: `differentiable_hits` and `differentiable_points` give hits and closest points with
+gradients for a `wp.Tape`, and `show_compiling` shows the progress of compiling.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ import warp as wp
 
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.plan.plan import Plan, stack_levels
+from wrt.kernels.points.device_points import add_point_search, closest_point
 from wrt.kernels.query.device_functions import (
     TRIANGLE_TEST,
     Hit,
@@ -73,13 +75,15 @@ from wrt.lazy_names import lazy_names
 from wrt.meshes.instance import EVERY, MAX_MASK, check_environment, check_mask
 from wrt.tapes import takes_gradients, tape_records
 
-if TYPE_CHECKING:  # the first two are the names of `_HOME`, for type checkers
+if TYPE_CHECKING:  # the first three are the names of `_HOME`, for type checkers
     from wrt.engine.facts.scene_state import SceneState
     from wrt.kernels.compilation.compile_progress import show_compiling as show_compiling
     from wrt.query.gradients import differentiable_hits as differentiable_hits
+    from wrt.query.points.differentiable_points import differentiable_points as differentiable_points
 
 _HOME = {
     "differentiable_hits": "wrt.query.gradients",
+    "differentiable_points": "wrt.query.points.differentiable_points",
     "show_compiling": "wrt.kernels.compilation.compile_progress",
 }
 
@@ -88,6 +92,7 @@ __all__ = [
     "SceneHandle",
     "any_hit",
     "closest_hit",
+    "closest_point",
     "count_hits",
     "faces",
     "first_hit",
@@ -210,13 +215,16 @@ def handle_of(scene: SceneState, mask: int | None = None, environment: int | Non
     )
     levels = stack_levels(scene.tree.depth) if plan.accelerator == "bvh" or scene.instances else 0
     if scene.instances:
-        handle = launching.specialise(partial(instances_handle_type, plan.accelerator, plan.width), levels)()  # type: ignore[arg-type]
+        kind = launching.specialise(partial(instances_handle_type, plan.accelerator, plan.width), levels)  # type: ignore[arg-type]
+        handle = kind()
         handle.top, handle.parts = scene.upper(), scene.lower(plan, None)
         handle.mask, handle.environment = wp.uint32(mask), environment
     else:
-        kind = partial(handle_type, plan.accelerator, plan.width, shared_leaves=scene.shares_leaves)
-        handle = launching.specialise(kind, levels)()  # type: ignore[arg-type]
+        make = partial(handle_type, plan.accelerator, plan.width, shared_leaves=scene.shares_leaves)
+        kind = launching.specialise(make, levels)  # type: ignore[arg-type]
+        handle = kind()
         handle.tree, handle.triangles = scene.tree.struct(), records_of(scene, plan, None)
+    launching.specialise(partial(add_point_search, kind, plan.accelerator, plan.width), bool(scene.instances))  # type: ignore[arg-type]
     handle.mesh = scene.device_mesh
     fill_gaps(handle, scene.device)
     return handle

@@ -1,7 +1,7 @@
 """What methods return, beside `wrt.Hits` and `wrt.AllHits`. Users read these classes, and do not make them.
 
 * Of `Scene.intersect(..., precise=True)`: `PreciseHits`; of `wrt.device.differentiable_hits`: `DifferentiableHits`.
-* Of `Scene.closest_point`: `ClosestPoints`.
+* Of `Scene.closest_point`: `ClosestPoints`; of `Scene.within`: `TrianglesWithin`.
 * Of `Scene.explain`, and `Hits.plan`: `Plan`; of `Scene.verify`: `Verification`, with `Fault` and `InsideCheck`.
 * Of `Scene.statistics`: `SceneStatistics`, whose `tree` is a `BvhStatistics` or a `KdTreeStatistics`.
 * `Scene.last_update` is an `UpdateReport`, `TriangleMesh.materials` a `MeshMaterials`.
@@ -22,6 +22,7 @@ _HOME = {
     "Plan": "wrt.engine.plan.plan",
     "PreciseHits": "wrt.query.exact_hits",
     "SceneStatistics": "wrt.scene.scene_statistics",
+    "TrianglesWithin": "wrt.query.points.closest_points",
     "UpdateReport": "wrt.scene.updates",
     "Verification": "wrt.query.verification",
 }

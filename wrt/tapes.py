@@ -27,14 +27,15 @@ def takes_gradients(value: Any) -> bool:
     return False
 
 
-def refuse_tape(query: str, arrays: Iterable[Any]) -> None:
-    """Refuses arrays with gradients in a query that has none.
+def refuse_tape(query: str, arrays: Iterable[Any], remedy: str = "differentiable_hits") -> None:
+    """Refuses arrays with gradients in a query that has none; remedy: the function of `wrt.device` that has them.
 
     Raises:
         ValueError: a tape records, and one of the arrays requires gradients.
     """
     if tape_records() and any(isinstance(values, wp.array) and values.requires_grad for values in arrays):
         raise ValueError(
-            f"{query} has no gradients, and inside a wp.Tape these rays require them; call it before the tape, or with "
-            "wp.clone(array, requires_grad=False), and pass its hits to wrt.device.differentiable_hits inside the tape"
+            f"{query} has no gradients, and inside a wp.Tape these {'rays' if 'hits' in remedy else 'points'} require them; "
+            "call it before the tape, or with wp.clone(array, requires_grad=False), and pass its results to "
+            f"wrt.device.{remedy} inside the tape"
         )

@@ -1,22 +1,13 @@
-// Nearest triangles of points: the distance of a point from a triangle, W triangles at a time, and walks of trees.
+// Searches of the triangles near points: what is kept of them, W triangles of a block at a time, and walks of trees.
 //
-// wrt.kernels.points has the formulas and the bounds of their rounding, and point_triangle.py the same operations in plain Warp.
-// Everything is relative to the point, which is the origin.
+// wrt.kernels.points has the bounds of rounding by which boxes are left out. Coordinates are those of a tree. Distances are the
+// scene's: a map of an instance multiplies those in its tree by a scale, which is 1 in a scene without instances.
 #pragma once
 #include "lanes.h"
+#include "nearest_on_triangle.h"
 
 namespace wrt {
 namespace {
-
-/// A triangle whose doubled area squared is less than this part of its edges' product has its weights computed in float64.
-constexpr float FLAT = 0.0009765625f;
-
-/// The same for areas outside of this range, in which float32 keeps all digits.
-constexpr float LEAST_AREA = 1e-30f, GREATEST_AREA = 1e30f;
-
-/// A foot on the face is nearer than all edges, so it is taken although rounding makes it farther, by no more than this part of its
-/// squared distance and this part of that of the triangle's first vertex.
-constexpr float FACE_SHARE = 1.000003814697265625f, FACE_SLACK = 3.637978807091713e-12f;
 
 /// Distances of boxes and of triangles may be wrong by this part of the distance of the farthest point of the scene.
 constexpr float POINT_SLACK = 1.9073486328125e-6f;
@@ -24,120 +15,27 @@ constexpr float POINT_SLACK = 1.9073486328125e-6f;
 /// Squares of distances below this are no normal numbers.
 constexpr float LEAST_DISTANCE = 1e-18f;
 
+/// Factor of bounds that are computed from distances, so that rounding loses nothing that is as near.
+constexpr float WIDENED = 1.000001f;
+
 /// Greatest number of inner nodes on a path from the root.
 constexpr int TREE_DEPTH = 64;
 
-struct Offset {
-    float x, y, z;
-};
-
-inline CUDA_CALLABLE Offset operator-(const Offset& p, const Offset& q) { return {p.x - q.x, p.y - q.y, p.z - q.z}; }
-inline CUDA_CALLABLE float dot(const Offset& p, const Offset& q) { return (p.x * q.x + p.y * q.y) + p.z * q.z; }
-
-inline CUDA_CALLABLE Offset cross(const Offset& p, const Offset& q)
-{
-    return {p.y * q.z - p.z * q.y, p.z * q.x - p.x * q.z, p.x * q.y - p.y * q.x};
-}
-
-inline CUDA_CALLABLE Offset moved(const Offset& p, float t, const Offset& e)
-{
-    return {p.x + t * e.x, p.y + t * e.y, p.z + t * e.z};
-}
-
-/// The nearest point of an edge: the square of its distance, and its place from the nearer end, whichever that is.
-struct OnEdge {
-    float square, place;
-    bool from_second;
-};
-
-/// pp, qq: squared lengths of the ends p and q. Both triangles at an edge get the same square.
-inline CUDA_CALLABLE OnEdge nearest_on_edge(const Offset& p, const Offset& q, float pp, float qq)
-{
-    const bool second = qq < pp;
-    const Offset d = q - p, base = {second ? q.x : p.x, second ? q.y : p.y, second ? q.z : p.z};
-    const Offset e = {second ? -d.x : d.x, second ? -d.y : d.y, second ? -d.z : d.z};
-    float t = -dot(base, e) / dot(e, e);
-    t = t > 0.0f ? t : 0.0f;
-    t = t < 1.0f ? t : 1.0f;
-    const Offset at = moved(base, t, e);
-    return {dot(at, at), t, second};
-}
-
-/// The nearest point of a triangle: the square of its distance, the weights of b and c, and the dimension of what it is on.
-struct OnTriangle {
-    float square, u, v;
-    int feature;
-};
-
-/// Weights of b and c at the foot of the perpendicular on the plane. The triangle has no area: NaN, or an infinity.
-struct Foot {
-    float u, v;
-    bool flat;
-};
-
-inline CUDA_CALLABLE Foot foot_on_plane(const Offset& a, const Offset& ab, const Offset& ac)
-{
-    const Offset n = cross(ab, ac);
-    const float area = dot(n, n);
-    const bool sure = (area >= FLAT * (dot(ab, ab) * dot(ac, ac))) & (area > LEAST_AREA) & (area < GREATEST_AREA);
-    return {dot(n, cross(ac, a)) / area, dot(n, cross(a, ab)) / area, !sure};
-}
-
-/// The same in float64, for triangles without much of an area.
-inline CUDA_CALLABLE Foot exact_foot(const Offset& a, const Offset& ab, const Offset& ac)
-{
-    const double ax = a.x, ay = a.y, az = a.z, bx = ab.x, by = ab.y, bz = ab.z, cx = ac.x, cy = ac.y, cz = ac.z;
-    const double nx = by * cz - bz * cy, ny = bz * cx - bx * cz, nz = bx * cy - by * cx;
-    const double area = (nx * nx + ny * ny) + nz * nz;
-    const double b = (nx * (cy * az - cz * ay) + ny * (cz * ax - cx * az)) + nz * (cx * ay - cy * ax);
-    const double c = (nx * (ay * bz - az * by) + ny * (az * bx - ax * bz)) + nz * (ax * by - ay * bx);
-    return {(float)(b / area), (float)(c / area), false};
-}
-
-/// The squared distance of the foot if it is inside the face; infinity if not.
-inline CUDA_CALLABLE float square_of_foot(const Offset& a, const Offset& ab, const Offset& ac, const Foot& foot)
-{
-    const Offset at = moved(moved(a, foot.u, ab), foot.v, ac);
-    const bool within = (foot.u > 0.0f) & (foot.v > 0.0f) & (foot.u + foot.v < 1.0f);
-    return within ? dot(at, at) : WRT_INFINITY;
-}
-
-/// The nearest point of one triangle.
-inline CUDA_CALLABLE OnTriangle nearest_on_triangle(const Offset& a, const Offset& b, const Offset& c)
-{
-    const float aa = dot(a, a), bb = dot(b, b), cc = dot(c, c);
-    const OnEdge ab = nearest_on_edge(a, b, aa, bb), bc = nearest_on_edge(b, c, bb, cc), ca = nearest_on_edge(c, a, cc, aa);
-    const float from_a = 1.0f - ab.place, from_b = 1.0f - bc.place, from_c = 1.0f - ca.place;
-    OnTriangle found = {ab.square, ab.from_second ? from_a : ab.place, 0.0f, 0};
-    float place = ab.place;
-    if (bc.square < found.square) {
-        found = {bc.square, bc.from_second ? bc.place : from_b, bc.from_second ? from_b : bc.place, 0};
-        place = bc.place;
-    }
-    if (ca.square < found.square) {
-        found = {ca.square, 0.0f, ca.from_second ? ca.place : from_c, 0};
-        place = ca.place;
-    }
-    found.feature = ((place > 0.0f) & (place < 1.0f)) ? 1 : 0;
-    const Offset e1 = b - a, e2 = c - a;
-    Foot foot = foot_on_plane(a, e1, e2);
-    if (foot.flat) foot = exact_foot(a, e1, e2);
-    const float square = square_of_foot(a, e1, e2, foot);
-    if (square <= found.square * FACE_SHARE + aa * FACE_SLACK) found = {square, foot.u, foot.v, 2};
-    return found;
-}
-
-/// The best triangle so far. slot: where it is in the blocks; limit: no box whose squared distance is greater is searched.
-struct NearestTriangle {
-    float square;
-    int primitive, slot;
-    float limit;
-};
-
-/// A point, the distance beyond which it does not search, and that of the farthest point of the scene.
+/// A point; slack: POINT_SLACK of the distance of the farthest point of the tree's box, a NaN for a point that finds nothing.
 struct SearchPoint {
-    float x, y, z, most, slack;
+    float x, y, z, slack;
 };
+
+template <class Vec3> inline CUDA_CALLABLE SearchPoint point_in(const Vec3& low, const Vec3& high, float x, float y, float z)
+{
+    const float at[3] = {x, y, z};
+    float reach = 0.0f;
+    for (int a = 0; a < 3; ++a) {
+        const float below = WRT_ABS(low.c[a] - at[a]), above = WRT_ABS(high.c[a] - at[a]);
+        reach += below > above ? below : above;
+    }
+    return {x, y, z, reach - reach == 0.0f ? reach * POINT_SLACK + LEAST_DISTANCE : WRT_NAN};
+}
 
 inline CUDA_CALLABLE float square_root(float x)
 {
@@ -148,21 +46,55 @@ inline CUDA_CALLABLE float square_root(float x)
 #endif
 }
 
-/// The greatest squared distance of a box that may hold a triangle as near as `distance`, as both are computed.
-inline CUDA_CALLABLE float limit_of(float distance, const SearchPoint& point)
-{
-    const float wide = distance + point.slack;
-    return wide * wide * 1.000001f;
-}
+/// What every search has: up to which distance it looks for triangles, and the tree that it is in.
+struct Search {
+    float most;  // greatest distance of a triangle that is found
+    float scale = 1.0f;  // of distances in the tree
+    int first = 0;  // number of the tree's first triangle
+    float limit = 0.0f;  // no box is entered whose squared distance in the tree is greater
+    float bound = 0.0f;  // no triangle is kept whose squared distance in the tree is greater
 
-inline CUDA_CALLABLE void keep_nearer(NearestTriangle& best, float square, int primitive, int slot, const SearchPoint& point)
-{
-    const bool nearer = (square < best.square) | ((square == best.square) & (primitive < best.primitive));
-    if (!nearer) return;
-    const float distance = square_root(square);
-    best.square = square, best.primitive = primitive, best.slot = slot;
-    best.limit = limit_of(distance < point.most ? distance : point.most, point);
-}
+    /// Looks up to a distance of the scene.
+    inline CUDA_CALLABLE void look_up_to(float distance, float slack)
+    {
+        const float own = distance / scale * WIDENED + LEAST_DISTANCE, wide = own + slack;
+        bound = own * own;
+        limit = wide * wide * WIDENED;
+    }
+
+    /// Counts of work, by searches that count it.
+    inline CUDA_CALLABLE void visit_node() { }
+    inline CUDA_CALLABLE void visit_leaf(int) { }
+};
+
+/// The nearest triangle: of those at the same distance, that with the smallest number. slot: where it is in the blocks.
+struct NearestTriangle : Search {
+    float distance = WRT_INFINITY;
+    int number = -1, slot = -1;
+
+    explicit CUDA_CALLABLE NearestTriangle(float most) { this->most = most; }
+
+    inline CUDA_CALLABLE float farthest() const { return distance < most ? distance : most; }
+
+    inline CUDA_CALLABLE void keep(float square, int primitive, int place, const SearchPoint& point)
+    {
+        const float away = square_root(square) * scale;
+        const int own = first + primitive;
+        if (!(away <= most) || !((away < distance) | ((away == distance) & (own < number)))) return;
+        distance = away, number = own, slot = place;
+        look_up_to(away, point.slack);
+    }
+};
+
+/// The same, with its work.
+struct CountedNearest : NearestTriangle {
+    int nodes = 0, leaves = 0, triangles = 0;
+
+    using NearestTriangle::NearestTriangle;
+
+    inline CUDA_CALLABLE void visit_node() { ++nodes; }
+    inline CUDA_CALLABLE void visit_leaf(int count) { ++leaves, triangles += count; }
+};
 
 /// The vertex of a record, less the point.
 template <int W> inline CUDA_CALLABLE Offset vertex_at(const float* record, int vertex, const SearchPoint& point)
@@ -171,15 +103,14 @@ template <int W> inline CUDA_CALLABLE Offset vertex_at(const float* record, int 
     return {from[0] - point.x, from[W] - point.y, from[2 * W] - point.z};
 }
 
-/// The W triangles of a block. record: the vertices, in rows of W lanes.
-template <int W>
-inline CUDA_CALLABLE void search_block(
-    const float* records, const int* ids, int block, const SearchPoint& point, NearestTriangle& best)
+/// The W triangles of a block. records: of ROWS rows of W lanes, the first nine of which are vertices.
+template <int W, int ROWS, class Kept>
+inline CUDA_CALLABLE void search_block(const float* records, const int* ids, int block, const SearchPoint& point, Kept& kept)
 {
-    const float* const record = records + (size_t)block * (9 * W);
+    const float* const record = records + (size_t)block * (ROWS * W);
     float square[W];
     int flat[W], near[W];
-    const float bound = best.square;
+    const float bound = kept.bound;
     WRT_FOR_LANES (i) {
         const Offset a = vertex_at<W>(record + i, 0, point), b = vertex_at<W>(record + i, 1, point);
         const Offset c = vertex_at<W>(record + i, 2, point);
@@ -205,8 +136,16 @@ inline CUDA_CALLABLE void search_block(
     }
     for (; left; left &= left - 1u) {
         const int i = lowest_bit(left), slot = block * W + i;
-        keep_nearer(best, square[i], ids[slot], slot, point);
+        kept.keep(square[i], ids[slot], slot, point);
     }
+}
+
+/// A leaf of some triangles, whose blocks begin at `block`.
+template <int W, int ROWS, class Triangles, class Kept>
+inline CUDA_CALLABLE void search_leaf(const Triangles& triangles, int block, int count, const SearchPoint& point, Kept& kept)
+{
+    kept.visit_leaf(count);
+    for (; count > 0; count -= W) search_block<W, ROWS>(triangles.records.data, triangles.primitive.data, block++, point, kept);
 }
 
 /// Squared distance along an axis, of an interval.
@@ -245,17 +184,18 @@ template <int W> inline CUDA_CALLABLE void sort_keys(int* key)
 #endif
 }
 
-/// The nearest triangle in a wide BVH. Children wait on a stack, those of a node sorted, the nearest on top.
-template <int W, class Tree, class Triangles>
-inline CUDA_CALLABLE void walk_boxes(
-    const Tree& tree, const Triangles& triangles, const SearchPoint& point, NearestTriangle& best)
+/// Walks a wide BVH from a node on. Children wait on a stack, those of a node sorted, the nearest on top.
+///
+/// leaf(block, count): visits one. kept: `limit` says which boxes are entered, and may fall at leaves.
+template <int W, class Tree, class Kept, class Leaf>
+inline CUDA_CALLABLE void walk_boxes(const Tree& tree, int node, const SearchPoint& point, Kept& kept, const Leaf& leaf)
 {
-
-    int keys[TREE_DEPTH * (W - 1) + 1 + W], nodes[TREE_DEPTH * (W - 1) + 1 + W], size = 0, node = 0;
+    int keys[TREE_DEPTH * (W - 1) + 1 + W], nodes[TREE_DEPTH * (W - 1) + 1 + W], size = 0;
     const float* const bounds = tree.bounds.data;
     const int* const child = tree.child.data;
     while (true) {
-        const int count = child_keys<W>(bounds + (size_t)node * (6 * W), point, best.limit, keys + size);
+        kept.visit_node();
+        const int count = child_keys<W>(bounds + (size_t)node * (6 * W), point, kept.limit, keys + size);
         if (count > 1) sort_keys<W>(keys + size);
         else if (count == 1) {
             int only = -1;
@@ -267,14 +207,10 @@ inline CUDA_CALLABLE void walk_boxes(
         node = -1;
         while (size > 0 && node < 0) {
             --size;
-            if (!(__builtin_bit_cast(float, keys[size] & ~(W - 1)) <= best.limit)) continue;
+            if (!(__builtin_bit_cast(float, keys[size] & ~(W - 1)) <= kept.limit)) continue;
             const int word = child[nodes[size] * W + (keys[size] & (W - 1))];
             if (word >= 0) node = word;
-            else {
-                int block = ~word >> 6;
-                for (int left = ~word & 63; left > 0; left -= W)
-                    search_block<W>(triangles.records.data, triangles.primitive.data, block++, point, best);
-            }
+            else leaf(~word >> 6, ~word & 63);
         }
         if (node < 0) return;
     }
@@ -286,12 +222,10 @@ struct WaitingCell {
     float away[3];
 };
 
-/// The nearest triangle in a kd-tree: the nearer child first.
-template <int W, class Tree, class Triangles>
-inline CUDA_CALLABLE void walk_cells(
-    const Tree& tree, const Triangles& triangles, const SearchPoint& point, NearestTriangle& best)
+/// Walks a kd-tree, the nearer child first; arguments as of `walk_boxes`.
+template <class Tree, class Kept, class Leaf>
+inline CUDA_CALLABLE void walk_cells(const Tree& tree, const SearchPoint& point, Kept& kept, const Leaf& leaf)
 {
-
     const float at[3] = {point.x, point.y, point.z};
     WaitingCell stack[TREE_DEPTH + 1], cell = {tree.root, {}};
     for (int a = 0; a < 3; ++a) cell.away[a] = outside(tree.low.c[a], tree.high.c[a], at[a]);
@@ -300,9 +234,10 @@ inline CUDA_CALLABLE void walk_cells(
     while (size > 0) {
         cell = stack[--size];
         const float square = (cell.away[0] * cell.away[0] + cell.away[1] * cell.away[1]) + cell.away[2] * cell.away[2];
-        if (!(square <= best.limit)) continue;
+        if (!(square <= kept.limit)) continue;
         int first = tree.nodes.data[cell.node].c[0], second = tree.nodes.data[cell.node].c[1];
         while ((second & 3) != 3) {
+            kept.visit_node();
             const int axis = second & 3, right = second >> 2;
             const float away = at[axis] - __builtin_bit_cast(float, first);
             WaitingCell far = cell;
@@ -313,80 +248,28 @@ inline CUDA_CALLABLE void walk_cells(
             stack[size++] = far;
             first = tree.nodes.data[cell.node].c[0], second = tree.nodes.data[cell.node].c[1];
         }
-        for (int left = second >> 2; left > 0; left -= W)
-            search_block<W>(triangles.records.data, triangles.primitive.data, first++, point, best);
+        leaf(first, second >> 2);
     }
 }
 
-/// The trees, as `nearest_of_group` walks them.
+/// The trees, as searches walk them.
 struct BoxTree {
-    template <int W, class Tree, class Triangles>
-    static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& p, NearestTriangle& best)
+    template <int W, int ROWS, class Tree, class Triangles, class Kept>
+    static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept)
     {
-        walk_boxes<W>(tree, triangles, p, best);
+        const auto leaf = [&](int block, int count) { search_leaf<W, ROWS>(triangles, block, count, point, kept); };
+        walk_boxes<W>(tree, 0, point, kept, leaf);
     }
 };
 
 struct CellTree {
-    template <int W, class Tree, class Triangles>
-    static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& p, NearestTriangle& best)
+    template <int W, int ROWS, class Tree, class Triangles, class Kept>
+    static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept)
     {
-        walk_cells<W>(tree, triangles, p, best);
+        const auto leaf = [&](int block, int count) { search_leaf<W, ROWS>(triangles, block, count, point, kept); };
+        walk_cells(tree, point, kept, leaf);
     }
 };
-
-/// What a point searches; `slack` is a NaN for one that finds nothing.
-template <class Tree, class Points> inline CUDA_CALLABLE SearchPoint search_point(const Tree& tree, const Points& points, int i)
-{
-    const auto& given = points.position.data[i];
-    const float most = points.most.data[(size_t)i * points.most_stride];
-    float reach = 0.0f;
-    for (int a = 0; a < 3; ++a) {
-        const float below = WRT_ABS(tree.low.c[a] - given.c[a]), above = WRT_ABS(tree.high.c[a] - given.c[a]);
-        reach += below > above ? below : above;
-    }
-    const bool valid = (reach - reach == 0.0f) & (most >= 0.0f);
-    return {given.c[0], given.c[1], given.c[2], most, valid ? reach * POINT_SLACK + LEAST_DISTANCE : WRT_NAN};
-}
-
-/// The answer of a point: of a triangle in `slot`, whose distance must not be greater than the point allows.
-template <int W, class Triangles, class Found>
-inline CUDA_CALLABLE void store_nearest(
-    const Triangles& triangles, const SearchPoint& point, const NearestTriangle& best, const Found& found, int i)
-{
-    const float distance = square_root(best.square);
-    OnTriangle at = {0.0f, 0.0f, 0.0f, -1};
-    const bool is_found = (best.slot >= 0) & (distance <= point.most);
-    if (is_found) {
-        const float* const record = triangles.records.data + (size_t)(best.slot / W) * (9 * W) + best.slot % W;
-        const Offset a = vertex_at<W>(record, 0, point), b = vertex_at<W>(record, 1, point);
-        at = nearest_on_triangle(a, b, vertex_at<W>(record, 2, point));
-    }
-    found.distance.data[i] = is_found ? distance : WRT_INFINITY;
-    found.primitive.data[i] = is_found ? best.primitive : -1;
-    found.uv.data[i].c[0] = at.u, found.uv.data[i].c[1] = at.v;
-    found.feature.data[i] = (signed char)at.feature;
-}
-
-/// The answers of GROUP points from number `first` of the order on. Each begins with the triangles that were nearest to the
-/// point before it.
-template <class Kind, int W, int GROUP, class Tree, class Triangles, class Points, class Found>
-inline CUDA_CALLABLE void nearest_of_group(
-    const Tree& tree, const Triangles& triangles, const Points& points, const Found& found, int first)
-{
-    int block = -1;
-    for (int place = first; place < first + GROUP && place < points.count; ++place) {
-        const int i = points.order.shape[0] ? points.order.data[place] : place;
-        const SearchPoint point = search_point(tree, points, i);
-        NearestTriangle best = {WRT_INFINITY, -1, -1, limit_of(point.most, point)};
-        if (point.slack == point.slack) {
-            if (block >= 0) search_block<W>(triangles.records.data, triangles.primitive.data, block, point, best);
-            Kind::template walk<W>(tree, triangles, point, best);
-        }
-        if (best.slot >= 0) block = best.slot / W;
-        store_nearest<W>(triangles, point, best, found, i);
-    }
-}
 
 }  // namespace
 }  // namespace wrt

@@ -1,4 +1,4 @@
-"""Queries about points: the triangle that is nearest to each, by brute force, through a wide BVH and through a kd-tree.
+"""Queries about points: the triangles that are nearest to each, by brute force, through wide BVHs and through kd-trees.
 
 **Problem.** Of all triangles, find the one with the least distance from a point, without a test of each.
 
@@ -30,9 +30,16 @@ normal numbers, so the bound adds that.
 **Search.** Depth first. The children of a wide node are tested in lanes, their squared distances sorted in a register, and
 pushed so that the nearest is on top. In a kd-tree, the nearer child comes first, and a cell's distance is kept axis by axis
 (Arya and Mount 1993). Points are sorted by cells along a Morton curve, and each begins with the triangles that were nearest to
-the one before it: its first bound is nearly final (`wrt.kernels.points.point_order`).
+the one before it: its first bound is nearly final (`wrt.kernels.points.point_order`). The k nearest triangles are kept sorted,
+and the bound is the distance of the last; those within a distance are counted, then listed, sorted, and each kept once.
 
-**Limits.** Squared distances that differ by less than 2^-23 are the same in float32, so that of triangles side by side the one
+**Instances.** A map that keeps angles scales all distances alike. A BVH over the boxes of the instances is walked in the same
+way. At a leaf, the point is mapped in float64 by the inverse and rounded once, and the instance's own tree is walked, up to
+the least distance so far over the scale. Distances are compared in the scene: the computed one in the mesh's space times the
+scale. As a map stretches the sum over the axes by up to the root of 3, and may differ from a similar one by 1e-6, boxes of
+instances have 8 times the slack above.
+
+**Limits.** Distances that differ by less than 2^-23 are the same in float32, so that of triangles side by side the one
 with the smaller id may be taken, with a position 5e-4 of the distance beside the nearest one. A point with a NaN or an infinity
 finds nothing, nor does one farther than 1.8e19 from all triangles: its square overflows.
 
@@ -40,8 +47,9 @@ finds nothing, nor does one farther than 1.8e19 from all triangles: its square o
     point_batch.py      points and answers on the device
     point_order.py      the order in which points are searched
     brute_points.py     every triangle
-    instance_points.py  points in the spaces of instances
-    tree_points.py      the kernels that walk trees, by kernels/native/points.h
+    device_points.py    points in your own kernels
+    point_gradients.py  closest points of given triangles, with adjoints
+    tree_points.py      the kernels that walk trees, by kernels/native/point_groups.h
 
 References: ericson-2005 (section 5.1.5); arya-mount-1993; morton-1966.
 """

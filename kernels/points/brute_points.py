@@ -30,7 +30,7 @@ def nearest_of_all(
         for k in range(faces.shape[0]):
             face = faces[k]
             on = nearest_on_triangle(vertices[face[0]] - point, vertices[face[1]] - point, vertices[face[2]] - point)
-            if on.square < best.square:
+            if wp.sqrt(on.square) < wp.sqrt(best.square):
                 best = on
                 primitive = k
     distance = wp.sqrt(best.square)

@@ -1,4 +1,4 @@
-"""The nearest point of a triangle, in plain Warp: the same operations as in kernels/native/points.h, with the same bits.
+"""The nearest point of a triangle, in plain Warp: the operations, and the bits, of kernels/native/nearest_on_triangle.h.
 
 `wrt.kernels.points` has the formulas and the bounds of their rounding. Vertices are relative to the point.
 """

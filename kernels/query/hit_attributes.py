@@ -44,13 +44,11 @@ class Triangle:
 def geometry_of(mesh: SceneMesh, primitive: int):
     """Number of the geometry or instance that contains a triangle of the scene."""
     low = int(0)
-    high = mesh.geometry_first.shape[0] - 1
-    while high - low > 1:
-        middle = (low + high) / 2
-        if mesh.geometry_first[middle] <= primitive:
-            low = middle
-        else:
-            high = middle
+    count = mesh.geometry_first.shape[0] - 1
+    while count > 1:  # without a branch that depends on the ray
+        half = count / 2
+        low = wp.where(mesh.geometry_first[low + half] <= primitive, low + half, low)
+        count = count - half
     return low
 
 
@@ -88,6 +86,13 @@ def winding(mesh: SceneMesh, triangle: Triangle):
 
 
 @wp.func
+def triangle_normal(mesh: SceneMesh, triangle: Triangle):
+    """Unit normal of a triangle by its winding; 0 for a degenerate one."""
+    across = wp.cross(triangle.b - triangle.a, triangle.c - triangle.a)
+    return wp.vec3(winding(mesh, triangle) * wp.normalize(across))
+
+
+@wp.func
 def hit_position(mesh: SceneMesh, primitive: int, uv: wp.vec2):
     """The point (1 - u - v) a + u b + v c in float64, in the caller's coordinates; NaN for a miss."""
     nan = wp.float64(wp.nan)
@@ -101,11 +106,10 @@ def hit_position(mesh: SceneMesh, primitive: int, uv: wp.vec2):
 @wp.func
 def hit_normal(mesh: SceneMesh, primitive: int):
     """Unit normal of a triangle by its winding; 0 for a miss and for a degenerate triangle."""
-    normal = wp.vec3d()
+    normal = wp.vec3()
     if primitive >= 0:
-        at = triangle_of(mesh, primitive)
-        normal = winding(mesh, at) * wp.normalize(wp.cross(at.b - at.a, at.c - at.a))
-    return wp.vec3(normal)
+        normal = triangle_normal(mesh, triangle_of(mesh, primitive))
+    return normal
 
 
 @wp.kernel

@@ -5,8 +5,9 @@ A beam of light widens. It is a bundle of rays around its axis, spread over a di
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.sensors.pose_paths import PosePath, pose_of
+from wrt.kernels.sensors.pose_paths import Pose, PosePath, pose_of
 
 exact_module(__name__)
 
@@ -38,6 +39,26 @@ def beam_at(beams: Beams, place: int):
     return beam
 
 
+@wp.struct
+class Place:
+    """A beam of one of the sensors."""
+
+    sensor: int
+    beam: int
+    """Its number in the pattern."""
+
+
+@wp.func
+def place_of(beams: Beams, number: int):
+    """Sensor and beam of a number among the beams of all sensors; without a division for the first sensor."""
+    place = Place()
+    place.beam = number
+    if number >= beams.directions.shape[0]:
+        place.sensor = number / beams.directions.shape[0]
+        place.beam = number - place.sensor * beams.directions.shape[0]
+    return place
+
+
 @wp.func
 def beam_offset(beams: Beams, beam: int):
     """Start of a beam in the sensor's frame."""
@@ -56,9 +77,24 @@ def across(axis: wp.vec3d):
     return wp.normalize(side)
 
 
+@native.func_native("sensor_rays.h", "wrt::turn_axes<wp::vec3d>(axes.data, turn, begin, end, turned.data);")
+def turn_axes(axes: wp.array(dtype=wp.vec3), turn: wp.quatd, begin: int, end: int, turned: wp.array(dtype=wp.vec3)):
+    """Writes the directions of axes begin .. end - 1, normalised and turned."""
+    ...
+
+
+@wp.func
+def is_one_still(beams: Beams, path: PosePath):
+    """Whether rays are those of one sensor at rest, from one point, one for each beam, in the order of their numbers."""
+    alone = beams.order.shape[0] == 0 and beams.offsets.shape[0] == 0 and beams.spread.shape[0] == 1
+    return path.times.shape[0] == 0 and alone
+
+
 @wp.kernel
 def fire_beams(
     first: int,
+    block: int,
+    count: int,
     beams: Beams,
     path: PosePath,
     origins: wp.array(dtype=wp.vec3d),
@@ -66,25 +102,42 @@ def fire_beams(
     relative: wp.array(dtype=wp.vec3),
     directions: wp.array(dtype=wp.vec3),
 ):
-    """Writes a ray in the world. Item: a ray; R neighbours belong to a beam.
+    """Writes rays in the world. Item: a block of rays; R neighbours belong to a beam.
 
     origins: (N,); (1,) if all rays share it; (0,) if it is not needed in float64. relative: the same minus `center`; (0,) if
     that is not needed.
     """
-    i = first + wp.tid()
+    begin = (first + wp.tid()) * block
+    end = wp.min(begin + block, count)
     rays = beams.spread.shape[0]
-    number = beam_at(beams, i / rays)
-    beam = number % beams.directions.shape[0]
-    pose = pose_of(path, number / beams.directions.shape[0], beams.start + beams.times[beam])
-    axis = wp.normalize(wp.vec3d(beams.directions[beam]))
-    ray = i % rays
-    if rays > 1:
-        side = across(axis)
-        tangents = wp.vec2d(beams.spread[ray])
-        axis = wp.normalize(axis + tangents[0] * side + tangents[1] * wp.cross(axis, side))
-    directions[i] = wp.vec3(wp.quat_rotate(pose.rotation, axis))
-    origin = pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, beam))
-    if i < origins.shape[0]:
-        origins[i] = origin
-    if i < relative.shape[0]:
-        relative[i] = wp.vec3(origin - center)
+    several = wp.max(origins.shape[0], relative.shape[0])
+    still = is_one_still(beams, path)
+    if still:
+        turn_axes(beams.directions, path.rotation, begin, end, directions)
+        end = wp.min(end, several)
+    pose = Pose()
+    sensor = int(-1)
+    for i in range(begin, end):
+        item = i
+        ray = int(0)
+        if rays > 1:
+            item = i / rays
+            ray = i - item * rays
+        place = place_of(beams, beam_at(beams, item))
+        beam = place.beam
+        if place.sensor != sensor or path.times.shape[0] > 1:
+            pose = pose_of(path, place.sensor, beams.start + beams.times[beam])
+            sensor = place.sensor
+        if not still:
+            axis = wp.normalize(wp.vec3d(beams.directions[beam]))
+            if rays > 1:
+                side = across(axis)
+                tangents = wp.vec2d(beams.spread[ray])
+                axis = wp.normalize(axis + tangents[0] * side + tangents[1] * wp.cross(axis, side))
+            directions[i] = wp.vec3(wp.quat_rotate(pose.rotation, axis))
+        if i < several:
+            origin = pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, beam))
+            if i < origins.shape[0]:
+                origins[i] = origin
+            if i < relative.shape[0]:
+                relative[i] = wp.vec3(origin - center)

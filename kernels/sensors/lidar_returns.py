@@ -15,16 +15,17 @@ blocks the ray, but is not detected.
 **Noise** is that of a return which was detected: misses remain misses. It is a function of seed, beam and place among the
 beam's returns (`wrt.kernels.sensors.philox`).
 
+What is known of a return beside range and intensity is computed when it is asked for (`wrt.kernels.sensors.return_layers`).
+
 References: wagner-2006.
 """
 
 import warp as wp
 
-from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, hit_normal
+from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, triangle_normal, triangle_of
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.sensors.lidar_beams import Beams, across, beam_at, beam_offset
-from wrt.kernels.sensors.philox import normal_pair, philox, uniform
-from wrt.kernels.sensors.pose_paths import PosePath, pose_of
+from wrt.kernels.sensors.lidar_beams import Beams, beam_at
+from wrt.kernels.sensors.philox import normal_number, philox, uniform
 
 exact_module(__name__)
 
@@ -81,19 +82,17 @@ class Motions:
 
 @wp.struct
 class Returns:
-    """Returns of all N beams, R for each."""
+    """What is measured of all N beams, R returns for each."""
 
     range: wp.array(dtype=float)
+    """inf for a miss."""
     intensity: wp.array(dtype=float)
+    distance: wp.array(dtype=wp.float64)
+    """The range before it was rounded; inf for a miss."""
     ray: wp.array(dtype=int)
-    """The strongest ray of a return, counted within its beam; -1 for none."""
-    point: wp.array(dtype=wp.vec3d)
-    position: wp.array(dtype=wp.vec3d)
-    normal: wp.array(dtype=wp.vec3)
-    instance: wp.array(dtype=int)
-    geometry: wp.array(dtype=int)
-    primitive: wp.array(dtype=int)
-    radial_velocity: wp.array(dtype=float)
+    """The strongest ray of a return, counted within its beam; -1 for none. (0,) for one ray and one return a beam."""
+    mean: wp.array(dtype=float)
+    """The range without noise; (0,) like `ray`, as it is that of the ray."""
 
 
 @wp.struct
@@ -108,13 +107,37 @@ class Noise:
     key: wp.vec2ui
 
 
+@wp.struct
+class Surface:
+    """What the power of a ray depends on."""
+
+    primitive: int
+    """-1 for none."""
+    normal: wp.vec3
+    reflectance: float
+
+
 @wp.func
-def returned_power(mesh: SceneMesh, detector: Detector, primitive: int, normal: wp.vec3, direction: wp.vec3, t: float):
+def surface_of(mesh: SceneMesh, detector: Detector, before: Surface, primitive: int):
+    """The surface of a triangle; neighbours often meet that of the ray before."""
+    surface = before
+    if primitive != before.primitive:
+        triangle = triangle_of(mesh, primitive)
+        surface.primitive = primitive
+        surface.normal = triangle_normal(mesh, triangle)
+        surface.reflectance = detector.reflectance[0]
+        if detector.reflectance.shape[0] > 1:
+            instance = triangle.instance
+            if instance < 0:
+                instance = geometry_of(mesh, primitive)
+            surface.reflectance = detector.reflectance[instance]
+    return surface
+
+
+@wp.func
+def returned_power(detector: Detector, surface: Surface, direction: wp.vec3, t: float):
     """Power that a ray with all of a beam's light returns."""
-    power = detector.reflectance[0]
-    if detector.reflectance.shape[0] > 1:
-        power = detector.reflectance[geometry_of(mesh, primitive)]
-    power = power * wp.abs(wp.dot(normal, direction))
+    power = surface.reflectance * wp.abs(wp.dot(surface.normal, direction))
     ratio = detector.reference_range / t
     if detector.exponent == 2.0:
         power = power * ratio * ratio
@@ -145,16 +168,16 @@ def insert_return(detector: Detector, returns: Returns, begin: int, distance: fl
         moving = int(1)
         while moving == 1 and place > begin:
             before = place - 1
-            if returns.ray[before] >= 0 and rank(detector, returns.range[before], returns.intensity[before]) <= own:
+            if returns.ray[before] >= 0 and rank(detector, returns.mean[before], returns.intensity[before]) <= own:
                 moving = 0
             else:
                 if place < begin + detector.returns:
-                    returns.range[place] = returns.range[before]
+                    returns.mean[place] = returns.mean[before]
                     returns.intensity[place] = returns.intensity[before]
                     returns.ray[place] = returns.ray[before]
                 place = before
         if place < begin + detector.returns:
-            returns.range[place] = distance
+            returns.mean[place] = distance
             returns.intensity[place] = power
             returns.ray[place] = ray
 
@@ -166,7 +189,7 @@ def gather_returns(first: int, beams: Beams, traced: Traced, mesh: SceneMesh, de
     rays = beams.spread.shape[0]
     begin = beam_at(beams, traced.place + i) * detector.returns
     for place in range(begin, begin + detector.returns):
-        returns.range[place] = wp.inf
+        returns.mean[place] = wp.inf
         returns.intensity[place] = 0.0
         returns.ray[place] = -1
     base = i * rays
@@ -177,6 +200,8 @@ def gather_returns(first: int, beams: Beams, traced: Traced, mesh: SceneMesh, de
     moment = float(0.0)
     strongest = float(-1.0)
     which = int(-1)
+    surface = Surface()
+    surface.primitive = -1
     searching = int(1)
     while searching == 1:
         t = float(wp.inf)
@@ -200,8 +225,8 @@ def gather_returns(first: int, beams: Beams, traced: Traced, mesh: SceneMesh, de
             searching = 0
         else:
             primitive = traced.primitive[base + following]
-            normal = hit_normal(mesh, primitive)
-            own = share * returned_power(mesh, detector, primitive, normal, traced.directions[base + following], t)
+            surface = surface_of(mesh, detector, surface, primitive)
+            own = share * returned_power(detector, surface, traced.directions[base + following], t)
             power = power + own
             moment = moment + own * t
             if own > strongest:
@@ -212,141 +237,61 @@ def gather_returns(first: int, beams: Beams, traced: Traced, mesh: SceneMesh, de
 
 
 @wp.func
-def clear_return(returns: Returns, i: int):
-    """Writes what a miss is."""
-    nan = wp.float64(wp.nan)
-    returns.range[i] = wp.inf
-    returns.intensity[i] = 0.0
-    returns.ray[i] = -1
-    returns.point[i] = wp.vec3d(nan, nan, nan)
-    returns.position[i] = wp.vec3d(nan, nan, nan)
-    returns.normal[i] = wp.vec3()
-    returns.instance[i] = -1
-    returns.geometry[i] = -1
-    returns.primitive[i] = -1
-    returns.radial_velocity[i] = wp.nan
+def is_noisy(noise: Noise):
+    """Whether a sensor has any noise."""
+    return noise.range > wp.float64(0.0) or noise.angle > wp.float64(0.0) or noise.dropout > wp.float64(0.0)
 
 
 @wp.func
-def surface_velocity(motions: Motions, instance: int, point: wp.vec3d):
-    """Velocity of a point of an instance."""
-    velocity = wp.vec3d()
-    if motions.pivot.shape[0] > 0:
-        velocity = motions.velocity[instance] + wp.cross(motions.spin[instance], point - motions.pivot[instance])
-    return velocity
-
-
-@wp.struct
-class FoundReturn:
-    """A return and the triangle from which it comes."""
-
-    beam: int
-    at: int
-    """Its place among the returns."""
-    primitive: int
-    """-1 for a miss."""
-    normal: wp.vec3
-
-
-@wp.func
-def describe_return(
-    beams: Beams, path: PosePath, mesh: SceneMesh, motions: Motions, noise: Noise, found: FoundReturn, returns: Returns
-):
-    """Writes point and surface of a return, with noise, from its range and the triangle."""
-    at = found.at
-    primitive = found.primitive
-    beam = found.beam % beams.directions.shape[0]
-    axis = wp.normalize(wp.vec3d(beams.directions[beam]))
-    distance = wp.float64(returns.range[at])
-    detected = primitive >= 0
-    shift = wp.float64(0.0)
-    shown = axis
-    if detected and (noise.range > wp.float64(0.0) or noise.angle > wp.float64(0.0) or noise.dropout > wp.float64(0.0)):
-        words = philox(wp.vec4ui(wp.uint32(at), wp.uint32(0), wp.uint32(0), wp.uint32(0)), noise.key)
-        others = philox(wp.vec4ui(wp.uint32(at), wp.uint32(1), wp.uint32(0), wp.uint32(0)), noise.key)
-        detected = uniform(words[2]) >= noise.dropout
-        shift = noise.range * normal_pair(words[0], words[1])[0]
-        turns = noise.angle * normal_pair(others[0], others[1])
-        side = across(axis)
-        shown = wp.normalize(axis + turns[0] * side + turns[1] * wp.cross(axis, side))
+def write_measured(noise: Noise, returns: Returns, at: int, mean: float, power: float, detected: bool):
+    """Writes range and intensity of a return with noise, or those of a miss."""
+    distance = wp.float64(wp.inf)
+    intensity = float(0.0)
     if detected:
-        pose = pose_of(path, found.beam / beams.directions.shape[0], beams.start + beams.times[beam])
-        offset = beam_offset(beams, beam)
-        origin = pose.position + wp.quat_rotate(pose.rotation, offset)
-        axis = wp.quat_rotate(pose.rotation, axis)
-        instance = geometry_of(mesh, primitive)
-        against = surface_velocity(motions, instance, origin + distance * axis)
-        against = against - pose.velocity - wp.cross(pose.spin, origin - pose.position)
-        distance = wp.max(distance + shift, wp.float64(0.0))
-        point = offset + distance * shown
-        returns.range[at] = wp.float32(distance)
-        returns.point[at] = point
-        returns.position[at] = pose.position + wp.quat_rotate(pose.rotation, point)
-        returns.normal[at] = found.normal
-        returns.instance[at] = instance
-        returns.geometry[at] = instance
-        if mesh.placements.shape[0] > 0:
-            returns.geometry[at] = mesh.placements[instance].geometry
-        returns.primitive[at] = primitive - mesh.geometry_first[instance]
-        returns.radial_velocity[at] = wp.float32(wp.dot(axis, against))
-    else:
-        clear_return(returns, at)
+        shift = wp.float64(0.0)
+        kept = bool(True)
+        if is_noisy(noise):
+            words = philox(wp.vec4ui(wp.uint32(at), wp.uint32(0), wp.uint32(0), wp.uint32(0)), noise.key)
+            kept = uniform(words[2]) >= noise.dropout
+            shift = noise.range * normal_number(words[0], words[1])
+        if kept:
+            distance = wp.max(wp.float64(mean) + shift, wp.float64(0.0))
+            intensity = power
+    returns.distance[at] = distance
+    returns.range[at] = wp.float32(distance)
+    returns.intensity[at] = intensity
 
 
 @wp.kernel
-def describe_returns(
+def measure_gathered(first: int, noise: Noise, returns: Returns):
+    """Writes what is measured of the returns that were gathered. Item: a return."""
+    at = first + wp.tid()
+    write_measured(noise, returns, at, returns.mean[at], returns.intensity[at], returns.ray[at] >= 0)
+
+
+@wp.kernel
+def measure_single(
     first: int,
+    block: int,
+    count: int,
     beams: Beams,
-    path: PosePath,
     traced: Traced,
     mesh: SceneMesh,
-    motions: Motions,
     noise: Noise,
     detector: Detector,
     returns: Returns,
 ):
-    """Writes points and surfaces of the returns that were gathered. Item: a return, in the order of tracing."""
-    i = first + wp.tid()
-    place = i / detector.returns
-    beam = beam_at(beams, traced.place + place)
-    found = FoundReturn()
-    found.beam = beam
-    found.at = beam * detector.returns + i % detector.returns
-    found.primitive = -1
-    if returns.ray[found.at] >= 0:
-        found.primitive = traced.primitive[place * beams.spread.shape[0] + returns.ray[found.at]]
-    found.normal = hit_normal(mesh, found.primitive)
-    describe_return(beams, path, mesh, motions, noise, found, returns)
-
-
-@wp.kernel
-def single_returns(
-    first: int,
-    beams: Beams,
-    path: PosePath,
-    traced: Traced,
-    mesh: SceneMesh,
-    motions: Motions,
-    noise: Noise,
-    detector: Detector,
-    returns: Returns,
-):
-    """`gather_returns` and `describe_returns` for one ray and one return a beam. Item: a beam, in the order of tracing."""
-    i = first + wp.tid()
-    beam = beam_at(beams, traced.place + i)
-    t = traced.t[i]
-    primitive = traced.primitive[i]
-    normal = hit_normal(mesh, primitive)
-    if primitive >= 0:
-        power = returned_power(mesh, detector, primitive, normal, traced.directions[i], t)
-        returns.range[beam] = t
-        returns.intensity[beam] = power
-        returns.ray[beam] = 0
-        if t < detector.min_range or t > detector.max_range or power < detector.threshold:
-            primitive = int(-1)
-    found = FoundReturn()
-    found.beam = beam
-    found.at = beam
-    found.primitive = primitive
-    found.normal = normal
-    describe_return(beams, path, mesh, motions, noise, found, returns)
+    """Writes what is measured by one ray and one return a beam. Item: a block of beams, in the order of tracing."""
+    begin = (first + wp.tid()) * block
+    surface = Surface()
+    surface.primitive = -1
+    for i in range(begin, wp.min(begin + block, count)):
+        t = traced.t[i]
+        primitive = traced.primitive[i]
+        power = float(0.0)
+        detected = bool(False)
+        if primitive >= 0:
+            surface = surface_of(mesh, detector, surface, primitive)
+            power = returned_power(detector, surface, traced.directions[i], t)
+            detected = not (t < detector.min_range or t > detector.max_range or power < detector.threshold)
+        write_measured(noise, returns, beam_at(beams, traced.place + i), t, power, detected)

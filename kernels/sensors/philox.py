@@ -53,6 +53,13 @@ def uniform(word: wp.uint32):
 
 
 @wp.func
+def normal_number(first: wp.uint32, second: wp.uint32):
+    """The first number of `normal_pair`."""
+    radius = wp.sqrt(wp.float64(-2.0) * wp.log(uniform(first)))
+    return radius * wp.cos(TWO_PI * uniform(second))
+
+
+@wp.func
 def normal_pair(first: wp.uint32, second: wp.uint32):
     """Two independent numbers of the standard normal distribution from two random words (Box and Muller 1958)."""
     radius = wp.sqrt(wp.float64(-2.0) * wp.log(uniform(first)))

@@ -1,9 +1,10 @@
 """Building blocks of the native lane loops: W lanes at a time, in portable C++ for Clang and NVRTC.
 
 Warp unrolls its own vector types instead of vectorising them. A plain loop over W floats, with selects instead of branches,
-compiles to full SIMD width. Control flow stays in Python kernels; only the bodies of W lanes are written in C++, with what
-`kernels/native/lanes.h` and `loops.h` have for them. The project is compiled without fused multiply-add (`fuse_fp=False`), so a
-triangle test gives the same bits for one triangle, for a block, in every traversal and on every device.
+compiles to full SIMD width. Such loops are C++, with what `kernels/native/lanes.h` and `loops.h` have for them; hot traversals
+and builders are whole loops of C++ in the headers beside these, and the rest of the control flow is that of Warp kernels. The
+project is compiled without fused multiply-add (`fuse_fp=False`), so a triangle test gives the same bits for one triangle, for a
+block, in every traversal and on every device.
 """
 
 from functools import cache

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.bench.core.workloads import WorkloadMaker
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.executor import on_device
 from wrt.engine.facts.query_kinds import CLOSEST, QUERIES
@@ -30,10 +31,11 @@ from wrt.kernels.classics.studies.visit_log import make_log_kernel
 from wrt.kernels.compilation.cache_size import l2_bytes
 from wrt.kernels.runtime.launch import launch, specialise
 from wrt.kernels.traversal.capabilities import Capabilities
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.scene import Scene
 
 if TYPE_CHECKING:
     from wrt.engine.plan.plan import Plan
-    from wrt.scene.scene import Scene
 
 WAYS = 8
 """Ways of the modelled cache, as in current L2 caches."""
@@ -109,6 +111,12 @@ def memory_traffic(
         visits = len(log[1]) / count
         results.append(MemoryTraffic(name, visits, LINE * scene_lines / count, LINE * (lines - scene_lines) / count))
     return results
+
+
+def compare_traffic(mesh: TriangleMesh, *, size: int = 128, packet: int = 32) -> list[MemoryTraffic]:
+    """Bytes that rays of a view read, one by one, in packets and in queues (Navratil et al. 2007)."""
+    (view,) = WorkloadMaker(mesh, size=size).make(["far"])
+    return memory_traffic(Scene(mesh, "bvh", device="cpu", num_threads=1), view.origins, view.directions, packet)
 
 
 Log = tuple[np.ndarray, np.ndarray]

@@ -15,18 +15,32 @@ from wrt.bench.core.benchmark_results import machine
 from wrt.cli.number_types import Whole
 
 ROW_STUDIES = {
+    "area-axes": ("known_rays.area_tables", "axes_tried"),
+    "area-break-even": ("known_rays.area_tables", "break_evens"),
+    "area-build-times": ("known_rays.area_tables", "build_times"),
+    "area-costs": ("known_rays.area_tables", "costs"),
+    "area-memory": ("known_rays.area_tables", "memory"),
+    "area-thresholds": ("known_rays.area_tables", "thresholds"),
+    "area-walks": ("known_rays.area_tables", "walk_orders"),
+    "area-work": ("known_rays.affinity", "compare_work"),
     "axis-flag": ("triangles.axis_variants", "compare_flag"),
     "axis-selections": ("triangles.axis_variants", "compare_selections"),
     "entry-point-tiles": ("kdtrees.entry_point_tiles", "compare_levels"),
-    "fans": ("triangles.fan_comparison", "compare"),
     "fan-trees": ("triangles.fan_comparison", "compare_trees"),
+    "fans": ("triangles.fan_comparison", "compare"),
+    "first-frames": ("kdtrees.kdtree_claims", "compare_first_frames"),
+    "fuzzy-boxes": ("moving.motion_run", "fuzzy_boxes"),
+    "inside-first": ("triangles.inside_first", "compare_orders"),
+    "lazy-groups": ("kdtrees.lazy_groups", "compare_hierarchies"),
     "leaf-sizes": ("kdtrees.leaf_sizes", "compare_leaf_sizes"),
     "mailbox-costs": ("kdtrees.kdtree_claims", "mailbox_costs"),
+    "memory-traffic": ("memory_traffic", "compare_traffic"),
+    "motion-drift": ("moving.motion_run", "drifts"),
+    "octree-levels": ("known_rays.area_tables", "octree_levels"),
+    "octree-top-levels": ("known_rays.ray_distribution", "top_levels"),
     "packet-widths": ("kdtrees.packet_widths", "compare_widths"),
     "tree-coupling": ("kdtrees.tree_coupling", "compare_coupling"),
     "volume-search": ("triangles.volume_search", "compare_forms"),
-    "area-work": ("known_rays.affinity", "compare_work"),
-    "octree-top-levels": ("known_rays.ray_distribution", "top_levels"),
 }
 """Module of this package, and the function in it, by the name of the study."""
 

@@ -24,7 +24,7 @@ from wrt.kernels.classics.studies.distance_checks import in_range
 from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
 from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
 from wrt.kernels.fields.winding_walk import make_winding_kernel
-from wrt.kernels.points.tree_points import TREES, PointConfig, make_points_kernel
+from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
 from wrt.kernels.runtime import native
 from wrt.kernels.simd.box_lanes import ray_boxes
 from wrt.kernels.traversal import TRAVERSALS
@@ -70,7 +70,8 @@ def make_all_kernels() -> list[wp.Kernel]:
         make_multi_frusta_kernel(TraversalConfig(name, WIDTH), each) for name in ("woop", "wald") for each in (False, True)
     ]
     kernels.append(make_winding_kernel(WIDTH))
-    kernels += [make_points_kernel(PointConfig(tree, WIDTH)) for tree in TREES]
+    kernels += [make_points_kernel(PointConfig(tree, WIDTH, task=task)) for tree in TREES for task in TASKS]
+    kernels += [make_points_kernel(PointConfig(tree, WIDTH, instances=True)) for tree in TREES]
     return kernels
 
 

@@ -37,7 +37,7 @@ from wrt.kernels.classics.studies.variants.watertight_pruning import PRUNED
 from wrt.kernels.classics.studies.walk_orders import make_kernel as make_walk_kernel
 from wrt.kernels.classics.triangle.ferko import VARIANTS
 from wrt.kernels.layout.mesh_placement import make_shift
-from wrt.kernels.points.tree_points import TREES, PointConfig, make_points_kernel
+from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
 from wrt.kernels.query import instance_exact, instance_gradients
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS
@@ -158,9 +158,15 @@ def test_bvh_builder(name, tmp_path):
     assert ".entry" in compile_to_ptx(BVH_KERNELS[name].module, tmp_path)
 
 
-@pytest.mark.parametrize("tree", TREES)
-def test_points(tree, tmp_path):
-    text = compile_to_ptx(make_points_kernel(PointConfig(tree, 2, 1)).module, tmp_path)
+POINTS = [
+    *((tree, "nearest", instances) for tree in TREES for instances in (False, True)),
+    *(("bvh", task, False) for task in TASKS if task != "nearest"),
+]
+
+
+@pytest.mark.parametrize(("tree", "task", "instances"), POINTS)
+def test_points(tree, task, instances, tmp_path):
+    text = compile_to_ptx(make_points_kernel(PointConfig(tree, 2, 1, task, instances)).module, tmp_path)
     assert ".entry" in text
     assert not FUSIBLE.search(text)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 import trimesh
@@ -103,12 +106,12 @@ def test_moments_of_a_node():
     """The radius of each child reaches its farthest vertex and not much farther; lanes add up to the surface."""
     scene = wrt.Scene(surfaces()["torus"].mesh, device="cpu")
     tree = winding_tree(scene.state)
-    rows = tree.moments.numpy().reshape(-1, int(MOMENTS), tree.state.width)
+    rows = tree.moments.numpy().reshape(-1, int(MOMENTS), scene.state.width)
     used = rows[0, int(RADIUS)] >= 0
     assert used.sum() > 1
     assert (rows[0, int(RADIUS), used] < 1.4).all()
     np.testing.assert_allclose(rows[0, 3:6].sum(axis=1), 0.0, atol=1e-4)
-    child = tree.state.tree.struct().child.numpy().reshape(-1, tree.state.width)
+    child = scene.state.tree.struct().child.numpy().reshape(-1, scene.state.width)
     levels = levels_of(child)
     assert sum(count for _, count in levels) == len(child)
     assert winding_tree(scene.state) is tree
@@ -137,3 +140,15 @@ def test_what_is_refused(options, error, message):
     hidden = wrt.Scene([wrt.Instance(trimesh.creation.box((1, 1, 1)), mask=0)], device="cpu")
     with pytest.raises(ValueError, match="all instances have mask 0"):
         wrt.analysis.winding_number(hidden, [0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("tree", ["bvh", "kdtree"])
+def test_scenes_are_let_go(tree):
+    """What is kept of a scene ends with it."""
+    scene = wrt.Scene(trimesh.creation.box((1, 1, 1)), tree, device="cpu")
+    wrt.analysis.winding_number(scene, [0.0, 0.0, 0.0])
+    wrt.analysis.signed_distance(scene, [0.0, 0.0, 0.0], sign="pseudonormal")
+    state = weakref.ref(scene.state)
+    del scene
+    gc.collect()
+    assert state() is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from conftest import SCENES
-from point_oracles import answers, points_around, true_distances
+from point_oracles import answers, points_around, squares, true_distances
 
 import wrt
 
@@ -91,3 +91,52 @@ def test_normals_and_moves(device):
     found = scene.closest_point([40.0, 0.0, 3.0])
     assert found.instance_id == 1
     assert abs(found.distance - 2.0) < 0.01
+
+
+def many_instances() -> tuple[list[wrt.Instance], np.ndarray]:
+    """120 boxes and spheres, turned, mirrored and scaled, of masks 1, 2 and 4 and environments 0, 1 and all; points around."""
+    rng = np.random.default_rng(12)
+    shapes = [trimesh.creation.box((1.0, 1.0, 1.0)), trimesh.creation.icosphere(1)]
+    instances = []
+    for number in range(120):
+        turn = np.eye(4)
+        turn[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * 10.0 ** rng.uniform(-1, 0.3)
+        turn[:3, 3] = rng.uniform(-10, 10, 3)
+        seen = {"mask": 1 << number % 3, "environment": (-1, 0, 1)[number // 40]}
+        instances.append(wrt.Instance(shapes[number % 2], turn, **seen))
+    return instances, rng.uniform(-12, 12, (1100, 3))
+
+
+@pytest.mark.parametrize("tree", ["bvh", "kdtree"])
+def test_many_instances(tree):
+    """Against float64 over those that each point sees: the nearest, some, and all within a radius."""
+    instances, points = many_instances()
+    scene = wrt.Scene(instances, tree, device="cpu")
+    rng = np.random.default_rng(5)
+    masks, environments = rng.integers(1, 8, 1100), rng.integers(-1, 3, 1100)
+    found = scene.closest_point(points, mask=masks, environment=environments)
+    some = scene.closest_point(points, k=4, mask=masks, environment=environments)
+    near = scene.within(points, 2.0, mask=masks, environment=environments)
+    flat = scene.flattened()
+    corners = flat.vertices[flat.faces]
+    owner = np.repeat(np.arange(120), [len(instance.mesh.faces) for instance in instances])
+    own_mask, own_environment = (np.array([getattr(each, key) for each in instances]) for key in ("mask", "environment"))
+    for i in range(80):
+        sees = (own_mask & masks[i] != 0) & ((environments[i] == -1) | np.isin(own_environment, (-1, environments[i])))
+        true = np.where(sees[owner], np.sqrt(squares(corners - points[i])), np.inf)
+        least = np.sort(true)[:4]
+        assert abs(found.distance[i] - least[0]) < 1e-5
+        np.testing.assert_allclose(some.distance[i], least, atol=1e-5)
+        assert sees[found.instance_id[i]]
+        rows = slice(near.offsets[i], near.offsets[i + 1])
+        assert abs(near.count[i] - (true <= 2.0).sum()) <= ((true > 2.0 - 1e-5) & (true < 2.0 + 1e-5)).sum()
+        assert sees[near.instance_id[rows]].all()
+        assert (np.diff(near.distance[rows]) >= 0).all()
+    for name in ("distance", "primitive_id", "instance_id", "uv", "feature"):
+        np.testing.assert_array_equal(getattr(some, name)[:, 0], getattr(found, name))
+    np.testing.assert_allclose(np.linalg.norm(near.position - points[near.point_id], axis=1), near.distance, atol=2e-5)
+    plain = scene.closest_point(points)
+    np.testing.assert_array_equal(plain.distance, scene.closest_point(points, mask=7, environment=-1).distance)
+    one_by_one = np.stack([wrt.Scene([each], tree, device="cpu").closest_point(points[:50]).distance for each in instances[:9]])
+    together = wrt.Scene(instances[:9], tree, device="cpu").closest_point(points[:50])
+    np.testing.assert_allclose(together.distance, one_by_one.min(axis=0), rtol=1e-6)

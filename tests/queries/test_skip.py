@@ -155,11 +155,11 @@ def test_bad_arguments(device):
     bad = [
         (
             ValueError,
-            f"from -1, for none, to {count - 1}, but its values range from 0 to {count}",
+            f"from -1 to {count - 1}, but ranges from 0 to {count}",
             {"skip": [0] * 19 + [count]},
         ),
-        (ValueError, "values range from -2 to -2", {"skip": -2}),
-        (TypeError, "hold integers, primitive ids or -1 for none, not float64", {"skip": np.zeros(20)}),
+        (ValueError, r"must be from -1 to \d+, but ranges from -2 to -2", {"skip": -2}),
+        (TypeError, "hold integers, not float64; pass a wrt.Hits, or primitive ids", {"skip": np.zeros(20)}),
         (TypeError, "not bool", {"skip": True}),
         (TypeError, "not object", {"skip": scene}),
         (TypeError, "int32, not of uint32", {"skip": wp.zeros(20, dtype=wp.uint32, device=device)}),

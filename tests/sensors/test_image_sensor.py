@@ -221,3 +221,73 @@ def test_colour(moving):
     assert picture.linear[still].max() > 0.0
     with pytest.raises(ValueError, match="the times of the image"):
         camera.render(scene, drive, time=0.28)
+
+
+def test_layers_that_were_chosen(scene):
+    """Chosen layers are those of an image of all, whether they are read as NumPy arrays or made at once as Warp arrays."""
+    camera = Camera(64, 48, BrownConrady(60.0, 60.0, 31.5, 23.5))
+    every = camera.capture(scene, FORWARD, labels=[7, 9])
+    chosen = {"layers": ("depth", "instance_id"), "labels": [7, 9]}
+    for images in (camera.capture(scene, FORWARD, **chosen), camera.capture(scene, FORWARD, **chosen, to_warp=True)):
+        for name in chosen["layers"]:
+            found = getattr(images, name)
+            np.testing.assert_array_equal(found.numpy() if isinstance(found, wp.array) else found, getattr(every, name))
+        with pytest.raises(ValueError, match=r"normal is none of the layers.*layers=\(\.\.\., 'normal'\)"):
+            _ = images.normal
+        with pytest.raises(ValueError, match="primitive_id is none of the layers"):
+            _ = images.primitive_id
+
+
+@pytest.mark.parametrize(
+    ("layers", "error", "message"),
+    [
+        ("depth", TypeError, r"layers=\('depth',\)"),
+        (["deep"], ValueError, "'deep' is unknown.*semantic_id"),
+        (3, TypeError, "int"),
+    ],
+)
+def test_wrong_layers(scene, layers, error, message):
+    with pytest.raises(error, match=message):
+        Camera(8, 6, LENS).capture(scene, FORWARD, layers=layers)
+
+
+def test_layers_do_not_change_with_the_scene():
+    """What is read late is what was seen."""
+    scene = wrt.Scene([wrt.Instance(wall(10.0, -100.0, 100.0))], device="cpu")
+    camera = Camera(8, 6, LENS)
+    images, again = camera.capture(scene, FORWARD), camera.capture(scene, FORWARD)
+    before = images.position, images.normal, images.depth
+    scene.update([0], transform=np.diag([0.5, 1.0, 1.0, 1.0])[None])
+    for found, expected in zip((again.position, again.normal, again.depth), before, strict=True):
+        np.testing.assert_array_equal(found, expected)
+    assert np.isfinite(before[2]).all()
+    np.testing.assert_array_less(camera.capture(scene, FORWARD).depth, before[2])
+
+
+def test_rays_of_a_camera_at_rest(scene):
+    """The third image takes the rays of the second; another pose, camera or number of cameras has its own."""
+    for camera in (Camera(16, 12, LENS), Camera(16, 12, BrownConrady(50.0, 60.0, 7.5, 24.5), line_delay=1e-3)):
+        poses = [FORWARD, look_at([1.0, 0, 0], [2.0, 0.1, 0])]
+        first = [camera.capture(scene, pose).depth for pose in poses]
+        for _ in range(3):
+            for pose, depth in zip(poses, first, strict=True):
+                np.testing.assert_array_equal(camera.capture(scene, pose).depth, depth)
+            np.testing.assert_array_equal(camera.capture(scene, np.array(poses)).depth, first)
+
+
+def test_table_of_pixels(scene):
+    """Rows are the pixels that see a surface; an organized table has all."""
+    camera = Camera(64, 48, BrownConrady(60.0, 60.0, 31.5, 23.5))
+    images = camera.capture(scene, look_at([0.0, 0, 0], [0.3, 1.0, 0]), labels=[7, 9], miss=-1.0)
+    seen = images.instance_id >= 0
+    assert 0.1 < seen.mean() < 0.9
+    table, every = images.to_structured(), images.to_structured(organized=True)
+    assert table.dtype.names == ("x", "y", "z", "depth", "row", "column", "instance_id", "semantic_id")
+    np.testing.assert_array_equal(np.stack([table["row"], table["column"]], axis=1), np.argwhere(seen))
+    np.testing.assert_array_equal(np.stack([table[name] for name in "xyz"], axis=1), images.position[seen])
+    np.testing.assert_array_equal(table["depth"], images.depth[seen])
+    np.testing.assert_array_equal(table["semantic_id"], images.semantic_id[seen])
+    assert every.shape == (48, 64)
+    np.testing.assert_array_equal(every[seen], table)
+    assert np.isnan(every["x"][~seen]).all()
+    assert "semantic_id" not in camera.capture(scene, FORWARD).to_structured().dtype.names

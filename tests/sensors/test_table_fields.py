@@ -184,3 +184,35 @@ def test_laz(scene, tmp_path, monkeypatch):
     with pytest.raises(ImportError, match=r'LAZ files need lazrs: pip install "wrt\[sensors\]"'):
         write_points(tmp_path / "other.laz", table)
     assert not (tmp_path / "other.laz").exists()
+
+
+def test_labels_and_organized_tables():
+    """Labels are a column of tables; an organized table has the shape of the scan."""
+    scene = wrt.Scene([wrt.Instance(wall(10.0, -100.0, 3.0)), wrt.Instance(wall(6.0, 0.0, 50.0))], device="cpu")
+    lidar = Lidar(pattern=LidarPattern.raster(12, 40, horizontal=90, vertical=30), bundle=2, divergence=0.2, returns=2)
+    scan = lidar.scan(scene, np.eye(4), labels=[4, 7])
+    np.testing.assert_array_equal(scan.semantic_id, np.array([4, 7, -1])[scan.instance_id])
+    table, every = scan.to_structured("world"), scan.to_structured("world", organized=True)
+    assert every.shape == scan.shape == (12, 40, 2)
+    seen = scan.instance_id >= 0
+    assert 0.1 < seen.mean() < 0.9
+    np.testing.assert_array_equal(table, every[seen])  # the order of a raster is that of time
+    np.testing.assert_array_equal(table["semantic_id"], scan.semantic_id[seen])
+    np.testing.assert_array_equal(np.stack([every[name] for name in "xyz"], axis=-1), scan.position)
+    np.testing.assert_array_equal(every["return_number"], np.broadcast_to([0, 1], scan.shape))
+    np.testing.assert_array_equal(every["ring"], np.broadcast_to(np.arange(12)[:, None, None], scan.shape))
+    assert "semantic_id" not in lidar.scan(scene, np.eye(4)).to_structured().dtype.names
+    with pytest.raises(TypeError, match="organized"):
+        scan.to_structured(organized="yes")
+
+
+def test_open3d_reads_all_fields(tmp_path):
+    """Also rings, which are uint16."""
+    io = pytest.importorskip("open3d", reason="Open3D is not installed: pip install open3d").t.io
+    table = np.zeros(5, dtype=wrt.sensors.POINT_TYPE)
+    table["ring"], table["x"] = [0, 1, 40000, 65535, 7], np.arange(5)
+    for suffix in ("ply", "pcd"):
+        wrt.sensors.write_points(tmp_path / f"scan.{suffix}", table)
+        cloud = io.read_point_cloud(str(tmp_path / f"scan.{suffix}"))
+        np.testing.assert_array_equal(cloud.point["ring"].numpy().ravel(), table["ring"])
+        np.testing.assert_array_equal(cloud.point.positions.numpy()[:, 0], table["x"])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -64,3 +66,28 @@ def test_the_package_imports_no_study():
         text = path.read_text()
         assert "from studies" not in text, path
         assert "import studies" not in text, path
+
+
+def test_every_module_of_the_package_is_behind_a_command():
+    """But for those that draw, which notebooks call."""
+    from studies.evidence import single_runs
+    from studies.evidence.results import NOTEBOOKS, imported, module_path
+
+    waiting = [f"studies.{module}" for module, _ in (*COMMANDS.values(), *ROW_STUDIES.values())] + ["studies.__main__"]
+    waiting += [source for study in single_runs.STUDIES.values() for source in study.sources]
+    reached: set[str] = set()
+    while waiting:
+        name = waiting.pop()
+        if name not in reached:
+            reached.add(name)
+            waiting += imported(ast.parse(module_path(name).read_text(encoding="utf-8")))
+    files = (NOTEBOOKS / "studies").rglob("*.py")
+    every = {".".join(path.relative_to(NOTEBOOKS).with_suffix("").parts) for path in files if path.name != "__init__.py"}
+    drawing = {"studies.kdtrees.kdtree_pictures", "studies.known_rays.area_pictures"}
+    assert every - reached == drawing
+
+
+def test_the_page_of_the_documents_names_every_study():
+    page = (ROOT / "docs" / "documents.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"python -m studies ([\w-]+)", page)) | set(re.findall(r"`([\w-]+)`", page.split("## Studies")[1]))
+    assert {*COMMANDS, *ROW_STUDIES} <= listed

@@ -1,5 +1,5 @@
 // Instantiates the header of kernels/points; see native_headers.cpp.
-#include "points.h"
+#include "point_groups.h"
 
 struct Vec2 {
     float c[2];
@@ -9,6 +9,9 @@ struct Vec2i {
 };
 struct Vec3 {
     float c[3];
+};
+struct Vec3d {
+    double c[3];
 };
 template <class T> struct Array {
     T* data;
@@ -31,9 +34,14 @@ struct Triangles {
 struct Points {
     int count;
     Array<Vec3> position;
+    Array<Vec3d> exact;
     Array<int> order;
     Array<float> most;
     int most_stride;
+    Array<unsigned> mask;
+    int mask_stride;
+    Array<int> environment;
+    int environment_stride;
 };
 struct Found {
     Array<float> distance;
@@ -41,9 +49,58 @@ struct Found {
     Array<Vec2> uv;
     Array<signed char> feature;
 };
+struct Lists {
+    Found found;
+    int room;
+    Array<int> begin, count;
+};
+struct Matrix {
+    double data[3][3];
+};
+struct Placement {
+    Matrix to_scene;
+    Vec3d origin;
+    Matrix to_object;
+    int geometry, first;
+    unsigned mask;
+};
+struct Top {
+    WideTree tree;
+    Array<int> order;
+    Array<Placement> placements;
+    int root, shared_root;
+    Array<int> environments, roots;
+};
+template <class Tree> struct Part {
+    Tree tree;
+    Triangles triangles;
+};
+struct Work {
+    int nodes, leaves, triangles;
+};
+struct Rows {
+    Array<Work> rows;
+};
 
-void nearest(const WideTree& boxes, const KdTree& cells, const Triangles& triangles, const Points& points, const Found& found)
+template <class Space> void search(const Space& space, const Points& points, const Lists& lists, const Rows& work)
 {
-    wrt::nearest_of_group<wrt::BoxTree, WIDTH, 32>(boxes, triangles, points, found, 0);
-    wrt::nearest_of_group<wrt::CellTree, WIDTH, 32>(cells, triangles, points, found, 32);
+    wrt::nearest_of_group<wrt::NearestTriangle, 32>(space, points, lists.found, work, 0);
+    wrt::nearest_of_group<wrt::CountedNearest, 32>(space, points, lists.found, work, 32);
+    wrt::nearest_lists_of_group<32>(space, points, lists.found, lists.room, 0);
+    wrt::count_within_group<32>(space, points, lists, 0);
+    wrt::list_within_group<32>(space, points, lists, 0);
+}
+
+void search_trees(const WideTree& boxes, const KdTree& cells, const Triangles& triangles, const Points& points,
+    const Lists& lists, const Rows& work)
+{
+    search(wrt::one_tree<wrt::BoxTree, WIDTH, 9>(boxes, triangles), points, lists, work);
+    search(wrt::one_tree<wrt::CellTree, WIDTH, 9>(cells, triangles), points, lists, work);
+}
+
+void search_instances(const Top& top, const Array<Part<WideTree>>& boxes, const Array<Part<KdTree>>& cells,
+    const Points& points, const Lists& lists, const Rows& work)
+{
+    search(wrt::instance_trees<wrt::BoxTree, WIDTH, 9>(top, boxes), points, lists, work);
+    search(wrt::instance_trees<wrt::CellTree, WIDTH, 9>(top, cells), points, lists, work);
 }

@@ -18,8 +18,8 @@ from wrt.kernels.fields.distance_signs import Pseudonormals
 from wrt.meshes.mesh_measures import first_of_equal_points, normals_and_areas
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.scene_state import SceneState
     from wrt.meshes.mesh import TriangleMesh
-    from wrt.state.scene_state import SceneState
 
 _known: WeakKeyDictionary[SceneState, Pseudonormals] = WeakKeyDictionary()
 _lock = threading.Lock()

@@ -6,23 +6,26 @@ References: baerentzen-aanaes-2005; jacobson-2013.
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, overload
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import warp as wp
 
 from wrt.analysis.winding_numbers import ACCURACY, winding_numbers_of
+from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.fields.distance_signs import apply_signs, find_sides, sides_of_numbers, sides_of_rule
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
+from wrt.meshes.mesh_measures import first_of_equal_points
 from wrt.query.inside import contains
 from wrt.query.points.closest_point import closest_point, flat_points, relative_points
-from wrt.rays.rays import as_vectors
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
+    from wrt.meshes.mesh import TriangleMesh
     from wrt.query.points.closest_points import ClosestPoints
-    from wrt.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.scene.scene import Scene
-    from wrt.state.scene_state import SceneState
 
 INF = float("inf")
 AUTO = "auto"
@@ -80,8 +83,6 @@ def signed_distance(
     found = closest_point(state, given, max_distance)
     if sign == AUTO:
         rule = SIGNS[sign_rule(scene)]
-    if sign != "winding" and sign != AUTO:
-        state.require("count")
     with use_threads(state.num_threads):
         relative = relative_points(state, flat_points(state, given, given.dtype in (wp.vec3d, np.dtype(np.float64))))
         sides = rule(state, given, relative, found)
@@ -104,13 +105,18 @@ def sign_rule(scene: Scene) -> str:
 
 def is_oriented(state: SceneState) -> bool:
     """Whether triangles face the same way as their neighbours in every mesh: each edge has as many one way as the other."""
-    return all(faces_one_way(mesh) for mesh in set(state.meshes))
+    for mesh in set(state.meshes):
+        if mesh not in _one_way:
+            _one_way[mesh] = faces_one_way(mesh)
+    return all(_one_way[mesh] for mesh in state.meshes)
 
 
-def faces_one_way(mesh: Any) -> bool:
+_one_way: WeakKeyDictionary[TriangleMesh, bool] = WeakKeyDictionary()
+"""Whether triangles face the same way as their neighbours, of meshes that were asked for."""
+
+
+def faces_one_way(mesh: TriangleMesh) -> bool:
     """Whether the edges of a mesh are used as often in one direction as in the other, comparing positions."""
-    from wrt.meshes.mesh_measures import first_of_equal_points
-
     ends = first_of_equal_points(mesh.vertices)[mesh.faces].astype(np.int64)
     starts, stops = ends.ravel(), np.roll(ends, -1, axis=1).ravel()
     low, high = np.minimum(starts, stops), np.maximum(starts, stops)

@@ -11,28 +11,28 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import resolve_accelerator
-from wrt.execution.triangle_records import vertex_blocks
+from wrt.engine.launch.triangle_records import vertex_blocks
 from wrt.kernels.fields.cluster_moments import MOMENTS, Sums, gather_radii, store_moments, sum_children, sum_leaves, vec10d
 from wrt.kernels.fields.winding_walk import Clusters, set_far
 from wrt.kernels.runtime.launch import launch
 from wrt.scene.mesh_state import build_state
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.scene_state import SceneState
     from wrt.kernels.layout.bvh_nodes import WideNodes
     from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
     from wrt.meshes.mesh import TriangleMesh
-    from wrt.state.scene_state import SceneState
 
 
 class WindingTree(NamedTuple):
     """A wide BVH of the triangles of a scene, each in one leaf, and its clusters.
 
     Attributes:
-        state: whose tree this is: the scene's own, or one that was built for winding numbers.
+        other: the state that was built for winding numbers; None if the scene's own has such a tree.
         moments: as in `wrt.kernels.fields.winding_walk.Clusters`.
     """
 
-    state: SceneState
+    other: SceneState | None  # not the scene's own, which would keep itself alive
     moments: wp.array
 
 
@@ -45,7 +45,8 @@ def winding_tree(scene: SceneState) -> WindingTree:
     with _lock:
         if scene not in _known:
             state = state_of_one_bvh(scene)
-            _known[scene] = WindingTree(state, moments_of(state.tree.struct(), vertex_blocks(state), state.width))
+            moments = moments_of(state.tree.struct(), vertex_blocks(state), state.width)
+            _known[scene] = WindingTree(None if state is scene else state, moments)
         return _known[scene]
 
 
@@ -100,9 +101,9 @@ def levels_of(child: np.ndarray) -> list[tuple[int, int]]:
     return levels
 
 
-def clusters_of(tree: WindingTree, accuracy: float) -> Clusters:
-    """The clusters for an accuracy above 0."""
-    clusters, state = Clusters(), tree.state
+def clusters_of(tree: WindingTree, state: SceneState, accuracy: float) -> Clusters:
+    """The clusters for an accuracy above 0; `state`: whose tree they are of."""
+    clusters = Clusters()
     lanes = len(tree.moments) // int(MOMENTS)
     clusters.moments, clusters.far = tree.moments, wp.empty(lanes, dtype=float, device=state.device)
     factor = 1.0 / farthest_share(accuracy)

@@ -12,18 +12,18 @@ import numpy as np
 import warp as wp
 
 from wrt.analysis.winding_clusters import clusters_of, visible_mesh, winding_tree
-from wrt.execution.triangle_records import vertex_blocks
+from wrt.engine.launch.triangle_records import vertex_blocks
+from wrt.engine.rays.rays import MAX_RAYS, as_vectors
 from wrt.kernels.fields.winding_walk import make_winding_kernel
 from wrt.kernels.points.point_order import morton_order
 from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
 from wrt.kernels.validation import as_float
 from wrt.query.points.closest_point import flat_points, relative_points
-from wrt.rays.rays import MAX_RAYS, as_vectors
 
 if TYPE_CHECKING:
-    from wrt.rays.array_types import ArrayLike, NumpyLike, WarpLike
+    from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.array_types import ArrayLike, NumpyLike, WarpLike
     from wrt.scene.scene import Scene
-    from wrt.state.scene_state import SceneState
 
 ACCURACY = 0.5
 """The default: clusters are at least 2.8 of their radii away."""
@@ -102,13 +102,13 @@ def sum_of_all(state: SceneState, points: np.ndarray | wp.array) -> wp.array:
 def sum_of_clusters(state: SceneState, points: np.ndarray | wp.array, accuracy: float) -> wp.array:
     """(N,) float32, by the walk of a tree."""
     tree = winding_tree(state)
-    own, device = tree.state, state.device
+    own, device = tree.other or state, state.device
     relative = relative_points(own, flat_points(own, points, points.dtype in (wp.vec3d, np.dtype(np.float64))))
     count = len(relative)
     order = wp.empty(0, dtype=int, device=device)
     if count >= MIN_SORTED:
         order = morton_order(relative, own.device_mesh.low, own.device_mesh.high)
     found = wp.empty(count, dtype=float, device=device)
-    inputs = [own.tree.struct(), vertex_blocks(own), clusters_of(tree, accuracy), relative, order, found]
+    inputs = [own.tree.struct(), vertex_blocks(own), clusters_of(tree, own, accuracy), relative, order, found]
     launch(specialise(make_winding_kernel, own.width), count, inputs, device=device, chunk=64, longest=4096)
     return found

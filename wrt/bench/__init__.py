@@ -2,7 +2,8 @@
 
     commands/   `wrt bench` and what it compares: options, tables, files
     comparisons/  what is measured: queries, builds and start-up of all peers (query_comparison.py, build_comparison.py,
-                startup_times.py), threads (thread_scaling.py), what "auto" chooses (auto_cases.py, auto_choices.py)
+                startup_times.py), threads (thread_scaling.py), what "auto" chooses (auto_cases.py, auto_choices.py),
+                closest points (point_comparison.py)
     peers/      the contenders, all with the same interface (peer.py): engines.py is wrt, embree.py Embree's C library
     core/       the rays (workloads.py), timing in turns (paired_timing.py), agreement, results, reports
 

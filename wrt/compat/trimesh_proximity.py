@@ -16,7 +16,7 @@ import numpy as np
 
 from wrt.accelerators.accelerator import Accelerator
 from wrt.compat.trimesh_rays import RayMeshIntersector, as_rows
-from wrt.state.query_kinds import AUTO
+from wrt.engine.facts.query_kinds import AUTO
 
 if TYPE_CHECKING:
     import trimesh

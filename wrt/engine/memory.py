@@ -194,7 +194,7 @@ class ArraysOfBlock:
         self._kinds, self._count, self._begins, size = kinds, count, {}, 0
         for name, dtype in kinds.items():
             self._begins[name], size = size, size + -(-count * wp.types.type_size_in_bytes(dtype) // ALIGNED) * ALIGNED
-        self._block = wp.empty(size, dtype=wp.uint8, device=device)
+        self._block = empty(size, wp.uint8, device)
 
     def __getitem__(self, name: str) -> wp.array:
         """The array of a name."""
@@ -209,10 +209,11 @@ class ArraysOfBlock:
         struct.__dict__["owner"] = self
 
 
-def outputs_of(struct: Any, kinds: Mapping[str, type], count: int, device: wp.Device) -> Mapping[str, wp.array] | ArraysOfBlock:
+def outputs_of(struct: Any, kinds: Mapping[str, type], count: int, device: wp.Device) -> ArraysOfBlock:
     """New flat arrays of `count` elements, with undefined contents, which are written into a struct of the kernels.
 
-    On CUDA they are cut from one allocation: the device then waits for Python once and not for each.
+    They are cut from one allocation: a device waits for Python once and not for each, and on the CPU it is large enough to be
+    reused.
 
     Args:
         struct: has fields of these names.
@@ -220,14 +221,9 @@ def outputs_of(struct: Any, kinds: Mapping[str, type], count: int, device: wp.De
         count: of elements.
         device: of the arrays.
     """
-    if device.is_cuda:
-        arrays = ArraysOfBlock(kinds, count, device)
-        arrays.write_to(struct)
-        return arrays
-    single = {name: empty(count, dtype, device) for name, dtype in kinds.items()}
-    for name, array in single.items():
-        setattr(struct, name, array)
-    return single
+    arrays = ArraysOfBlock(kinds, count, device)
+    arrays.write_to(struct)
+    return arrays
 
 
 def keep_alive(array: wp.array, used: Any) -> wp.array:

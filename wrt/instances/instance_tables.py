@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.launch.triangle_records import records_of, vertex_blocks
 from wrt.engine.memory import keep_alive
 from wrt.kernels.layout.instance_maps import Geometry
 from wrt.kernels.query.hit_attributes import SceneMesh
@@ -66,6 +66,24 @@ def part_table(states: Sequence[SceneState], plan: Plan, rays: RayBatch | None, 
         used.append((mesh.tree, blocks))
     with kept(device):
         return keep_alive(wp.array(table, dtype=kind, device=device), used)
+
+
+def vertex_parts(scene: SceneState) -> wp.array:
+    """The trees of a scene's meshes and the vertices of their triangles, for searches of points; cached."""
+    from wrt.kernels.traversal.two_level.instance_single import PARTS
+
+    key, tables = (scene.accelerator.kind, "points"), scene.cache.tables
+    if key not in tables:
+        kind: Any = PARTS["kdtree" if scene.accelerator.kind == "kdtree" else "bvh"]
+        table, used = [], []
+        for mesh in scene.parts:
+            part, blocks = kind(), vertex_blocks(mesh)
+            part.tree, part.triangles = mesh.tree.struct(), blocks
+            table.append(part)
+            used.append((mesh.tree, blocks))
+        with kept(scene.device):
+            tables[key] = keep_alive(wp.array(table, dtype=kind, device=scene.device), used)
+    return tables[key]
 
 
 def geometry_table(states: Sequence[SceneState], device: wp.Device) -> wp.array:

@@ -78,7 +78,7 @@ def differentiable_hits(
         raise ValueError(f"hits are on {hits.batch.t.device}, the scene on {device}; pass hits of this scene")
     if not hits.is_of(scene.state):
         raise ValueError("hits belong to another scene; pass hits of this scene")
-    points = scene.state.exact_vertices if vertices is None else _on_device(vertices, "vertices", device)
+    points = scene.state.exact_vertices if vertices is None else on_device(vertices, "vertices", device)
     if points.shape != scene.state.exact_vertices.shape:
         raise ValueError(
             f"vertices have the shape {points.shape}, those of the scene {scene.state.exact_vertices.shape}; pass all vertices"
@@ -156,7 +156,7 @@ def _placed_triangles(scene: Queries, hits: Hits) -> list[wp.array]:
     return [faces, face_of, instance, wp.array(signs, dtype=wp.float64, device=device)]
 
 
-def _on_device(values: Any, name: str, device: wp.Device) -> wp.array:
+def on_device(values: Any, name: str, device: wp.Device) -> wp.array:
     """(...) vec3 or vec3d; a Warp array keeps its gradient."""
     values = as_vectors(values, name, device)
     if isinstance(values, wp.array):
@@ -166,7 +166,7 @@ def _on_device(values: Any, name: str, device: wp.Device) -> wp.array:
 
 def _ray_vectors(values: Any, name: str, shape: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
     """((N,) array, 1), or ((1,) array, 0) if all rays share it."""
-    array = _on_device(values, name, device)
+    array = on_device(values, name, device)
     if array.size != 1 and array.shape != shape:
         raise ValueError(f"{name} have the leading shape {array.shape}, the hits {shape}; pass the rays that were traced")
     return array.flatten() if array.ndim else array.reshape(1), int(array.size != 1)

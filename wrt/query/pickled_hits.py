@@ -19,7 +19,7 @@ from wrt.engine.rays.rays import ResultForm
 from wrt.query.all_hits import AllHits
 from wrt.query.exact_hits import PreciseHits
 from wrt.query.hits import Hits
-from wrt.query.points.closest_points import ClosestPoints
+from wrt.query.points.closest_points import ClosestPoints, TrianglesWithin
 
 if TYPE_CHECKING:
     from wrt.engine.plan.plan import Plan
@@ -153,6 +153,14 @@ def unpickle_all_hits(flat: HitsState, offsets: np.ndarray, shape: tuple[int, ..
     return lists
 
 
+def unpickle_within(flat: HitsState, feature: np.ndarray, offsets: np.ndarray, shape: tuple[int, ...]) -> TrianglesWithin:
+    """Unpickles lists of triangles within a distance."""
+    lists = object.__new__(TrianglesWithin)
+    lists.__dict__ |= unpickle_all_hits(flat, offsets, shape).__dict__
+    lists._feature = wp.array(feature, dtype=wp.int8, device=lists._flat._home)  # type: ignore[attr-defined]
+    return lists
+
+
 def hits_state(hits: Hits) -> HitsState:
     """The pickled state of hits, with all attributes computed."""
     values = {name: as_numpy(getattr(hits, name)) for name in ATTRIBUTES}
@@ -183,8 +191,15 @@ def reduce_lists(lists: AllHits) -> tuple[Any, ...]:
     return unpickle_all_hits, (hits_state(lists._flat), lists._offsets.numpy(), lists.shape)
 
 
+def reduce_within(lists: TrianglesWithin) -> tuple[Any, ...]:
+    """How lists of triangles within a distance are pickled."""
+    flat, offsets, shape = reduce_lists(lists)[1]
+    return unpickle_within, (flat, lists._feature.numpy(), offsets, shape)
+
+
 for _kind in (Hits, PreciseHits, PickledHits):
     copyreg.pickle(_kind, reduce_hits)
 for _points in (ClosestPoints, PickledClosestPoints):
     copyreg.pickle(_points, reduce_points)  # type: ignore[arg-type]
 copyreg.pickle(AllHits, reduce_lists)
+copyreg.pickle(TrianglesWithin, reduce_within)

@@ -21,7 +21,7 @@ from wrt.lazy_names import lazy_names
 _HOME = {
     "BrownConrady": "wrt.sensors.lens_models",
     "Camera": "wrt.sensors.image_sensor",
-    "CameraImages": "wrt.sensors.image_sensor",
+    "CameraImages": "wrt.sensors.outputs.captured_images",
     "DoubleSphere": "wrt.sensors.lens_models",
     "Equirectangular": "wrt.sensors.lens_models",
     "FTheta": "wrt.sensors.lens_models",

@@ -5,7 +5,6 @@ from wrt.sensors.camera_poses import pose_from_opengl as pose_from_opengl
 from wrt.sensors.files.bag_files import write_bag as write_bag
 from wrt.sensors.files.point_files import write_points as write_points
 from wrt.sensors.image_sensor import Camera as Camera
-from wrt.sensors.image_sensor import CameraImages as CameraImages
 from wrt.sensors.lens_models import BrownConrady as BrownConrady
 from wrt.sensors.lens_models import DoubleSphere as DoubleSphere
 from wrt.sensors.lens_models import Equirectangular as Equirectangular
@@ -18,6 +17,7 @@ from wrt.sensors.lidar_pattern import LidarPattern as LidarPattern
 from wrt.sensors.lidar_presets import LIDARS as LIDARS
 from wrt.sensors.lidar_scan import POINT_TYPE as POINT_TYPE
 from wrt.sensors.lidar_scan import LidarScan as LidarScan
+from wrt.sensors.outputs.captured_images import CameraImages as CameraImages
 from wrt.sensors.trajectory import Trajectory as Trajectory
 from wrt.sensors.trajectory import deskew as deskew
 

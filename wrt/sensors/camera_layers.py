@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from wrt.kernels.sensors.camera_images import Images
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.scene.scene import Scene
+    from wrt.sensors.outputs.captured_images import CapturedLayers
     from wrt.sensors.time_slices import TracedSlice
     from wrt.sensors.trajectory import StillPoses, Trajectory
 
@@ -67,13 +68,14 @@ class Albedo:
         self._lit.shaded = shaded_mesh(scene, None)
         self._lit.materials = device_materials(scene_materials(scene, materials, Material()), scene.device)
 
-    def fill(self, beams: Beams, images: Images, found: TracedSlice) -> None:
-        """Writes the pixels of a slice."""
+    def fill(self, beams: Beams, made: CapturedLayers) -> None:
+        """Writes all pixels."""
         from wrt.kernels.sensors.surface_images import fill_albedo
 
-        self._lit.shaded.mesh = found.mesh
-        inputs = [beams, found.traced, found.uvs(), self._lit, self.values]
-        launch(fill_albedo, found.part.end - found.part.begin, inputs, device=self.values.device, chunk=1024)
+        for found in made.found:
+            self._lit.shaded.mesh = found.mesh
+            inputs = [beams, found.traced, found.uvs(), self._lit, self.values]
+            launch(fill_albedo, found.part.end - found.part.begin, inputs, device=self.values.device, chunk=1024)
 
 
 class Flow:
@@ -116,8 +118,17 @@ class Flow:
         self._carried[list(motions)] = np.arange(len(motions))
         self.values = empty(count, wp.vec2, device)
 
-    def fill(self, beams: Beams, images: Images, found: TracedSlice) -> None:
-        """Writes the pixels of a slice, whose other images are filled."""
+    def fill(self, beams: Beams, made: CapturedLayers) -> None:
+        """Writes all pixels, from their positions and instances."""
+        from wrt.kernels.sensors.camera_images import Images
+
+        made.make(("position", "instance"))
+        images = Images()
+        images.position, images.instance = made.arrays["position"], made.arrays["instance"]
+        for found in made.found:
+            self._fill_slice(beams, images, found)
+
+    def _fill_slice(self, beams: Beams, images: Images, found: TracedSlice) -> None:
         from wrt.kernels.sensors.surface_images import Later, fill_flow
 
         device, later, time = self.values.device, Later(), found.part.time

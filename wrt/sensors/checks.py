@@ -8,6 +8,9 @@ import numpy as np
 
 from wrt.kernels.validation import as_float, as_numbers
 
+SAME_STRETCH = 1e-6
+"""Relative difference up to which two matrices count as having the same scale and shear."""
+
 
 def check_real(name: str, values: Any, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
     """A fresh float64 array of finite numbers.
@@ -84,3 +87,13 @@ def as_integers(name: str, values: np.ndarray, dtype: Any, holder: str = "") -> 
         wrong = values[~fits].flat[0]
         raise ValueError(f"{name} holds {wrong}; it must hold whole numbers from {limits.min} to {limits.max}{holder}")
     return values.astype(dtype)
+
+
+def is_rigid(rows: list[list[float]]) -> bool:
+    """Whether a (4, 4) matrix moves and turns only. In plain numbers, because NumPy takes longer for so few."""
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), last = rows
+    products = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
+    lengths = a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i
+    worst = max(*map(abs, products), *(abs(length - 1.0) for length in lengths))
+    turns = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0.0
+    return worst <= SAME_STRETCH and turns and last == [0.0, 0.0, 0.0, 1.0]

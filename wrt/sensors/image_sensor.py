@@ -2,41 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from wrt.engine.memory import ArraysOfBlock, empty, outputs_of
+from wrt.engine.memory import empty
 from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
-from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_real_array, convert_fields
+from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, convert_fields
 from wrt.sensors.camera_conversion import camera_of, lens_of
 from wrt.sensors.checks import as_time, check_at_least
-from wrt.sensors.hit_outputs import HitOutputs
+from wrt.sensors.fired_rays import fire, spread_on
 from wrt.sensors.lens_models import LensModel
-from wrt.sensors.lidar import spread_on
+from wrt.sensors.outputs.captured_images import CameraImages, CapturedLayers, as_layers
 from wrt.sensors.time_slices import (
     Bodies,
     SensorRays,
+    Slice,
     as_motions,
     check_slices,
     cut_slices,
     for_each_ray,
+    labels_on,
     no_order,
-    no_vectors,
     slice_error,
     trace_slices,
 )
-from wrt.sensors.trajectory import StillPoses, Trajectory, as_poses, as_trajectory
+from wrt.sensors.trajectory import Trajectory, as_poses, as_trajectory
 
 if TYPE_CHECKING:
     from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
     from wrt.imaging.integrators.rendering_job import Rendering
-    from wrt.kernels.sensors.camera_images import Images
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.scene.scene import Scene
 
@@ -44,18 +45,6 @@ MAX_PIXELS = (1 << 31) - 1
 
 KEPT_CAMERAS = 16
 """Cameras whose rays are kept."""
-
-IMAGES = {
-    "distance": wp.float32,
-    "depth": wp.float32,
-    "position": wp.vec3d,
-    "normal": wp.vec3,
-    "camera_normal": wp.vec3,
-    "instance": wp.int32,
-    "geometry": wp.int32,
-    "primitive": wp.int32,
-    "semantic": wp.int32,
-}
 
 
 @dataclass(frozen=True)
@@ -146,6 +135,7 @@ class Camera:
         albedo: bool = False,
         materials: Any = None,
         flow: float | None = None,
+        layers: Sequence[str] | None = None,
         to_warp: bool = False,
     ) -> CameraImages:
         """Traces one image.
@@ -165,6 +155,9 @@ class Camera:
             materials: those of the colours, as in `wrt.pictures.Rendering`: None for those of the meshes.
             flow: seconds from this image to another one, after it or before, for the optical flow between them; None for no
                 flow. Trajectories must cover its exposure, too.
+            layers: names of the layers that will be read, such as ("depth", "instance_id"): distance, depth, position, normal,
+                camera_normal, instance_id, geometry_id, primitive_id, semantic_id. None for all. NumPy arrays are computed when
+                they are first read, so choosing them saves the time and memory of what is computed along with them.
             to_warp: whether images are Warp arrays on the scene's device instead of NumPy arrays.
 
         Raises:
@@ -173,39 +166,45 @@ class Camera:
                 instances.
             RuntimeError: a graph is being captured.
         """
-        from wrt.kernels.sensors.camera_images import fill_images
-
         refuse_capture("capture", scene.device)
         if materials is not None and not albedo:
             raise ValueError("materials are those of the colours; pass albedo=True, or leave materials out")
         path, time, slices = as_poses(pose), as_time(time), check_slices(slices)
         miss, albedo, to_warp = as_miss(miss), as_bool("albedo", albedo), as_bool("to_warp", to_warp)
         flow = None if flow is None else as_float("flow", flow, finite=True)
-        rows = np.repeat(self.line_delay * np.arange(self.height), self.width).reshape(self.height, self.width)
-        begin, end = time, time + float(rows[-1, 0])
+        chosen = as_layers(layers)
+        begin, end = time, time + self.line_delay * (self.height - 1)
         path.check_covers(begin, end, "the times of the image")
         motions = as_motions(motions, scene, begin, end)
         cameras, device = getattr(path, "shape", ()), scene.device
-        times = np.broadcast_to(rows, (*cameras, *rows.shape))
-        order, parts = cut_slices(times, (0.0, float(rows[-1, 0])), time, slices if motions else 1)
-        beams, (images, arrays) = self.beams(device, order, time), _new_images(times.size, device)
-        each = for_each_ray({"mask": mask, "environment": environment}, cameras, rows.size, 1, order, device)
-        labels = wp.array(as_labels(labels, scene), dtype=int, device=device)
+        order, parts = self._cut(cameras, time, slices if motions else 1)
+        beams, pixels = self.beams(device, order, time), self.width * self.height
+        each = for_each_ray({"mask": mask, "environment": environment}, cameras, pixels, 1, order, device)
+        numbers = labels_on(labels, scene)
         extra = {}
         if albedo or flow is not None:
             from wrt.sensors.camera_layers import extra_images
 
             extra = extra_images(self, scene, path, motions, (begin, end), albedo, materials, flow)
         with use_threads(scene.num_threads):
-            fired = _fire(beams, path, self, times.size, device)
-            rays = SensorRays(*fired, 1, times.shape, np.inf, traversal, each)
-            for found in trace_slices(copy(scene), rays, Bodies(motions, parts), parts):
-                inputs = [beams, path.path(device), found.traced, found.origins, found.mesh, labels, miss, images]
-                launch(fill_images, found.part.end - found.part.begin, inputs, device=device, chunk=1024)
-                for layer in extra.values():
-                    layer.fill(beams, images, found)
+            key, count = self if order is None else None, prod(cameras)
+            fired = fire(beams, path, device, (count, pixels, self.lens.one_centre), None, key)
+            rays = SensorRays(*fired, 1, (*cameras, self.height, self.width), np.inf, traversal, each)
+            found = list(trace_slices(copy(scene), rays, Bodies(motions, parts), parts))
+            given = beams, path.path(device), numbers, miss, count * pixels, scene.num_threads
+            made = CapturedLayers(found, *given, slice_error(motions, scene, parts))
+            for layer in extra.values():
+                layer.fill(beams, made)
         values = {name: layer.values for name, layer in extra.items()}
-        return CameraImages(self, arrays, path, time, to_warp, slice_error(motions, scene, parts), values)
+        return CameraImages(self, made, path, time, to_warp, chosen, values)
+
+    def _cut(self, cameras: tuple[int, ...], time: float, slices: int) -> tuple[np.ndarray | None, list[Slice]]:
+        """As `wrt.sensors.time_slices.cut_slices`, of all pixels of all cameras."""
+        rows: Any = np.float64(0.0)
+        if slices > 1 and self.line_delay > 0.0:
+            rows = (self.line_delay * np.arange(self.height))[:, None]
+        times = np.broadcast_to(rows, (*cameras, self.height, self.width))
+        return cut_slices(times, (0.0, self.line_delay * (self.height - 1)), time, slices)
 
     def render(
         self,
@@ -255,122 +254,30 @@ class Camera:
             order: in which they are traced, the numbers of pixels; None for row by row.
             time: exposure of the first row, in seconds.
         """
-        from wrt.kernels.sensors.lidar_beams import Beams
+        from wrt.kernels.runtime.argument_packing import copied
 
-        beams = Beams()
-        beams.directions, beams.offsets, beams.times = _optical_rays(self, device.alias)
-        beams.order = no_order(device.alias) if order is None else wp.array(order, dtype=int, device=device)
-        beams.spread = spread_on(1, 0.0, device.alias)
+        beams = copied(_optical_beams(self, device.alias))
+        if order is not None:
+            beams.order = wp.array(order, dtype=int, device=device)
         beams.start = wp.float64(time)
         return beams
 
 
-class CameraImages(HitOutputs):
-    """What a `Camera` saw: images of shape (height, width), NumPy arrays, or Warp arrays on request.
-
-    Those of many cameras have the leading shape of their poses before it.
-
-    Attributes:
-        distance: float32, along the ray; the miss value where there is no hit.
-        depth: float32, along the optical axis (z); the miss value where there is no hit.
-        position: (..., 3) float64 in the world; NaN for a miss.
-        normal: (..., 3) float32 in the world, by the winding of the triangle; 0 for a miss.
-        camera_normal: (..., 3) float32, the same in the optical frame at the time of the row.
-        instance_id: int32, index of the instance, or of the mesh in a scene without instances; -1 for a miss.
-        geometry_id, primitive_id: int32, the mesh and the triangle within it; -1 for a miss.
-        semantic_id: int32, the label of the instance; -1 for a miss, and without labels.
-        albedo: (..., 3) float32, the colour of the surface's material, linear, without light; 0 for a miss. None unless asked
-            for.
-        flow: (..., 2) float32, by how many pixels to the right and down the surface point is elsewhere in the image some time
-            after the pixel's own; NaN for a miss, and where the lens does not see it then. Other surfaces may hide it. None
-            unless asked for.
-        time: (height,) float64, when each row was exposed.
-        camera, trajectory, start: how they were made.
-        motion_error: bound on the displacement of surfaces by time slices (`wrt.sensors.time_slices`).
-    """
-
-    def __init__(
-        self,
-        camera: Camera,
-        images: Mapping[str, wp.array] | ArraysOfBlock,
-        trajectory: Trajectory | StillPoses,
-        start: float,
-        to_warp: bool,
-        motion_error: float,
-        extra: Mapping[str, wp.array],
-    ) -> None:
-        self.camera, self.trajectory, self.start, self.motion_error = camera, trajectory, start, motion_error
-        self._extra = extra
-        super().__init__(images, (*getattr(trajectory, "shape", ()), camera.height, camera.width), to_warp)
-
-    @cached_property
-    def distance(self) -> Any:
-        return self._out("distance")
-
-    @cached_property
-    def depth(self) -> Any:
-        return self._out("depth")
-
-    @cached_property
-    def camera_normal(self) -> Any:
-        return self._out("camera_normal")
-
-    @cached_property
-    def semantic_id(self) -> Any:
-        return self._out("semantic")
-
-    @cached_property
-    def albedo(self) -> Any:
-        return self._shaped(self._extra.get("albedo"))
-
-    @cached_property
-    def flow(self) -> Any:
-        return self._shaped(self._extra.get("flow"))
-
-    @cached_property
-    def time(self) -> np.ndarray:
-        return self.start + self.camera.line_delay * np.arange(self.camera.height)
-
-
 @lru_cache(maxsize=KEPT_CAMERAS)
-def _optical_rays(camera: Camera, device: str) -> tuple[wp.array, wp.array, wp.array]:
-    """Directions, offsets (0,) or (N,), and times of all pixels' rays in the optical frame; kept for the next image."""
+def _optical_beams(camera: Camera, device: str) -> Beams:
+    """The rays of all pixels in the optical frame, row by row; kept for the next image."""
     from wrt.kernels.sensors.lenses import image_rays
+    from wrt.kernels.sensors.lidar_beams import Beams
 
-    on, count = as_device(device), camera.width * camera.height
+    on, count, beams = as_device(device), camera.width * camera.height, Beams()
     with kept(on):
         directions, times = empty(count, wp.vec3, on), empty(count, wp.float64, on)
         offsets = wp.empty(0 if camera.lens.one_centre else count, dtype=wp.vec3, device=on)
         inputs = [camera.lens.struct(), camera.width, wp.float64(camera.line_delay), offsets, directions, times]
         launch(image_rays, count, inputs, device=on, chunk=1024)
-    return directions, offsets, times
-
-
-def _new_images(count: int, device: wp.Device) -> tuple[Images, Mapping[str, wp.array] | ArraysOfBlock]:
-    """Memory for images: as kernels see it, and the arrays."""
-    from wrt.kernels.sensors.camera_images import Images
-
-    images = Images()
-    return images, outputs_of(images, IMAGES, count, device)
-
-
-def _fire(
-    beams: Beams, path: Trajectory | StillPoses, camera: Camera, count: int, device: wp.Device
-) -> tuple[wp.array, wp.array]:
-    """Origins and directions of all pixels' rays in the world, in the order in which they are traced."""
-    from wrt.kernels.sensors.lidar_beams import fire_beams
-
-    shared = path.is_still and camera.lens.one_centre and count == camera.width * camera.height
-    origins = empty(1 if shared else count, wp.vec3d, device)
-    directions = empty(count, wp.vec3, device)
-    launch(
-        fire_beams,
-        count,
-        [beams, path.path(device), origins, wp.vec3d(), no_vectors(device.alias), directions],
-        device=device,
-        chunk=2048,
-    )
-    return origins, directions
+    beams.directions, beams.offsets, beams.times = directions, offsets, times
+    beams.order, beams.spread = no_order(device), spread_on(1, 0.0, device)
+    return beams
 
 
 def as_miss(miss: Any) -> float:
@@ -380,20 +287,3 @@ def as_miss(miss: Any) -> float:
         TypeError: not a number.
     """
     return miss if type(miss) is float else float(as_numbers("miss", miss, (), finite=False))
-
-
-def as_labels(labels: Any, scene: Scene) -> np.ndarray:
-    """(I,) int32, or (0,) for none.
-
-    Raises:
-        TypeError: not integers.
-        ValueError: another number of labels, or a negative one.
-    """
-    if labels is None:
-        return np.zeros(0, dtype=np.int32)
-    values, count = as_real_array("labels", labels), len(scene.instances) or len(scene.meshes)
-    if values.dtype.kind not in "iu":
-        raise TypeError(f"labels must hold integers, not {values.dtype}")
-    if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
-        raise ValueError(f"labels must be {count} numbers from 0 to 2**31 - 1, one for each instance, not {labels!r:.80}")
-    return values.astype(np.int32)

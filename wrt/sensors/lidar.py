@@ -6,38 +6,38 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from wrt.engine.facts.query_kinds import AUTO
-from wrt.engine.memory import outputs_of
-from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
+from wrt.kernels.runtime.launch import as_device, kept, refuse_capture, use_threads
 from wrt.kernels.validation import as_int, convert_fields
 from wrt.sensors.checks import as_time, check_at_least, check_real
+from wrt.sensors.fired_rays import fire, spread_on
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
 from wrt.sensors.lidar_scan import LidarScan
+from wrt.sensors.outputs.measured_returns import MeasuredReturns
 from wrt.sensors.time_slices import (
     Bodies,
     SensorRays,
-    TracedSlice,
     as_motions,
     check_slices,
     for_each_ray,
+    labels_on,
     no_order,
-    no_vectors,
     slice_error,
     trace_slices,
 )
-from wrt.sensors.trajectory import StillPoses, Trajectory, as_poses
+from wrt.sensors.trajectory import Trajectory, as_poses
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.engine.memory import ArraysOfBlock
     from wrt.kernels.sensors.lidar_beams import Beams
-    from wrt.kernels.sensors.lidar_returns import Detector, Noise, Returns
+    from wrt.kernels.sensors.lidar_returns import Detector, Noise
     from wrt.scene.scene import Scene
 
 KEEP = {"strongest": 0, "first": 1, "last": 2}
@@ -51,7 +51,6 @@ MAX_KEPT = 64
 
 MAX_BUNDLE = 256
 MAX_RETURNS = 16
-GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,6 +160,7 @@ class Lidar:
         mask: Any = None,
         environment: Any = None,
         traversal: Any = "auto",
+        labels: Any = None,
         seed: int | None = None,
     ) -> LidarScan:
         """Traces one scan. Every beam starts at the pose of the sensor at its own firing time.
@@ -177,6 +177,7 @@ class Lidar:
             mask, environment: as in `wrt.Scene.intersect`, one number, or one for each of many sensors: which instances they
                 see.
             traversal: as in `wrt.Scene.intersect`.
+            labels: (I,) integers >= 0, the semantic class of each instance (of each mesh, in a scene without instances).
             seed: of the noise, 0 to 2^64 - 1; the same seed gives the same noise, so pass another one for each
                 scan. None: no noise.
 
@@ -194,22 +195,25 @@ class Lidar:
         span = self.pattern.span
         begin, end = time + span[0], time + span[1]
         path.check_covers(begin, end, "the times of the scan")
-        work = _Work(self, scene, path, time, as_reflectance(reflectance, scene), as_noise(self, seed))
+        detector, noise = self.detector(scene.device, as_reflectance(reflectance, scene)), as_noise(self, seed)
         motions = as_motions(motions, scene, begin, end)
         sensors = getattr(path, "shape", ())
         slices = check_slices(slices)
         order, parts = self.pattern.cut(sensors, slices if motions else 1)
         parts = [part.later(time) for part in parts]
-        seen_by = {"mask": mask, "environment": environment}
-        each = for_each_ray(seen_by, sensors, len(self.pattern), self.bundle, order, scene.device)
+        seen_by, device, count = {"mask": mask, "environment": environment}, scene.device, prod(sensors)
+        each = for_each_ray(seen_by, sensors, len(self.pattern), self.bundle, order, device)
+        beams, shape = self.device_beams(device, order, time), (*sensors, *self.pattern.shape)
         with use_threads(scene.num_threads):
             relative = not (motions or each) and traversal == AUTO and type(scene).intersect is Queries.intersect
-            work.fire(order, relative)
-            given = work.origins, work.directions, self.bundle, (*sensors, *self.pattern.shape), self.max_range, traversal, each
-            rays = SensorRays(*given, relative)  # type: ignore[arg-type, call-arg]
-            for found in trace_slices(work.scene, rays, Bodies(motions, parts), parts):
-                work.describe(found)
-        return LidarScan(self.pattern, work.arrays, self.returns, path, time, slice_error(motions, scene, parts))
+            counts = count, len(self.pattern) * self.bundle, self.pattern.offsets is None
+            key = None if order is not None or self.pattern.is_warp else (self.pattern, self.bundle, self.divergence)
+            fired = fire(beams, path, device, counts, scene.state.center if relative else None, key)
+            rays = SensorRays(*fired, self.bundle, shape, self.max_range, traversal, each, relative)
+            found = list(trace_slices(copy(scene), rays, Bodies(motions, parts), parts))
+            given = (beams, path.path(device), noise, detector), (count * len(self.pattern), self.returns, self.bundle)
+            layers = MeasuredReturns(found, *given, labels_on(labels, scene), scene.num_threads)
+        return LidarScan(self.pattern, layers, self.returns, path, time, slice_error(motions, scene, parts))
 
     def device_beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
         """The beams, for kernels.
@@ -268,87 +272,10 @@ class Lidar:
 
 
 @lru_cache(maxsize=64)
-def spread_on(bundle: int, divergence: float, device: str) -> wp.array:
-    """(bundle,) vec2 tangents of the angles of a bundle's rays to the axis; kept, as every scan needs them."""
-    number = np.arange(bundle)
-    radius = 0.0 if bundle == 1 else np.tan(divergence / 2) * np.sqrt((number + 0.5) / bundle)
-    spread = np.stack([radius * np.cos(GOLDEN_ANGLE * number), radius * np.sin(GOLDEN_ANGLE * number)], axis=-1)
-    with kept(as_device(device)):
-        return wp.array(spread.astype(np.float32), dtype=wp.vec2, device=device)
-
-
-@lru_cache(maxsize=64)
 def one_reflectance(value: float, device: str) -> wp.array:
     """(1,) reflectance of all surfaces; kept."""
     with kept(as_device(device)):
         return wp.array([value], dtype=float, device=device)
-
-
-class _Work:
-    """A scan under way: rays of all beams, and returns as far as they are known."""
-
-    def __init__(
-        self, lidar: Lidar, scene: Scene, path: Trajectory | StillPoses, time: float, reflectance: np.ndarray, noise: Noise
-    ) -> None:
-        self.lidar, self.path, self.time, self.noise = lidar, path, time, noise
-        self.scene, self.device = copy(scene), scene.device
-        self.detector = lidar.detector(self.device, reflectance)
-        self.beam_count = len(lidar.pattern) * (len(path) if isinstance(path, StillPoses) else 1)
-        self.returns, self.arrays = new_returns(self.beam_count * lidar.returns, self.device)
-
-    def fire(self, order: np.ndarray | None, relative: bool) -> None:
-        """Makes the rays of all beams, in the order in which they are traced; relative: to the scene's centre."""
-        from wrt.kernels.sensors.lidar_beams import fire_beams
-
-        lidar = self.lidar
-        self.beams = lidar.device_beams(self.device, order, self.time)
-        self.poses = self.path.path(self.device)
-        count = self.beam_count * lidar.bundle
-        shared = self.path.is_still and lidar.pattern.offsets is None and self.beam_count == len(lidar.pattern)
-        self.origins = wp.empty(1 if shared else count, dtype=wp.vec3 if relative else wp.vec3d, device=self.device)
-        self.directions = wp.empty(count, dtype=wp.vec3, device=self.device)
-        if relative:
-            places = no_vectors(self.device.alias, wp.vec3d), wp.vec3d(*self.scene.state.center.tolist()), self.origins
-        else:
-            places = self.origins, wp.vec3d(), no_vectors(self.device.alias)
-        inputs = [self.beams, self.poses, *places, self.directions]
-        launch(fire_beams, count, inputs, device=self.device, chunk=2048)
-
-    def describe(self, found: TracedSlice) -> None:
-        """Writes the returns of the beams of a slice."""
-        from wrt.kernels.sensors.lidar_returns import describe_returns, gather_returns, single_returns
-
-        count, kept, traced, mesh = found.part.end - found.part.begin, self.lidar.returns, found.traced, found.mesh
-        inputs = [self.beams, self.poses, traced, mesh, found.motions, self.noise, self.detector, self.returns]
-        if self.lidar.bundle == kept == 1:
-            launch(single_returns, count, inputs, device=self.device, chunk=1024)
-            return
-        gathered = [self.beams, traced, mesh, self.detector, self.returns]
-        launch(gather_returns, count, gathered, device=self.device, chunk=1024)
-        launch(describe_returns, count * kept, inputs, device=self.device, chunk=1024)
-
-
-RETURNS = {
-    "point": wp.vec3d,
-    "position": wp.vec3d,
-    "range": wp.float32,
-    "intensity": wp.float32,
-    "radial_velocity": wp.float32,
-    "ray": wp.int32,
-    "instance": wp.int32,
-    "geometry": wp.int32,
-    "primitive": wp.int32,
-    "normal": wp.vec3,
-}
-"""Arrays of `wrt.kernels.sensors.lidar_returns.Returns`."""
-
-
-def new_returns(count: int, device: wp.Device) -> tuple[Returns, Mapping[str, wp.array] | ArraysOfBlock]:
-    """Memory for returns: as kernels see it, and the arrays."""
-    from wrt.kernels.sensors.lidar_returns import Returns
-
-    returns = Returns()
-    return returns, outputs_of(returns, RETURNS, count, device)
 
 
 def as_reflectance(reflectance: Any, scene: Scene) -> np.ndarray:

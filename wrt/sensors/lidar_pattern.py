@@ -70,6 +70,7 @@ class LidarPattern:
         self.structs: dict[str, Beams] = {}  # by device
         self._cuts: dict[tuple[tuple[int, ...], int], tuple[np.ndarray | None, list[Slice]]] = {}
         self._on_device: dict[str, tuple[wp.array, wp.array, wp.array]] = {}
+        self._order = np.zeros(0, dtype=np.int32)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickles leave out what is kept for a device."""
@@ -103,6 +104,17 @@ class LidarPattern:
                 self._cuts.clear()
             self._cuts[key] = cut_slices(np.broadcast_to(self.times, (*sensors, *self.shape)), self.span, 0.0, slices)
         return self._cuts[key]
+
+    def order_of_returns(self, kept: int) -> np.ndarray:
+        """(beams kept,) int32: the returns of a scan in order of time; the last one is kept.
+
+        Args:
+            kept: returns of each beam.
+        """
+        if len(self._order) != len(self) * kept:
+            beams = np.argsort(self.times.ravel(), kind="stable").astype(np.int32)
+            self._order = (kept * beams[:, None] + np.arange(kept, dtype=np.int32)).ravel()
+        return self._order
 
     @property
     def duration(self) -> float:

@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.sensors.hit_outputs import HitOutputs
+from wrt.kernels.validation import as_bool
+from wrt.sensors.outputs.hit_outputs import HitOutputs
+from wrt.sensors.outputs.row_tables import Field, as_host, coordinates, row_table
 from wrt.sensors.trajectory import StillPoses, Trajectory, deskew
+from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    import warp as wp
-
-    from wrt.engine.memory import ArraysOfBlock
     from wrt.sensors.lidar_pattern import LidarPattern
+    from wrt.sensors.outputs.measured_returns import MeasuredReturns
 
 POINT_TYPE = np.dtype(
     [
@@ -41,7 +40,8 @@ class LidarScan(HitOutputs):
     """What a `Lidar` measured in one scan.
 
     Arrays have the pattern's leading shape (...), or (..., R) if the lidar keeps R > 1 returns; those of many sensors have the
-    leading shape of their poses before it. They are NumPy arrays if the pattern was, else Warp arrays on the scene's device.
+    leading shape of their poses before it. They are NumPy arrays if the pattern was, each computed when it is first read, else
+    Warp arrays on the scene's device.
 
     Attributes:
         range: float32 distance along the beam, with noise; inf for a miss.
@@ -53,6 +53,7 @@ class LidarScan(HitOutputs):
         instance_id: int32, index of the instance, or of the mesh in a scene without instances; -1 for a miss.
         geometry_id: int32, index of the mesh; -1 for a miss.
         primitive_id: int32, index of the triangle within its mesh; -1 for a miss.
+        semantic_id: int32, the label of the instance; -1 for a miss, and without labels.
         radial_velocity: float32, the rate in metres a second at which the distance between the start of the beam and the point
             of the surface grows, from the motions of both; NaN for a miss.
         time: (...) float64 NumPy array, time of each beam on the clock of the trajectories.
@@ -66,7 +67,7 @@ class LidarScan(HitOutputs):
     def __init__(
         self,
         pattern: LidarPattern,
-        returns: Mapping[str, wp.array] | ArraysOfBlock,
+        layers: MeasuredReturns,
         kept: int,
         trajectory: Trajectory | StillPoses,
         start: float,
@@ -74,7 +75,7 @@ class LidarScan(HitOutputs):
     ) -> None:
         self.pattern, self.trajectory, self.start, self.motion_error = pattern, trajectory, start, motion_error
         self._kept, self._beams = kept, (*getattr(trajectory, "shape", ()), *pattern.shape)
-        super().__init__(returns, self._beams if kept == 1 else (*self._beams, kept), pattern.is_warp)
+        super().__init__(layers, self._beams if kept == 1 else (*self._beams, kept), pattern.is_warp)
 
     @cached_property
     def range(self) -> Any:
@@ -115,37 +116,39 @@ class LidarScan(HitOutputs):
         times = self.time if self._kept == 1 else self.time[..., None]
         return deskew(self.point, times, trajectory or self.trajectory, self.start if time is None else time)
 
-    def to_structured(self, frame: str = "sensor") -> np.ndarray:
+    def to_structured(self, frame: str = "sensor", organized: bool = False) -> np.ndarray:
         """All returns, without misses: (N,) structured array of `wrt.sensors.POINT_TYPE`, sensor by sensor, in order of time.
 
         Some fields are wider: coordinates of the world are float64, as float32 would move points that are far from 0; rings are
-        int32 if some are not from 0 to 65535, and times float64 if some are 16 s or more after the start.
+        int32 if some are not from 0 to 65535, and times float64 if some are 16 s or more after the start. A scan with labels
+        has a field more: semantic_id (int32).
 
         Args:
             frame: "sensor": coordinates as measured, each at the time of its beam; "world"; or "start": without the motion of
                 the sensor, in its frame at the start of the scan.
+            organized: whether to give all returns in the shape of the scan, misses included, whose coordinates are NaN.
 
         Raises:
+            TypeError: `organized` is no bool.
             ValueError: an unknown frame.
         """
-        from wrt.tables import lookup
-
         choices = {"sensor": lambda: self.point, "world": lambda: self.position, "start": self.deskewed}
-        points = _host(lookup(choices, frame, "frame")()).reshape(-1, self._kept, 3)
-        count, sensors = len(self.pattern), len(self.time.ravel()) // len(self.pattern)
-        order = np.argsort(self.pattern.times.ravel(), kind="stable")
-        order = (np.arange(sensors)[:, None] * count + order).ravel()
-        found = np.isfinite(_host(self.range).reshape(-1, self._kept)[order])
-        out = np.empty(int(found.sum()), dtype=self._row_type(frame))
-        for axis, name in enumerate(("x", "y", "z")):
-            out[name] = points[order, :, axis][found]
-        spread = np.broadcast_to
-        out["intensity"] = _host(self.intensity).reshape(-1, self._kept)[order][found]
-        out["instance_id"] = _host(self.instance_id).reshape(-1, self._kept)[order][found]
-        out["ring"] = spread(self.ring.ravel()[order, None], found.shape)[found]
-        out["time"] = spread(self.pattern.times.ravel()[order % count, None], found.shape)[found]
-        out["return_number"] = spread(np.arange(self._kept), found.shape)[found]
-        return out
+        points, row = lookup(choices, frame, "frame")(), self._row_type(frame)
+        kept, layers, organized = self._kept, self._layers, as_bool("organized", organized)
+        fields = [
+            *coordinates(points, row["x"].str),
+            Field("intensity", "<f4", as_host(self.intensity).ravel()),
+            Field("ring", row["ring"].str, self.pattern.rings.ravel(), kept),
+            Field("time", row["time"].str, self.pattern.times.ravel(), kept),
+            Field("return_number", "u1", np.arange(kept, dtype=np.uint8)),
+            Field("instance_id", "<i4", as_host(self.instance_id).ravel()),
+        ]
+        if len(layers.labels):
+            fields.append(Field("semantic_id", "<i4", as_host(self.semantic_id).ravel()))
+        if organized:
+            return row_table(fields, None, layers.count, None, layers.num_threads).reshape(self.shape)
+        order = self.pattern.order_of_returns(kept)
+        return row_table(fields, fields[7].values, layers.count, (order, len(order)), layers.num_threads)
 
     def _row_type(self, frame: str) -> np.dtype:
         """The type of a row in a frame."""
@@ -155,7 +158,3 @@ class LidarScan(HitOutputs):
         if max(map(abs, self.pattern.span)) >= LONG_TIME:
             wider["time"] = "<f8"
         return np.dtype([(name, wider.get(name, POINT_TYPE[name].str)) for name in POINT_TYPE.names])
-
-
-def _host(values: Any) -> np.ndarray:
-    return values if isinstance(values, np.ndarray) else values.numpy()

@@ -276,6 +276,23 @@ def for_each_ray(
     return found
 
 
+def labels_on(labels: Any, scene: Scene) -> wp.array:
+    """(I,) int32 on the scene's device, or (0,) for none.
+
+    Raises:
+        TypeError: not integers.
+        ValueError: another number of labels, or a negative one.
+    """
+    if labels is None:
+        return no_order(scene.device.alias)
+    values, count = as_real_array("labels", labels), len(scene.instances) or len(scene.meshes)
+    if values.dtype.kind not in "iu":
+        raise TypeError(f"labels must hold integers, not {values.dtype}")
+    if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
+        raise ValueError(f"labels must be {count} numbers from 0 to 2**31 - 1, one for each instance, not {labels!r:.80}")
+    return wp.array(values.astype(np.int32), dtype=int, device=scene.device)
+
+
 def as_motions(motions: Any, scene: Scene, begin: float, end: float) -> Mapping[int, Trajectory]:
     """Checked trajectories of instances over a time.
 

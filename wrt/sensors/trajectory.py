@@ -13,16 +13,13 @@ from wrt.engine.memory import keep_alive
 from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.runtime.launch import as_device, launch, refuse_capture
 from wrt.kernels.validation import host_array
-from wrt.sensors.checks import as_time, check_matrix, check_real
+from wrt.sensors.checks import SAME_STRETCH, as_time, check_matrix, check_real, is_rigid
 
 if TYPE_CHECKING:
     from wrt.kernels.sensors.pose_paths import PosePath
 
 IDENTITY = np.eye(3)
 IDENTITY.setflags(write=False)
-
-SAME_STRETCH = 1e-6
-"""Relative difference up to which two matrices count as having the same scale and shear."""
 
 
 class Trajectory:
@@ -119,6 +116,11 @@ class Trajectory:
     def is_still(self) -> bool:
         """Whether there is one pose only."""
         return len(self.times) == 1
+
+    @cached_property
+    def key(self) -> bytes:
+        """Of the poses, if they are at rest: equal for equal poses only."""
+        return self.positions.tobytes() + self.rotations.tobytes()
 
     @cached_property
     def matrices(self) -> np.ndarray:
@@ -240,18 +242,26 @@ class StillPoses:
         if not rigid.all():
             raise ValueError(f"pose {int(rigid.argmin())} does more than move and turn; sensors have no scale")
         self.shape = self.poses.shape[:-2]
+        self._paths: dict[str, PosePath] = {}
 
     def __len__(self) -> int:
         """Number of sensors."""
         return int(np.prod(self.shape))
 
+    @cached_property
+    def key(self) -> bytes:
+        """Of the poses: equal for equal poses only."""
+        return self.poses.tobytes()
+
     def check_covers(self, begin: float, end: float, what: str = "times") -> None:
         """Poses at rest cover all times."""
 
     def path(self, device: wp.Device) -> PosePath:
-        """The poses for kernels on a device."""
-        flat = self.poses.reshape(-1, 4, 4)
-        return pose_path(np.zeros(1), flat[:, :3, 3], quaternions(flat[:, :3, :3]), device)
+        """The poses for kernels on a device; copied once."""
+        flat, known = self.poses.reshape(-1, 4, 4), self._paths
+        if device.alias not in known:
+            known[device.alias] = pose_path(np.zeros(1), flat[:, :3, 3], quaternions(flat[:, :3, :3]), device)
+        return known[device.alias]
 
 
 def pose_path(times: np.ndarray, positions: np.ndarray, rotations: np.ndarray, device: wp.Device) -> PosePath:
@@ -334,16 +344,6 @@ def deskew(points: Any, times: Any, trajectory: Trajectory | StillPoses, time: f
     out = wp.empty_like(flat)
     launch(points_to_frame, len(flat), [path, wp.float64(time), moved, out], device=device)
     return out.reshape(shape) if is_warp else out.numpy().reshape(*shape, 3)
-
-
-def is_rigid(rows: list[list[float]]) -> bool:
-    """Whether a (4, 4) matrix moves and turns only. In plain numbers, because NumPy takes longer for so few."""
-    (a, b, c, _), (d, e, f, _), (g, h, i, _), last = rows
-    products = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
-    lengths = a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i
-    worst = max(*map(abs, products), *(abs(length - 1.0) for length in lengths))
-    turns = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0.0
-    return worst <= SAME_STRETCH and turns and last == [0.0, 0.0, 0.0, 1.0]
 
 
 def quaternion(rows: list[list[float]]) -> list[float]:

@@ -116,6 +116,12 @@ def first_frames(mesh: TriangleMesh, rays: Rays, builders: Sequence[str], *, rou
     ]
 
 
+def compare_first_frames(mesh: TriangleMesh, *, size: int = 128, rounds: int = 3) -> list[FirstFrame]:
+    """A scene and its first view of size x size rays with lazy, binned and exact builders (Hunt et al. 2007)."""
+    (view,) = WorkloadMaker(mesh, size=size).make(["far"])
+    return first_frames(mesh, view.rays, ("in_place", "binned", "lazy"), rounds=rounds)
+
+
 def built_part(scene: Scene, rays: Rays) -> BuiltPart:
     """What of a scene's lazy tree is built, and what the rays see of the mesh."""
     cells = scene.state.lazy_tree.cells

@@ -90,6 +90,11 @@ def first_views(
     return list(rows.values())
 
 
+def compare_hierarchies(*, blocks: int = 8, size: int = 128, rounds: int = 5) -> list[dict[str, Any]]:
+    """A view into a district of blocks x blocks groups of meshes, in lazy kd-trees from each hierarchy."""
+    return first_views(district(blocks), street_view(blocks, size), rounds=rounds)
+
+
 def opened_part(scene: Scene) -> dict[str, int]:
     """Counts of a scene's lazy tree, as in `first_views`."""
     tree = scene.state.lazy_tree

@@ -4,16 +4,16 @@
     contenders      Table 2, Fig. 6: time without a tree    early_exits     Fig. 7: precomputation and exits, one by one
     resolutions     Fig. 8: from 128 to 1024 pixels         frustum_sizes   from single rays to 16 x 16
     with_tree       Table 4, Fig. 9: with a SAH-BVH         foreseen        what exits are worth if branches are foreseen
+    depth_limits    Table 4's large models: trees of depth 12 and 10
 
 Each returns a list of plain dicts. Without a tree a picture costs rays x triangles tests: of the frusta of a picture as many
 are measured, evenly picked, as make some `TESTS` tests, and `seconds` is that time scaled up to the whole picture. The clock
 is the processor time of one thread, contenders take turns, ratios are taken round by round: "ratio" is the median of time /
 the reference's time, "least" and "greatest" are those of a round.
 
-What an exit is worth: each is a branch, and an exit that a half or a quarter of all vectors take is one that no processor
-foresees. On the bunny the published test with all its exits takes three to four times as long as with none; with triangles
-sorted so that branches are foreseen it takes 0.6 times as long (`foreseen`): exits do save arithmetic, but not as much as a
-wrong guess costs. What pays is one exit that nearly all vectors take, before the divisions of a hit; so the engine does.
+What an exit is worth: each is a branch, and one that a half or a quarter of all vectors take is hard to foresee. `foreseen`
+sorts triangles so that the processor foresees every branch, which tells the arithmetic that exits save from what wrong guesses
+cost.
 
 References: komatsu-2008.
 """
@@ -27,8 +27,10 @@ from typing import Any
 
 import numpy as np
 
+from studies.evidence import papers
 from studies.triangles.isolated_tests import Beams, Soup, closest, exits
 from studies.triangles.triangle_test_comparison import ratios
+from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.bench.core.workloads import WorkloadMaker
 from wrt.kernels.classics.studies.derivation_counts import count_derivation
@@ -59,27 +61,17 @@ CONTENDERS: dict[str, TestForm] = {
 NOT_COUNTED = 3
 """Operations of the other tests that the paper leaves out: u and v are divided here, and one subtraction finds a bad t."""
 
-PAPER_TABLE_1 = {"Möller": (0, 34, 48), "Projection": (0, 22, 40), "Pluecker": (41, 21, 52), "Proposed": (26, 17, 40)}
+PAPER_TABLE_1 = {name: tuple(map(int, row)) for name, row in papers.KOMATSU_1.rows.items()}
 """Precomputation, test, bytes."""
 
-PAPER_TABLE_2 = {
-    name: dict(zip(("bunny", "dragon", "happy buddha", "armadillo", "asian dragon", "thai statue"), seconds, strict=True))
-    for name, seconds in {
-        "Möller": (36.8, 589.9, 731.4, 256.6, 4130.7, 6632.8),
-        "Projection": (36.7, 587.2, 754.2, 271.9, 4236.7, 6557.1),
-        "Pluecker": (35.9, 532.8, 673.2, 252.0, 4826.7, 6123.7),
-        "Proposed": (30.5, 496.0, 601.3, 231.1, 3191.5, 5240.8),
-    }.items()
-}
+PAPER_TABLE_2 = {name: papers.KOMATSU_2.row(name) for name in papers.KOMATSU_2.rows}
 """Seconds, without a tree; the paper's dragon has more triangles than the one of lower resolution."""
 
-PAPER_TABLE_3 = {
-    "Möller": (20.9, 37.9, 27.8, 13.5),
-    "Projection": (29.6, 34.2, 24.3, 11.9),
-    "Pluecker": (20.9, 79.1),
-    "Proposed": (20.9, 37.9, 27.8, 13.5),
-}
+PAPER_TABLE_3 = {name: tuple(value for value in row if value is not None) for name, row in papers.KOMATSU_3.rows.items()}
 """Per cent of the tests that are no hits, exit by exit."""
+
+PAPER_TABLE_4 = papers.KOMATSU_4.ratio("Möller", "Proposed")
+"""Speeds with a SAH-BVH, by model."""
 
 
 def table_1() -> list[Row]:
@@ -218,6 +210,30 @@ def exit_order(corners: np.ndarray, direction: np.ndarray) -> np.ndarray:
     return np.argsort(ends, kind="stable")
 
 
+def tessellated(mesh: TriangleMesh, times: int) -> TriangleMesh:
+    """The same surface with every triangle divided into four, `times` times; triangles share no vertices."""
+    corners = mesh.vertices[mesh.faces]
+    for _ in range(times):
+        a, b, c = np.moveaxis(corners, 1, 0)
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+        corners = np.concatenate([np.stack(part, axis=1) for part in parts])
+    return TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), name=f"{mesh.name} x {4**times}")
+
+
+def depth_limits(
+    mesh: TriangleMesh, *, limits: Sequence[int | None] = (None, 12, 10), pixels: int = 256, rounds: int = 5
+) -> list[Row]:
+    """Table 4's two large models: rows of `with_tree` by the depth of the tree, "limit"; None is a whole BVH."""
+    rows = []
+    for limit in limits:
+        rows += [
+            row | {"limit": str(limit).lower()}
+            for row in with_tree(mesh, pixels=pixels, rounds=rounds, max_depth=limit, records=False)
+        ]
+    return rows
+
+
 def exit_shares(mesh: TriangleMesh, *, pixels: int = 256, edge: int = 2, tests: int = TESTS >> 3) -> list[Row]:
     """Table 3: of the tests that are no hits, the share that ends at each exit; and of vectors of edge x edge tests."""
     soup, rays = frusta(mesh, pixels=pixels, edge=edge, tests=tests)
@@ -244,13 +260,26 @@ def frustum_sizes(mesh: TriangleMesh, edges: Sequence[int] = (1, 2, 4, 8, 16), *
     return [row for edge in edges for row in timed(mesh, forms, edge=edge, width=min(edge * edge, 16), **options)]
 
 
-def with_tree(mesh: TriangleMesh, *, pixels: int = 256, rounds: int = 9) -> list[Row]:
+def with_tree(
+    mesh: TriangleMesh, *, pixels: int = 256, rounds: int = 9, max_depth: int | None = None, records: bool = True
+) -> list[Row]:
     """Table 4 and Fig. 9: a view through a SAH-BVH, by the engine's tests; packets with the same culling, and single rays.
 
-    "records" is what making the records takes, as a share of the reference's time for a view: once an origin for Komatsu's.
+    Args:
+        mesh: any.
+        pixels: of the view, each way.
+        rounds: number of rounds per test.
+        max_depth: None for a BVH; else that of a kd-tree, as leaves of our BVHs hold 63 triangles at most and those of the
+            paper's deepest trees, of depth 12 and 10, hold thousands.
+        records: whether making the records is timed, too.
+
+    Returns:
+        Rows of `timed`, with "traversal" and "records": what making the records takes, as a share of the reference's time for
+        a view, once an origin for Komatsu's.
     """
     (view,) = WorkloadMaker(mesh, size=pixels).make(["far"])
-    scene, rows = Scene(mesh, "bvh", device="cpu", num_threads=1), []
+    tree = "bvh" if max_depth is None else KdTree(max_depth=max_depth)
+    scene, rows = Scene(mesh, tree, device="cpu", num_threads=1), []
     soup = Soup(mesh.vertices[mesh.faces] - mesh.center, view.origins[0] - mesh.center)
     width = native_width(scene.device)
     for traversal, culling in (("packet", "interval"), ("single", "")):
@@ -261,11 +290,12 @@ def with_tree(mesh: TriangleMesh, *, pixels: int = 256, rounds: int = 9) -> list
         with use_threads(1):
             packed = [
                 Contender(f"{run.name} records", lambda test=run.name: soup.pack(TRIANGLE_TESTS[test].record, width), len(view))
-                for run in runs
+                for run in (runs if records else ())
             ]
             timings = take_turns([*runs, *packed], rounds, clock=thread_time, settle=0.2)
         traced = {run.name: timings[run.name] for run in runs}
         for row in rows_of(traced, "moeller_trumbore", len(view), traversal=traversal, pixels=pixels):
-            share = timings[f"{row['contender']} records"].ratio_to(timings["moeller_trumbore"])
-            rows.append(row | {"records": share})
+            if records:
+                row["records"] = timings[f"{row['contender']} records"].ratio_to(timings["moeller_trumbore"])
+            rows.append(row)
     return rows

@@ -23,6 +23,8 @@ DEFAULT_MODELS = ("teapot", "atrium", "wood")
 
 COMPARISONS = {
     "auto": ("auto_command", "auto_command"),
+    "jobs": ("jobs_command", "jobs_command"),
+    "points": ("points_command", "points_command"),
     "scaling": ("scaling_command", "scaling_command"),
 }
 """What can be compared within wrt, by what stands in place of the model: module of this package, and the command in it."""
@@ -98,7 +100,8 @@ def bench(
     writes flat arrays in all of them.
 
     `wrt bench auto [MODEL]` compares what "auto" chooses with every other choice, `wrt bench scaling [MODEL]` numbers of
-    threads; each has options of its own. Studies that repeat the tables of papers are in a checkout's notebooks/studies.
+    threads, `wrt bench points [MODEL]` closest points with those of other libraries, `wrt bench jobs [NAMES]` whole jobs with
+    their rays; each has options of its own. Studies that repeat the tables of papers are in a checkout's notebooks/studies.
     """
     from wrt.bench.core.benchmark_plot import matplotlib_missing, save_plot
     from wrt.bench.core.benchmark_report import ReportPrinter

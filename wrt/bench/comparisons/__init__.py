@@ -1,1 +1,1 @@
-"""What is measured: queries, builds and start-up beside peers, numbers of threads, and what "auto" chooses."""
+"""What is measured: queries, builds and start-up beside peers, closest points, numbers of threads, and what "auto" chooses."""

@@ -41,3 +41,11 @@ def mesh_occluded(
     """Item: a ray."""
     i = wp.tid()
     occluded[i] = wp.mesh_query_ray_anyhit(mesh, origins[i * origin_stride], directions[i], t_max)
+
+
+@wp.kernel
+def mesh_nearest(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), nearest: wp.array(dtype=wp.vec3)):
+    """Item: a point, whose nearest point of the mesh is written."""
+    i = wp.tid()
+    found = wp.mesh_query_point_no_sign(mesh, points[i], 1.0e10)
+    nearest[i] = wp.mesh_eval_position(mesh, found.face, found.u, found.v)

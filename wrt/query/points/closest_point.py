@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,14 +12,18 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.facts.query_kinds import CLOSEST
 from wrt.engine.memory import empty
+from wrt.engine.rays.ray_integers import ENVIRONMENTS, MASKS
 from wrt.engine.rays.rays import MAX_RAYS, ResultForm, as_vectors
+from wrt.instances.instance_tables import vertex_parts
 from wrt.kernels.layout.mesh_placement import make_shift
-from wrt.kernels.points.point_batch import NearestBatch, PointBatch
-from wrt.kernels.points.tree_points import GROUP, PointConfig, make_points_kernel
+from wrt.kernels.points.point_batch import NearestBatch, NearLists, PointBatch, make_widen
+from wrt.kernels.points.tree_points import GROUP, PointConfig, as_lists, as_space, make_points_kernel
 from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
-from wrt.kernels.validation import as_real_array
+from wrt.kernels.traversal.leaf import CounterRows, Counters
+from wrt.kernels.validation import as_bool, as_int, as_real_array
 from wrt.query.points.closest_points import ClosestPoints
-from wrt.query.points.instanced_points import check_maps, search_instances
+from wrt.query.points.similar_instances import check_maps
+from wrt.tapes import refuse_tape
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
@@ -27,40 +32,89 @@ MIN_SORTED = 1024
 """Fewest points that are sorted."""
 
 
-def closest_point(scene: SceneState, points: Any, max_distance: Any) -> ClosestPoints:
+MAX_NEAREST = 1024
+"""Most triangles of one point: lists are sorted by insertion."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """The points of a query.
+
+    Attributes:
+        batch: on the device.
+        shape: their leading shape.
+        form: of results.
+    """
+
+    batch: PointBatch
+    shape: tuple[int, ...]
+    form: ResultForm
+
+
+def closest_point(
+    scene: SceneState,
+    points: Any,
+    max_distance: Any = float("inf"),
+    k: int | None = None,
+    mask: Any = None,
+    environment: Any = None,
+    counters: bool = False,
+) -> ClosestPoints:
     """The closest point on the scene of each point; see `wrt.Scene.closest_point`."""
     refuse_capture("closest_point", scene.device)
+    refuse_tape("closest_point", (points,), "differentiable_points")
     check_scene(scene)
-    given = as_vectors(points, "points", scene.device)
-    is_warp = isinstance(given, wp.array)
-    shape = given.shape if is_warp else given.shape[:-1]
-    count = math.prod(shape)
-    if count > MAX_RAYS:
-        raise ValueError(f"{count:,} points are more than the {MAX_RAYS:,} of one call; pass parts of them")
-    most = as_distances(max_distance, shape)
-    is_wide = given.dtype in (wp.vec3d, np.dtype(np.float64))
+    if k is not None and not 1 <= as_int("k", k) <= MAX_NEAREST:
+        raise ValueError(
+            f"k is {k}; it must be from 1 to {MAX_NEAREST}, or None for the nearest triangle without an axis for it"
+        )
+    if as_bool("counters", counters) and k is not None:
+        raise ValueError("counters are those of the search for one triangle; leave k out")
     with use_threads(scene.num_threads):
-        flat = flat_points(scene, given, is_wide)
-        batch = PointBatch()
-        batch.count, batch.position = count, relative_points(scene, flat)
-        batch.most, batch.most_stride = wp.array(most, dtype=float, device=scene.device), int(len(most) > 1)
-        found, feature = find_nearest(scene, flat, batch)
-    return ClosestPoints(found, feature, ResultForm(shape, is_warp, np.float64 if is_wide else np.float32), scene)
+        given = as_points(scene, points, max_distance, "max_distance", mask, environment)
+        if k is not None:
+            hits, feature = find_some(scene, given.batch, k)
+            return ClosestPoints(hits, feature, given.form._replace(shape=(*given.shape, k)), scene)
+        work = wp.zeros(given.batch.count, dtype=Counters, device=scene.device) if counters else None
+        hits, feature = find_nearest(scene, given.batch, work)
+    return ClosestPoints(hits, feature, given.form, scene, work)
 
 
-def check_scene(scene: SceneState) -> None:
+def find_nearest(scene: SceneState, points: PointBatch, work: wp.array | None = None) -> tuple[DeviceHits, wp.array]:
+    """What is nearest to points, with distances as t, and the features.
+
+    Args:
+        scene: triangles in one tree, or instances of such; lazy trees are completed.
+        points: on the device.
+        work: (N,) `Counters` to be filled; None if nothing is counted.
+    """
+    hits, feature = DeviceHits.new(CLOSEST, points.count, scene.device), empty(points.count, wp.int8, scene.device)
+    search(scene, points, as_lists(nearest_batch(hits, feature)), "nearest" if work is None else "counted", work)
+    return hits, feature
+
+
+def find_some(scene: SceneState, points: PointBatch, k: int) -> tuple[DeviceHits, wp.array]:
+    """The k nearest triangles to each point, in rows, and the features."""
+    count = points.count * k
+    hits, feature, lists = DeviceHits.new(CLOSEST, count, scene.device), empty(count, wp.int8, scene.device), NearLists()
+    lists.found, lists.room = nearest_batch(hits, feature), k
+    search(scene, points, lists, "some")
+    return hits, feature
+
+
+def check_scene(scene: SceneState, query: str = "closest_point") -> None:
     """Refuses scenes that are not triangles in trees, and instances that are not similar to their meshes.
 
     Raises:
         ValueError: such a scene; the message says which one to make.
     """
     if isinstance(getattr(scene, "mesh_states", None), tuple) and scene.instances:
-        check_maps(scene)
+        check_maps(scene, query)
     elif not scene.is_plain:
-        raise ValueError("closest_point needs triangles in a single tree; use wrt.Scene(scene.meshes)")
+        raise ValueError(f"{query} needs triangles in a single tree; use wrt.Scene(scene.meshes)")
 
 
-def as_distances(values: Any, shape: tuple[int, ...]) -> np.ndarray:
+def as_distances(values: Any, shape: tuple[int, ...], name: str = "max_distance") -> np.ndarray:
     """(N,) or (1,) float32 greatest distances of points of a leading shape.
 
     Raises:
@@ -68,9 +122,9 @@ def as_distances(values: Any, shape: tuple[int, ...]) -> np.ndarray:
         ValueError: a negative number or a NaN, or a shape that does not broadcast.
     """
     values = values.numpy() if isinstance(values, wp.array) else values
-    array = as_real_array("max_distance", values)
+    array = as_real_array(name, values)
     if not (array >= 0.0).all():
-        raise ValueError("max_distance must be 0 or more, or inf for no limit")
+        raise ValueError(f"{name} must be 0 or more, or inf for no limit")
     with np.errstate(over="ignore"):  # beyond float32 is no limit
         array = np.asarray(array).astype(np.float32)
     if array.size == 1:
@@ -78,7 +132,51 @@ def as_distances(values: Any, shape: tuple[int, ...]) -> np.ndarray:
     try:
         return np.ascontiguousarray(np.broadcast_to(array, shape)).reshape(-1)
     except ValueError:
-        raise ValueError(f"max_distance {array.shape} does not broadcast to the points' leading shape {shape}") from None
+        raise ValueError(f"{name} {array.shape} does not broadcast to the points' leading shape {shape}") from None
+
+
+def as_points(
+    scene: SceneState, points: Any, most: Any, name: str = "max_distance", mask: Any = None, environment: Any = None
+) -> Points:
+    """Points of a caller on the scene's device, in the order in which they are searched.
+
+    Args:
+        scene: what they are searched in.
+        points: (..., 3).
+        most: greatest distances, as in `as_distances`.
+        name: of these, for messages.
+        mask, environment: of the instances that points see, as in `wrt.Scene.intersect`.
+
+    Raises:
+        TypeError, ValueError: as `wrt.Scene.closest_point`.
+    """
+    from wrt.kernels.points.point_order import morton_order
+
+    given, device = as_vectors(points, "points", scene.device), scene.device
+    is_warp, is_wide = isinstance(given, wp.array), given.dtype in (wp.vec3d, np.dtype(np.float64))
+    shape = given.shape if is_warp else given.shape[:-1]
+    count = math.prod(shape)
+    if count > MAX_RAYS:
+        raise ValueError(f"{count:,} points are more than the {MAX_RAYS:,} of one call; pass parts of them")
+    limits = as_distances(most, shape, name)
+    flat, batch = flat_points(scene, given, is_wide), PointBatch()
+    batch.count, batch.position = count, relative_points(scene, flat)
+    batch.most, batch.most_stride = wp.array(limits, dtype=float, device=device), int(len(limits) > 1)
+    batch.order = wp.empty(0, dtype=int, device=device)
+    if count >= MIN_SORTED:
+        batch.order = morton_order(batch.position, scene.device_mesh.low, scene.device_mesh.high)
+    if scene.instances:
+        batch.exact, center = empty(count, wp.vec3d, device), wp.vec3d(*map(float, scene.center))
+        launch(specialise(make_widen, flat.dtype), count, [center, flat, batch.exact], device=device, chunk=4096)
+    found = Points(batch, shape, ResultForm(shape, is_warp, np.float64 if is_wide else np.float32))
+    for integers, values in ((MASKS, mask), (ENVIRONMENTS, environment)):
+        if values is None:
+            continue
+        if not scene.instances:
+            key = integers.name
+            raise ValueError(f"{key} needs instances, and this scene has none; make it from wrt.Instance(mesh, {key}=...)")
+        integers.set(found, values, device)  # type: ignore[arg-type]
+    return found
 
 
 def flat_points(scene: SceneState, points: np.ndarray | wp.array, is_wide: bool) -> wp.array:
@@ -96,39 +194,34 @@ def relative_points(scene: SceneState, points: wp.array) -> wp.array:
     return relative
 
 
-def find_nearest(scene: SceneState, given: wp.array, points: PointBatch) -> tuple[DeviceHits, wp.array]:
-    """What is nearest to points, with distances as t, and the features.
+def search(scene: SceneState, points: PointBatch, lists: NearLists, task: str, work: wp.array | None = None) -> None:
+    """Runs a task of `wrt.kernels.points.tree_points.TASKS`; lazy trees are completed.
 
     Args:
-        scene: triangles in one tree, or instances of such; lazy trees are completed.
-        given: (N,) vec3 or vec3d, the points as the caller gave them.
-        points: the same, relative to the scene's centre; their order is chosen here.
+        scene: what is searched, which `check_scene` has seen.
+        points: on its device.
+        lists: is filled.
+        task: which of its arrays.
+        work: (N,) `Counters`, for those that count.
     """
-    from wrt.kernels.points.point_order import morton_order
-
-    device = scene.device
-    points.order = wp.empty(0, dtype=int, device=device)
-    if points.count >= MIN_SORTED:
-        points.order = morton_order(points.position, scene.device_mesh.low, scene.device_mesh.high)
-    hits, feature = DeviceHits.new(CLOSEST, points.count, device), empty(points.count, wp.int8, device)
-    found = nearest_batch(hits, feature)
-    if scene.instances:
-        search_instances(scene, given, points, found, search_tree)
-    else:
-        search_tree(scene, points, found)
-    return hits, feature
-
-
-def search_tree(scene: SceneState, points: PointBatch, found: NearestBatch) -> None:
-    """Fills what is nearest to points among triangles in one tree."""
+    from wrt.engine.launch.traversal_launch import no_work
     from wrt.engine.launch.triangle_records import vertex_blocks
 
-    scene.complete()
-    device, tree = scene.device, scene.tree
-    kind, group = "kdtree" if scene.accelerator.kind == "kdtree" else "bvh", 1 if device.is_cuda else GROUP
-    kernel = specialise(make_points_kernel, PointConfig(kind, tree.width, group))
-    inputs = [tree.struct(), vertex_blocks(scene), points, found]
-    launch(kernel, -(-points.count // group), inputs, device=device, chunk=max(1, 256 // group), longest=4096)
+    device, instances = scene.device, bool(scene.instances)
+    group = 1 if device.is_cuda else GROUP
+    config = PointConfig("kdtree" if scene.accelerator.kind == "kdtree" else "bvh", scene.width, group, task, instances)
+    kernel = specialise(make_points_kernel, config)
+    for part in scene.parts if instances else (scene,):
+        part.complete()
+    if instances:
+        space = as_space(config, scene.upper(), vertex_parts(scene))
+    else:
+        space = as_space(config, scene.tree.struct(), vertex_blocks(scene))
+    rows = CounterRows()
+    rows.rows = no_work(Counters, device.alias) if work is None else work
+    launch(
+        kernel, -(-points.count // group), [space, points, lists, rows], device=device, chunk=max(1, 256 // group), longest=4096
+    )
 
 
 def nearest_batch(hits: DeviceHits, feature: wp.array) -> NearestBatch:

@@ -1,4 +1,4 @@
-"""What `wrt.Scene.closest_point` returns: points on triangles, which are hits, with distances in place of t."""
+"""What `wrt.Scene.closest_point` and `within` return: points on triangles, which are hits, with distances in place of t."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from wrt.engine.device_hits import shaped
+from wrt.engine.rays.array_types import ArrayT
+from wrt.query.all_hits import AllHits
 from wrt.query.hits import Hits
 
 if TYPE_CHECKING:
@@ -35,11 +37,19 @@ class ClosestPoints(Hits):
             front); 0 if nothing was found and for a triangle without area.
         is_hit: (...) bool, whether something was found.
         t: the same as `distance`.
-        counters: no work is counted: ValueError.
+        counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work for each point, if requested: inner nodes and
+            leaves visited, and triangles in those leaves. A block that was near another point is tried first, and not counted.
     """
 
-    def __init__(self, batch: DeviceHits, feature: wp.array, form: ResultForm, scene: SceneState) -> None:
-        super().__init__(batch, form, scene, None)
+    def __init__(
+        self,
+        batch: DeviceHits,
+        feature: wp.array,
+        form: ResultForm,
+        scene: SceneState,
+        work: wp.array | None = None,
+    ) -> None:
+        super().__init__(batch, form, scene, None, work)
         self._feature = feature
 
     def __repr__(self) -> str:
@@ -49,6 +59,54 @@ class ClosestPoints(Hits):
     def distance(self) -> Any:
         return self.t
 
+    @property
+    def features(self) -> tuple[wp.array, wp.array, wp.array]:
+        """(N,) each, on the device: triangles numbered through the scene, weights, and features."""
+        return self.batch.primitive, self.batch.uv, self._feature  # type: ignore[return-value]
+
     @cached_property
     def feature(self) -> Any:
         return shaped(self._feature, self._form)
+
+
+class TrianglesWithin(AllHits[ArrayT]):
+    """Triangles within a distance of points, point after point, each list sorted by distance, then geometry, then triangle.
+
+    The triangles of point i of the flattened batch are the elements offsets[i] .. offsets[i + 1] - 1 of the arrays of M
+    triangles. The attributes are NumPy arrays if the points were, else Warp arrays on the scene's device.
+
+    Attributes:
+        offsets: (N + 1,) int64, index of each point's first triangle; the last is M.
+        count: (...) int32, number of each point's triangles, in the points' leading shape.
+        distance: (M,) float32, from the point to `position`.
+        position: (M, 3), the nearest point of the triangle, of the type of `ClosestPoints.position`.
+        primitive_id: (M,) int32, index of the triangle within its geometry.
+        geometry_id: (M,) int32, index of the mesh within the scene.
+        instance_id: (M,) int32, index of the instance, or of the mesh in a scene without instances.
+        uv: (M, 2) float32, weights of the triangle's second and third vertex.
+        feature: (M,) int8, what `position` is on: 0 a vertex of the triangle, 1 an edge, 2 its face.
+        normal: (M, 3), unit vectors, float64 if the points were, else float32, from the triangle's winding; 0 for a triangle
+            without area.
+        point_id: (M,) int32, index of the point in the flattened batch.
+        t, ray_id: the same as `distance` and `point_id`.
+        plan: None.
+    """
+
+    def __init__(self, batch: DeviceHits, feature: wp.array, offsets: wp.array, form: ResultForm, scene: SceneState) -> None:
+        super().__init__(batch, offsets, form, scene, None)  # type: ignore[arg-type]
+        self._feature = feature
+
+    def __repr__(self) -> str:
+        return f"TrianglesWithin({len(self)} triangles of points of shape {self.shape})"
+
+    @property
+    def distance(self) -> ArrayT:
+        return self.t
+
+    @property
+    def point_id(self) -> ArrayT:
+        return self.ray_id
+
+    @cached_property
+    def feature(self) -> ArrayT:
+        return shaped(self._feature, self._form._replace(shape=self._feature.shape))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wrt.meshes.instance import Instance
     from wrt.meshes.mesh import TriangleMesh
     from wrt.query.hits import Hits
-    from wrt.query.points.closest_points import ClosestPoints
+    from wrt.query.points.closest_points import ClosestPoints, TrianglesWithin
     from wrt.query.verification import Verification
 
 
@@ -127,7 +127,16 @@ class PointQueries:
 
         return contains(self.state, points, traversal, rule)
 
-    def closest_point(self, points: ArrayLike, *, max_distance: Numbers = INF) -> ClosestPoints:
+    def closest_point(
+        self,
+        points: ArrayLike,
+        *,
+        max_distance: Numbers = INF,
+        k: int | None = None,
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
+        counters: bool = False,
+    ) -> ClosestPoints:
         """The closest point on the geometry to each point, and its triangle.
 
             near = scene.closest_point(points)
@@ -138,7 +147,7 @@ class PointQueries:
         returned. The result depends neither on the tree nor on the number of threads. A triangle without area counts as the
         segment or the point that it is. Positions up to 5e-4 of the distance apart may have the same distance in float32.
 
-        Instances are searched one after the other, so time grows with their number; those with mask 0 are left out.
+        Of instances, those with mask 0 are left out. A tree over their boxes says which are near, so there may be thousands.
 
         A point with a NaN or an infinity finds nothing, nor does one that is farther than 1.8e19 from everything.
 
@@ -146,15 +155,53 @@ class PointQueries:
             points: (..., 3).
             max_distance: scalar or (...) array, at least 0: a triangle is found if its distance is at most this (closed
                 interval). Small ones make the search faster.
+            k: how many nearest triangles are found, from 1 to 1024, sorted by distance, then geometry, then triangle; results
+                then have the leading shape (..., k). Where there are fewer, the last ones are those of a point that finds
+                nothing. Each triangle is listed once, with its own nearest point, which neighbours may share. None for the
+                nearest triangle, without the axis.
+            mask: in a scene of instances, an int or (...) integers of 32 bits: a point sees the instances whose masks have a
+                bit in common with it; None for all bits.
+            environment: in a scene of instances, an int or (...) integers of 32 bits: a point sees the instances of its
+                environment and those of environment -1; a point of environment -1, or None, sees those of all.
+            counters: whether to count the work for each point (`ClosestPoints.counters`); not together with `k`.
 
         Raises:
-            TypeError: points or distances are not real numbers.
-            ValueError: wrong shapes, a negative distance or a NaN, an array on another device; instances that are sheared or
-                not scaled alike along all axes; a scene of fans, groups or fuzzy boxes.
+            TypeError: points or distances are not real numbers, `k` is not an int, or masks or environments are not integers.
+            ValueError: wrong shapes, a negative distance or a NaN, `k` out of range, an array on another device; masks or
+                environments in a scene without instances; instances that are sheared or not scaled alike along all axes; a
+                scene of fans, groups or fuzzy boxes; points that require gradients inside a `wp.Tape` (call
+                `wrt.device.differentiable_points` for gradients).
         """
         from wrt.query.points.closest_point import closest_point
 
-        return closest_point(self.state, points, max_distance)
+        return closest_point(self.state, points, max_distance, k, mask, environment, counters)
+
+    def within(
+        self,
+        points: ArrayLike,
+        radius: Numbers,
+        *,
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
+    ) -> TrianglesWithin:
+        """All triangles within a distance of each point, sorted by distance, then geometry, then triangle.
+
+            near = scene.within(points, 0.05)
+            first = slice(near.offsets[0], near.offsets[1])  # of point 0: near.primitive_id[first], near.distance[first] ...
+
+        Distances and the choice of instances are those of `closest_point`, and so is what finds nothing: an empty list.
+
+        Args:
+            points: (..., 3).
+            radius: scalar or (...) array, at least 0: a triangle is listed if its distance is at most this (closed interval).
+            mask, environment: the instances that points see, as in `closest_point`.
+
+        Raises:
+            TypeError, ValueError: as `closest_point`; more than 2^31 - 1 triangles together.
+        """
+        from wrt.query.points.triangles_within import triangles_within
+
+        return triangles_within(self.state, points, radius, mask, environment)
 
     @overload
     def visible(self, points_a: NumpyLike, points_b: NumpyLike) -> np.ndarray: ...

@@ -1,4 +1,4 @@
-"""Tables of points in files: PLY and KITTI's .bin here, PCD by pypcd4, LAS and LAZ in `wrt.sensors.files.las_files`.
+"""Tables of points in files: PLY, PCD and KITTI's .bin here, LAS and LAZ in `wrt.sensors.files.las_files`.
 
 `pip install "wrt[sensors]"` installs the libraries. Files are written beside the old ones, which they then replace
 (`wrt.atomic_files`). No number is changed on the way into a narrower field: it fits, or an error names it.
@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from wrt.atomic_files import replaced
-from wrt.sensors.files.table_fields import as_table, needed, packed
+from wrt.sensors.files.table_fields import as_table, packed
 from wrt.tables import lookup
 
 PLY_TYPES = {
@@ -22,7 +22,7 @@ PLY_TYPES = {
     "i1": "char",
     "u1": "uchar",
     "i2": "short",
-    "u2": "ushort",
+    "u2": "uint16",  # "ushort" to most; Open3D reads this name only
     "i4": "int",
     "u4": "uint",
 }
@@ -69,7 +69,17 @@ def _ply(points: np.ndarray) -> Write:
     table = packed(points, "PLY files")
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
     lines += [f"property {PLY_TYPES[table.dtype[name].str[1:]]} {name}" for name in table.dtype.names]
-    return lambda file: file.write("\n".join([*lines, "end_header", ""]).encode() + table.tobytes())
+    return _with_header([*lines, "end_header"], table)
+
+
+def _with_header(lines: list[str], table: np.ndarray) -> Write:
+    """Lines of text, and the table as it is in memory."""
+
+    def write(file: BinaryIO) -> None:
+        file.write("\n".join([*lines, ""]).encode())
+        file.write(table.view(np.uint8).data if len(table) else b"")
+
+    return write
 
 
 def _kitti(points: np.ndarray) -> Write:
@@ -90,11 +100,12 @@ def _kitti(points: np.ndarray) -> Write:
 
 
 def _pcd(points: np.ndarray) -> Write:
-    library, table = needed("pypcd4", "PCD files"), packed(points, "PCD files")
-    names = table.dtype.names
-    types = [table.dtype[name].newbyteorder("=").type for name in names]
-    cloud = library.PointCloud.from_points([table[name] for name in names], names, types)
-    return cloud.save
+    table = packed(points, "PCD files")
+    kinds, count = [table.dtype[name] for name in table.dtype.names], len(table)
+    lines = ["# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", f"FIELDS {' '.join(table.dtype.names)}"]
+    lines += [f"SIZE {' '.join(str(kind.itemsize) for kind in kinds)}", f"TYPE {' '.join(kind.kind.upper() for kind in kinds)}"]
+    lines += [f"COUNT {' '.join('1' for _ in kinds)}", f"WIDTH {count}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0"]
+    return _with_header([*lines, f"POINTS {count}", "DATA binary"], table)
 
 
 def _las(points: np.ndarray, is_compressed: bool = False) -> Write:

@@ -41,7 +41,7 @@ def as_table(points: Any) -> np.ndarray:
 
 
 def packed(points: np.ndarray, what: str) -> np.ndarray:
-    """The table in little endian without gaps, its integers of 64 bits in 32.
+    """The table in little endian without gaps, its integers of 64 bits in 32; the table itself if it is so.
 
     Args:
         points: the table.
@@ -63,6 +63,8 @@ def packed(points: np.ndarray, what: str) -> np.ndarray:
             )
         kinds.append((name, "<" + kind))
         columns.append(column)
+    if np.dtype(kinds) == points.dtype:
+        return np.ascontiguousarray(points)
     table = np.empty(len(points), dtype=np.dtype(kinds))
     for name, column in zip(points.dtype.names, columns, strict=True):
         table[name] = column

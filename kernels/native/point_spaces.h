@@ -1,0 +1,220 @@
+// Where points are searched: in one tree, or in the trees of instances below a tree of their boxes.
+#pragma once
+#include "points.h"
+
+namespace wrt {
+namespace {
+
+/// Slack of the boxes of instances over that of boxes of triangles: maps round, and turn the sum over the axes that slack is a part
+/// of, by up to the root of 3; their axes may differ by 1e-6 (wrt.query.points.similar_instances).
+constexpr float INSTANCE_SLACK = 8.0f;
+
+/// The nearest point of the triangle in a slot.
+template <int W, int ROWS>
+inline CUDA_CALLABLE OnTriangle nearest_in_slot(const float* records, int slot, const SearchPoint& point)
+{
+    const float* const record = records + (size_t)(slot / W) * (ROWS * W) + slot % W;
+    const Offset a = vertex_at<W>(record, 0, point), b = vertex_at<W>(record, 1, point);
+    return nearest_on_triangle(a, b, vertex_at<W>(record, 2, point));
+}
+
+/// One tree. Kind: of the tree; W: lanes; ROWS: of a record.
+template <class Kind, int W, int ROWS, class Tree, class Triangles> struct OneTree {
+    const Tree& tree;
+    const Triangles& triangles;
+    SearchPoint point;
+
+    CUDA_CALLABLE OneTree(const Tree& tree, const Triangles& triangles)
+        : tree(tree)
+        , triangles(triangles)
+    {
+    }
+
+    /// Whether the point, relative to the scene's centre, can find anything.
+    inline CUDA_CALLABLE bool enter(float x, float y, float z)
+    {
+        point = point_in(tree.low, tree.high, x, y, z);
+        return point.slack == point.slack;
+    }
+
+    template <class Points> inline CUDA_CALLABLE bool load(const Points& points, int i)
+    {
+        const auto& at = points.position.data[i];
+        return enter(at.c[0], at.c[1], at.c[2]);
+    }
+
+    template <class Kept> inline CUDA_CALLABLE void start(Kept& kept) const { kept.look_up_to(kept.farthest(), point.slack); }
+
+    /// Tries the triangles around one that another point has found.
+    template <class Kept> inline CUDA_CALLABLE void try_near(int, int slot, Kept& kept)
+    {
+        search_block<W, ROWS>(triangles.records.data, triangles.primitive.data, slot / W, point, kept);
+    }
+
+    template <class Kept> inline CUDA_CALLABLE void search(Kept& kept) const
+    {
+        Kind::template walk<W, ROWS>(tree, triangles, point, kept);
+    }
+
+    inline CUDA_CALLABLE OnTriangle nearest(int, int slot) const
+    {
+        return nearest_in_slot<W, ROWS>(triangles.records.data, slot, point);
+    }
+};
+
+/// What a walk over boxes of instances needs of a search.
+template <class Kept> struct InstanceLimit {
+    Kept& kept;
+    float slack, limit;
+
+    inline CUDA_CALLABLE void update()
+    {
+        const float wide = kept.farthest() + slack;
+        limit = wide * wide * WIDENED;
+    }
+
+    inline CUDA_CALLABLE void visit_node() { kept.visit_node(); }
+};
+
+/// Trees of instances. Kind, W, ROWS: of these; U: children of a node above them.
+template <class Kind, int W, int U, int ROWS, class Top, class Parts> struct InstanceTrees {
+    const Top& top;
+    const Parts& parts;
+    double x, y, z;
+    SearchPoint point;
+    unsigned mask;
+    int root, tried;
+
+    CUDA_CALLABLE InstanceTrees(const Top& top, const Parts& parts)
+        : top(top)
+        , parts(parts)
+    {
+    }
+
+    /// The node above the instances that a point of an environment sees; -1 if there is none.
+    inline CUDA_CALLABLE int root_of(int environment) const
+    {
+        if (environment < 0) return top.root;
+        int low = 0, high = top.environments.shape[0];
+        while (high - low > 1) {
+            const int middle = (low + high) / 2;
+            if (top.environments.data[middle] <= environment) low = middle;
+            else high = middle;
+        }
+        const bool own = high > low && top.environments.data[low] == environment;
+        return own ? top.roots.data[low] : top.shared_root;
+    }
+
+    /// Whether the point, relative to the scene's centre, can find anything.
+    inline CUDA_CALLABLE bool enter(double px, double py, double pz, unsigned seen, int environment)
+    {
+        x = px, y = py, z = pz, mask = seen, tried = -1, root = root_of(environment);
+        point = point_in(top.tree.low, top.tree.high, (float)x, (float)y, (float)z);
+        return (point.slack == point.slack) & (root >= 0);
+    }
+
+    template <class Points> inline CUDA_CALLABLE bool load(const Points& points, int i)
+    {
+        const auto& at = points.exact.data[i];
+        const unsigned seen = points.mask.shape[0] ? points.mask.data[(size_t)i * points.mask_stride] : ~0u;
+        const bool has = points.environment.shape[0];
+        return enter(
+            at.c[0], at.c[1], at.c[2], seen, has ? points.environment.data[(size_t)i * points.environment_stride] : -1);
+    }
+
+    template <class Kept> inline CUDA_CALLABLE void start(Kept&) const { }
+
+    /// The point in the space of an instance.
+    template <class Place, class Tree> inline CUDA_CALLABLE SearchPoint mapped(const Place& place, const Tree& tree) const
+    {
+        const auto& m = place.to_object.data;
+        const double px = x - place.origin.c[0], py = y - place.origin.c[1], pz = z - place.origin.c[2];
+        float own[3];
+        for (int a = 0; a < 3; ++a) own[a] = (float)((m[a][0] * px + m[a][1] * py) + m[a][2] * pz);
+        return point_in(tree.low, tree.high, own[0], own[1], own[2]);
+    }
+
+    /// The nearest triangles in an instance. slot: of one to be tried first; -1 for none.
+    template <class Kept> inline CUDA_CALLABLE void visit(int instance, int slot, Kept& kept) const
+    {
+        const auto& place = top.placements.data[instance];
+        if (!(place.mask & mask)) return;
+        const auto& part = parts.data[place.geometry];
+        const SearchPoint own = mapped(place, part.tree);
+        if (!(own.slack == own.slack)) return;
+        double square = 0.0;
+        for (int a = 0; a < 9; ++a) square += place.to_scene.data[a / 3][a % 3] * place.to_scene.data[a / 3][a % 3];
+        kept.scale = square_root((float)(square / 3.0)), kept.first = place.first;
+        kept.look_up_to(kept.farthest(), own.slack);
+        const float* const records = part.triangles.records.data;
+        if (slot >= 0) search_block<W, ROWS>(records, part.triangles.primitive.data, slot / W, own, kept);
+        Kind::template walk<W, ROWS>(part.tree, part.triangles, own, kept);
+    }
+
+    /// The instance of a triangle.
+    inline CUDA_CALLABLE int instance_of(int number) const
+    {
+        int low = 0, high = top.placements.shape[0];
+        while (high - low > 1) {
+            const int middle = (low + high) / 2;
+            if (top.placements.data[middle].first <= number) low = middle;
+            else high = middle;
+        }
+        return low;
+    }
+
+    template <class Kept> inline CUDA_CALLABLE void try_near(int number, int slot, Kept& kept)
+    {
+        if (tried >= 0 || root != top.root) return;  // other roots are not above all instances
+        tried = instance_of(number);
+        visit(tried, slot, kept);
+    }
+
+    template <class Kept> inline CUDA_CALLABLE void search(Kept& kept) const
+    {
+        InstanceLimit<Kept> above = {kept, INSTANCE_SLACK * point.slack, 0.0f};
+        above.update();
+        walk_boxes<U>(top.tree, root, point, above, [&](int block, int) {
+            const int instance = top.order.data[block * U];
+            if (instance == tried) return;
+            visit(instance, -1, kept);
+            above.update();
+        });
+    }
+
+    inline CUDA_CALLABLE OnTriangle nearest(int number, int slot) const
+    {
+        const auto& place = top.placements.data[instance_of(number)];
+        const auto& part = parts.data[place.geometry];
+        return nearest_in_slot<W, ROWS>(part.triangles.records.data, slot, mapped(place, part.tree));
+    }
+};
+
+/// Distance, weights and number (its bits) of the nearest triangle to a point that has entered a space, or that cannot find anything.
+template <class Vec4, class Space> inline CUDA_CALLABLE Vec4 nearest_in(Space space, bool has_entered, float most)
+{
+    NearestTriangle kept(most);
+    OnTriangle at = {0.0f, 0.0f, 0.0f, -1};
+    if (has_entered & (most >= 0.0f)) {
+        space.start(kept);
+        space.search(kept);
+    }
+    if (kept.slot >= 0) at = space.nearest(kept.number, kept.slot);
+    return Vec4(kept.distance, at.u, at.v, __builtin_bit_cast(float, kept.number));
+}
+
+template <class Kind, int W, int ROWS, class Tree, class Triangles>
+inline CUDA_CALLABLE OneTree<Kind, W, ROWS, Tree, Triangles> one_tree(const Tree& tree, const Triangles& triangles)
+{
+    return OneTree<Kind, W, ROWS, Tree, Triangles>(tree, triangles);
+}
+
+template <class Kind, int W, int ROWS, class Top, class Parts>
+inline CUDA_CALLABLE InstanceTrees<Kind, W, (W > 2 ? W : 2), ROWS, Top, Parts> instance_trees(
+    const Top& top, const Parts& parts)
+{
+    return InstanceTrees<Kind, W, (W > 2 ? W : 2), ROWS, Top, Parts>(top, parts);
+}
+
+}  // namespace
+}  // namespace wrt

@@ -1,0 +1,83 @@
+"""`python -m studies measure` makes one run of a study, `python -m studies figures` makes results and fills the pages."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import click
+
+from studies.evidence.single_runs import STUDIES, Effort
+from wrt.bench.commands.command_options import usage_errors
+from wrt.cli.number_types import Whole
+
+
+@click.command("measure")
+@click.argument("name", type=click.Choice([*STUDIES]))
+@click.option("--models", type=click.Path(file_okay=False, exists=True, path_type=Path), help="Folder of the Stanford models.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds in which contenders take turns.")
+@click.option("--size", default=256, show_default=True, type=Whole(64), help="Views have SIZE x SIZE pixels, a multiple of 64.")
+@click.option("--tests", default=1 << 21, show_default=True, type=Whole(1 << 10), help="Tests of a call.")
+@click.option(
+    "--json", "json_file", required=True, type=click.Path(dir_okay=False, path_type=Path), help="File that is written."
+)
+def measure_command(name: str, models: Path | None, rounds: int, size: int, tests: int, json_file: Path) -> None:
+    """Measures the figures of NAME once and writes them; several such runs make the results that pages quote."""
+    from wrt.bench.core.benchmark_results import machine
+
+    effort = Effort(rounds, size, tests)
+    with usage_errors():
+        found = STUDIES[name].run(models, effort)
+    held = {"study": name, "machine": machine("cpu"), "settings": effort.settings, "date": str(date.today()), "tables": found}
+    json_file.write_text(json.dumps(held), encoding="utf-8")
+
+
+def described(machine: dict[str, Any]) -> str:
+    """The machine of a run in a line."""
+    return f"{machine['cpu']}, {machine['simd_bits']} bit vectors, kernels of {machine['lanes']} lanes, {machine['system']}"
+
+
+@click.command("figures")
+@click.option("--collect", "study", type=click.Choice([*STUDIES]), help="Makes results of the runs in FILES.")
+@click.option("--commit", help="Commit that FILES were measured at.  [that of the checkout]")
+@click.option("--extract", is_flag=True, help="Reads the results of notebooks and records that have not been run with JSON.")
+@click.option(
+    "--keep", nargs=2, metavar="NAME REASON", help="Says why a change of the code leaves the figures of NAME as they are."
+)
+@click.argument("files", nargs=-1, type=click.Path(exists=True, dir_okay=False, path_type=Path))
+def figures_command(
+    study: str | None, commit: str | None, extract: bool, keep: tuple[str, str] | None, files: tuple[Path, ...]
+) -> None:
+    """Makes results and fills the pages from them: docs/documents.md, docs/claims.md, docs/performance.md, README.md."""
+    from studies.evidence import page_filling, results, stored_outputs
+
+    with usage_errors():
+        if bool(files) != bool(study):
+            raise ValueError("--collect NAME and FILES come together")
+        if study:
+            runs = [json.loads(file.read_text(encoding="utf-8")) for file in files]
+            strangers = {run["study"] for run in runs} - {study}
+            if strangers:
+                raise ValueError(f"FILES are runs of {', '.join(sorted(strangers))}, not of {study}")
+            at = (
+                commit
+                or subprocess.run(
+                    ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True
+                ).stdout.strip()
+            )
+            origin = {"kind": "runs", "of": f"python -m studies measure {study}", "measured": runs[-1]["date"], "commit": at}
+            about = {"origin": origin, "machine": described(runs[0]["machine"]), "settings": runs[0]["settings"]}
+            found = results.collect(
+                study, [run["tables"] for run in runs], STUDIES[study].is_counted, sources=STUDIES[study].sources, **about
+            )
+            click.echo(f"wrote {results.write(found)}")
+        if extract:
+            for name in stored_outputs.SOURCES:
+                if not (results.FOLDER / f"{name}.json").is_file() or results.load(name).origin["kind"] != "runs":
+                    stored_outputs.extract(name)
+        if keep:
+            results.keep(*keep, today=str(date.today()))
+        click.echo("filled " + (", ".join(page_filling.fill_pages()) or "nothing: all pages are as their results"))

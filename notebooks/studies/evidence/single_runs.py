@@ -1,0 +1,205 @@
+"""One run of each study whose figures stand in pages; several runs, each in its process, make a file in notebooks/results/.
+
+python -m studies measure komatsu --models FOLDER --json run-1.json
+python -m studies figures --collect komatsu run-*.json
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import thread_time
+from typing import Any
+
+from wrt.meshes.mesh import TriangleMesh
+
+Row = dict[str, Any]
+Tables = dict[str, list[Row]]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is measured: `rounds` in which contenders take turns, `size` of a view, `tests` of a call."""
+
+    rounds: int = 5
+    size: int = 256
+    tests: int = 1 << 21
+
+    @property
+    def settings(self) -> dict[str, int]:
+        """For the results."""
+        return {"rounds": self.rounds, "size": self.size, "tests": self.tests}
+
+
+@dataclass(frozen=True)
+class Study:
+    """Attributes: run: makes the tables, from a folder of models or None. sources: modules. is_counted: one run is enough."""
+
+    run: Callable[[Path | None, Effort], Tables]
+    sources: Sequence[str]
+    is_counted: bool = False
+
+
+def named(mesh: TriangleMesh, rows: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Rows with the name of their scene."""
+    return [{"scene": mesh.name} | dict(row) for row in rows]
+
+
+def komatsu_counts(models: Path | None, effort: Effort) -> Tables:
+    """Table 1: operations and bytes."""
+    from studies.triangles.komatsu_tables import table_1
+
+    counts = ("triangle", "precomputation", "test")
+    return {"1": [{"algorithm": row["algorithm"]} | {name: float(row[name]) for name in counts} for row in table_1()]}
+
+
+def komatsu_scenes(models: Path | None, effort: Effort) -> Tables:
+    """Table 2 on the scenes of `komatsu_packets`."""
+    from studies.triangles import komatsu_packets, komatsu_tables
+
+    rows = []
+    for mesh in komatsu_packets.scenes(models).values():
+        found = komatsu_tables.contenders(mesh, rounds=effort.rounds, tests=effort.tests, pixels=effort.size)
+        rows += named(mesh, [short(row, "contender") for row in found])
+    return {"2": rows}
+
+
+def komatsu(models: Path | None, effort: Effort) -> Tables:
+    """Tables 3 and 4, the order of triangles, and bundles."""
+    from studies.triangles import komatsu_packets, komatsu_tables
+
+    meshes = [*komatsu_packets.scenes(models).values()][:2]
+    tables: Tables = {"3": [], "4": [], "foreseen": [], "bundles": []}
+    for mesh in meshes:
+        shares = komatsu_tables.exit_shares(mesh, tests=effort.tests >> 3)
+        tables["3"] += named(mesh, [short(row, "contender", "exit", measures=("tests",)) for row in shares])
+        tree = komatsu_tables.with_tree(mesh, rounds=effort.rounds, pixels=effort.size)
+        tables["4"] += named(mesh, [short(row, "contender", "traversal") for row in tree])
+        bundled = komatsu_packets.bundles(mesh, rounds=effort.rounds, pairs=effort.tests >> 1)
+        tables["bundles"] += named(
+            mesh, [short(row, "contender", "kind", measures=("ratio", "ratio_counted")) for row in bundled]
+        )
+    order = komatsu_tables.foreseen(meshes[0], rounds=effort.rounds, tests=effort.tests)
+    tables["foreseen"] = [short(row, "contender", "order", measures=("nanoseconds",)) for row in order]
+    return tables
+
+
+def komatsu_depths(models: Path | None, effort: Effort) -> Tables:
+    """Table 4's large models: the second of the scenes with every triangle divided into 16, in trees of limited depth.
+
+    Building takes most of a run, so one run has to do: rounds show the spread.
+    """
+    from studies.triangles import komatsu_packets, komatsu_tables
+
+    mesh = komatsu_tables.tessellated([*komatsu_packets.scenes(models).values()][1], 2)
+    found = komatsu_tables.depth_limits(mesh, pixels=effort.size, rounds=effort.rounds)
+    spread = ("ratio", "least", "greatest")
+    rows = [short(row, "contender", "traversal", "limit", measures=spread) | {"rounds": float(effort.rounds)} for row in found]
+    return {"depths": named(mesh, rows)}
+
+
+def inside_first(models: Path | None, effort: Effort) -> Tables:
+    """Where Plücker's test ends if the edges are asked first; counted."""
+    from studies.triangles import komatsu_packets
+    from studies.triangles.inside_first import compare_orders
+
+    rows = []
+    for mesh in [*komatsu_packets.scenes(models).values()][:2]:
+        found = compare_orders(mesh, tests=effort.tests, rounds=1)
+        rows += named(mesh, [short(row, "order", "exit", measures=("tests", "vectors")) for row in found])
+    return {"orders": rows}
+
+
+def pichler(models: Path | None, effort: Effort) -> Tables:
+    """Tables 6.1 to 6.4."""
+    from studies.triangles import pichler_tables as tables
+
+    size, rounds = effort.size // 16 * 8, effort.rounds
+    first = tables.pruning_tests(size=effort.size // 8)
+    fourth = tables.errors(("stadium",), size=40, samples=12, reference_samples=96, rounds=rounds)
+    return {
+        "6.1": [short(row, "scene", "variant", measures=("percent",)) for row in first],
+        "6.2": [
+            short(row, "scene", "mode", "test") for row in tables.pruning_times(size=size, rounds=rounds, modes=("alone",))
+        ],
+        "6.3": [
+            short(row, "scene", "mode", "test", measures=("ratio", "hit_rate"))
+            for row in tables.times(size=size, rounds=rounds)
+        ],
+        "6.4": [short(row, "scene", "test", measures=("error", "bias")) for row in fourth],
+    }
+
+
+def fans(models: Path | None, effort: Effort) -> Tables:
+    """Brute force over fans, and leaves of fans."""
+    from studies.triangles.fan_comparison import compare, compare_trees
+
+    alone, trees = compare(size=16, rounds=effort.rounds), compare_trees(size=effort.size // 8 * 4, rounds=effort.rounds)
+    return {
+        "brute force": [short(row, "way", "scene") for row in alone],
+        "trees": [short(row, "way", "scene") for row in trees],
+    }
+
+
+def traversal(models: Path | None, effort: Effort) -> Tables:
+    """Packets against single rays, for a view."""
+    from wrt.bench.core.paired_timing import Contender, take_turns
+    from wrt.bench.core.workloads import WorkloadMaker
+    from wrt.kernels.runtime.launch import use_threads
+    from wrt.scene.scene import Scene
+    from wrt.scenes import build
+
+    mesh, rows, names = build("atrium"), [], ("single", "packet")
+    (view,) = WorkloadMaker(mesh, size=effort.size).make(["far"])
+    for tree in ("bvh", "kdtree"):
+        scene = Scene(mesh, tree, device="cpu", num_threads=1)
+        ways = [
+            Contender(name, lambda scene=scene, name=name: scene.intersect(view.rays, traversal=name).t, len(view))
+            for name in names
+        ]
+        with use_threads(1):
+            timings = take_turns(ways, effort.rounds, clock=thread_time)
+        rows += [{"traversal": name, "tree": tree, "speed": timings["single"].ratio_to(timings[name])} for name in names]
+    return {"speeds": rows}
+
+
+def kdtree_builders(models: Path | None, effort: Effort) -> Tables:
+    """Builders of Algorithms 4.1.3 and 4.1.4."""
+    from studies.kdtrees.kdtree_comparison import compare_builders
+    from wrt.scenes import build
+
+    rows = []
+    for mesh in (build("teapot", level=12, ground=False), build("wood", trees=4)):
+        for row in compare_builders(mesh, ("sweep", "sorting_sweep"), rounds=effort.rounds, size=64):
+            rows.append(
+                {"scene": mesh.name, "builder": row.builder, "build": float(row.build_ratio), "cost": float(row.sah_ratio)}
+            )
+    return {"builders": rows}
+
+
+def dynamic(models: Path | None, effort: Effort) -> Tables:
+    """Rebuilds of subtrees, instances, groups, two trees, split threads."""
+    from studies.moving.motion_run import motion_tables
+
+    return motion_tables(effort.rounds)
+
+
+def short(row: Mapping[str, Any], *keys: str, measures: Sequence[str] = ("ratio",)) -> Row:
+    """Some of the parts of a row: the key as text, the measures as floats."""
+    return {key: str(row[key]) for key in keys} | {name: float(row[name]) for name in measures}
+
+
+STUDIES = {
+    "komatsu_counts": Study(komatsu_counts, ("studies.triangles.komatsu_tables",), is_counted=True),
+    "komatsu_scenes": Study(komatsu_scenes, ("studies.triangles.komatsu_tables",)),
+    "komatsu": Study(komatsu, ("studies.triangles.komatsu_tables", "studies.triangles.komatsu_packets")),
+    "komatsu_depths": Study(komatsu_depths, ("studies.triangles.komatsu_tables",)),
+    "inside_first": Study(inside_first, ("studies.triangles.inside_first",), is_counted=True),
+    "pichler": Study(pichler, ("studies.triangles.pichler_tables",)),
+    "fans": Study(fans, ("studies.triangles.fan_comparison",)),
+    "traversal": Study(traversal, ()),
+    "kdtree_builders": Study(kdtree_builders, ("studies.kdtrees.kdtree_comparison",)),
+    "dynamic": Study(dynamic, ("studies.moving.motion_run", "studies.moving.motion_costs")),
+}
+"""By the name of the results."""

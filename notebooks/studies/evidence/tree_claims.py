@@ -1,0 +1,163 @@
+"""Claims of the survey on trees, traversal and motion, and of Falcone 2024."""
+
+from __future__ import annotations
+
+from studies.evidence.claims import Found, Held, claim, pairs
+from studies.evidence.papers import FALCONE_PRECISION
+from studies.evidence.verdicts import all_of, counted, judge, span
+
+
+@claim(
+    "sorting-sweep", "rahikainen", "4.1", "To sort once, O(N log N), is faster than to sort in every node", "kdtree_builders"
+)
+def sorted_once(held: Held) -> Found:
+    times = held["kdtree_builders"].take("builders", "build", builder="sorting_sweep")
+    return judge(times, at_least=1.0), f"{span(times, '.1f')} times as fast"
+
+
+@claim("packets", "rahikainen", "3.2", "Packets are faster than single rays for a view", "traversal")
+def packets(held: Held) -> Found:
+    both = held["traversal"].take("speeds", "speed", traversal="packet")
+    return judge(both, at_least=1.0), f"{', '.join(f'{one.value:.2f} times ({one.case})' for one in both)}"
+
+
+@claim("omnidirectional-steps", "rahikainen", "5", "Omnidirectional packets need half the steps for camera rays", "bounces")
+def omnidirectional(held: Held) -> Found:
+    name = "omnidirectional: fewer steps for camera rays (Reshetov 2006)"
+    middle, least, greatest = (
+        held["bounces"].take("claims", part, claim=name)[0].value for part in ("median", "least", "greatest")
+    )
+    ends = [counted(least, "the least scene"), counted(greatest, "the greatest scene")]
+    return judge(ends, at_least=2.0), (
+        f"{middle:.1f} times fewer in the median of four scenes, {least:.2f} to {greatest:.1f} times by"
+        f" scene, at 80 x 80 pixels, where packets are wide and"
+        " are often split or given up"
+    )
+
+
+@claim("omnidirectional-bounce-9", "rahikainen", "5", "and 1.5 times fewer at bounce 9", "bounces")
+def omnidirectional_late(held: Held) -> Found:
+    middle, least, greatest = (
+        held["bounces"].take("claims", part, claim="and by bounce 9")[0].value for part in ("median", "least", "greatest")
+    )
+    ends = [counted(least, "the least scene"), counted(greatest, "the greatest scene")]
+    return judge(ends, at_least=1.5), f"{middle:.1f} times fewer in the median, {least:.2f} to {greatest:.1f} by scene"
+
+
+@claim(
+    "vertex-culling",
+    "rahikainen",
+    "3.3",
+    "Vertex culling avoids more than 90 % of the tests in leaves of hundreds of triangles, with a tenth of the nodes",
+    "leaf_sizes",
+)
+def vertex_culling(held: Held) -> Found:
+    """Judged as the claim is put; the text says what of it is due to vertex culling."""
+    avoided, others, size = (
+        held["leaf_sizes"].take("leaves", what, leaf="512") for what in ("vertex", "interval", "triangles")
+    )
+    fewer = pairs(
+        held["leaf_sizes"].take("leaves", "nodes", leaf="as SAH gains"), held["leaf_sizes"].take("leaves", "nodes", leaf="512")
+    )
+    return all_of([judge(avoided, at_least=90.0), judge(fewer, at_least=10.0)]), (
+        f"{span(avoided, '.1f')} % in leaves of {span(size, '.0f')} triangles, with {span(fewer, '.0f')}"
+        f" times fewer nodes, for a view of 1024 x 1024; the"
+        f" interval test of the triangles' boxes alone avoids {span(others, '.1f')} %"
+    )
+
+
+@claim("subtrees", "rahikainen", "4.2", "Rebuilding the whole tree is not necessary: subtrees suffice", "dynamic")
+def subtrees(held: Held) -> Found:
+    keys = {"motion": ("figure", "figure in the court"), "tolerance": "1.3"}
+    whole, parts = (held["dynamic"].take("rebuilds", what, **keys) for what in ("built", "in parts"))
+    return judge(whole, at_most=0), (
+        f"{span(whole, '.0f')} whole builds and {span(parts, '.0f')} partial ones in 23 frames of coherent"
+        f" motion, with the default tolerance"
+    )
+
+
+@claim("instance-updates", "rahikainen", "4.2", "Of rigid copies only matrices are updated, which costs little", "dynamic")
+def instance_updates(held: Held) -> Found:
+    """All numbers of copies, one included."""
+    gains = pairs(*(held["dynamic"].take("instances", "update", way=way) for way in ("built", "instances")))
+    return judge(gains, at_least=5.0), "updates are " + ", ".join(
+        f"{one.value:.0f} ({one.case})" for one in gains
+    ) + " times as fast as a build, by copies"
+
+
+@claim("instance-rays", "rahikainen", "4.2", "Transforming rays costs little", "dynamic")
+def instance_rays(held: Held) -> Found:
+    longer = pairs(*(held["dynamic"].take("instances", "trace", way=way) for way in ("instances", "built")))
+    return judge(longer, at_most=1.3), f"views take {span(longer)} times as long as through one tree"
+
+
+@claim("gkdtree", "rahikainen", "4.2", "Updates of groups are 1.1 to 166 times as fast as of one kd-tree", "dynamic")
+def groups(held: Held) -> Found:
+    speed = held["dynamic"].take("groups", "speed", way="groups, built")
+    return judge(speed, at_least=1.1), ", ".join(f"{one.value:.1f} times with {one.case} of 16 moving" for one in speed)
+
+
+@claim("two-trees", "rahikainen", "4.2", "Two trees slow rays down, for each ray goes through both", "dynamic")
+def two_trees(held: Held) -> Found:
+    (two,), (one,) = (held["dynamic"].take("ways", "trace", way=way) for way in ("static and moving kdtree", "groups, kdtree"))
+    both = pairs([two], [one])
+    return judge(both, at_least=1.0), f"{span(both)} times the time through the upper tree of groups"
+
+
+@claim("split-threads", "rahikainen", "4.2", "Threads should be split between building and tracing", "dynamic")
+def split_threads(held: Held) -> Found:
+    gains = pairs(*(held["dynamic"].take("threads", what) for what in ("turns", "split")))
+    return judge(gains, at_least=1.0), f"{span(gains)} times the speed of taking turns, two threads in both"
+
+
+@claim(
+    "pah-precision",
+    "falcone",
+    "6.2.1, Fig. 6.9",
+    "PAH is off by 7 % on average, by 2 % for planes and 12 % for points",
+    "ray_distribution",
+)
+def pah_precision(held: Held) -> Found:
+    """By the casters of the thesis: planes, and caps for points. Rays uniform over the window fit by construction."""
+    take = held["ray_distribution"].take
+    (plane,), (square,), (circular,) = (
+        take("precision", "percent", error=error)
+        for error in (
+            "PAH, plane",
+            "PAH, point, rays uniform over the square cap",
+            "PAH, point, rays uniform over the circular cap",
+        )
+    )
+    printed = FALCONE_PRECISION.row("eight scenes")
+    cases = [counted(square.value, "square cap"), counted(circular.value, "circular cap")]
+    verdict = all_of([judge([plane], at_most=printed["PAH, planes"]), judge(cases, at_most=printed["PAH, points"])])
+    return verdict, (
+        f"{plane.value:.1f} % for planes, {square.value:.1f} % for points with the square cap and"
+        f" {circular.value:.1f} % with the circular one; the thesis"
+        " does not say which it casts, nor its angle"
+    )
+
+
+@claim("sah-precision", "falcone", "6.2.1, Fig. 6.9", "SAH is off by more than PAH: 36 %", "ray_distribution")
+def sah_precision(held: Held) -> Found:
+    take = held["ray_distribution"].take
+    (sah,) = take("precision", "percent", error="SAH, plane and point")
+    (worst,) = take("precision", "percent", error="PAH, point, rays uniform over the circular cap")
+    return judge([counted(sah.value / worst.value)], at_least=1.0), f"{sah.value:.0f} %, PAH {worst.value:.0f} % at most"
+
+
+@claim(
+    "pah-culling",
+    "falcone",
+    "6.2.2",
+    "Without culling at the near plane PAH is off by 12 % (planes) and 23 % (points)",
+    "ray_distribution",
+)
+def culling(held: Held) -> Found:
+    take = held["ray_distribution"].take
+    without = [take("precision", "percent", error=f"PAH, {kind}, not clipped")[0] for kind in ("plane", "point")]
+    with_it = [take("precision", "percent", error=f"PAH, {kind}")[0] for kind in ("plane", "point")]
+    worse = [counted(a.value / b.value, kind) for a, b, kind in zip(without, with_it, ("planes", "points"), strict=True)]
+    return judge(
+        worse, at_least=2.0
+    ), f"{without[0].value:.0f} and {without[1].value:.0f} %, {with_it[0].value:.1f} and {with_it[1].value:.1f} % with it"

@@ -1,0 +1,53 @@
+"""Tables of Falcone 2024 with the cases that the notebook `ray_distribution` takes, for the command line.
+
+References: falcone-2024 (sections 6.2 to 6.5).
+"""
+
+from __future__ import annotations
+
+from studies.known_rays import area_experiments as experiments
+from studies.known_rays import ray_distribution as distribution
+from studies.known_rays.ray_cases import cases
+
+Row = distribution.Row
+
+
+def costs(*, rays: int = 1024) -> list[Row]:
+    """Sections 6.2.1 to 6.2.3: estimated and counted costs of the trees of both heuristics, in all scenes and directions."""
+    return distribution.measure(cases(), rays=rays)
+
+
+def build_times(*, rounds: int = 3) -> list[Row]:
+    """Section 6.2.4: times of builds."""
+    return distribution.build_times(cases(("random 1000", "wood", "palace"), ways=("15 degrees",)), rounds=rounds)
+
+
+def axes_tried() -> list[Row]:
+    """Section 6.2.4: axes that are tried at a node."""
+    return experiments.axes_tried(cases())
+
+
+def break_evens(*, rays: int = 4096) -> list[Row]:
+    """Section 6.2.5: the share of rays that have to end in an area's tree."""
+    return distribution.balances(cases(("random 1000", "cottage", "crowd", "palace")), rays=rays)
+
+
+def walk_orders(*, rays: int = 1024) -> list[Row]:
+    """Section 5.1.2: costs of a stack, of a queue, and of the nearest child first."""
+    return experiments.walk_orders(cases(ways=("parallel", "oblique")), rays=rays)
+
+
+def octree_levels(*, areas: int = 20, rays: int = 4096, seed: int = 0) -> list[Row]:
+    """Table 6.1: costs by the levels of the octree."""
+    chosen = cases(("cottage", "random 1000", "wood", "head"), ("plane",), ("parallel",))
+    return experiments.octree_levels(chosen, areas=areas, rays=rays, seed=seed)
+
+
+def thresholds(*, rays: int = 1024) -> list[Row]:
+    """Tables 6.2 and 6.3: costs by the thresholds of the choice of axes."""
+    return distribution.sweep(cases(("random 100", "random 1000", "head", "cottage")), rays=rays)
+
+
+def memory(*, depth: int = 4) -> list[Row]:
+    """Section 6.5: bytes with one area and with twenty."""
+    return distribution.memory(cases(("random 1000", "wood", "palace"), ("plane",), ("oblique",)), depth=depth)

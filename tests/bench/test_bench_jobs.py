@@ -1,0 +1,58 @@
+"""`wrt bench jobs`: every job is done by all contenders, with the rays that it says, and figures fit together."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from wrt.bench.comparisons import whole_jobs
+from wrt.cli import main
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return whole_jobs.Cell(0.04, 2)
+
+
+def test_figures(tmp_path):
+    path = tmp_path / "jobs.json"
+    command = ["bench", "jobs", "scan", "capture", "--size", "0.04", "--rounds", "2", "--no-process", "--json", str(path)]
+    done = CliRunner().invoke(main, command)
+    assert done.exit_code == 0, done.output
+    rows = json.loads(path.read_text())["jobs"]
+    assert {row["job"] for row in rows} == {"scan", "capture"}
+    for row in rows:
+        assert row["error"] is None or "open3d" in row["error"]
+        if row["error"] is None:
+            assert 0.0 < row["least"] <= row["seconds"]
+        if row["contender"] == whole_jobs.RAYS:
+            assert row["ratio"] == 1.0
+            assert row["rays"] == {"scan": 64 * 41, "capture": 26 * 19}[row["job"]]
+
+
+def test_a_cell_has_what_it_says(cell):
+    """20 instances; the rays that contenders trace alone are those of the sensors."""
+    assert len(cell.scene.instances) == whole_jobs.INSTANCES
+    origin, directions = cell.lidar_rays
+    scan, hits = cell.lidar.scan(cell.scene, cell.lidar_pose), cell.scene.intersect(origin, directions, 0.0, 120.0)
+    seen = np.isfinite(scan.range)
+    assert seen.mean() > 0.8
+    np.testing.assert_allclose(scan.range[seen], hits.t[seen], rtol=1e-5)
+    for view, rays in zip(cell.views, cell.camera_rays, strict=True):
+        np.testing.assert_allclose(cell.camera.capture(cell.scene, view).distance, cell.scene.intersect(*rays).t, rtol=1e-4)
+
+
+def test_a_step_writes_its_file(cell):
+    for contender in whole_jobs.step_contenders(cell)[:3]:
+        contender.run()
+
+
+def test_sums_are_those_of_the_rays():
+    court = whole_jobs.Court(0.03, 2)
+    rays, sums, folder = (contender.run() for contender in whole_jobs.sun_contenders(court)[:3])
+    np.testing.assert_array_equal(sums, rays.sum(axis=1))
+    np.testing.assert_array_equal(folder, sums)
+    assert whole_jobs.rays_of("sun", court) == rays.size

@@ -1,0 +1,40 @@
+// Instantiates the headers of kernels/sensors; see native_headers.cpp.
+#include "sensor_rays.h"
+#include "table_rows.h"
+
+template <class T> struct Vector {
+    T c[3];
+    Vector() = default;
+    Vector(T x, T y, T z)
+        : c {x, y, z}
+    {
+    }
+};
+using Vec3 = Vector<float>;
+using Vec3d = Vector<double>;
+struct Quat {
+    double x, y, z, w;
+};
+inline Vec3d normalize(const Vec3d& v) { return v; }
+inline Vec3d quat_rotate(const Quat& q, const Vec3d& v) { return {q.w * v.c[0], q.w * v.c[1], q.w * v.c[2]}; }
+
+struct Column {
+    unsigned long long data;
+    long long stride;
+    int offset, kind, divisor, modulus;
+};
+
+void turn(const Vec3* axes, const Quat& by, Vec3* turned) { wrt::turn_axes<Vec3d>(axes, by, 0, 8, turned); }
+
+void images(const float* t, const int* primitive, const Vec3* directions, const Vec3d* origins, float* depth, Vec3d* position)
+{
+    wrt::write_depths(t, primitive, directions, primitive, 0, 8, 1.0f, 0, 8, depth, depth);
+    wrt::write_positions(t, primitive, directions, origins, true, primitive, 0, 0, 8, position);
+}
+
+void table(const Column* columns, const int* order, const int* id, unsigned char* out)
+{
+    wrt::RowItems rows;
+    wrt::rows_of_block(order, 8, id, 0, 8, rows);
+    wrt::write_columns(columns, 2, rows, out, 0, 27);
+}

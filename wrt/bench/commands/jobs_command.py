@@ -1,0 +1,64 @@
+"""`wrt bench jobs`: whole jobs beside their rays and today's tools."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from wrt.bench.commands.command_options import (
+    json_option,
+    progress,
+    table_console,
+    threads_option,
+    usage_errors,
+    write_json,
+)
+from wrt.bench.comparisons.whole_jobs import JOBS, JobTimes, measure_jobs
+from wrt.bench.core.benchmark_results import machine
+from wrt.cli.number_types import Real, Whole
+
+
+@click.command("jobs")
+@click.argument("names", nargs=-1, type=click.Choice([*JOBS]))
+@click.option("--size", default=1.0, show_default=True, type=Real(0.01, 4.0), help="Rows and columns, in proportion.")
+@click.option("--rounds", default=15, show_default=True, type=Whole(1), help="Turns of each contender.")
+@click.option("--process/--no-process", default=True, show_default=True, help="Time a fresh process for each job, too.")
+@threads_option
+@json_option
+def jobs_command(
+    names: Sequence[str], size: float, rounds: int, process: bool, threads: int | None, json_file: Path | None
+) -> None:
+    """Times whole jobs: a scan, an image, a table, a robot's step, hours of sun; all, or those of NAMES.
+
+    The first line of a job is its rays alone, and ratios are to them, round by round. Open3D and trimesh with embreex do the
+    same with NumPy, where they are installed.
+    """
+    with progress() as on_turn, usage_errors():
+        found = measure_jobs(names or [*JOBS], size, rounds, threads, process, on_turn)
+    print_jobs(found)
+    rows = [row for job in found for row in job.rows()]
+    write_json(json_file, {"machine": machine("cpu"), "jobs": rows, "processes": {job.job: job.process for job in found}})
+
+
+def print_jobs(found: Sequence[JobTimes]) -> None:
+    """A table with a line for each contender."""
+    from wrt.bench.core.benchmark_report import new_table, times
+
+    table = new_table(("job", "what is done"), ("rays", "median ms", "least ms", "/ rays", "least / least"))
+    for job in found:
+        for row in job.rows():
+            if row["error"] is None:
+                figures = (
+                    f"{1e3 * row['seconds']:.2f}",
+                    f"{1e3 * row['least']:.2f}",
+                    times(row["ratio"]),
+                    times(row["least_ratio"]),
+                )
+            else:
+                figures = row["error"].split(":")[0], "", "", ""
+            table.add_row(job.job, row["contender"], f"{job.rays:,}", *figures)
+        if job.process is not None:
+            table.add_row(job.job, "a fresh process, once", "", f"{1e3 * job.process:.0f}", "", "", "")
+    table_console().print(table)

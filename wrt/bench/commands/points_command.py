@@ -1,0 +1,75 @@
+"""`wrt bench points`: closest points beside other libraries."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from wrt.bench.commands.command_options import (
+    json_option,
+    load_model,
+    progress,
+    table_console,
+    threads_option,
+    usage_errors,
+    write_json,
+)
+from wrt.bench.comparisons.point_comparison import POINT_PEERS, PointRow, compare_points, missing_peers
+from wrt.bench.core.benchmark_results import machine
+from wrt.cli.number_types import Whole
+from wrt.kernels.runtime.launch import get_num_threads
+
+
+@click.command("points")
+@click.argument("model", default="teapot")
+@click.option(
+    "--peer", "peers", multiple=True, type=click.Choice([*POINT_PEERS]), help="Others to compare with; repeatable. [all]"
+)
+@click.option("--points", "count", default=100_000, show_default=True, type=Whole(1), help="Points of each set.")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per contender.")
+@threads_option
+@json_option
+def points_command(
+    model: str, peers: tuple[str, ...], count: int, rounds: int, threads: int | None, json_file: Path | None
+) -> None:
+    """Times `Scene.closest_point` on MODEL, a mesh file or a built-in scene, beside the libraries that are installed.
+
+    Points are uniform in the box of the mesh, and near its surface: on its triangles, moved by half a percent of the diagonal.
+    Contenders take turns. FCPW and libigl use all cores, whatever --threads says; wp.Mesh and trimesh use one.
+    """
+    mesh, names = load_model(model), peers or tuple(POINT_PEERS)
+    missing, most = missing_peers(names), threads or get_num_threads()
+    with progress() as on_turn, usage_errors():
+        rows = list(compare_points(mesh, [name for name in names if name not in missing], count, rounds, most, on_turn))
+    print_rows(f"points: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles", rows)
+    for name, reason in missing.items():
+        click.echo(f"{name}: {reason}")
+    write_json(json_file, {"machine": machine("cpu"), "points": count, "rows": [asdict(row) for row in rows]})
+
+
+def print_rows(title: str, rows: Sequence[PointRow]) -> None:
+    """A table with a line for each contender and set of points, and what a point visits."""
+    from wrt.bench.core.benchmark_report import new_table, times
+
+    table = new_table(("points", "engine"), ("threads", "Mpoints/s", "time / wrt", "same distance"))
+    for row in rows:
+        if row.error is not None:
+            table.add_row(row.points, row.engine, str(row.threads), row.error)
+            continue
+        ratio = "" if row.ratio is None else times(row.ratio)
+        table.add_row(row.points, row.engine, str(row.threads), f"{row.speed:.3f}", ratio, f"{row.agreement:.2%}")
+    console = table_console()
+    console.print(f"[bold]{title}[/bold]", highlight=False)
+    console.print(table)
+    for row in rows:
+        if row.work is not None:
+            nodes, triangles, *least = row.work.values()
+            console.print(
+                f"{row.points}: {nodes:.1f} nodes and {triangles:.1f} triangles a point; {least[0]:.1f} and {least[1]:.1f} "
+                "if its distance were known.",
+                style="dim",
+                highlight=False,
+            )

@@ -1,0 +1,1 @@
+"""What sensors give: layers of scans and images, made when they are read, and tables of them."""

@@ -1,0 +1,129 @@
+"""What scans and images share: layers that kernels make of the hits of rays, when they are first read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import warp as wp
+
+from wrt.engine.memory import outputs_of
+from wrt.kernels.runtime.launch import refuse_capture, use_threads
+
+if TYPE_CHECKING:
+    from wrt.sensors.time_slices import TracedSlice
+
+
+class TracedLayers:
+    """Rays that were traced, and the layers that were made of them. Scenes that change later do not change them.
+
+    Attributes:
+        found: the hits, slice by slice.
+        arrays: the layers that are made: flat arrays by their name.
+        device: where they are.
+    """
+
+    KINDS: ClassVar[dict[str, Any]]
+    """Types of layers by their name, in the order in which they are made."""
+
+    TOGETHER: ClassVar[Sequence[tuple[str, ...]]]
+    """Layers that one kernel makes of the same work: who reads one of them gets all that were chosen."""
+
+    def __init__(self, found: Sequence[TracedSlice], count: int, device: wp.Device, num_threads: int | None) -> None:
+        self.found, self.count, self.device, self.num_threads = found, count, device, num_threads
+        self.arrays: dict[str, wp.array] = {}
+
+    def make(self, names: Iterable[str]) -> None:
+        """Makes the layers of some names that are not made yet."""
+        wanted = [name for name in self.KINDS if name in names and name not in self.arrays]
+        if not wanted:
+            return
+        refuse_capture("a layer of a sensor that is read for the first time", self.device)
+        with use_threads(self.num_threads):
+            for group in self.TOGETHER:
+                if chosen := {name: self.KINDS[name] for name in group if name in wanted}:
+                    self._make(group, chosen)
+
+    def _make(self, group: tuple[str, ...], chosen: Mapping[str, Any]) -> None:
+        struct = self.new_struct()
+        arrays = outputs_of(struct, chosen, self.count, self.device)
+        self.fill(group, struct)
+        self.arrays |= {name: arrays[name] for name in chosen}
+
+    def new_struct(self) -> Any:
+        """The layers as kernels see them, none of them asked for."""
+        raise NotImplementedError
+
+    def fill(self, group: tuple[str, ...], struct: Any) -> None:
+        """Runs the kernel of a group of `TOGETHER`; the struct has the arrays of those layers that are wanted."""
+        raise NotImplementedError
+
+
+class HitOutputs:
+    """The base of `wrt.sensors.LidarScan` and `wrt.sensors.CameraImages`, which say what the layers hold.
+
+    Args:
+        layers: makes them.
+        shape: leading shape of the results.
+        to_warp: whether results are Warp arrays on the device, which are made at once, else NumPy arrays.
+        chosen: names of the layers that can be read; None for all.
+    """
+
+    def __init__(
+        self, layers: TracedLayers, shape: tuple[int, ...], to_warp: bool, chosen: Sequence[str] | None = None
+    ) -> None:
+        self._layers, self.shape, self._to_warp = layers, shape, to_warp
+        self._chosen = tuple(layers.KINDS) if chosen is None else tuple(chosen)
+        if to_warp:
+            layers.make(self._chosen)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(shape={self.shape})"
+
+    @cached_property
+    def position(self) -> Any:
+        return self._out("position")
+
+    @cached_property
+    def normal(self) -> Any:
+        return self._out("normal")
+
+    @cached_property
+    def instance_id(self) -> Any:
+        return self._out("instance")
+
+    @cached_property
+    def geometry_id(self) -> Any:
+        return self._out("geometry")
+
+    @cached_property
+    def primitive_id(self) -> Any:
+        return self._out("primitive")
+
+    @cached_property
+    def semantic_id(self) -> Any:
+        return self._out("semantic")
+
+    def _out(self, name: str) -> Any:
+        return self._shaped(self._layer(name))
+
+    def _layer(self, name: str) -> wp.array:
+        """A layer as a flat array; made now, with those chosen ones that the same kernel makes."""
+        if name not in self._chosen:
+            public = self._public(name)
+            raise ValueError(f"{public} is none of the layers that were chosen; add it: layers=(..., {public!r})")
+        if name not in self._layers.arrays:
+            group = next(group for group in self._layers.TOGETHER if name in group)
+            self._layers.make(set(group) & set(self._chosen))
+        return self._layers.arrays[name]
+
+    def _public(self, name: str) -> str:
+        return name
+
+    def _shaped(self, values: wp.array | None) -> Any:
+        """A flat array in the form of results; None stays None."""
+        if values is None or self._to_warp:
+            return values if values is None else values.reshape(self.shape)
+        array = values.numpy()
+        return array.reshape(self.shape + array.shape[1:])
