@@ -78,7 +78,7 @@ def traversals(scene: wrt.Scene, query: str) -> list[str]:
     kind, lazy = scene.accelerator.kind, scene.state.lazy_tree is not None
     able = {n: way for n, way in TRAVERSALS.items() if kind in way.trees and way.supports(query, kind)}
     refused = Capabilities.SHARED_ORIGIN | (Capabilities.WIDE_FORM if lazy else Capabilities.NONE)
-    return [n for n, way in able.items() if not way.capabilities & refused]
+    return [n for n, way in able.items() if not way.capabilities & refused and way.width in (None, scene.state.width)]
 
 
 def check_inside(scene: wrt.Scene, body: Body, rng: np.random.Generator, count: int, ways: tuple[str, str]) -> dict[str, int]:

@@ -35,6 +35,7 @@ from wrt.kernels.compilation.kernel_cache import init_warp
 from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.cuda_commands import launch_again
+from wrt.kernels.runtime.options import CUDA_BLOCK, cuda_block
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 from wrt.kernels.validation import as_int
 
@@ -51,9 +52,6 @@ MIN_CHUNK_SHARE = 16
 
 MAX_THREADS = 1024
 """Greatest number of threads that can be set."""
-
-CUDA_BLOCK = 128
-"""Threads per block on CUDA."""
 
 _lock = threading.RLock()
 _loaded: set[tuple[wp.Kernel, str]] = set()
@@ -143,7 +141,7 @@ def launch(
         return
     load([kernel], device)
     if device.is_cuda:
-        launch_again(kernel, count, [0, *inputs], device, CUDA_BLOCK)
+        launch_again(kernel, count, [0, *inputs], device, cuda_block(kernel))
         return
     if device.is_capturing:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, record_tape=False)
@@ -303,7 +301,7 @@ def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:
 
     A kernel with `Any` parameters gains one for each new type.
     """
-    module_compiler.load_modules([kernel.module], device, 1 if device.is_cpu else CUDA_BLOCK)
+    module_compiler.load_modules([kernel.module], device, 1 if device.is_cpu else cuda_block(kernel))
 
 
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
@@ -313,7 +311,11 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
             break
     else:
         return
-    module_compiler.load_modules([kernel.module for kernel in kernels], device, 1 if device.is_cpu else CUDA_BLOCK)
+    if device.is_cpu:
+        module_compiler.load_modules([kernel.module for kernel in kernels], device, 1)
+    else:
+        for kernel in kernels:
+            module_compiler.load_modules([kernel.module], device, cuda_block(kernel))
     _loaded.update((kernel, device.alias) for kernel in kernels)
 
 

@@ -12,6 +12,7 @@ Importing this module chooses the CPU target (`wrt.kernels.compilation.target`),
 """
 
 from collections.abc import Callable
+from weakref import WeakKeyDictionary
 
 import warp as wp
 
@@ -45,7 +46,18 @@ def named_kernel(function: Callable, name: str) -> wp.Kernel:
     return wp.kernel(function)
 
 
-def specialised_kernel(function: Callable, gradients: bool = False) -> wp.Kernel:
+CUDA_BLOCK = 128
+"""Threads per block on CUDA, unless a kernel has bounds of its own."""
+
+_blocks: WeakKeyDictionary[wp.Kernel, int] = WeakKeyDictionary()
+
+
+def cuda_block(kernel: wp.Kernel) -> int:
+    """Threads per block of a kernel on CUDA."""
+    return _blocks.get(kernel, CUDA_BLOCK)
+
+
+def specialised_kernel(function: Callable, gradients: bool = False, bounds: tuple[int, int] | None = None) -> wp.Kernel:
     """The kernel of a function that a factory made, in a Warp module of its own, with the options of `exact_module`.
 
     Specialisations of one function differ in the values that they capture (`wp.static`). In a module of its own, each is
@@ -54,5 +66,10 @@ def specialised_kernel(function: Callable, gradients: bool = False) -> wp.Kernel
     Args:
         function: the function of the kernel.
         gradients: whether the kernel has a backward pass.
+        bounds: on CUDA, threads per block, and the blocks of a multiprocessor for which its registers must suffice; None for
+            blocks of `CUDA_BLOCK` threads and any number of registers.
     """
-    return wp.kernel(function, module="unique", enable_backward=gradients, module_options=EXACT)
+    kernel = wp.kernel(function, module="unique", enable_backward=gradients, module_options=EXACT, launch_bounds=bounds)
+    if bounds is not None:
+        _blocks[kernel] = bounds[0]
+    return kernel

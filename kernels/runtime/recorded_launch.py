@@ -8,7 +8,8 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.runtime.launch import CUDA_BLOCK, Chunks, load
+from wrt.kernels.runtime.launch import Chunks, load
+from wrt.kernels.runtime.options import cuda_block
 
 
 def record(kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> wp.Launch:
@@ -20,7 +21,7 @@ def record(kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> wp.La
         kernel, inputs, device: as in `launch`.
     """
     load([kernel], device)
-    block = CUDA_BLOCK if device.is_cuda else None
+    block = cuda_block(kernel) if device.is_cuda else None
     return wp.launch(kernel, dim=1, inputs=[0, *inputs], device=device, block_dim=block, record_cmd=True)
 
 

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from wrt.kernels.answers import ANSWERS
+from wrt.kernels.layout import binary_nodes
 from wrt.kernels.on_demand import OnDemand
 from wrt.kernels.traversal.brute_force import make_brute_force_kernel
 from wrt.kernels.traversal.capabilities import Capabilities
@@ -34,6 +35,7 @@ from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
 from wrt.kernels.traversal.packet.core import packet_kernel
 from wrt.kernels.traversal.packet.core.packet_bvh import make_packet_bvh_kernel
 from wrt.kernels.traversal.packet.core.packet_kdtree import make_packet_kdtree_kernel
+from wrt.kernels.traversal.persistent.persistent_bvh import make_persistent_kernel
 from wrt.kernels.traversal.queued.queued_bvh import make_queued_bvh_kernel
 from wrt.kernels.traversal.single.single_bvh import make_single_bvh_kernel
 from wrt.kernels.traversal.single.single_kdtree import make_single_kdtree_kernel
@@ -46,6 +48,7 @@ from wrt.kernels.traversal.traversal_scores import (
     score_interleaved,
     score_lockstep,
     score_packet,
+    score_persistent,
     score_single,
     score_stream,
     score_wide_packet,
@@ -77,6 +80,8 @@ class Traversal:
         each_hit: tree kinds on which it can offer each hit, so that it answers every kind of query; on others it answers the
             `nearest` ones.
         orders: those of `ORDERS` in which it can trace rays.
+        triangle_tests: keys in `wrt.kernels.triangle.TRIANGLE_TESTS` of those that it can use; None for all.
+        width: children that the nodes of its trees have; None for any number.
         two_level: tree kinds of geometries through whose instances it traces rays: one by one, for all that it answers on such
             a tree; else for what parts can answer (`AnswerKind.merge`).
         counters: struct of the work counters that its kernels write, at the first ray of an item.
@@ -90,6 +95,8 @@ class Traversal:
     capabilities: Capabilities = Capabilities.NONE
     each_hit: tuple[str, ...] = ()
     orders: tuple[str, ...] = (AS_GIVEN, CELLS)
+    triangle_tests: tuple[str, ...] | None = None
+    width: int | None = None
     two_level: tuple[str, ...] = ()
     counters: type = Counters
     score: Score | None = None
@@ -97,6 +104,10 @@ class Traversal:
     def supports(self, query: str, tree: str) -> bool:
         """Whether it answers a query on a tree kind."""
         return ANSWERS[query].nearest or tree in self.each_hit
+
+    def takes_test(self, triangle_test: str) -> bool:
+        """Whether it can use a triangle test."""
+        return self.triangle_tests is None or triangle_test in self.triangle_tests
 
     def culls_backfaces(self, tree: str) -> bool:
         """Whether it can cull back faces on a tree kind.
@@ -164,6 +175,16 @@ TRAVERSALS: dict[str, Traversal] = {
             each_hit=("kdtree", "bvh"),
             two_level=("kdtree", "bvh"),
             score=score_single,
+        ),
+        Traversal(
+            "persistent",
+            "Aila, Laine: Understanding the efficiency of ray traversal on GPUs (2009)",
+            {"bvh": make_persistent_kernel},
+            capabilities=Capabilities.PERSISTENT | Capabilities.FRONT_FACES,
+            orders=(AS_GIVEN,),
+            triangle_tests=("woop",),
+            width=binary_nodes.WIDTH,
+            score=score_persistent,
         ),
         Traversal(
             "lockstep",

@@ -82,6 +82,17 @@ class StreamConfig:
 
 
 @dataclass(frozen=True)
+class PersistentConfig:
+    """Options of threads that take the next ray (`wrt.kernels.traversal.persistent`).
+
+    Attributes:
+        from_zero: whether t_min is 0 for all rays.
+    """
+
+    from_zero: bool = False
+
+
+@dataclass(frozen=True)
 class TraversalConfig:
     """The key of one specialisation: a kernel is made and compiled once for each distinct value.
 
@@ -105,6 +116,7 @@ class TraversalConfig:
         packet: for packets.
         stream: for streams.
         tiles: for entry points.
+        persistent: for threads that take the next ray.
     """
 
     triangle_test: str
@@ -121,6 +133,7 @@ class TraversalConfig:
     packet: PacketConfig = PacketConfig()
     stream: StreamConfig = StreamConfig()
     tiles: TileConfig = TileConfig()
+    persistent: PersistentConfig = PersistentConfig()
 
     @property
     def answer(self) -> AnswerKind:

@@ -73,7 +73,7 @@ def hit_hashes(
             scene = wrt.Scene(mesh, accelerator, device="cpu")
             for traversal in traversals:
                 way = TRAVERSALS[traversal]
-                if kind not in way.trees:
+                if kind not in way.trees or way.width not in (None, scene.state.width):
                     continue
                 for query in (query for query in queries if way.supports(query, kind)):
                     for test in (name for name in tests_of(traversal, query) if name in triangle_tests):

@@ -44,6 +44,7 @@ from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.fan_brute_force import NORMALS, VERTICES, make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK, BLOCKS
 from wrt.kernels.traversal.shadows import light_buffer_lanes, light_buffer_query, multi_frusta
 from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level import instance_single
@@ -209,9 +210,31 @@ ANSWERS = [
     for test in map(TRIANGLE_TESTS.get, ENGINE_TESTS)
     for query in (QUERIES if test.name == "woop" else ("closest",))
     if way.supports(query, tree) and Capabilities.WIDE_FORM not in way.capabilities  # wide forms have the kernels of a BVH
+    if way.takes_test(test.name)
     if test.name == "woop" or (tree == way.trees[0] and name not in OTHER_WAYS_TO_PACKETS)
 ]
 """All queries with one test; one query with the others, once for each way to meet leaves."""
+
+
+BOX_PLANES = 12
+"""Fused multiply-adds in a node's step: a plane each of the boxes of two children."""
+
+
+def assert_fuses_boxes_alone(text: str) -> None:
+    """Of persistent threads: the step of a node is there once, and fuses; nothing else does. Only the stack is in memory."""
+    fused = FUSIBLE.findall(text)
+    assert fused == ["fma.rn.f32"] * BOX_PLANES
+    assert len(re.findall(r"\.local\b.*\[\d+\]", text)) == 1
+
+
+def test_persistent_threads_have_bounded_registers(tmp_path, monkeypatch):
+    monkeypatch.setattr(wp.config, "optimization_level", 3)
+    config = TraversalConfig("woop", 2, cull_backfaces=True, stack=StackConfig(24))
+    text = compile_to_ptx(TRAVERSALS["persistent"].kernels["bvh"](config).module, tmp_path)
+    assert_fuses_boxes_alone(text)
+    assert re.search(rf"\.local\b.*\[{4 * (config.stack.levels + 1)}\]", text)
+    assert re.search(rf"\.maxntid {BLOCK}\b", text)
+    assert re.search(rf"\.minnctapersm {BLOCKS}\b", text)
 
 
 @pytest.mark.parametrize(("traversal", "tree", "triangle_test", "query"), ANSWERS)
@@ -220,7 +243,10 @@ def test_traversal(traversal, tree, triangle_test, query, tmp_path):
     kernel = TRAVERSALS[traversal].kernels[tree](config)
     text = compile_to_ptx(kernel.module, tmp_path)
     assert ".entry" in text
-    assert not FUSIBLE.search(text)
+    if Capabilities.PERSISTENT in TRAVERSALS[traversal].capabilities:
+        assert_fuses_boxes_alone(text)
+    else:
+        assert not FUSIBLE.search(text)
 
 
 SKIPPING = TraversalConfig("woop", 2, "count", skipping=True, stack=StackConfig(8))

@@ -13,9 +13,11 @@ import warp as wp
 
 import wrt
 from wrt.builders.core.levels import LiveNode
-from wrt.engine import memory
+from wrt.engine import device_memory, memory
+from wrt.engine.device_hits import DTYPES, DeviceHits
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.memory import GRAIN, BlockPool, large_pages
+from wrt.kernels.answers import ANSWERS
 
 COUNT = 1 << 20
 
@@ -229,3 +231,32 @@ def test_arrays_of_one_allocation():
     gc.collect()
     np.testing.assert_array_equal(last.reshape((10, 100)).numpy(), 3)
     assert len(memory.ArraysOfBlock(kinds, 0, device)["a"]) == 0
+
+
+@pytest.mark.parametrize("kind", ["closest", "any", "count"])
+def test_answers_have_the_arrays_of_their_kind_alone(kind, device):
+    """Arrays beside them would be of memory that belongs to others."""
+    for count in (3, 5000):
+        hits = DeviceHits.new(kind, count, wp.get_device(device))
+        made = {name for name in DTYPES if getattr(hits, name) is not None}
+        assert made == set(ANSWERS[kind].columns)
+        assert all(getattr(hits, name).shape == (count,) for name in made)
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(not wp.get_cuda_devices(), reason="there is no CUDA device here")
+def test_answers_on_cuda_take_memory_that_nobody_holds():
+    device = wp.get_cuda_devices()[0]
+    memory.release()
+    held = device_memory.take_block(5_000_000, device)
+    address = held.ptr
+    other = device_memory.take_block(5_000_000, device)
+    assert other.ptr != address
+    del held
+    gc.collect()
+    assert device_memory.waiting_bytes() == 5 << 20
+    assert device_memory.take_block(4_900_000, device).ptr == address, "as many whole megabytes"
+    with wp.ScopedStream(wp.Stream(device)):
+        assert device_memory.take_block(5_000_000, device).ptr != address, "of another stream"
+    memory.release()
+    assert device_memory.waiting_bytes() == 0

@@ -31,7 +31,7 @@ def rays_at(mesh: wrt.TriangleMesh, count: int, seed: int = 0) -> tuple[np.ndarr
 def closest_and_any(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray):
     """What every traversal of a scene says: (its name, closest hits or None, occlusion or None)."""
     for name, way in TRAVERSALS.items():
-        if way.needs_shared_origin:
+        if way.needs_shared_origin or way.width not in (None, scene.state.width):
             continue
         if scene.accelerator.kind in way.trees or "none" in way.trees:
             kind = scene.accelerator.kind if scene.accelerator.kind in way.trees else "none"

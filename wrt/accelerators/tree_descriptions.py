@@ -209,7 +209,7 @@ class Bvh:
         block_cost: cost of testing one block of `width` triangles; None for 0.5 with 8 lanes or more, whose blocks are
             mostly full, else 1.5.
         bins: bins along an axis, 2 to 40, for builders that bin.
-        max_leaf_triangles: largest number of triangles in a leaf, 1 to 63; None for a default by width.
+        max_leaf_triangles: largest number of triangles in a leaf, 1 to 63; None for a default by width, and for 2 on CUDA.
         reinsertion: rounds of reinsertion, 0 to 1000, each of which moves subtrees to where they cost less; three reach
             most of the gain. Since "binned" divides by size, rays seldom become faster, and builds take several times as
             long. Scanned meshes keep the builder's tree.

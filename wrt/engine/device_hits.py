@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.device_memory import DeviceBlock, take_block
 from wrt.engine.facts.query_kinds import FEW_RAYS
 from wrt.engine.host_arrays import HostArray, write_flat
 from wrt.engine.memory import empty, empty_host, keep_alive
@@ -23,16 +24,19 @@ if TYPE_CHECKING:
 DTYPES = {name: column.dtype for name, column in COLUMNS.items()}
 """Arrays of answers, and what they hold."""
 
-BLOCK = {"uv": 0, "t": 8, "primitive": 12}
-"""Where each array of closest hits begins in a block of 16 bytes a ray, in bytes a ray."""
+BLOCK = {"uv": 0, "t": 8, "primitive": 12, "occluded": 0, "counts": 0}
+"""Where each array begins in the block of a query's answers, in bytes a ray."""
+
+BLOCK_BYTES = {name: sum(wp.types.type_size_in_bytes(DTYPES[each]) for each in kind.columns) for name, kind in ANSWERS.items()}
+"""Bytes a ray of that block."""
 
 
 class DeviceHits:
     """Answers of N rays: those arrays that the query writes, as `wrt.kernels.layout.ray_batch.HitBatch` explains them.
 
     A Warp array is made when it is first read. Answers of few rays in NumPy arrays are NumPy's from the start, other answers
-    on the CPU lie in a `wrt.engine.host_arrays.HostArray`, and closest hits on CUDA are cut from one allocation, so that
-    neither a device nor many cores wait for Python.
+    on the CPU lie in a `wrt.engine.host_arrays.HostArray`, and answers on CUDA are cut from one block
+    (`wrt.engine.device_memory`), so that neither a device nor many cores wait for Python.
 
     Attributes:
         count: N.
@@ -45,7 +49,8 @@ class DeviceHits:
         self.count, self.device = count, device
         self.room = 0
         self.begins: wp.array | None = None
-        self._block: wp.array | None = None
+        self._block: wp.array | DeviceBlock | None = None
+        self._in_block: tuple[str, ...] = ()
         self._host: dict[str, np.ndarray | HostArray] = {}
 
     @classmethod
@@ -53,8 +58,10 @@ class DeviceHits:
         """Memory for the answers to a query."""
         hits = cls(count, device)
         names = ANSWERS[query].columns
+        if device.is_cuda and count > 0 and names and not device.is_capturing:
+            return cls.new_on_cuda(query, count, device)
         if names == HIT_COLUMNS and count > 0 and (count <= FEW_RAYS or device.is_cuda):
-            hits._block = empty(count, wp.vec4, device)
+            hits._block, hits._in_block = empty(count, wp.vec4, device), names
         elif device.is_cpu and not device.is_capturing:
             return cls.new_on_host(query, count, device)
         else:
@@ -66,6 +73,13 @@ class DeviceHits:
         """The same on the CPU, while no graph is captured."""
         hits = cls(count, device)
         hits._host = {name: empty_host(count, DTYPES[name]) for name in ANSWERS[query].columns}
+        return hits
+
+    @classmethod
+    def new_on_cuda(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
+        """The same for some rays on CUDA, while no graph is captured."""
+        hits = cls(count, device)
+        hits._block, hits._in_block = take_block(BLOCK_BYTES[query] * count, device), ANSWERS[query].columns
         return hits
 
     @classmethod
@@ -110,7 +124,7 @@ class DeviceHits:
             if type(values) is HostArray:
                 return values.array
             return wp.array(values, dtype=DTYPES[name], device=self.device, copy=False)  # type: ignore[arg-type]
-        if self._block is None or name not in BLOCK:
+        if self._block is None or name not in self._in_block:
             return None
         begin = self._block.ptr + BLOCK[name] * self.count
         part = wp.array(ptr=begin, dtype=DTYPES[name], shape=self.count, device=self.device)

@@ -14,6 +14,7 @@ import warp as wp
 
 from wrt.engine.facts.query_kinds import AUTO, CLOSEST, QUERIES, Query
 from wrt.engine.launch.batch import trace_batch
+from wrt.engine.launch.device_calls import answer_known, keep_call
 from wrt.engine.launch.prepared import prepare
 from wrt.engine.plan.planner import chosen_plan, find_plan
 from wrt.engine.rays.device_rays import DeviceRays, examine, to_device
@@ -58,6 +59,9 @@ def answer(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
     Raises:
         TypeError, ValueError: as `wrt.Scene.intersect`.
     """
+    is_plain = not scene.is_cpu and query is QUERIES.get(query.kind)
+    if is_plain and (known := answer_known(scene, rays, query.kind)) is not None:
+        return Answer(*known)
     if scene.num_threads is None:  # spares few rays a context
         return _answer(scene, rays, query)
     with use_threads(scene.num_threads):
@@ -73,6 +77,8 @@ def _answer(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
     brought = on_device(scene, rays, query, may_stage(scene, query))
     chosen = find_plan(scene, brought.facts, query, brought.sample)
     hits, work = trace_chosen(scene, chosen, brought, query.kind, query.counters, given)
+    if not scene.is_cpu and query is QUERIES.get(query.kind):
+        keep_call(scene, rays, query.kind, chosen, brought)  # type: ignore[arg-type]
     return Answer(hits, brought.form, chosen.plan, work)
 
 

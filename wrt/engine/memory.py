@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.engine import device_memory
 from wrt.engine.host_arrays import ELEMENTS, HostArray, address_of, write_flat
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import workspace
@@ -265,3 +266,4 @@ def release() -> None:
     """Frees the memory that is kept for later results, records and builds."""
     _pool.release()
     workspace.release()
+    device_memory.release()

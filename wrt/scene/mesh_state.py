@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from wrt.accelerators.accelerator import resolve_accelerator
+from wrt.accelerators.cuda_trees import for_device
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders.bvh import small_mesh_build
@@ -198,4 +199,5 @@ def memory_for_tree(meshes: tuple[TriangleMesh, ...]) -> Any:
 
 def recipe_of(settings: Settings) -> TreeRecipe:
     """How the tree of a scene is made."""
-    return TreeRecipe(settings.accelerator, native_width(settings.device), settings.device)
+    device = settings.device
+    return TreeRecipe(for_device(settings.accelerator, device), native_width(device), device)

@@ -28,6 +28,7 @@ import warp as wp
 
 from wrt.accelerators import accelerator as descriptions
 from wrt.accelerators.accelerator import ACCELERATORS, Accelerator
+from wrt.accelerators.cuda_trees import for_device
 from wrt.builders.tree import BuildStats, Bvh, KdTree
 from wrt.builders.tree_check import check_tree
 from wrt.materials.stored_materials import pack_materials, unpack_materials
@@ -376,8 +377,8 @@ def with_stored(mesh: TriangleMesh, number: int, listed: Any, arrays: Mapping[st
 
 def key_of(scene: SceneState) -> str:
     """The key of a scene's tree."""
-    mesh = scene.device_mesh
-    return tree_key(mesh.vertices.numpy(), mesh.faces.numpy(), scene.accelerator, scene.tree.width)
+    mesh, described = scene.device_mesh, for_device(scene.accelerator, scene.device)
+    return tree_key(mesh.vertices.numpy(), mesh.faces.numpy(), described, scene.tree.width)
 
 
 def pack_scene(scene: SceneState) -> tuple[Any, ...]:

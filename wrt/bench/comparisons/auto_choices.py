@@ -17,7 +17,7 @@ from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST
 from wrt.engine.plan.plan import Plan
 from wrt.engine.plan.plan_checks import can_answer, fits
-from wrt.engine.plan.planner import make_plan
+from wrt.engine.plan.planner import default_test, make_plan
 from wrt.engine.rays.device_rays import to_device
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
@@ -133,7 +133,9 @@ def engines(scene: Scene, case: Case) -> dict[str, Plan]:
     buffers = to_device(case.rays, state.device, state.center)
     plans = {AUTO: make_plan(state, buffers, AUTO, AUTO, kind)}
     for traversal in TRAVERSALS.values():
-        if traversal.score is None or not can_answer(traversal, state.facts, kind, False):
+        if traversal.score is None or not can_answer(
+            traversal, state.facts, kind, False, default_test(state.facts.triangle_test)
+        ):
             continue
         plan = make_plan(state, buffers, traversal.name, AUTO, kind)
         test = TRIANGLE_TESTS[plan.triangle_test]

@@ -7,6 +7,7 @@ from typing import Any
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator, AcceleratorName
+from wrt.accelerators.tree_descriptions import Bvh
 from wrt.bench.core.workloads import ALL, INSIDE, Workload
 from wrt.bench.peers.peer import Answer, Lists, Peer, Query, device_rays
 from wrt.engine.facts.query_kinds import AUTO
@@ -145,7 +146,7 @@ def all_engines(threads: int, device: str) -> list[Engine]:
     for way in TRAVERSALS.values():
         for tree in way.trees:
             name = f"wrt, {way.name}" if tree == "none" else f"wrt, {tree}, {way.name}"
-            accelerator = AUTO if tree == "none" else tree
+            accelerator = AUTO if tree == "none" else tree if way.width is None else Bvh(width=way.width)
             engines.append(Engine(threads, device, name=name, accelerator=accelerator, traversal=way.name))  # type: ignore[arg-type]
     return engines
 

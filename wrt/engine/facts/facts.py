@@ -41,6 +41,7 @@ class SceneFacts:
         own_spaces: whether its trees have coordinate spaces of their own, so that rays go one by one.
         is_lazy: whether its tree is built while rays are traced.
         shares_leaves: whether a triangle may be in several leaves of the BVH.
+        by_area: whether its trees are those of influence areas.
         triangle_test: of queries that name no other, or "auto".
         few_rays: number of rays up to which each is traced on its own on the CPU.
     """
@@ -53,6 +54,7 @@ class SceneFacts:
     own_spaces: bool = False
     is_lazy: bool = False
     shares_leaves: bool = False
+    by_area: bool = False
     triangle_test: str = AUTO
     few_rays: int = FEW_RAYS
 

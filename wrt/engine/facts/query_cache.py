@@ -38,7 +38,10 @@ class QueryCache:
         lock: guards what is not one operation on a dict or a deque.
         records: triangle records by kind of tree and record (`wrt.engine.launch.triangle_records`).
         wide: a `wrt.engine.facts.wide_trees.WideForm`, the wide form of a kd-tree; None as long as there is none.
+        binary: the nodes and triangles that `wrt.engine.launch.persistent_launch` makes of a tree of width 2; None as long as
+            nobody asked.
         missed_savings: what rays so far would have saved with a wide form, in triangles that it could be made of.
+        calls: what usual calls on CUDA have in common, by kind of query and bounds of t (`wrt.engine.launch.device_calls`).
         tables: what kernels read of instanced meshes, by kind of tree and triangle test; a tree above its queue points, by
             kind of triangle record.
         distinct: what `SceneState.distinct` has found, one state or none; None as long as nobody asked.
@@ -48,7 +51,9 @@ class QueryCache:
         self.lock = threading.RLock()
         self.records: KnownRecords = {}
         self.wide: Any = None
+        self.binary: tuple[Any, Any] | None = None
         self.missed_savings = 0.0
+        self.calls: dict[Hashable, Any] = {}
         self.tables: dict[tuple[str, str], Any] = {}
         self.distinct: tuple[Any, ...] | None = None
         self._plans: dict[Hashable, Any] = {}
@@ -71,6 +76,7 @@ class QueryCache:
             if len(self._plans) >= MAX_PLANS:
                 self._plans.clear()
                 self._choices.clear()
+                self.calls.clear()
             self._plans[key] = plan
         return plan
 
@@ -105,6 +111,7 @@ class QueryCache:
         with self.lock:
             self._plans.clear()
             self._choices.clear()
+            self.calls.clear()
 
 
 def _renew_locks() -> None:

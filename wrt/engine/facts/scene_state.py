@@ -167,6 +167,7 @@ class SceneState:
             own_spaces=self.only_single,
             is_lazy=self.lazy_tree is not None,
             shares_leaves=self.shares_leaves,
+            by_area=self.area_trees is not None,
             triangle_test=self.triangle_test,
             few_rays=self.few_rays,
         )
@@ -207,10 +208,13 @@ class SceneState:
 
     @property
     def record_bytes(self) -> int:
-        """Bytes of the triangle records made so far. Queries make the records that their triangle test needs."""
+        """Bytes of the triangle records made so far, and of the tree in another layout (`QueryCache.binary`). Queries make what
+        their triangle test and their traversal need."""
         wide = self.cache.wide
         known = [self.cache.records, *([] if wide is None else [wide.records])]
-        return sum(blocks.records.capacity for records in known for _, blocks in records.values())
+        nodes, triangles = self.cache.binary or (None, None)
+        binary = 0 if nodes is None else nodes.nodes.capacity + triangles.corners.capacity
+        return binary + sum(blocks.records.capacity for records in known for _, blocks in records.values())
 
     @property
     def bytes(self) -> int:

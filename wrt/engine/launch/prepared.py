@@ -17,6 +17,7 @@ making Warp arrays of them takes longer than tracing them (notebooks/records/202
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from weakref import finalize
 
@@ -27,7 +28,7 @@ from wrt.engine.device_hits import DeviceHits
 from wrt.engine.facts.query_kinds import FEW_RAYS
 from wrt.engine.free_list import FreeList
 from wrt.engine.host_arrays import point_at
-from wrt.engine.launch.traversal_launch import HITS, RAYS, RECORDS, TREE, divide, kernel_and_inputs, no_work
+from wrt.engine.launch.traversal_launch import HITS, NEXT, RAYS, RECORDS, TREE, divide, kernel_and_inputs, no_work
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.memory import new_rays
 from wrt.engine.plan.plan import config_for_layout, stack_levels, traversal_config, traversal_of
@@ -36,6 +37,9 @@ from wrt.engine.rays.staged_rays import STAGED, STAGED_CENTERED
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
+from wrt.kernels.traversal.capabilities import Capabilities
+from wrt.kernels.traversal.persistent.next_ray import kept_counter
+from wrt.kernels.traversal.traversal_config import PersistentConfig
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
@@ -62,6 +66,9 @@ class PreparedQuery:
         self._walks_single_rays = traversal_of(plan).walks_single_rays
         self._config = config_for_layout(traversal_config(self._plan, scene, kind, False), self._plan, scene)
         device = scene.device
+        self._takes_next = device.is_cuda and Capabilities.PERSISTENT in traversal_of(plan).capabilities
+        if self._takes_next and layout.from_zero:  # type: ignore[union-attr]
+            self._config = replace(self._config, persistent=PersistentConfig(from_zero=True))
         self._forest = scene.tree.forest if scene.instances else None
         self._used: Any = None  # keeps the arrays of the scene alive that this was made to fit
         self._of = kind_of_scene(scene, plan, kind, layout)
@@ -78,7 +85,7 @@ class PreparedQuery:
         if self._is_cpu:
             self._launch: PreparedLaunch | RecordedLaunch = PreparedLaunch(kernel, inputs, device)
         else:
-            self._launch = RecordedLaunch(kernel, inputs, device, (TREE, RAYS, HITS))
+            self._launch = RecordedLaunch(kernel, inputs, device, (TREE, RAYS, HITS, *([NEXT] if self._takes_next else ())))
         self._rays, self._hits = self._launch.argument(RAYS), self._launch.argument(HITS)
         if self._staging is None:
             prepare_arguments(self._rays)
@@ -155,9 +162,12 @@ class PreparedQuery:
             if self._divided is None or self._divided[0] != key:
                 self._divided = key, divide(scene, self._plan, self._config, count)
             self._rays.run, items, chunks = self._divided[1]
-        new = DeviceHits.new_on_host if self._is_cpu and count > FEW_RAYS else DeviceHits.new  # not during a capture
-        hits = new(self.kind, count, scene.device)
+        on_host = DeviceHits.new_on_host if count > FEW_RAYS else DeviceHits.new
+        hits = (on_host if self._is_cpu else DeviceHits.new_on_cuda)(self.kind, count, scene.device)  # not during a capture
         hits.write_to(self._hits, self.kind)
+        if self._takes_next:
+            next_ = self._launch.argument(NEXT)
+            next_.number.data, next_.threads = kept_counter(scene.device).ptr, items
         self._launch.run(items, chunks, (rays, hits), threads)
         return hits
 

@@ -45,8 +45,8 @@ MIN_ITEMS_PER_THREAD = 6
 MIN_RAYS_PER_ITEM = 256
 """Rays down to which items are cut."""
 
-TREE, RECORDS, RAYS, HITS = 1, 2, 3, 4
-"""Which of a traversal kernel's arguments they are, the number of the first item counted."""
+TREE, RECORDS, RAYS, HITS, NEXT = 1, 2, 3, 4, 6
+"""Which of a traversal kernel's arguments they are, the number of the first item counted; NEXT: of persistent threads."""
 
 
 def run_kernel(
@@ -67,6 +67,11 @@ def kernel_and_inputs(
     On two levels that is the one for rays that go one by one.
     """
     counters = counter_rows(work)
+    if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
+        from wrt.engine.launch.persistent_launch import binary_tree, next_ray
+
+        inputs = [*binary_tree(scene), rays, hits, counters, next_ray(scene.device, rays.count)]
+        return specialise(kernel_factory(plan, scene), config), inputs
     if scene.instances:
         from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
 
@@ -90,6 +95,10 @@ def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -
     if scene.instances:
         return 1, count, Chunks(1024)
     traversal = traversal_of(plan)
+    if Capabilities.PERSISTENT in traversal.capabilities and scene.device.is_cuda:
+        from wrt.kernels.traversal.persistent.persistent_bvh import launch_threads
+
+        return 1, launch_threads(scene.device, count), Chunks()
     grain = traversal.rays_per_item(config)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
     if Capabilities.LONG_ITEMS in traversal.capabilities and scene.device.is_cpu:

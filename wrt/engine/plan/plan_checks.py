@@ -36,16 +36,21 @@ MAX_LOCAL_STREAM = 4096
 """The same where a stream is in a thread's local memory: in the cells of a kd-tree, and through instances."""
 
 
-def can_answer(traversal: Traversal, scene: SceneFacts, query: str, cull_backfaces: bool) -> bool:
-    """Whether a traversal can answer a query in a scene: `check_answer` without the triangle test, as a bool."""
+def can_answer(
+    traversal: Traversal, scene: SceneFacts, query: str, cull_backfaces: bool, triangle_test: str | None = None
+) -> bool:
+    """Whether a traversal can answer a query in a scene, by a triangle test that can, or None for any: `check_answer` as a
+    bool."""
     kind = scene.tree if traversal.walks_tree else "none"
     return (
         kind in traversal.kernels
         and traversal.supports(query, kind)
+        and (triangle_test is None or traversal.takes_test(triangle_test))
         and (not cull_backfaces or traversal.culls_backfaces(kind))
         and (not scene.instances or traversal.supports_through_instances(query, kind, scene.is_cuda))
         and (not scene.own_spaces or Capabilities.OWN_SPACES in traversal.capabilities)
         and (Capabilities.WIDE_FORM not in traversal.capabilities or scene.can_be_wide)
+        and has_width(scene, traversal)
         and (Capabilities.SHARED_LEAVES in traversal.capabilities or not ANSWERS[query].once or not scene.shares_leaves)
     )
 
@@ -59,11 +64,13 @@ def check_answer(
         ValueError: it cannot; the message names those that can.
     """
     check_query(query, traversal, tree, test)
+    check_test(traversal, test)
     check_culling(cull_backfaces, traversal, tree)
     if scene.instances:
         check_instances(scene, query, traversal, test)
     check_spaces(scene, traversal)
     check_wide(scene, traversal)
+    check_width(scene, traversal)
     check_leaves(scene, query, traversal)
 
 
@@ -114,6 +121,24 @@ def check_wide(scene: SceneFacts, traversal: Traversal) -> None:
         )
 
 
+def has_width(scene: SceneFacts, traversal: Traversal) -> bool:
+    """Whether a scene has one tree, whose nodes have as many children as a traversal walks."""
+    return traversal.width is None or (traversal.width == scene.width and not scene.by_area)
+
+
+def check_width(scene: SceneFacts, traversal: Traversal) -> None:
+    """Refuses a traversal of nodes of another width than the scene's.
+
+    Raises:
+        ValueError: the scene's nodes have another number of children, or its trees are those of influence areas.
+    """
+    if not has_width(scene, traversal):
+        raise ValueError(
+            f"traversal {traversal.name!r} walks one BVH of width {traversal.width}, the width on CUDA, and this scene has "
+            f"width {scene.width}; choose from auto, single, or make the scene with wrt.Bvh(width={traversal.width})"
+        )
+
+
 def check_spaces(scene: SceneFacts, traversal: Traversal) -> None:
     """Refuses a traversal that does not support trees with their own coordinate spaces.
 
@@ -145,6 +170,19 @@ def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest)
         able = ", ".join(name for name, entry in TRIANGLE_TESTS.items() if entry.crossing is not None)
         raise ValueError(
             f"triangle_test {test.name!r} may count a crossing at an edge twice or not at all; choose from auto, {able}"
+        )
+
+
+def check_test(traversal: Traversal, test: TriangleTest) -> None:
+    """Refuses a triangle test that a traversal does not use.
+
+    Raises:
+        ValueError: it does not.
+    """
+    if not traversal.takes_test(test.name):
+        able = ", ".join(traversal.triangle_tests or ())
+        raise ValueError(
+            f"traversal {traversal.name!r} does not use triangle_test {test.name!r}, only {able}; choose traversal='auto'"
         )
 
 

@@ -170,7 +170,7 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
         situation = situation_of(known, rays, kind, cull_backfaces, has_wide_form=wide_form_pays(scene, rays))
         if situation.needs_sample and sample is not None:
             situation = situation._replace(overlap=measure_overlap(scene, sample(), PACKET_VECTORS * known.width, kind))
-        name, reason = choose_traversal(known, situation)
+        name, reason = choose_traversal(known, situation, test.name)
     else:
         name, reason = given, "as given"
     chosen = lookup(TRAVERSALS, name, "traversal")
@@ -210,14 +210,15 @@ def default_test(triangle_test: str, crossings: bool = False) -> str:
     return triangle_test
 
 
-def choose_traversal(scene: SceneFacts, situation: Situation) -> tuple[str, str]:
+def choose_traversal(scene: SceneFacts, situation: Situation, triangle_test: str = DEFAULT_TEST) -> tuple[str, str]:
     """Name of the traversal with the best score among those that can answer, and the reason for it."""
     best, name, reason = 0.0, "", ""
     for traversal in TRAVERSALS.values():
         score = None if traversal.score is None else traversal.score(situation)
-        if score is None or score[0] <= best or not can_answer(traversal, scene, situation.query, situation.cull_backfaces):
+        if score is None or score[0] <= best:
             continue
-        (best, reason), name = score, traversal.name
+        if can_answer(traversal, scene, situation.query, situation.cull_backfaces, triangle_test):
+            (best, reason), name = score, traversal.name
     return name, reason
 
 

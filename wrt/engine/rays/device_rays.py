@@ -153,9 +153,10 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> DeviceRays:
     given = origins, directions, t_min, t_max
     origins, origin_stride = _vectors(origins, shape, device, center)
     directions, direction_stride = _vectors(directions, shape, device, ZERO_CENTER)
+    from_zero = device.is_cuda and type(t_min) is float and t_min == 0.0
     t_min, t_min_stride = _scalars(t_min, shape, device)
     t_max, t_max_stride = _scalars(t_max, shape, device)
-    layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered)
+    layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered, from_zero)
     facts, form = RayFacts(math.prod(shape), shape, origin_stride == 0), ResultForm(shape, is_warp, dtype)
     return DeviceRays(origins, directions, t_min, t_max, layout, center, facts, form, given)
 
@@ -184,7 +185,7 @@ def relative_rays(
     """
     count = len(directions)
     each = int(count == 1)
-    layout = Layout(each if len(origins) == 1 else 1, 1, each, each, True)
+    layout = Layout(each if len(origins) == 1 else 1, 1, each, each, True, device.is_cuda)
     low, high = (_scalars(value, shape, device)[0] for value in (0.0, t_max))
     facts, form = RayFacts(count, shape, not layout.origins), ResultForm(shape, True, np.float64)
     return DeviceRays(origins, directions, low, high, layout, center, facts, form, (origins, directions))
@@ -216,7 +217,7 @@ def _in_place(
 def empty_batch(layout: Layout, center: np.ndarray) -> RayBatch:
     """A batch with this layout whose arrays are still to be set."""
     batch = RayBatch()
-    batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, centered = layout
+    batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, centered, _ = layout
     batch.center = wp.vec3d() if centered else wp.vec3d(*(float(x) for x in center))
     return batch
 

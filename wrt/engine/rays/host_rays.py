@@ -28,6 +28,7 @@ class Layout(NamedTuple):
     Attributes:
         origins, directions, t_min, t_max: 1 if each ray has its own element, 0 if all share element 0.
         centered: whether the origins are already relative to the scene's centre.
+        from_zero: on CUDA, whether t_min is known to be 0 for all rays.
     """
 
     origins: int
@@ -35,6 +36,7 @@ class Layout(NamedTuple):
     t_min: int
     t_max: int
     centered: bool
+    from_zero: bool = False
 
 
 class Arrangement(NamedTuple):

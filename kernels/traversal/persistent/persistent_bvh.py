@@ -1,0 +1,93 @@
+"""Single rays through a tree of two children a node, by threads that take the next ray when they are done.
+
+**Problem.** The rays of a warp of 32 CUDA threads end at different times. With one ray a thread, a warp works on for its
+longest ray: of random rays, 6 of 32 threads are at work on average (notebooks/records/2026-11-27-gpu-traversal.md).
+
+**Idea** (Aila and Laine 2009). The launch has as many threads as the device holds at a time. A thread that is done waits until
+some others of its warp are, too; together they take the next rays from a counter. Within a warp, threads walk inner nodes until
+nearly all have come to a leaf, then they test triangles. Nodes and triangles are those of `wrt.kernels.layout.binary_nodes`.
+
+**Boxes are a filter.** They are tested by fused operations, with twice the slack of `wrt.kernels.simd.boxes`, and t is compared
+as an integer. Directions are scaled by a power of two, so that they may have any length. The triangle test and the consistency
+rule are those of all engines, without fused operations, so that hits are the same to the bit. Coordinates may be up to 2^100.
+
+**Limits.** Closest hits and any hit, of one level, by the watertight test, with back-face culling and counted work. Counts, all
+hits, rays that skip a triangle, hits in float64, instances with their masks and environments, and functions for users' own
+kernels take `wrt.kernels.traversal.single`.
+
+On the CPU an item traces one ray, by the same steps; that serves tests.
+
+References: aila-laine-2009; woop-2013.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.binary_nodes import BinaryNodes, PackedTriangles
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.runtime import native
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.traversal.leaf import CounterRows
+from wrt.kernels.traversal.persistent.next_ray import NextRay
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+
+exact_module(__name__)
+
+FETCH = 20
+"""Threads of a warp without a ray for which new rays are fetched: 16 to 24 are within 3 % of the best."""
+
+KEEP = 4
+"""Threads of a warp that may wait at an inner node while the others test triangles: 3 to 6 are alike."""
+
+STEPS = 3
+"""Nodes that a thread visits between two votes of its warp about that: 2 to 4 are alike, and 1 to 2 % faster than 1."""
+
+BLOCK, BLOCKS = 64, 16
+"""Threads of a block and blocks of a multiprocessor, which bound a thread to 64 registers: 4 to 6 % faster than 70, while 48
+spill."""
+
+
+def launch_threads(device: wp.Device, rays: int) -> int:
+    """Threads of a launch for this many rays: at most all that a CUDA device runs at a time."""
+    return min(rays, device.sm_count * BLOCKS * BLOCK)
+
+
+def make_walk(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, rays, hits, counters, next, i)`: traces all rays of a batch on CUDA, and ray i on the CPU."""
+    flags = f"{int(config.answer.ends_at_first)}, {int(config.cull_backfaces)}, {int(config.counters)}"
+    walks = f"wrt::walks_of<{config.stack.levels}, {flags}>(tree, triangles, rays, hits, counters)"
+
+    form = f"{FETCH}, {KEEP}, {STEPS}, {int(config.persistent.from_zero)}"
+
+    @native.func_native("persistent.h", f"wrt::walk_rays<{form}>({walks}, next.number.data, next.threads, i);")
+    def walk(
+        tree: BinaryNodes,
+        triangles: PackedTriangles,
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: CounterRows,
+        next: NextRay,
+        i: int,
+    ): ...
+
+    return walk
+
+
+@cache
+def make_persistent_kernel(config: TraversalConfig) -> wp.Kernel:
+    """The kernel for one specialisation. On CUDA it runs in `launch_threads`."""
+    walk = make_walk(config)
+
+    def persistent_rays(
+        first: int,
+        tree: BinaryNodes,
+        triangles: PackedTriangles,
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: CounterRows,
+        next: NextRay,
+    ):
+        walk(tree, triangles, rays, hits, counters, next, first + wp.tid())
+
+    return specialised_kernel(persistent_rays, bounds=(BLOCK, BLOCKS))

@@ -1,0 +1,33 @@
+"""What descriptions of trees leave open, for trees that CUDA threads walk."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING
+
+from wrt.accelerators.tree_descriptions import Bvh
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from wrt.accelerators.accelerator import Accelerator
+
+LEAF_TRIANGLES = 2
+"""Largest number of triangles in a leaf on CUDA, where threads of a warp wait for the one with the most triangles to test
+(notebooks/records/2026-11-27-gpu-traversal.md)."""
+
+WIDTH = 2
+"""Children of a node on CUDA, unless the description says otherwise (`wrt.kernels.simd.lanes.native_width`)."""
+
+
+def for_device(accelerator: Accelerator, device: wp.Device) -> Accelerator:
+    """The description by which a tree for a device is built: smaller leaves on CUDA, where the description leaves them open."""
+    return _for_cuda(accelerator) if device.is_cuda and type(accelerator) is Bvh else accelerator
+
+
+@cache
+def _for_cuda(accelerator: Bvh) -> Bvh:
+    if accelerator.max_leaf_triangles is not None or accelerator.width not in (None, WIDTH):
+        return accelerator
+    return replace(accelerator, max_leaf_triangles=LEAF_TRIANGLES)
