@@ -7,7 +7,7 @@ from wrt.query.checks.inside_check import InsideCheck as InsideCheck
 from wrt.query.exact_hits import PreciseHits as PreciseHits
 from wrt.query.gradients import DifferentiableHits as DifferentiableHits
 from wrt.query.points.closest_points import ClosestPoints as ClosestPoints
-from wrt.query.points.triangles_within import TrianglesWithin as TrianglesWithin
+from wrt.query.points.closest_points import TrianglesWithin as TrianglesWithin
 from wrt.query.verification import Fault as Fault
 from wrt.query.verification import Verification as Verification
 from wrt.scene.scene_statistics import SceneStatistics as SceneStatistics

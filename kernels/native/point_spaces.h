@@ -144,7 +144,8 @@ template <class Kind, int W, int U, int ROWS, class Top, class Parts> struct Ins
         if (!(own.slack == own.slack)) return;
         double square = 0.0;
         for (int a = 0; a < 9; ++a) square += place.to_scene.data[a / 3][a % 3] * place.to_scene.data[a / 3][a % 3];
-        kept.scale = square_root((float)(square / 3.0)), kept.first = place.first;
+        kept.scale = square_root((float)(square / 3.0)), kept.shrink = WIDENED / kept.scale;
+        kept.first = place.first;
         kept.look_up_to(kept.farthest(), own.slack);
         const float* const records = part.triangles.records.data;
         if (slot >= 0) search_block<W, ROWS>(records, part.triangles.primitive.data, slot / W, own, kept);

@@ -50,6 +50,7 @@ inline CUDA_CALLABLE float square_root(float x)
 struct Search {
     float most;  // greatest distance of a triangle that is found
     float scale = 1.0f;  // of distances in the tree
+    float shrink = WIDENED;  // its inverse, widened
     int first = 0;  // number of the tree's first triangle
     float limit = 0.0f;  // no box is entered whose squared distance in the tree is greater
     float bound = 0.0f;  // no triangle is kept whose squared distance in the tree is greater
@@ -57,7 +58,7 @@ struct Search {
     /// Looks up to a distance of the scene.
     inline CUDA_CALLABLE void look_up_to(float distance, float slack)
     {
-        const float own = distance / scale * WIDENED + LEAST_DISTANCE, wide = own + slack;
+        const float own = distance * shrink + LEAST_DISTANCE, wide = own + slack;
         bound = own * own;
         limit = wide * wide * WIDENED;
     }
@@ -222,7 +223,7 @@ struct WaitingCell {
     float away[3];
 };
 
-/// Walks a kd-tree, the nearer child first; arguments as of `walk_boxes`.
+/// Walks a kd-tree, the nearer child first; arguments as in `walk_boxes`.
 template <class Tree, class Kept, class Leaf>
 inline CUDA_CALLABLE void walk_cells(const Tree& tree, const SearchPoint& point, Kept& kept, const Leaf& leaf)
 {

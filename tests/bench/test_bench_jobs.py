@@ -48,6 +48,7 @@ def test_a_cell_has_what_it_says(cell):
 def test_a_step_writes_its_file(cell):
     for contender in whole_jobs.step_contenders(cell)[:3]:
         contender.run()
+    whole_jobs.run_alone("step", 0.04)
 
 
 def test_sums_are_those_of_the_rays():

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import cache_from_source
 from pathlib import Path
 
 from .mutation import Mutation
@@ -80,7 +81,7 @@ class Copy:
 def write(path: Path, text: str) -> None:
     """Writes a file of code, and removes its compiled form: Python would take that for current if size and second are equal."""
     path.write_text(text, encoding="utf-8")
-    for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*"):
+    for compiled in Path(cache_from_source(path)).parent.glob(f"{path.stem}.*"):
         compiled.unlink()
 
 

@@ -19,8 +19,8 @@ MUTATIONS = [
         promise="hits of another scene are refused",
     ),
     Mutation(
-        path="wrt/query/skip.py",
-        old="values.min() < -1 or",
+        path="wrt/engine/rays/ray_integers.py",
+        old="values.min() < low or",
         new="",
         tests="tests/queries/test_skip.py::test_bad_arguments",
         promise="numbers of triangles that do not exist are refused",

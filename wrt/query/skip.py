@@ -95,6 +95,7 @@ def skipped_triangles(skip: Any, scene: SceneState, buffers: DeviceRays) -> wp.a
         ValueError: hits of another scene, integers in a scene of several meshes or out of range, a shape that does not
             broadcast, or an array on another device.
     """
+    values: np.ndarray | wp.array
     if isinstance(skip, SceneTriangles):
         values, shape = skip.numbers, skip.numbers.shape
     elif isinstance(skip, Hits):

@@ -23,7 +23,7 @@ from wrt.cli.number_types import Real, Whole
 @click.command("jobs")
 @click.argument("names", nargs=-1, type=click.Choice([*JOBS]))
 @click.option("--size", default=1.0, show_default=True, type=Real(0.01, 4.0), help="Rows and columns, in proportion.")
-@click.option("--rounds", default=15, show_default=True, type=Whole(1), help="Turns of each contender.")
+@click.option("--rounds", default=15, show_default=True, type=Whole(1), help="Rounds, in which contenders take turns.")
 @click.option("--process/--no-process", default=True, show_default=True, help="Time a fresh process for each job, too.")
 @threads_option
 @json_option

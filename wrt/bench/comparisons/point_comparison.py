@@ -176,7 +176,7 @@ POINT_PEERS: dict[str, tuple[str, Callable[[TriangleMesh, int], Contending]]] = 
     "warp_mesh": ("warp", warp_mesh),
     "trimesh": ("trimesh", trimesh_proximity),
 }
-"""Contenders beside wrt's BVH, by the name that the command line knows: what must be importable, and the function."""
+"""What wrt's BVH is compared with, by the name that the command line knows: what must be importable, and the function."""
 
 
 def all_cores() -> int:

@@ -160,7 +160,9 @@ def step_contenders(cell: Cell) -> list[Contender]:
         return pose
 
     folder = tempfile.TemporaryDirectory()
-    path = Path(folder.name) / "scan.ply"
+
+    def path() -> Path:
+        return Path(folder.name) / "scan.ply"  # the folder lives as long as the contenders
 
     def rays() -> None:
         for origin, directions in cell.camera_rays:
@@ -172,17 +174,17 @@ def step_contenders(cell: Cell) -> list[Contender]:
             images = cell.camera.capture(cell.scene, moved(view), labels=cell.labels)
             _ = images.to_structured() if tables else _read(images, "depth", "semantic_id")
         scan = cell.lidar.scan(cell.scene, moved(cell.lidar_pose), labels=cell.labels, seed=number[0])
-        sensors.write_points(path, scan.to_structured("world"))
+        sensors.write_points(path(), scan.to_structured("world"))
 
     def by_open3d(trace: Any) -> None:
         from open3d import core, t
 
         points = [trace(some)["point"] for some in (*cell.camera_rays, cell.lidar_rays)][-1]
         seen = points[np.isfinite(points).all(axis=-1)]
-        t.io.write_point_cloud(str(path), t.geometry.PointCloud(core.Tensor(seen.astype(np.float32))))
+        t.io.write_point_cloud(str(path()), t.geometry.PointCloud(core.Tensor(seen.astype(np.float32))))
 
     return [
-        Contender(RAYS, rays, warm_up=lambda: (folder, rays())[0]),  # the folder lives as long as its contender
+        Contender(RAYS, rays),
         Contender("images, table and file of the scan", lambda: step(False)),
         Contender("tables of pixels, too", lambda: step(True)),
         _of_open3d(cell, "Open3D, points by hand, file", by_open3d),
@@ -266,7 +268,7 @@ def measure_jobs(
     Args:
         names: keys of `JOBS`.
         size: as in `Cell` and `Court`.
-        rounds: turns of each contender.
+        rounds: in which contenders take turns.
         threads: as in `Cell`.
         process: whether to time fresh processes, too.
         on_turn: told what is under way.
