@@ -70,7 +70,7 @@ class LidarPattern:
         self.structs: dict[str, Beams] = {}  # by device
         self._cuts: dict[tuple[tuple[int, ...], int], tuple[np.ndarray | None, list[Slice]]] = {}
         self._on_device: dict[str, tuple[wp.array, wp.array, wp.array]] = {}
-        self._order = np.zeros(0, dtype=np.int32)
+        self._order: np.ndarray = np.zeros(0, dtype=np.int32)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickles leave out what is kept for a device."""
@@ -112,7 +112,7 @@ class LidarPattern:
             kept: returns of each beam.
         """
         if len(self._order) != len(self) * kept:
-            beams = np.argsort(self.times.ravel(), kind="stable").astype(np.int32)
+            beams: np.ndarray = np.argsort(self.times.ravel(), kind="stable").astype(np.int32)
             self._order = (kept * beams[:, None] + np.arange(kept, dtype=np.int32)).ravel()
         return self._order
 

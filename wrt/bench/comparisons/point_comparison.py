@@ -82,7 +82,7 @@ class PointRow:
 
 def wrt_scene(mesh: TriangleMesh, threads: int, accelerator: str) -> Contending:
     """wrt itself."""
-    scene = Scene(mesh, accelerator, num_threads=threads)
+    scene = Scene(mesh, "bvh" if accelerator == "bvh" else "kdtree", num_threads=threads)
     name = f"wrt, {'BVH' if accelerator == 'bvh' else 'kd-tree'}"
     return Contending(name, threads, lambda points: lambda: scene.closest_point(points).distance, lambda found, _: found)
 
@@ -233,12 +233,14 @@ def compare_points(
         on_turn(f"build {name}")
         made.append(POINT_PEERS[name][1](mesh, threads))
     scene, tolerance = Scene(mesh, num_threads=threads), TOLERANCE * float(np.linalg.norm(np.ptp(mesh.bounds, axis=0)))
+
+    def told(title: str) -> Callable[[str], None]:
+        return lambda name: on_turn(f"{title}: {name}")
+
     for title, points in sets_of_points(mesh, count).items():
         given = {each.name: points[: each.most] for each in made}
         contenders = [Contender(each.name, each.ask(given[each.name]), len(given[each.name])) for each in made]
-        timings = take_turns(
-            contenders, rounds, budget=BUDGET, settle=0.5, on_turn=lambda name, to=title: on_turn(f"{to}: {name}")
-        )
+        timings = take_turns(contenders, rounds, budget=BUDGET, settle=0.5, on_turn=told(title))
         own = timings[made[0].name]
         for each in made:
             timing = timings[each.name]

@@ -181,7 +181,7 @@ def step_contenders(cell: Cell) -> list[Contender]:
 
         points = [trace(some)["point"] for some in (*cell.camera_rays, cell.lidar_rays)][-1]
         seen = points[np.isfinite(points).all(axis=-1)]
-        t.io.write_point_cloud(str(path()), t.geometry.PointCloud(core.Tensor(seen.astype(np.float32))))
+        t.io.write_point_cloud(path(), t.geometry.PointCloud(core.Tensor(np.float32(seen))))  # type: ignore[call-overload]
 
     return [
         Contender(RAYS, rays),
@@ -274,12 +274,16 @@ def measure_jobs(
         on_turn: told what is under way.
     """
     found, places = [], {}
+
+    def told(job: str) -> Callable[[str], None]:
+        return lambda who: on_turn(f"{job}, {who}")
+
     for name in names:
         place, contenders = JOBS[name]
         if place not in places:
             places[place] = place(size, threads)
         made = places[place]
-        timings = take_turns(contenders(made), rounds, on_turn=lambda who, name=name: on_turn(f"{name}, {who}"))
+        timings = take_turns(contenders(made), rounds, on_turn=told(name))
         found.append(JobTimes(name, rays_of(name, made), timings, time_process(name, size) if process else None))
     return found
 

@@ -98,9 +98,9 @@ class CapturedLayers(TracedLayers):
         num_threads: int | None,
         motion_error: float,
     ) -> None:
-        self._beams, self._path, self.labels, self._miss = beams, path, labels, miss
+        self._beams, self._path, self._miss = beams, path, miss
         self.motion_error = motion_error
-        super().__init__(found, count, labels.device, num_threads)
+        super().__init__(found, count, labels, num_threads)
 
     def new_struct(self) -> Any:
         from wrt.kernels.sensors.camera_images import Images

@@ -22,6 +22,7 @@ class TracedLayers:
         found: the hits, slice by slice.
         arrays: the layers that are made: flat arrays by their name.
         device: where they are.
+        labels: (I,) int32 of each instance, or (0,).
     """
 
     KINDS: ClassVar[dict[str, Any]]
@@ -30,8 +31,9 @@ class TracedLayers:
     TOGETHER: ClassVar[Sequence[tuple[str, ...]]]
     """Layers that one kernel makes of the same work: who reads one of them gets all that were chosen."""
 
-    def __init__(self, found: Sequence[TracedSlice], count: int, device: wp.Device, num_threads: int | None) -> None:
-        self.found, self.count, self.device, self.num_threads = found, count, device, num_threads
+    def __init__(self, found: Sequence[TracedSlice], count: int, labels: wp.array, num_threads: int | None) -> None:
+        self.found, self.count, self.labels, self.num_threads = found, count, labels, num_threads
+        self.device = labels.device
         self.arrays: dict[str, wp.array] = {}
 
     def make(self, names: Iterable[str]) -> None:

@@ -66,9 +66,9 @@ class MeasuredReturns(TracedLayers):
         num_threads: int | None,
     ) -> None:
         self._beams, self._path, self._noise, self._detector = scan
-        self._counts, self.labels = counts, labels
+        self._counts = counts
         self._measured: Any = None
-        super().__init__(found, counts[0] * counts[1], labels.device, num_threads)
+        super().__init__(found, counts[0] * counts[1], labels, num_threads)
 
     def new_struct(self) -> Any:
         from wrt.kernels.sensors.return_layers import ReturnLayers

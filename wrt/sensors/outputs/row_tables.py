@@ -79,7 +79,8 @@ def _columns(fields: Sequence[Field], dtype: np.dtype, count: int) -> tuple[wp.a
     """Columns for kernels, and the arrays at whose addresses they are."""
     from wrt.kernels.sensors.table_rows import COPIES, DOUBLE_TO_FLOAT, INT_TO_USHORT, Column
 
-    table, kept = np.zeros(len(fields), dtype=Column.numpy_dtype()), []
+    table: np.ndarray = np.zeros(len(fields), dtype=Column.numpy_dtype())  # type: ignore[attr-defined]  # made by wp.struct
+    kept: list[np.ndarray] = []
     conversions = {("<f8", "<f4"): DOUBLE_TO_FLOAT, ("<i4", "<u2"): INT_TO_USHORT}
     for row, field in zip(table, fields, strict=True):
         target, values = dtype[field.name], field.values
