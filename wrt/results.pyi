@@ -8,6 +8,7 @@ from wrt.query.exact_hits import PreciseHits as PreciseHits
 from wrt.query.gradients import DifferentiableHits as DifferentiableHits
 from wrt.query.points.closest_points import ClosestPoints as ClosestPoints
 from wrt.query.points.closest_points import TrianglesWithin as TrianglesWithin
+from wrt.query.points.differentiable_points import DifferentiablePoints as DifferentiablePoints
 from wrt.query.verification import Fault as Fault
 from wrt.query.verification import Verification as Verification
 from wrt.scene.scene_statistics import SceneStatistics as SceneStatistics
@@ -17,6 +18,7 @@ __all__ = [
     "BvhStatistics",
     "ClosestPoints",
     "DifferentiableHits",
+    "DifferentiablePoints",
     "Fault",
     "InsideCheck",
     "KdTreeStatistics",

@@ -64,7 +64,8 @@ def closest_point(
     refuse_capture("closest_point", scene.device)
     refuse_tape("closest_point", (points,), "differentiable_points")
     check_scene(scene)
-    if k is not None and not 1 <= as_int("k", k) <= MAX_NEAREST:
+    k = None if k is None else as_int("k", k)
+    if k is not None and not 1 <= k <= MAX_NEAREST:
         raise ValueError(
             f"k is {k}; it must be from 1 to {MAX_NEAREST}, or None for the nearest triangle without an axis for it"
         )
