@@ -1,8 +1,8 @@
 """What methods return, beside `wrt.Hits` and `wrt.AllHits`. Users read these classes, and do not make them.
 
 * Of `Scene.intersect(..., precise=True)`: `PreciseHits`; of `wrt.device.differentiable_hits`: `DifferentiableHits`.
-* Of `Scene.closest_point`: `ClosestPoints`; of `Scene.within`: `TrianglesWithin`; of `wrt.device.differentiable_points`:
-  `DifferentiablePoints`.
+* Of `Scene.closest_point`: `ClosestPoints`, or, with `precise=True`, `PreciseClosestPoints`; of `Scene.within`:
+  `TrianglesWithin`; of `wrt.device.differentiable_points`: `DifferentiablePoints`.
 * Of `Scene.explain`, and `Hits.plan`: `Plan`; of `Scene.verify`: `Verification`, with `Fault` and `InsideCheck`.
 * Of `Scene.statistics`: `SceneStatistics`, whose `tree` is a `BvhStatistics` or a `KdTreeStatistics`.
 * `Scene.last_update` is an `UpdateReport`, `TriangleMesh.materials` a `MeshMaterials`.
@@ -22,6 +22,7 @@ _HOME = {
     "KdTreeStatistics": "wrt.builders.kdtree.kdtree_statistics",
     "MeshMaterials": "wrt.materials.mesh_materials",
     "Plan": "wrt.engine.plan.plan",
+    "PreciseClosestPoints": "wrt.query.points.precise_points",
     "PreciseHits": "wrt.query.exact_hits",
     "SceneStatistics": "wrt.scene.scene_statistics",
     "TrianglesWithin": "wrt.query.points.closest_points",

@@ -9,6 +9,7 @@ from wrt.query.gradients import DifferentiableHits as DifferentiableHits
 from wrt.query.points.closest_points import ClosestPoints as ClosestPoints
 from wrt.query.points.closest_points import TrianglesWithin as TrianglesWithin
 from wrt.query.points.differentiable_points import DifferentiablePoints as DifferentiablePoints
+from wrt.query.points.precise_points import PreciseClosestPoints as PreciseClosestPoints
 from wrt.query.verification import Fault as Fault
 from wrt.query.verification import Verification as Verification
 from wrt.scene.scene_statistics import SceneStatistics as SceneStatistics
@@ -24,6 +25,7 @@ __all__ = [
     "KdTreeStatistics",
     "MeshMaterials",
     "Plan",
+    "PreciseClosestPoints",
     "PreciseHits",
     "SceneStatistics",
     "TrianglesWithin",

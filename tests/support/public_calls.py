@@ -316,6 +316,7 @@ def query_calls() -> Iterator[Call]:
     options = {**seen_by, "max_distance": 64.0}
     yield Call("PointQueries.closest_point", lambda **o: seen(instances().closest_point(rays()[0], **o)), {**options, "k": 2})
     yield Call("PointQueries.closest_point", lambda **o: counted(scene().closest_point(rays()[0], **o)), {"counters": True})
+    yield Call("PointQueries.closest_point", lambda **o: seen(scene().closest_point(rays()[0], **o)), {"precise": True})
     options = {**seen_by, "radius": 64.0}
     yield Call("PointQueries.within", lambda **o: seen(instances().within(rays()[0], **o)), options)
     yield Call("PointQueries.verify", lambda **o: scene().verify(**o), {"samples": 4, "seed": 1})
