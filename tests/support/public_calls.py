@@ -327,6 +327,12 @@ def query_calls() -> Iterator[Call]:
     )
     yield Call("BlockQueries.occluded_blocks", lambda **o: scene().occluded_blocks(*rays(), **o).result(), blocks)
     yield Call("BlockQueries.count_blocks", lambda **o: scene().count_blocks(*rays(), **o).result(), blocks)
+    options = {"max_distance": 64.0, "memory": 1 << 16, "progress": False, "precise": False}
+    yield Call(
+        "BlockQueries.closest_point_blocks",
+        lambda **o: scene().closest_point_blocks(rays()[0], reduce=LEAST, **o).result(),
+        options,
+    )
     for name in ("intersect", "occluded", "count"):
         yield Call(f"PartQueries.{name}", lambda name=name, **o: of_parts(name, o), {**bounds, "cull_backfaces": False})
     yield Call("Hits.smooth_normal", lambda **o: hits().smooth_normal(**o), {"crease_angle": 32.0})
