@@ -8,6 +8,8 @@ from wrt.query.exact_hits import PreciseHits as PreciseHits
 from wrt.query.gradients import DifferentiableHits as DifferentiableHits
 from wrt.query.points.closest_points import ClosestPoints as ClosestPoints
 from wrt.query.points.closest_points import TrianglesWithin as TrianglesWithin
+from wrt.query.points.differentiable_points import DifferentiablePoints as DifferentiablePoints
+from wrt.query.points.precise_points import PreciseClosestPoints as PreciseClosestPoints
 from wrt.query.verification import Fault as Fault
 from wrt.query.verification import Verification as Verification
 from wrt.scene.scene_statistics import SceneStatistics as SceneStatistics
@@ -17,11 +19,13 @@ __all__ = [
     "BvhStatistics",
     "ClosestPoints",
     "DifferentiableHits",
+    "DifferentiablePoints",
     "Fault",
     "InsideCheck",
     "KdTreeStatistics",
     "MeshMaterials",
     "Plan",
+    "PreciseClosestPoints",
     "PreciseHits",
     "SceneStatistics",
     "TrianglesWithin",

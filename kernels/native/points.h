@@ -121,10 +121,11 @@ inline CUDA_CALLABLE void search_block(const float* records, const int* ids, int
         float least = bc < ab ? bc : ab;
         least = ca < least ? ca : least;
         const Offset e1 = b - a, e2 = c - a;
-        const Foot foot = foot_on_plane(a, e1, e2);
+        const Foot<float> foot = foot_on_plane(a, e1, e2);
+        const bool is_thin = is_flat(foot, e1, e2);
         const float face = square_of_foot(a, e1, e2, foot);
-        flat[i] = (foot.flat & (least == least)) ? -1 : 0;
-        least = ((face <= least * FACE_SHARE + aa * FACE_SLACK) & !foot.flat) ? face : least;
+        flat[i] = (is_thin & (least == least)) ? -1 : 0;
+        least = ((face <= least * FACE_SHARE + aa * FACE_SLACK) & !is_thin) ? face : least;
         square[i] = least;
         near[i] = least <= bound ? -1 : 0;
     }

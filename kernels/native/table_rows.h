@@ -38,7 +38,11 @@ inline CUDA_CALLABLE void write_column(const Column column, const RowItems& rows
         if (column.divisor != 1) at /= column.divisor;
         if (column.modulus != 0) at %= column.modulus;
         const Target value = static_cast<Target>(*reinterpret_cast<const Source*>(from + at * column.stride));
+#if defined(__CUDA_ARCH__)
+        memcpy(to, &value, sizeof(Target));
+#else
         __builtin_memcpy(to, &value, sizeof(Target));
+#endif
     }
 }
 

@@ -48,6 +48,7 @@ finds nothing, nor does one farther than 1.8e19 from all triangles: its square o
     point_order.py      the order in which points are searched
     brute_points.py     every triangle
     device_points.py    points in your own kernels
+    exact_points.py     the nearest triangle in float64
     point_gradients.py  closest points of given triangles, with adjoints
     tree_points.py      the kernels that walk trees, by kernels/native/point_groups.h
 

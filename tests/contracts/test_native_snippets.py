@@ -24,7 +24,10 @@ from wrt.kernels.classics.studies.distance_checks import in_range
 from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
 from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
 from wrt.kernels.fields.winding_walk import make_winding_kernel
+from wrt.kernels.points.device_points import add_point_search
+from wrt.kernels.points.exact_points import make_exact_points_kernel
 from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
+from wrt.kernels.query.device_functions import handle_type, instances_handle_type
 from wrt.kernels.runtime import native
 from wrt.kernels.simd.box_lanes import ray_boxes
 from wrt.kernels.traversal import TRAVERSALS
@@ -72,6 +75,10 @@ def make_all_kernels() -> list[wp.Kernel]:
     kernels.append(make_winding_kernel(WIDTH))
     kernels += [make_points_kernel(PointConfig(tree, WIDTH, task=task)) for tree in TREES for task in TASKS]
     kernels += [make_points_kernel(PointConfig(tree, WIDTH, instances=True)) for tree in TREES]
+    kernels += [make_exact_points_kernel(PointConfig(tree, WIDTH, instances=each)) for tree in TREES for each in (False, True)]
+    for tree in TREES:
+        add_point_search(handle_type(tree, WIDTH, 8), tree, WIDTH, False)
+        add_point_search(instances_handle_type(tree, WIDTH, 8), tree, WIDTH, True)
     return kernels
 
 

@@ -21,6 +21,7 @@ PUBLIC = {
     "wrt/query/api.py: intersect",
     "wrt/query/api.py: intersect_all",
     "wrt/query/api.py: occluded",
+    "wrt/query/batches/block_queries.py: closest_point_blocks",
     "wrt/query/batches/block_queries.py: count_blocks",
     "wrt/query/batches/block_queries.py: intersect_blocks",
     "wrt/query/batches/block_queries.py: occluded_blocks",

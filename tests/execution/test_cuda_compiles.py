@@ -37,6 +37,7 @@ from wrt.kernels.classics.studies.variants.watertight_pruning import PRUNED
 from wrt.kernels.classics.studies.walk_orders import make_kernel as make_walk_kernel
 from wrt.kernels.classics.triangle.ferko import VARIANTS
 from wrt.kernels.layout.mesh_placement import make_shift
+from wrt.kernels.points.exact_points import make_exact_points_kernel
 from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
 from wrt.kernels.query import instance_exact, instance_gradients
 from wrt.kernels.runtime.launch import CUDA_BLOCK
@@ -168,6 +169,13 @@ POINTS = [
 @pytest.mark.parametrize(("tree", "task", "instances"), POINTS)
 def test_points(tree, task, instances, tmp_path):
     text = compile_to_ptx(make_points_kernel(PointConfig(tree, 2, 1, task, instances)).module, tmp_path)
+    assert ".entry" in text
+    assert not FUSIBLE.search(text)
+
+
+@pytest.mark.parametrize(("tree", "instances"), [("kdtree", False), ("bvh", True)])
+def test_exact_points(tree, instances, tmp_path):
+    text = compile_to_ptx(make_exact_points_kernel(PointConfig(tree, 2, 1, instances=instances)).module, tmp_path)
     assert ".entry" in text
     assert not FUSIBLE.search(text)
 

@@ -1,11 +1,17 @@
 // Instantiates the header of kernels/points; see native_headers.cpp.
-#include "point_groups.h"
+#include "exact_points.h"
 
 struct Vec2 {
     float c[2];
 };
 struct Vec2i {
     int c[2];
+};
+struct Vec2d {
+    double c[2];
+};
+struct Vec3i {
+    int c[3];
 };
 struct Vec3 {
     float c[3];
@@ -75,6 +81,19 @@ template <class Tree> struct Part {
     Tree tree;
     Triangles triangles;
 };
+struct Mesh {
+    Array<Vec3d> vertices;
+    Array<Vec3i> faces;
+};
+struct Geometry {
+    Mesh mesh;
+    Vec3d center;
+};
+struct Exact {
+    Array<Vec3d> point;
+    Array<double> most, t;
+    Array<Vec2d> uv;
+};
 struct Work {
     int nodes, leaves, triangles;
 };
@@ -103,4 +122,13 @@ void search_instances(const Top& top, const Array<Part<WideTree>>& boxes, const 
 {
     search(wrt::instance_trees<wrt::BoxTree, WIDTH, 9>(top, boxes), points, lists, work);
     search(wrt::instance_trees<wrt::CellTree, WIDTH, 9>(top, cells), points, lists, work);
+}
+
+void search_exactly(const WideTree& boxes, const Top& top, const Array<Part<KdTree>>& cells, const Triangles& triangles,
+    const Mesh& mesh, const Array<Geometry>& geometries, const Points& points, const Exact& exact, const Found& found)
+{
+    const auto tree = wrt::one_tree<wrt::BoxTree, WIDTH, 9>(boxes, triangles);
+    wrt::exact_nearest_of_group<32>(tree, points, mesh, exact, found, 0);
+    const auto trees = wrt::instance_trees<wrt::CellTree, WIDTH, 9>(top, cells);
+    wrt::exact_nearest_of_group<32>(trees, points, geometries, exact, found, 0);
 }

@@ -183,7 +183,7 @@ def threads_of(make: Callable[..., Any]) -> Callable[..., int | None]:
 
 def seen(found: Any) -> list[np.ndarray]:
     """What a scan, an image or a batch of hits holds."""
-    names = ("t", "primitive_id", "range", "intensity", "distance", "albedo", "flow", "position")
+    names = ("t", "primitive_id", "uv", "range", "intensity", "distance", "albedo", "flow", "position")
     values = [getattr(found, name, None) for name in names]
     return [value.numpy() if isinstance(value, wp.array) else value for value in values if value is not None]
 
@@ -313,6 +313,12 @@ def query_calls() -> Iterator[Call]:
     yield Call("Queries.explain", lambda **o: scene().explain(*rays(), **o), {**bounds, "cull_backfaces": False})
     options = {**bounds, "cull_backfaces": False, "max_hits": 2}
     yield Call("Queries.intersect_all", lambda **o: seen(scene().intersect_all(*rays(), **o)), options)
+    options = {**seen_by, "max_distance": 64.0}
+    yield Call("PointQueries.closest_point", lambda **o: seen(instances().closest_point(rays()[0], **o)), {**options, "k": 2})
+    yield Call("PointQueries.closest_point", lambda **o: counted(scene().closest_point(rays()[0], **o)), {"counters": True})
+    yield Call("PointQueries.closest_point", lambda **o: seen(scene().closest_point(rays()[0], **o)), {"precise": True})
+    options = {**seen_by, "radius": 64.0}
+    yield Call("PointQueries.within", lambda **o: seen(instances().within(rays()[0], **o)), options)
     yield Call("PointQueries.verify", lambda **o: scene().verify(**o), {"samples": 4, "seed": 1})
     blocks = {**bounds, "memory": 1 << 16, "progress": False}
     nearest = {**blocks, "precise": False}
@@ -321,6 +327,12 @@ def query_calls() -> Iterator[Call]:
     )
     yield Call("BlockQueries.occluded_blocks", lambda **o: scene().occluded_blocks(*rays(), **o).result(), blocks)
     yield Call("BlockQueries.count_blocks", lambda **o: scene().count_blocks(*rays(), **o).result(), blocks)
+    options = {"max_distance": 64.0, "memory": 1 << 16, "progress": False, "precise": False}
+    yield Call(
+        "BlockQueries.closest_point_blocks",
+        lambda **o: scene().closest_point_blocks(rays()[0], reduce=LEAST, **o).result(),
+        options,
+    )
     for name in ("intersect", "occluded", "count"):
         yield Call(f"PartQueries.{name}", lambda name=name, **o: of_parts(name, o), {**bounds, "cull_backfaces": False})
     yield Call("Hits.smooth_normal", lambda **o: hits().smooth_normal(**o), {"crease_angle": 32.0})
@@ -340,6 +352,15 @@ def query_calls() -> Iterator[Call]:
     six = np.concatenate(rays(), axis=1)
     for name in ("cast_rays", "count_intersections", "list_intersections"):
         yield Call(f"RaycastingScene.{name}", lambda name=name, **o: getattr(open3d(), name)(six, **o), {"nthreads": 2})
+    for name, options in DISTANCES.items():
+        query = getattr(open3d(), name)
+        yield Call(f"DistanceQueries.{name}", lambda query=query, **o: query(rays()[0], **o), options)
+    yield Call(
+        "ProximityQuery",
+        lambda **o: wrt.compat.ProximityQuery(trimesh_rays().mesh, device="cpu", **o).scene.num_threads,
+        {"num_threads": 2},
+    )
+    yield Call("for_all_meshes", threads_for_all, {"num_threads": 2})
     options = {"tnear": 0.5, "tfar": 64.0, "nthreads": 2}
     yield Call("RaycastingScene.test_occlusions", lambda **o: open3d().test_occlusions(six, **o), options)
     options = {
@@ -351,6 +372,24 @@ def query_calls() -> Iterator[Call]:
         "height_px": 3,
     }
     yield Call("RaycastingScene.create_rays_pinhole", wrt.compat.RaycastingScene.create_rays_pinhole, options)
+
+
+DISTANCES = {
+    "compute_closest_points": {"nthreads": 2},
+    "compute_distance": {"nthreads": 2},
+    "compute_signed_distance": {"nthreads": 2, "nsamples": 3},
+    "compute_occupancy": {"nthreads": 2, "nsamples": 3},
+}
+"""Queries of points in Open3D's interface."""
+
+
+def counted(found: wrt.Hits) -> tuple[Any, Any]:
+    return seen(found), found.counters
+
+
+def threads_for_all(**options: Any) -> int | None:
+    with wrt.compat.for_all_meshes(device="cpu", **options):
+        return trimesh.Trimesh(mesh().vertices, mesh().faces, process=False).nearest.scene.num_threads
 
 
 @cache
@@ -504,6 +543,7 @@ def sensor_calls() -> Iterator[Call]:
     yield Call("Lidar", lambda **o: sensors.Lidar(pattern=pattern(), **o), {**ranges, **noise, "bundle": 4, "returns": 2})
     scan = {"time": 2.0, "slices": 1, "reflectance": 0.5, "seed": 1, "mask": 1, "environment": 1}
     yield Call("Lidar.scan", lambda **o: seen(lidar().scan(instances(), pose(), **o)), scan)
+    yield Call("LidarScan.to_structured", lambda **o: lidar().scan(scene(), pose()).to_structured(**o), {"organized": True})
     yield Call("LidarScan.deskewed", lambda **o: lidar().scan(scene(), trajectory()).deskewed(**o), {"time": 2.0})
     raster = {"rows": 2, "columns": 3, "horizontal": 8.0, "vertical": 4.0, "rate": 8.0, "tilt": 2.0}
     yield Call("LidarPattern.raster", lambda **o: drawn(sensors.LidarPattern.raster(**o)), raster)
@@ -515,6 +555,11 @@ def sensor_calls() -> Iterator[Call]:
     yield Call("Camera", lambda **o: sensors.Camera(lens=camera().lens, **o), {"width": 4, "height": 3, "line_delay": 0.5})
     image = {"time": 2.0, "slices": 1, "miss": 64.0, "albedo": True, "flow": 0.5, "to_warp": False, "mask": 1, "environment": 1}
     yield Call("Camera.capture", lambda **o: seen(camera().capture(instances(), pose(), **o)), image)
+    yield Call(
+        "CameraImages.to_structured",
+        lambda **o: camera().capture(scene(), pose(), albedo=True).to_structured(**o),
+        {"organized": True},
+    )
     yield Call("Camera.render", lambda **o: camera().render(scene(), pose(), samples=1, **o).linear, {"time": 2.0})
     yield Call("BrownConrady", sensors.BrownConrady, {**FOCUS, "distortion": (0.5, 0.0, 0.0, 0.0), "skew": 0.5})
     yield Call("KannalaBrandt", sensors.KannalaBrandt, {**FOCUS, "distortion": (0.5, 0.0), "max_angle": 2.0, "skew": 0.5})
@@ -575,8 +620,8 @@ FOR_THE_LIBRARY = {
     ),
     "what jobs, pictures and scans ask of their parts": (
         "Blocks.ranges Blocks.run_pieces Histogram.part Reduction.part Motion.move Wave Camera.beams Lidar.device_beams "
-        "LidarPattern.cut OrthographicCamera.rays_on PinholeCamera.rays_on Trajectory.at_rest Trajectory.check_covers "
-        "ProcessPool.shutdown"
+        "LidarPattern.cut LidarPattern.order_of_returns OrthographicCamera.rays_on PinholeCamera.rays_on Trajectory.at_rest "
+        "Trajectory.check_covers ProcessPool.shutdown"
     ),
     "needs Dask": "map_rays",
     "needs matplotlib": "draw_tree",

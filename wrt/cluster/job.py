@@ -51,7 +51,7 @@ class JobStatus:
 
     Attributes:
         folder: path of its folder.
-        query: "intersect", "occluded" or "count".
+        query: "intersect", "occluded", "count" or "closest_point".
         blocks, done: number of blocks, and of those that are done.
         rays, rays_done: number of rays, and of those that are answered.
         bytes: of the answers so far.
@@ -90,7 +90,8 @@ class Job:
 
     Args:
         folder: path of the folder, which is made; best on a file system that workers see at the same path.
-        blocks: what `intersect_blocks`, `occluded_blocks` or `count_blocks` returned, with an executor or without.
+        blocks: what `intersect_blocks`, `occluded_blocks`, `count_blocks` or `closest_point_blocks` returned, with an executor
+            or without.
         attributes: of closest hits without `reduce`, the attributes to keep; None for t, primitive_id and geometry_id.
 
     Raises:
@@ -105,7 +106,7 @@ class Job:
         self.folder, self.blocks = JobFolder(folder), blocks
         query = blocks.work.query
         self._attributes = None
-        if query.method == "intersect" and query.reduction is None:
+        if query.gives_hits and query.reduction is None:
             self._attributes = tuple(KEPT_ATTRIBUTES if attributes is None else attributes)
             if unknown := [name for name in self._attributes if name not in ATTRIBUTES]:
                 raise ValueError(f"attributes holds {unknown[0]!r}; choose from {', '.join(ATTRIBUTES)}")

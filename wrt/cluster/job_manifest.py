@@ -16,7 +16,7 @@ from wrt.query.blocks import MAX_RAYS
 FORMAT = 3
 """Version of the folder's format."""
 
-METHODS = ("intersect", "occluded", "count")
+METHODS = ("intersect", "occluded", "count", "closest_point")
 
 HASH = re.compile(r"[0-9a-f]{64}")
 

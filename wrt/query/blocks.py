@@ -22,7 +22,7 @@ from wrt.kernels.validation import as_bool
 from wrt.query.batches.block_limits import finished_before_interrupt, parse_memory, progress_bar
 from wrt.query.batches.block_outputs import TakeAttributes, check_out, for_workers, rows_together, store
 from wrt.query.batches.block_rows import GeneratedRays, Source, as_column, rows_of, rows_shape
-from wrt.query.batches.block_work import BlockQuery, BlockWork, Deliver, Examine, Submitter
+from wrt.query.batches.block_work import HIT_QUERIES, BlockQuery, BlockWork, Deliver, Examine, Submitter
 from wrt.query.batches.reductions import as_array, as_block_reduction
 from wrt.query.batches.task_window import run_tasks
 from wrt.query.batches.workers import Workers, as_workers
@@ -143,7 +143,7 @@ class Blocks:
             ValueError: closest hits without `reduce` (write their attributes to arrays); an iterator without rays.
         """
         query = self.work.query
-        if query.reduction is None and query.method == "intersect":
+        if query.reduction is None and query.gives_hits:
             raise ValueError("result() of closest hits needs reduce={'t': ...}; or write attributes to arrays with write()")
         parts: list[Any] = []
         for _, answer in self._blocks(None):
@@ -303,5 +303,5 @@ def blocks_of(
     progress = as_bool("progress", progress)
     if "precise" in options:
         options["precise"] = as_bool("precise", options["precise"])
-    query = BlockQuery(method, options, as_block_reduction(reduce, axis, method == "intersect"))
+    query = BlockQuery(method, options, as_block_reduction(reduce, axis, method in HIT_QUERIES))
     return Blocks(BlockWork(scene, query, None, columns, 0), source, memory, progress, as_workers(executor))

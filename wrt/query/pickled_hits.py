@@ -20,6 +20,7 @@ from wrt.query.all_hits import AllHits
 from wrt.query.exact_hits import PreciseHits
 from wrt.query.hits import Hits
 from wrt.query.points.closest_points import ClosestPoints, TrianglesWithin
+from wrt.query.points.precise_points import PreciseClosestPoints
 
 if TYPE_CHECKING:
     from wrt.engine.plan.plan import Plan
@@ -199,7 +200,7 @@ def reduce_within(lists: TrianglesWithin) -> tuple[Any, ...]:
 
 for _kind in (Hits, PreciseHits, PickledHits):
     copyreg.pickle(_kind, reduce_hits)
-for _points in (ClosestPoints, PickledClosestPoints):
+for _points in (ClosestPoints, PreciseClosestPoints, PickledClosestPoints):
     copyreg.pickle(_points, reduce_points)  # type: ignore[arg-type]
 copyreg.pickle(AllHits, reduce_lists)
 copyreg.pickle(TrianglesWithin, reduce_within)

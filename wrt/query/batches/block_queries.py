@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.query.batches.block_rows import as_source
 from wrt.query.blocks import MEMORY, blocks_of
@@ -17,9 +19,12 @@ if TYPE_CHECKING:
 
 INF = float("inf")
 
+UPWARDS = np.array([0.0, 0.0, 1.0], dtype=np.float32)
+"""Direction of the rays that stand for points; nothing reads it."""
+
 
 class BlockQueries:
-    """Queries of any number of rays, which need not fit in memory."""
+    """Queries of any number of rays or points, which need not fit in memory."""
 
     @lists_options
     def intersect_blocks(
@@ -199,4 +204,56 @@ class BlockQueries:
             environment=environment,
             skip=skip,
             **options,
+        )
+
+    @lists_options
+    def closest_point_blocks(
+        self,
+        points: Any,
+        *,
+        max_distance: Numbers = INF,
+        memory: int | str = MEMORY,
+        progress: bool = False,
+        executor: Any = None,
+        reduce: Any = None,
+        axis: Any = None,
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
+        precise: bool = False,
+    ) -> Blocks:
+        """Closest points block by block: iterate over pairs (rows, closest points), or call `write` or `result`.
+
+            scene.closest_point_blocks(np.load("points.npy", mmap_mode="r")).write({"t": distance})  # "t" is the distance
+
+        Args:
+            points: (..., 3), with at least one leading axis: an array, or any object with a shape whose slices are arrays.
+            max_distance: as in `closest_point`; an array is cut into blocks with the points.
+            memory: bound on the memory for a block, in bytes or as text such as "1.5 GB".
+            progress: whether to show a progress bar on stderr.
+            executor: who answers blocks, several at a time; None for this process.
+            reduce: what is kept of the answers, by attribute, such as {"t": "max"}; None keeps them.
+            axis: axes of the points' leading shape along which answers are reduced: an int, several, or None for all.
+            mask, environment: the instances that points see, one number or one for each point; None for all.
+            precise: as in `closest_point`.
+
+        Raises:
+            TypeError, ValueError, RuntimeError: as `closest_point` and `intersect_blocks`.
+        """
+        if not hasattr(points, "shape") and not isinstance(points, (list, tuple)):
+            raise TypeError(f"points must be an array or have a shape and slices, not {type(points).__name__}")
+        source = as_source(points, UPWARDS, 0.0, max_distance)
+        if not source.shape:
+            raise ValueError("points must have a leading axis to cut into blocks: pass points of shape (N, 3)")
+        return blocks_of(
+            self,
+            "closest_point",
+            source,
+            memory=memory,
+            progress=progress,
+            executor=executor,
+            reduce=reduce,
+            axis=axis,
+            mask=mask,
+            environment=environment,
+            precise=precise,
         )

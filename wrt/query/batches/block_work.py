@@ -33,12 +33,17 @@ Examine = Callable[["BlockWork", slice, Rays, Mapping[str, Any], Mapping[str, An
 answered. Returns what is done with the answer."""
 
 
+HIT_QUERIES = ("intersect", "closest_point")
+"""Methods whose answers have attributes, as `wrt.Hits`; others answer with an array."""
+
+
 @dataclass(frozen=True)
 class BlockQuery:
     """A query with its options and reductions.
 
     Attributes:
-        method: name of the scene's method: "intersect", "occluded" or "count".
+        method: name of the scene's method: "intersect", "occluded", "count", or "closest_point", whose points are the origins
+            of rays, and whose greatest distances are their t_max.
         options: its options, but those that each ray may have of its own.
         reduction: what is made of the answers; None to keep them.
     """
@@ -53,12 +58,20 @@ class BlockQuery:
             name: values.on(scene.device) if isinstance(values, SkippedTriangles) else values
             for name, values in columns.items()
         }
-        found = getattr(scene, self.method)(rays, **self.options, **given)
+        if self.method == "closest_point":
+            found = scene.closest_point(rays.origins, max_distance=rays.t_max, **self.options, **given)
+        else:
+            found = getattr(scene, self.method)(rays, **self.options, **given)
         if self.reduction is None:
             return found
         dimensions = len(rays.shape)
         states = self.reduction.part(found, dimensions)
         return states if self.merges_rows(dimensions) else self.reduction.finish(states)
+
+    @property
+    def gives_hits(self) -> bool:
+        """Whether answers have attributes."""
+        return self.method in HIT_QUERIES
 
     def merges_rows(self, dimensions: int) -> bool:
         """Whether axis 0 of an N-dimensional batch is reduced, so that blocks must be merged."""

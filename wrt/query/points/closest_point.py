@@ -44,11 +44,13 @@ class Points:
         batch: on the device.
         shape: their leading shape.
         form: of results.
+        flat: (N,) vec3 or vec3d, as they were given.
     """
 
     batch: PointBatch
     shape: tuple[int, ...]
     form: ResultForm
+    flat: wp.array
 
 
 def closest_point(
@@ -61,10 +63,9 @@ def closest_point(
     counters: bool = False,
 ) -> ClosestPoints:
     """The closest point on the scene of each point; see `wrt.Scene.closest_point`."""
-    refuse_capture("closest_point", scene.device)
-    refuse_tape("closest_point", (points,), "differentiable_points")
-    check_scene(scene)
-    if k is not None and not 1 <= as_int("k", k) <= MAX_NEAREST:
+    check_query(scene, points)
+    k = None if k is None else as_int("k", k)
+    if k is not None and not 1 <= k <= MAX_NEAREST:
         raise ValueError(
             f"k is {k}; it must be from 1 to {MAX_NEAREST}, or None for the nearest triangle without an axis for it"
         )
@@ -102,6 +103,13 @@ def find_some(scene: SceneState, points: PointBatch, k: int) -> tuple[DeviceHits
     return hits, feature
 
 
+def check_query(scene: SceneState, points: Any, query: str = "closest_point") -> None:
+    """Refuses what no query of points can answer: in a capture or a tape, or of a scene that `check_scene` refuses."""
+    refuse_capture(query, scene.device)
+    refuse_tape(query, (points,), "differentiable_points")
+    check_scene(scene, query)
+
+
 def check_scene(scene: SceneState, query: str = "closest_point") -> None:
     """Refuses scenes that are not triangles in trees, and instances that are not similar to their meshes.
 
@@ -114,8 +122,8 @@ def check_scene(scene: SceneState, query: str = "closest_point") -> None:
         raise ValueError(f"{query} needs triangles in a single tree; use wrt.Scene(scene.meshes)")
 
 
-def as_distances(values: Any, shape: tuple[int, ...], name: str = "max_distance") -> np.ndarray:
-    """(N,) or (1,) float32 greatest distances of points of a leading shape.
+def as_distances(values: Any, shape: tuple[int, ...], name: str = "max_distance", dtype: Any = np.float32) -> np.ndarray:
+    """(N,) or (1,) greatest distances of points of a leading shape, float32 or float64.
 
     Raises:
         TypeError: not real numbers.
@@ -126,7 +134,7 @@ def as_distances(values: Any, shape: tuple[int, ...], name: str = "max_distance"
     if not (array >= 0.0).all():
         raise ValueError(f"{name} must be 0 or more, or inf for no limit")
     with np.errstate(over="ignore"):  # beyond float32 is no limit
-        array = np.asarray(array).astype(np.float32)
+        array = np.asarray(array).astype(dtype)
     if array.size == 1:
         return array.reshape(1)
     try:
@@ -168,7 +176,7 @@ def as_points(
     if scene.instances:
         batch.exact, center = empty(count, wp.vec3d, device), wp.vec3d(*map(float, scene.center))
         launch(specialise(make_widen, flat.dtype), count, [center, flat, batch.exact], device=device, chunk=4096)
-    found = Points(batch, shape, ResultForm(shape, is_warp, np.float64 if is_wide else np.float32))
+    found = Points(batch, shape, ResultForm(shape, is_warp, np.float64 if is_wide else np.float32), flat)
     for integers, values in ((MASKS, mask), (ENVIRONMENTS, environment)):
         if values is None:
             continue
@@ -205,23 +213,33 @@ def search(scene: SceneState, points: PointBatch, lists: NearLists, task: str, w
         work: (N,) `Counters`, for those that count.
     """
     from wrt.engine.launch.traversal_launch import no_work
+
+    config, rows = point_config(scene, task), CounterRows()
+    rows.rows = no_work(Counters, scene.device.alias) if work is None else work
+    launch_groups(scene, config, make_points_kernel, points.count, [space_of(scene, config), points, lists, rows])
+
+
+def point_config(scene: SceneState, task: str) -> PointConfig:
+    """The specialisation of a kernel for a scene."""
+    kind, group = "kdtree" if scene.accelerator.kind == "kdtree" else "bvh", 1 if scene.device.is_cuda else GROUP
+    return PointConfig(kind, scene.width, group, task, bool(scene.instances))
+
+
+def space_of(scene: SceneState, config: PointConfig) -> Any:
+    """Where kernels search points; lazy trees are completed."""
     from wrt.engine.launch.triangle_records import vertex_blocks
 
-    device, instances = scene.device, bool(scene.instances)
-    group = 1 if device.is_cuda else GROUP
-    config = PointConfig("kdtree" if scene.accelerator.kind == "kdtree" else "bvh", scene.width, group, task, instances)
-    kernel = specialise(make_points_kernel, config)
-    for part in scene.parts if instances else (scene,):
+    for part in scene.parts if scene.instances else (scene,):
         part.complete()
-    if instances:
-        space = as_space(config, scene.upper(), vertex_parts(scene))
-    else:
-        space = as_space(config, scene.tree.struct(), vertex_blocks(scene))
-    rows = CounterRows()
-    rows.rows = no_work(Counters, device.alias) if work is None else work
-    launch(
-        kernel, -(-points.count // group), [space, points, lists, rows], device=device, chunk=max(1, 256 // group), longest=4096
-    )
+    if scene.instances:
+        return as_space(config, scene.upper(), vertex_parts(scene))
+    return as_space(config, scene.tree.struct(), vertex_blocks(scene))
+
+
+def launch_groups(scene: SceneState, config: PointConfig, make: Any, count: int, inputs: list[Any]) -> None:
+    """Launches the kernel that `make` makes, whose items are groups of `count` points."""
+    items, chunk = -(-count // config.group), max(1, 256 // config.group)
+    launch(specialise(make, config), items, inputs, device=scene.device, chunk=chunk, longest=4096)
 
 
 def nearest_batch(hits: DeviceHits, feature: wp.array) -> NearestBatch:

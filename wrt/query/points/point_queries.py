@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, overload
 
 from wrt.engine.facts.query_kinds import AUTO
+from wrt.kernels.validation import as_bool
 
 if TYPE_CHECKING:
     import numpy as np
@@ -136,6 +137,7 @@ class PointQueries:
         mask: Numbers | None = None,
         environment: Numbers | None = None,
         counters: bool = False,
+        precise: bool = False,
     ) -> ClosestPoints:
         """The closest point on the geometry to each point, and its triangle.
 
@@ -164,15 +166,21 @@ class PointQueries:
             environment: in a scene of instances, an int or (...) integers of 32 bits: a point sees the instances of its
                 environment and those of environment -1; a point of environment -1, or None, sees those of all.
             counters: whether to count the work for each point (`ClosestPoints.counters`); not together with `k`.
+            precise: whether to search in float64: the triangle and the distance are those of brute force in float64 on the
+                points, the vertices and `max_distance` as they were given, and the result is a
+                `wrt.results.PreciseClosestPoints`. Takes neither `k` nor `counters`.
 
         Raises:
             TypeError: points or distances are not real numbers, `k` is not an int, or masks or environments are not integers.
             ValueError: wrong shapes, a negative distance or a NaN, `k` out of range, an array on another device; masks or
-                environments in a scene without instances; instances that are sheared or not scaled alike along all axes; a
-                scene of fans, groups or fuzzy boxes; points that require gradients inside a `wp.Tape` (call
-                `wrt.device.differentiable_points` for gradients).
+                environments in a scene without instances; `precise` with what it does not take; instances that are sheared or
+                not scaled alike along all axes; a scene of fans, groups or fuzzy boxes; points that require gradients inside a
+                `wp.Tape` (call `wrt.device.differentiable_points` for gradients).
         """
-        from wrt.query.points.closest_point import closest_point
+        if as_bool("precise", precise):
+            from wrt.query.points.precise_points import closest_point_precisely as closest_point
+        else:
+            from wrt.query.points.closest_point import closest_point  # type: ignore[assignment]
 
         return closest_point(self.state, points, max_distance, k, mask, environment, counters)
 

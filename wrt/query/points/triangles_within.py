@@ -13,11 +13,10 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.memory import empty
 from wrt.kernels.points.point_batch import NearLists, copy_lists
-from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
+from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.query.all_hits import MAX_TOTAL
-from wrt.query.points.closest_point import as_points, check_scene, nearest_batch, search
+from wrt.query.points.closest_point import as_points, check_query, nearest_batch, search
 from wrt.query.points.closest_points import TrianglesWithin
-from wrt.tapes import refuse_tape
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
@@ -25,9 +24,7 @@ if TYPE_CHECKING:
 
 def triangles_within(scene: SceneState, points: Any, radius: Any, mask: Any = None, environment: Any = None) -> TrianglesWithin:
     """All triangles within a distance of points; see `wrt.Scene.within`."""
-    refuse_capture("within", scene.device)
-    refuse_tape("within", (points,), "differentiable_points")
-    check_scene(scene, "within")
+    check_query(scene, points, "within")
     with use_threads(scene.num_threads):
         given, device = as_points(scene, points, radius, "radius", mask, environment), scene.device
         lists, count = NearLists(), given.batch.count

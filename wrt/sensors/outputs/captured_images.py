@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
+from wrt.kernels.validation import as_bool
 from wrt.sensors.fired_rays import launch_blocks
 from wrt.sensors.outputs.hit_outputs import HitOutputs, TracedLayers
 from wrt.sensors.outputs.row_tables import Field, as_host, coordinates, row_table
@@ -197,8 +198,10 @@ class CameraImages(HitOutputs):
             organized: whether to give all pixels, in the shape of the images; coordinates of misses are NaN.
 
         Raises:
+            TypeError: `organized` is no bool.
             ValueError: a layer that was not chosen.
         """
+        organized = as_bool("organized", organized)
         height, width = self.camera.height, self.camera.width
         kind, names = "<u2" if max(height, width) <= MAX_USHORT else "<i4", [("instance_id", self.instance_id)]
         if len(self._layers.labels):
