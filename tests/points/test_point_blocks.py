@@ -85,6 +85,30 @@ def test_masks_of_points(points):
     np.testing.assert_array_equal(found, mask - 1)
 
 
+def test_arrays_of_dask(scene, points):
+    """By Dask's threads, which the answers do not depend on."""
+    da, xarray = pytest.importorskip("dask.array"), pytest.importorskip("xarray")
+    lazy, map_points = da.from_array(points, chunks=(700, 3)), wrt.cluster.map_points
+    for precise in (False, True):
+        whole = scene.closest_point(points, max_distance=40.0, precise=precise)
+        for name in ("distance", "feature", "instance_id", "primitive_id", "uv", "position", "normal", "is_hit"):
+            answer = map_points(scene, lazy, name, max_distance=40.0, precise=precise)
+            expected, found = getattr(whole, name), answer.compute(scheduler="threads")
+            assert (answer.dtype, answer.shape, answer.chunks[0]) == (expected.dtype, expected.shape, (700, 700, 600))
+            np.testing.assert_array_equal(found, expected)
+    near, far = map_points(scene, lazy, "is_hit", max_distance=0.5), map_points(scene, lazy, "is_hit")
+    assert near.name != far.name  # so that both may be in one computation
+    assert near.sum().compute() < far.sum().compute() == len(points)
+    labelled = map_points(scene, xarray.DataArray(lazy, dims=["sample", "axis"]))
+    assert (labelled.dims, labelled.name) == (("sample",), "distance")
+    with pytest.raises(ValueError, match="choose from distance"):
+        map_points(scene, lazy, "t")
+    with pytest.raises(ValueError, match=r"points must have shape \(\.\.\., 3\)"):
+        map_points(scene, lazy[:, :2])
+    with pytest.raises(TypeError, match="points must be an array of Dask"):
+        map_points(scene, points)
+
+
 REFUSED = {
     "one point": (ValueError, {"points": np.zeros(3)}, "points must have a leading axis"),
     "iterator": (TypeError, {"points": iter([np.zeros((2, 3))])}, "points must be an array"),

@@ -623,7 +623,7 @@ FOR_THE_LIBRARY = {
         "LidarPattern.cut LidarPattern.order_of_returns OrthographicCamera.rays_on PinholeCamera.rays_on Trajectory.at_rest "
         "Trajectory.check_covers ProcessPool.shutdown"
     ),
-    "needs Dask": "map_rays",
+    "needs Dask": "map_points map_rays",
     "needs matplotlib": "draw_tree",
     "needs a browser": "view Viewer.play Viewer.add_points",
     "rows and columns of a finished analysis": "OctreeAnalysis.cut",

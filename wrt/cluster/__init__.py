@@ -6,7 +6,7 @@
 
 Queries take an executor by themselves (`wrt.Scene.intersect_blocks`, `wrt.batches`). This package adds options of executors
 (`Workers`, `ProcessPool`), jobs in folders (`Job`, `job_status`), parquet files (`ParquetColumns`, `write_parquet`), and
-queries on arrays of Dask and xarray (`map_rays`). What it needs of Dask, pyarrow and zarr comes with
+queries on arrays of Dask and xarray (`map_rays`, `map_points`). What it needs of Dask, pyarrow and zarr comes with
 `pip install "wrt[cluster-dask]"`.
 """
 
@@ -21,6 +21,7 @@ _HOME = {
     "ProcessPool": "wrt.query.batches.workers",
     "Workers": "wrt.query.batches.workers",
     "job_status": "wrt.cluster.job",
+    "map_points": "wrt.cluster.dask_arrays",
     "map_rays": "wrt.cluster.dask_arrays",
     "write_parquet": "wrt.cluster.parquet_files",
 }

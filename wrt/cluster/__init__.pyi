@@ -1,4 +1,5 @@
 # Written by `python -m tests.typed.stubs` from the table of names in wrt/cluster/__init__.py.
+from wrt.cluster.dask_arrays import map_points as map_points
 from wrt.cluster.dask_arrays import map_rays as map_rays
 from wrt.cluster.job import Job as Job
 from wrt.cluster.job import JobStatus as JobStatus
@@ -15,6 +16,7 @@ __all__ = [
     "ProcessPool",
     "Workers",
     "job_status",
+    "map_points",
     "map_rays",
     "write_parquet",
 ]

@@ -13,6 +13,7 @@ import numpy as np
 
 from wrt.engine.rays.rays import Rays
 from wrt.query.batches.block_outputs import ATTRIBUTES
+from wrt.query.batches.block_queries import UPWARDS
 from wrt.query.batches.block_work import BlockQuery, BlockWork, PickledWork
 from wrt.query.batches.shared_files import SharedScene, deliver_scene, dumps, share_scene
 from wrt.query.batches.workers import Workers, task_threads
@@ -30,6 +31,14 @@ FORMS = {
     "count": (np.int32, 0),
 }
 """Type and components of answers; None: that of the rays, as in `wrt.Hits`."""
+
+POINT_FORMS = {
+    "distance": (np.float32, 0),
+    "feature": (np.int8, 0),
+    "instance_id": (np.int32, 0),
+    **{name: FORMS[name] for name in ("primitive_id", "geometry_id", "uv", "is_hit", "position", "normal")},
+}
+"""The same of closest points."""
 
 
 def map_rays(
@@ -69,10 +78,7 @@ def map_rays(
         TypeError: neither argument is an array of Dask.
         ValueError: an unknown answer, a last axis that is not of 3 components, or shapes that do not broadcast.
     """
-    try:
-        import dask.array as da
-    except ImportError as error:
-        raise ImportError("map_rays needs Dask: pip install 'wrt[cluster-dask]'") from error
+    da = dask_arrays("map_rays")
     if what not in FORMS:
         raise ValueError(f"what is {what!r}; choose from {', '.join(FORMS)}")
     labelled = next((one for one in (origins, directions) if hasattr(one, "dims") and hasattr(one, "data")), None)
@@ -89,31 +95,98 @@ def map_rays(
         far = what == "position" and rounds_positions(scene.state.device_mesh)
         is_wide = far or any(one.dtype.itemsize > 4 for one in arrays)
         dtype = np.float64 if is_wide else np.float32
-    function = MapChunk(*shared_query(scene, what, t_min, t_max, folder, client, options), what)
-    axis = both[0].ndim - 1
-    result = da.map_blocks(
-        function,
-        *both,
-        dtype=dtype,
-        drop_axis=None if components else axis,
-        chunks=(*both[0].chunks[:-1], (components,)) if components else None,
-        meta=np.empty((0,) * (axis + bool(components)), dtype=dtype),
-        name=f"wrt-{what}-{hashlib.sha256(function.work.hash.encode() + str([one.name for one in both]).encode()).hexdigest()}",
-    )
+    method = what if what in ("occluded", "count") else "intersect"
+    assert method != "intersect" or what in ATTRIBUTES
+    function = MapChunk(shared_query(scene, method, folder, client, options), t_min, t_max, what)
+    result = mapped(da, function, both, dtype, components)
     return result if labelled is None else as_labelled(result, labelled, what, components)
 
 
-def shared_query(
-    scene: Any, what: str, t_min: float, t_max: float, folder: Any, client: Any, options: dict[str, Any]
-) -> tuple[PickledWork, float, float]:
-    """The query for workers, and the interval."""
-    method = what if what in ("occluded", "count") else "intersect"
-    assert method != "intersect" or what in ATTRIBUTES
+def map_points(
+    scene: Any,
+    points: Any,
+    what: str = "distance",
+    *,
+    max_distance: float = float("inf"),
+    folder: Any = None,
+    client: Any = None,
+    **options: Any,
+) -> Any:
+    """Closest points to those in an array of Dask or xarray: lazy, with its chunks.
+
+        distance = wrt.cluster.map_points(scene, points)  # dask.array, (N,) float32
+
+    Args:
+        scene: the scene.
+        points: (..., 3), an array of Dask, or an xarray.DataArray over one, with the components as its last axis.
+        what: an attribute of `wrt.results.ClosestPoints`: "distance", "feature", "instance_id", "primitive_id", "geometry_id",
+            "uv", "is_hit", "position" or "normal".
+        max_distance: a number, as in `wrt.Scene.closest_point`.
+        folder, client: as in `map_rays`.
+        options: `mask` and `environment` (numbers), and `precise`.
+
+    Returns:
+        As `map_rays`.
+
+    Raises:
+        ImportError: Dask is not installed.
+        TypeError: points are not an array of Dask.
+        ValueError: an unknown answer, or a last axis that is not of 3 components.
+    """
+    da = dask_arrays("map_points")
+    if what not in POINT_FORMS:
+        raise ValueError(f"what is {what!r}; choose from {', '.join(POINT_FORMS)}")
+    labelled = points if hasattr(points, "dims") and hasattr(points, "data") else None
+    array = points if labelled is None else points.data
+    if not isinstance(array, da.Array):
+        raise TypeError("points must be an array of Dask; for others call scene.closest_point or closest_point_blocks")
+    if array.shape[-1:] != (3,):
+        raise ValueError(f"points must have shape (..., 3), not {array.shape}")
+    dtype, components = POINT_FORMS[what]
+    if dtype is None:
+        far = what == "position" and rounds_positions(scene.state.device_mesh)
+        dtype = np.float64 if far or array.dtype.itemsize > 4 else np.float32
+    if options.get("precise") and dtype is np.float32:
+        dtype = np.float64
+    function = MapChunk(shared_query(scene, "closest_point", folder, client, options), 0.0, max_distance, what)
+    result = mapped(da, function, [array.rechunk({array.ndim - 1: 3})], dtype, components)
+    return result if labelled is None else as_labelled(result, labelled, what, components)
+
+
+def dask_arrays(name: str) -> Any:
+    """`dask.array`, for a function.
+
+    Raises:
+        ImportError: Dask is not installed.
+    """
+    try:
+        import dask.array as da
+    except ImportError as error:
+        raise ImportError(f"{name} needs Dask: pip install 'wrt[cluster-dask]'") from error
+    return da
+
+
+def mapped(da: Any, function: MapChunk, arrays: list[Any], dtype: Any, components: int) -> Any:
+    """The answers to arrays of the same chunks, whose last axis has 3 components."""
+    axis, names = arrays[0].ndim - 1, str([function.t_min, function.t_max, *(one.name for one in arrays)])
+    return da.map_blocks(
+        function,
+        *arrays,
+        dtype=dtype,
+        drop_axis=None if components else axis,
+        chunks=(*arrays[0].chunks[:-1], (components,)) if components else None,
+        meta=np.empty((0,) * (axis + bool(components)), dtype=dtype),
+        name=f"wrt-{function.what}-{hashlib.sha256(function.work.hash.encode() + names.encode()).hexdigest()}",
+    )
+
+
+def shared_query(scene: Any, method: str, folder: Any, client: Any, options: dict[str, Any]) -> PickledWork:
+    """The query for workers."""
     shared = share_scene(scene, folder)
     send_to(client, shared, folder)
     work = BlockWork(shared, BlockQuery(method, options, None), None, {}, 1)
     data = dumps(work)
-    return PickledWork(data, None, hashlib.sha256(data).hexdigest()), t_min, t_max
+    return PickledWork(data, None, hashlib.sha256(data).hexdigest())
 
 
 def send_to(client: Any, shared: SharedScene, folder: Any) -> None:
@@ -134,18 +207,18 @@ class MapChunk:
     Args:
         work: the query, for workers.
         t_min, t_max: the interval.
-        what: as in `map_rays`.
+        what: as in `map_rays` or `map_points`.
     """
 
     def __init__(self, work: PickledWork, t_min: float, t_max: float, what: str) -> None:
         self.work, self.t_min, self.t_max, self.what = work, t_min, t_max, what
 
-    def __call__(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    def __call__(self, origins: np.ndarray, directions: np.ndarray = UPWARDS) -> np.ndarray:
         work = self.work.get()
         with task_threads(work.threads):
             rays = Rays(origins, directions, self.t_min, self.t_max)
             found = work.query.answer(work.scene.get(work.device), rays, {})
-        return found if work.query.method != "intersect" else np.asarray(getattr(found, self.what))
+        return np.asarray(getattr(found, self.what)) if work.query.gives_hits else found
 
 
 def as_labelled(result: Any, labelled: Any, what: str, components: int) -> Any:
