@@ -19,10 +19,11 @@ left: of edges at an angle of 1e-7, the distance is right to 1e-15 of their leng
 
     (distance of what is in them) + 2^-22 (r_a + r_b) + 2^-44 s
 
-where r is the sum over the axes of how far a mesh reaches from its centre, in the scene, and s is the sum of the sizes of the
-scene's coordinates. The distance of the boxes of two triangles exceeds the computed one of the triangles by less than 2^-44 s.
-What is farther than the best pair by more than that is left out; so pairs at the same computed distance are all seen, and the
-smaller numbers are kept.
+where r is the sum over the axes of how far a mesh reaches from its centre, in the scene, and s is the sum of the sizes of all
+coordinates, of the maps too. The distance of the boxes of two triangles exceeds the computed one of the triangles by less than
+2^-44 s. So does the gap between two boxes or triangles along any axis of length 1; that of the nearest points so far is tried,
+from which a turned box looks thinner. What is farther than the best pair by more than that is left out; so pairs at the same
+computed distance are all seen, and the smaller numbers are kept.
 
 **Meeting.** Triangles are closed: a common vertex, or a vertex on a face, is a point in common. Two triangles meet if an edge
 of one meets the other. If an edge is not in the other's plane, and its ends are not on one side of it, three determinants tell

@@ -86,7 +86,7 @@ def test_soups(seed, device):
         np.testing.assert_array_equal(back.positions, found.positions[::-1])
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(6))
 def test_meeting_is_exact(seed):
     """Triangles of whole numbers, a third of which touch or have no area: the same pairs as by separating planes."""
     a, b = whole_soup(seed), whole_soup(seed + 100)
@@ -212,13 +212,25 @@ def test_far_and_large():
 
 def test_boxes_of_trees_are_rounded():
     """Six gaps of about 1e-4, where float32 coordinates in the trees are wrong by five times as much: the least is found."""
-    for seed in range(20):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         corners = rng.uniform(-1e4, 1e4, (7, 1, 3)) + rng.uniform(-1e-6, 1e-6, (7, 3, 3))
         away = rng.normal(size=(6, 1, 3))
         others = corners[:6] + away / np.linalg.norm(away, axis=2, keepdims=True) * rng.uniform(9e-5, 1.1e-4, (6, 1, 1))
         meshes = [wrt.TriangleMesh(one.reshape(-1, 3), np.arange(3 * len(one)).reshape(-1, 3)) for one in (corners, others)]
         check(place(*meshes), corners, others, 1e-11)
+
+
+def test_maps_that_cancel():
+    """A mesh 1e8 from the origin of its space, moved back: rounding is that of the larger coordinates."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        corners = np.rint(rng.uniform(-1, 1, (30, 3, 3)) * 2.0**20) * 2.0**-20
+        others = corners + np.array([0.0, 0.0, 2.0])
+        others[:, :, 2] += np.rint(rng.uniform(1.0, 9.0, (30, 1)) * 8) * 2.0**-23
+        meshes = [wrt.TriangleMesh(one.reshape(-1, 3), np.arange(90).reshape(-1, 3)) for one in (corners, others + 1e8)]
+        there = moved(-1e8, -1e8, -1e8)
+        check(place(*meshes, IDENTITY, there), corners, triangles_of(meshes[1], there))
 
 
 @pytest.mark.parametrize("tree", ["bvh", "kdtree", wrt.KdTree(builder="lazy")], ids=str)

@@ -89,6 +89,12 @@ class PlacedBody:
         """How far the mesh reaches from its centre, summed over the axes."""
         return float((np.abs(self.linear) @ np.abs(self.tree.root).sum(axis=0)).sum())
 
+    @property
+    def coordinates(self) -> float:
+        """The size of its coordinates, summed over the axes: of those that are mapped, of the map, and in the scene."""
+        middle = np.abs(self.linear) @ np.abs(self.state.center)
+        return float((middle + np.abs(self.origin) + np.abs(self.center)).sum()) + 2.0 * self.reach
+
     def struct(self) -> Body:
         """What kernels read."""
         body, state = Body(), self.state
@@ -187,7 +193,7 @@ def box_gaps(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def slack_of(a: PlacedBody, b: PlacedBody) -> tuple[float, float]:
     """By how much distances of boxes may be too large, and those of triangles too small; see `wrt.kernels.pairs`."""
-    rounding = ROUNDING * float(np.abs(a.box).sum() + np.abs(b.box).sum() + a.reach + b.reach)
+    rounding = ROUNDING * (a.coordinates + b.coordinates)
     return TREE_ERROR * (a.reach + b.reach) + rounding, rounding
 
 
