@@ -106,6 +106,9 @@ REFERENCES = {
         "rasterization and ray casting. Graphics Interface 2012."
     ),
     "dawson-haggerty": "M. Dawson-Haggerty et al.: trimesh, https://trimesh.org.",
+    "dekker-1971": (
+        "T. J. Dekker: A floating-point technique for extending the available precision. Numerische Mathematik 18, 1971."
+    ),
     "dmitriev-2004": (
         "K. Dmitriev, V. Havran, H.-P. Seidel: Faster ray tracing with SIMD shaft culling. Research report "
         "MPI-I-2004-4-006, Max-Planck-Institut fuer Informatik, 2004."
@@ -362,6 +365,10 @@ REFERENCES = {
     ),
     "prokop-1999": "H. Prokop: Cache-oblivious algorithms. M.Sc. thesis, Massachusetts Institute of Technology, 1999.",
     "prusinkiewicz-lindenmayer-1990": "P. Prusinkiewicz, A. Lindenmayer: The algorithmic beauty of plants. Springer, 1990.",
+    "quinlan-1994": (
+        "S. Quinlan: Efficient distance computation between non-convex objects. IEEE International Conference on Robotics and "
+        "Automation, 1994."
+    ),
     "rahikainen-2013": "V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.",
     "ramani-2009": (
         "K. Ramani, C. P. Gribble, A. Davis: StreamRay: a stream filtering architecture for coherent ray tracing. ASPLOS 2009."
@@ -413,6 +420,10 @@ REFERENCES = {
     "shevtsov-2007-triangle": (
         "M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures. "
         "GraphiCon 2007."
+    ),
+    "shewchuk-1997": (
+        "J. R. Shewchuk: Adaptive precision floating-point arithmetic and fast robust geometric predicates. Discrete & "
+        "Computational Geometry 18(3), 1997."
     ),
     "shimrat-1962": "M. Shimrat: Algorithm 112: Position of point relative to polygon. Communications of the ACM 5(8), 1962.",
     "shirley-1991": "P. Shirley: Discrepancy as a quality measure for sample distributions. Eurographics 1991.",

@@ -5,6 +5,7 @@
 
 * Fields around surfaces: `signed_distance`, `sign_rule`, `winding_number`; on grids: `distance_grid`.
 * Surfaces: `sample_surface`, `thickness`, `shape_diameter`; `exposure` to the sun and the sky, and `sky_directions`.
+* Bodies in a scene: `closest_pair` of two, `clearance` of many, and the `overlapping_triangles` of two.
 * Sight: `visible_faces` of a camera, `viewshed` of a terrain (`TriangleMesh.from_heightmap`).
 
 Closest points and inside tests are methods of the scene: `Scene.closest_point`, `Scene.contains`.
@@ -15,9 +16,13 @@ from __future__ import annotations
 from wrt.lazy_names import lazy_names
 
 _HOME = {
+    "ClosestPair": "wrt.analysis.mesh_pairs",
     "DistanceGrid": "wrt.analysis.distance_grids",
+    "clearance": "wrt.analysis.mesh_pairs",
+    "closest_pair": "wrt.analysis.mesh_pairs",
     "distance_grid": "wrt.analysis.distance_grids",
     "exposure": "wrt.analysis.sky_exposure",
+    "overlapping_triangles": "wrt.analysis.mesh_pairs",
     "sample_surface": "wrt.analysis.surface_samples",
     "shape_diameter": "wrt.analysis.wall_thickness",
     "sign_rule": "wrt.analysis.signed_distances",
