@@ -267,7 +267,7 @@ def test_graphs_of_a_cold_scene(device):
 def test_layout(scene):
     rays = Rays(on_device(scene.center[None], wp.vec3d), device_rays(scene)[1], 0.0, on_device(np.ones(COUNT), float))
     arrays = lay_out(rays, scene.device, scene.center)
-    assert arrays.layout == (0, 1, 0, 1, True)
+    assert arrays.layout == (0, 1, 0, 1, True, scene.device.is_cuda)
     assert arrays.shape == (COUNT,)
     np.testing.assert_array_equal(arrays.origins.numpy(), [[0.0, 0.0, 0.0]])
 

@@ -129,10 +129,11 @@ def for_all_meshes(
     from importlib import import_module
 
     options: dict[str, Any] = {"accelerator": accelerator, "device": device, "num_threads": num_threads}
-    proximity = import_module("trimesh.proximity")
+    proximity, trimesh_ray = import_module("trimesh.proximity"), import_module("trimesh.ray")
+    modules = ["ray_triangle", *(["ray_pyembree"] if trimesh_ray.has_embree else [])]
     changed: list[tuple[Any, str, Any]] = [
         (import_module(f"trimesh.ray.{name}"), "RayMeshIntersector", lambda mesh, *_, **__: RayMeshIntersector(mesh, **options))
-        for name in ("ray_triangle", "ray_pyembree")
+        for name in modules
     ]
     changed += [
         (proximity, "ProximityQuery", lambda mesh: ProximityQuery(mesh, **options)),

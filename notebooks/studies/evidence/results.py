@@ -188,7 +188,17 @@ def statements(tree: ast.Module) -> str:
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [line for line in body if line not in imports and not is_text(line)] or [ast.Pass()]
-    return f"{names}\n{ast.dump(tree)}"
+    return f"{names}\n{written(tree)}"
+
+
+def written(node: object) -> str:
+    """A syntax tree as text that is the same in all versions of Python: `ast.dump` writes fields that newer ones have added."""
+    if isinstance(node, list):
+        return f"[{', '.join(map(written, node))}]"
+    if not isinstance(node, ast.AST):
+        return repr(node)
+    fields = [(name, value) for name, value in ast.iter_fields(node) if value is not None and value != []]
+    return f"{type(node).__name__}({', '.join(f'{name}={written(value)}' for name, value in fields)})"
 
 
 def is_text(line: ast.stmt) -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import thread_time
 from typing import Any
 
 from wrt.meshes.mesh import TriangleMesh
@@ -144,24 +143,9 @@ def fans(models: Path | None, effort: Effort) -> Tables:
 
 def traversal(models: Path | None, effort: Effort) -> Tables:
     """Packets against single rays, for a view."""
-    from wrt.bench.core.paired_timing import Contender, take_turns
-    from wrt.bench.core.workloads import WorkloadMaker
-    from wrt.kernels.runtime.launch import use_threads
-    from wrt.scene.scene import Scene
-    from wrt.scenes import build
+    from studies.kdtrees.packet_speeds import packet_speeds
 
-    mesh, rows, names = build("atrium"), [], ("single", "packet")
-    (view,) = WorkloadMaker(mesh, size=effort.size).make(["far"])
-    for tree in ("bvh", "kdtree"):
-        scene = Scene(mesh, tree, device="cpu", num_threads=1)
-        ways = [
-            Contender(name, lambda scene=scene, name=name: scene.intersect(view.rays, traversal=name).t, len(view))
-            for name in names
-        ]
-        with use_threads(1):
-            timings = take_turns(ways, effort.rounds, clock=thread_time)
-        rows += [{"traversal": name, "tree": tree, "speed": timings["single"].ratio_to(timings[name])} for name in names]
-    return {"speeds": rows}
+    return {"speeds": packet_speeds(effort.size, effort.rounds)}
 
 
 def kdtree_builders(models: Path | None, effort: Effort) -> Tables:
@@ -198,7 +182,7 @@ STUDIES = {
     "inside_first": Study(inside_first, ("studies.triangles.inside_first",), is_counted=True),
     "pichler": Study(pichler, ("studies.triangles.pichler_tables",)),
     "fans": Study(fans, ("studies.triangles.fan_comparison",)),
-    "traversal": Study(traversal, ()),
+    "traversal": Study(traversal, ("studies.kdtrees.packet_speeds",)),
     "kdtree_builders": Study(kdtree_builders, ("studies.kdtrees.kdtree_comparison",)),
     "dynamic": Study(dynamic, ("studies.moving.motion_run", "studies.moving.motion_costs")),
 }

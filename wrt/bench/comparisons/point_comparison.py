@@ -174,7 +174,7 @@ POINT_PEERS: dict[str, tuple[str, Callable[[TriangleMesh, int], Contending]]] = 
     "fcpw": ("fcpw", fcpw_scene),
     "igl": ("igl", igl_tree),
     "warp_mesh": ("warp", warp_mesh),
-    "trimesh": ("trimesh", trimesh_proximity),
+    "trimesh": ("rtree", trimesh_proximity),
 }
 """What wrt's BVH is compared with, by the name that the command line knows: what must be importable, and the function."""
 

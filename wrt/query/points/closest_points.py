@@ -90,6 +90,8 @@ class TrianglesWithin(AllHits[ArrayT]):
         point_id: (M,) int32, index of the point in the flattened batch.
         t, ray_id: the same as `distance` and `point_id`.
         plan: None.
+
+    `Scene.within` makes them: batch, offsets, form and scene are as in `AllHits`, feature is of each triangle.
     """
 
     def __init__(self, batch: DeviceHits, feature: wp.array, offsets: wp.array, form: ResultForm, scene: SceneState) -> None:
