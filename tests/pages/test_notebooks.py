@@ -17,13 +17,19 @@ import warp as wp
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 
 SETTINGS = f"""
-import gc, warp
+import gc, os, threading, warp
+from warp._src.context import Runtime
 warp.config.cpu_compiler_flags = {wp.config.cpu_compiler_flags!r}
+def headers(runtime):
+    folder = os.path.join(HEADERS, threading.current_thread().name)
+    os.makedirs(folder, exist_ok=True)
+    return folder
+Runtime._get_or_create_pch_dir = headers
 import sys
 sys.path.insert(0, {str(FOLDER)!r})
 """
 """Kernels as the other tests compile them, which may have done so already; studies are found, as in a notebook's
-folder."""
+folder. Warp's header, precompiled, is kept for the next notebook: each thread of each process would take 3 s for it."""
 
 FREEZE = "gc.freeze()\n"
 """Studies collect garbage before each round. What earlier cells made need not be scanned for it."""
@@ -51,6 +57,17 @@ FEWER = (
 """What notebooks go through from end to end, and here in part: each row takes kernels of its own, which other tests hold
 against brute force, and the code of a notebook is the same for all."""
 
+COARSER = (
+    ("court = wrt.scenes.atrium()", "court = wrt.scenes.atrium(detail=2)"),
+    ('compare_traces(wrt.scenes.build("atrium"),', 'compare_traces(wrt.scenes.build("atrium", detail=2),'),
+    ('mesh = wrt.scenes.build("atrium")\nchecked', 'mesh = wrt.scenes.build("atrium", detail=2)\nchecked'),
+    ("for size in (256, 512)", "for size in (64, 128)"),
+    ("(1, 9, 36, 100)", "(1, 9)"),
+    ("samples = (1, 4, 16, 64, 256)", "samples = (1, 4, 16)"),
+)
+"""Scenes, rays and samples of the notebooks that take longest, and here smaller ones: nobody looks at the figures. Views keep
+their pixels: "auto" chooses other kernels for fewer rays, and these would be compiled in addition."""
+
 WHOLE_SIZES = re.compile(rf"\b({'|'.join(SMALLER)})=(\d+)\b(?!\.)")
 
 RATIO = re.compile(r"\b\d+\.\d+x\b|\b\d+(?:\.\d+)? times\b|\d %")
@@ -66,7 +83,7 @@ def reduced(source: str) -> str:
     """The source of a cell, with few rounds, samples and triangles."""
     source = SIZES.sub(r"\g<1>(64,)", REFERENCES.sub(r"\g<1>100", ROUNDS.sub(r"\g<1>1", source)))
     source = EFFORT.sub(r"\g<1>1 << 14", source)
-    for whole, part in FEWER:
+    for whole, part in FEWER + COARSER:
         source = source.replace(whole, part)
     return WHOLE_SIZES.sub(lambda given: f"{given[1]}={min(int(given[2]), SMALLER[given[1]])}", source)
 
@@ -75,7 +92,7 @@ def test_there_are_notebooks():
     assert NOTEBOOKS
 
 
-@pytest.mark.parametrize("whole", [whole for whole, _ in FEWER])
+@pytest.mark.parametrize("whole", [whole for whole, _ in FEWER + COARSER])
 def test_what_is_shortened_is_in_a_notebook(whole):
     assert any(whole in "".join(cell["source"]) for path in NOTEBOOKS for cell in json.loads(path.read_text())["cells"])
 
@@ -116,8 +133,14 @@ def test_names_that_a_notebook_takes_from_modules_exist(path, monkeypatch):
     assert missing == []
 
 
+@pytest.fixture(scope="session")
+def headers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of precompiled headers, for the notebooks that this process runs one after the other."""
+    return tmp_path_factory.mktemp("headers")
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook(path, tmp_path):
+def test_notebook(path, tmp_path, headers):
     nbformat = pytest.importorskip("nbformat")
     client = pytest.importorskip("nbclient")
     notebook = nbformat.read(path, as_version=4)
@@ -128,7 +151,7 @@ def test_notebook(path, tmp_path):
     assert path.stat().st_size < 1_500_000, "keep the pictures small"
     for cell in code:
         cell.source = FREEZE + reduced(cell.source)
-    notebook.cells.insert(0, nbformat.v4.new_code_cell(SETTINGS))
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(f"HEADERS = {str(headers)!r}{SETTINGS}"))
     os.environ.setdefault("MPLBACKEND", "module://matplotlib_inline.backend_inline")
     client.NotebookClient(notebook, timeout=300, iopub_timeout=60, resources={"metadata": {"path": str(tmp_path)}}).execute()
     pictures = sum(
