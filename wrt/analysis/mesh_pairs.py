@@ -80,8 +80,8 @@ def closest_pair(scene: Scene, first: int, second: int, *, max_distance: float =
     state, most = scene.state, as_most(max_distance)
     ids = as_pair(state, "closest_pair", first, second)
     with use_threads(state.num_threads):
-        bodies = tuple(body_of(state, number) for number in sorted(ids))
-        pair = answer_of(state, bodies, nearest_of(*bodies, most))
+        a, b = (body_of(state, number) for number in sorted(ids))
+        pair = answer_of(state, (a, b), nearest_of(a, b, most))
     return pair if ids[0] < ids[1] else turned(pair)
 
 

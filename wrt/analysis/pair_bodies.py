@@ -232,7 +232,7 @@ def pair_work(a: PlacedBody, b: PlacedBody, most: float, entries: int) -> PairWo
     order, device, work = np.argsort(least, kind="stable"), a.part.device, PairWork()
     work.boxes = wp.array(lanes[order].astype(np.int32), dtype=wp.vec2i, device=device)
     work.square = wp.array(least[order] ** 2, dtype=wp.float64, device=device)
-    work.limit = float(np.nextafter(np.float64(most) ** 2, np.inf))
+    work.limit = wp.float64(np.nextafter(np.float64(most) ** 2, np.inf))
     work.most = wp.array([work.limit], dtype=wp.float64, device=device)
-    work.slack, work.near_slack = slack, near_slack
+    work.slack, work.near_slack = wp.float64(slack), wp.float64(near_slack)
     return work

@@ -47,7 +47,7 @@ class PreciseClosestPoints(PreciseHits, ClosestPoints):
         self, exact: ExactPoints, found: tuple[DeviceHits, wp.array], triangles: list[Any], given: Points, scene: SceneState
     ) -> None:
         ClosestPoints.__init__(self, *found, given.form, scene)
-        self._exact, self._exact_triangles = exact, triangles
+        self._exact, self._exact_triangles = exact, triangles  # type: ignore[assignment]  # the same attributes, of points
 
 
 def closest_point_precisely(
