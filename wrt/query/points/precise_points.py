@@ -41,6 +41,7 @@ class PreciseClosestPoints(PreciseHits, ClosestPoints):
         normal: (..., 3), unit vectors from the triangle's winding; 0 if nothing was found and for a triangle without area.
         primitive_id, geometry_id, instance_id, feature, is_hit: as in `ClosestPoints`.
         t: the same as `distance`.
+        counters: none are recorded; reading them is a ValueError.
     """
 
     def __init__(
