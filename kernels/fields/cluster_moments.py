@@ -3,6 +3,9 @@
 Sums over triangles about the scene's centre are additive, so those of a node are the sums of its children's: leaves first, then
 levels of nodes from the deepest to the root. In float64, they are moved to the centres of the children without a loss.
 
+Moments are stored with lengths multiplied by a scale, a power of two by which the scene reaches from 1 to 2 from its centre: the
+third one grows with the fourth power of lengths, and float32 would not hold it for scenes of 1e6 units.
+
 References: barill-2018.
 """
 
@@ -187,7 +190,13 @@ def store_third(moments: wp.array(dtype=float), base: int, width: int, s: vec10d
 
 @wp.kernel
 def store_moments(
-    first: int, width: int, tree: WideNodes, triangles: TriangleBlocks, sums: Sums, moments: wp.array(dtype=float)
+    first: int,
+    width: int,
+    scale: wp.float64,
+    tree: WideNodes,
+    triangles: TriangleBlocks,
+    sums: Sums,
+    moments: wp.array(dtype=float),
 ):
     """The moments about a centre, and the radius, of a lane. Unused lanes have area 0 and radius -1. Item: a lane."""
     lane = first + wp.tid()
@@ -207,11 +216,13 @@ def store_moments(
         radius = farthest_of_box(tree, lane, width, center)
         if word < 0:
             radius = farthest_in_leaf(triangles, word, width, center)
+        radius *= scale
+    square = scale * scale
     for axis in range(3):
-        moments[base + axis * width] = float(center[axis])
-        moments[base + (3 + axis) * width] = float(sums.area_vector[lane][axis])
-    store_second(moments, base + 6 * width, width, second_about(sums, lane, center))
-    store_third(moments, base + 11 * width, width, third_about(sums, lane, center))
+        moments[base + axis * width] = float(scale * center[axis])
+        moments[base + (3 + axis) * width] = float(square * sums.area_vector[lane][axis])
+    store_second(moments, base + 6 * width, width, square * scale * second_about(sums, lane, center))
+    store_third(moments, base + 11 * width, width, square * square * third_about(sums, lane, center))
     moments[base + RADIUS * width] = float(radius)
 
 

@@ -91,9 +91,11 @@ def apply_signs(
     side: wp.array(dtype=wp.int8),
     found: wp.array(dtype=float),
 ):
-    """Writes a distance with its sign; NaN for a point that is not finite, and without a side. Item: a point."""
+    """Writes a distance with its sign, 0 without one; NaN for a point that is not finite, or has no side. Item: a point."""
     i = first + wp.tid()
-    value = distance[i] * float(side[i])
+    value = distance[i]
+    if value > 0.0:
+        value = value * float(side[i])
     if int(side[i]) == 0 or not is_finite(points[i]):
         value = wp.nan
     found[i] = value

@@ -22,6 +22,12 @@ class Clusters:
     """(nodes * MOMENTS * W,) as `wrt.kernels.fields.cluster_moments` stores them."""
     far: wp.array(dtype=float)
     """(nodes * W,) squared distance from the centre from which the moments do; -1 in unused lanes."""
+    scale: float
+    """By which lengths are multiplied in both."""
+
+
+LEAST_FAR = wp.constant(1e-24)
+"""Least squared distance from which moments do: from there on, its power of -3/2 is in the range of float32."""
 
 
 @wp.kernel
@@ -29,7 +35,7 @@ def set_far(first: int, width: int, factor: float, clusters: Clusters):
     """Squared distances from which moments do: `factor` radii. Item: a lane."""
     lane = first + wp.tid()
     radius = clusters.moments[((lane // width) * MOMENTS + RADIUS) * width + lane % width]
-    clusters.far[lane] = wp.where(radius >= 0.0, radius * radius * factor * factor * 1.00001, -1.0)
+    clusters.far[lane] = wp.where(radius >= 0.0, wp.max(radius * radius * factor * factor * 1.00001, LEAST_FAR), -1.0)
 
 
 @cache

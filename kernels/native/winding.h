@@ -37,6 +37,9 @@ constexpr int MOMENTS = 19;
 /// Greatest number of inner nodes on a path from the root.
 constexpr int DEPTH = 64;
 
+/// Squared distance, over the square of what the scene reaches, from which numbers are 0: the powers in `far_children` are in range.
+constexpr float FARTHEST_SQUARE = 1e16f;
+
 constexpr float PI = 3.14159274101257324f, HALF_PI = 1.57079637050628662f, OVER_FOUR_PI = 0.0795774683356285095f;
 
 /// The angle of (x, y) in [-pi, pi], to 2e-7: a polynomial for the smaller one of both over the greater one. 0 for a zero vector.
@@ -91,7 +94,7 @@ template <int W> inline CUDA_CALLABLE float angles_of_leaf(const float* records,
     return sum;
 }
 
-/// What the children of a node that are far away add, times 4 pi; the others are in `near`.
+/// What the children of a node that are far away add, times 4 pi; the others are in `near`. far: of a lane, -1 if it is unused.
 template <int W>
 inline CUDA_CALLABLE float far_children(const float* moments, const float* far, const Apart& point, unsigned* near)
 {
@@ -111,7 +114,7 @@ inline CUDA_CALLABLE float far_children(const float* moments, const float* far, 
             + ((three[4 * W] * (3.0f * x2 - z2) + three[5 * W] * (3.0f * y2 - z2)) + three[6 * W] * xy) * z;
         const bool is_far = square >= far[i];
         const float value = (dipole + over * (second + over * third)) * (over * square_root(over));
-        part[i] = (is_far & (square > 0.0f)) ? value : 0.0f;
+        part[i] = (is_far & (far[i] > 0.0f)) ? value : 0.0f;
         left[i] = is_far ? 0 : -1;
     }
     *near = bits<W>(left);
@@ -124,6 +127,8 @@ inline CUDA_CALLABLE float far_children(const float* moments, const float* far, 
 template <int W, class Tree, class Triangles, class Clusters>
 inline CUDA_CALLABLE float number_at(const Tree& tree, const Triangles& triangles, const Clusters& clusters, const Apart& point)
 {
+    const Apart scaled = {point.x * clusters.scale, point.y * clusters.scale, point.z * clusters.scale};
+    if (!(dot(scaled, scaled) < FARTHEST_SQUARE)) return 0.0f;
     int nodes[DEPTH * (W - 1) + 1 + W], size = 0;
     float sum = 0.0f, angles = 0.0f;
     nodes[size++] = 0;
@@ -131,7 +136,7 @@ inline CUDA_CALLABLE float number_at(const Tree& tree, const Triangles& triangle
         const int node = nodes[--size];
         unsigned near;
         sum += far_children<W>(
-            clusters.moments.data + (size_t)node * (MOMENTS * W), clusters.far.data + (size_t)node * W, point, &near);
+            clusters.moments.data + (size_t)node * (MOMENTS * W), clusters.far.data + (size_t)node * W, scaled, &near);
         for (; near; near &= near - 1u) {
             const int word = tree.child.data[node * W + lowest_bit(near)];
             if (word >= 0) nodes[size++] = word;

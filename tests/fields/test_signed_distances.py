@@ -129,6 +129,16 @@ def test_max_distance():
     np.testing.assert_array_equal(each, [-1.0, -np.inf, 0.5, np.inf])
 
 
+@pytest.mark.parametrize("sign", SIGNS)
+def test_zeros_have_no_sign(sign):
+    """On the surface, also for points that a sign says are inside."""
+    box = trimesh.creation.box((2, 2, 2))
+    points = np.concatenate([box.vertices, box.triangles_center])
+    found = wrt.analysis.signed_distance(wrt.Scene(box, device="cpu"), points, sign=sign)
+    assert (found == 0.0).all()
+    assert not np.signbit(found).any()
+
+
 def test_forms_of_points(device):
     """One point, none, NaN and infinity; Warp in, Warp out; instances; far from 0."""
     box = trimesh.creation.box((2, 2, 2))

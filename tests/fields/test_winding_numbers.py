@@ -102,6 +102,24 @@ def test_points_without_a_number():
     assert wrt.analysis.winding_number(scene, np.zeros((3, 2, 3), np.float32)).dtype == np.float32
 
 
+@pytest.mark.parametrize("scale", [1e-12, 1e-6, 1e6, 1e10])
+def test_large_and_small_scenes(scale):
+    """Numbers do not depend on the unit of length, though float32 does not hold the powers of lengths that they are made of."""
+    mesh = surfaces()["30% missing"].mesh
+    scaled = wrt.Scene(wrt.TriangleMesh(mesh.vertices * scale, mesh.faces), device="cpu")
+    expected = wrt.analysis.winding_number(wrt.Scene(mesh, device="cpu"), POINTS)
+    np.testing.assert_allclose(wrt.analysis.winding_number(scaled, POINTS * scale), expected, atol=2e-3)
+
+
+def test_near_the_center_and_far_away():
+    """Points so near to the scene's centre, where unused lanes are, or so far that powers of the distance are out of range."""
+    scene = wrt.Scene(trimesh.creation.icosphere(3), device="cpu")
+    near = np.outer([0.0, 1e-40, 1e-21, 6e-17, 1e-13, 1e-10], [1.0, 0.5, -0.3])
+    np.testing.assert_allclose(wrt.analysis.winding_number(scene, near), 1.0, atol=2e-3)
+    far = np.outer([1e4, 1e7, 1e9, 1e13, 1e18, 1e30], [1.0, 0.5, -0.3])
+    np.testing.assert_allclose(wrt.analysis.winding_number(scene, far), 0.0, atol=1e-6)
+
+
 def test_moments_of_a_node():
     """The radius of each child reaches its farthest vertex and not much farther; lanes add up to the surface."""
     scene = wrt.Scene(surfaces()["torus"].mesh, device="cpu")

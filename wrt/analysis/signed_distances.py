@@ -68,7 +68,7 @@ def signed_distance(
 
     Returns:
         The distances; inf or -inf where nothing is within `max_distance`, but NaN with `sign="pseudonormal"`, which knows no
-        side there; NaN for a point with a NaN or an infinity. On the surface, 0 or -0.
+        side there; NaN for a point with a NaN or an infinity. On the surface, 0.
 
     Raises:
         TypeError: points are not an array of real numbers, or sign is no name.
