@@ -3,8 +3,9 @@
 Sums over triangles about the scene's centre are additive, so those of a node are the sums of its children's: leaves first, then
 levels of nodes from the deepest to the root. In float64, they are moved to the centres of the children without a loss.
 
-Moments are stored with lengths multiplied by a scale, a power of two by which the scene reaches from 1 to 2 from its centre: the
-third one grows with the fourth power of lengths, and float32 would not hold it for scenes of 1e6 units.
+Moments are stored with lengths multiplied by a scale, a power of two with which the farthest coordinate from the scene's centre
+is from 1 to 2. The third moment grows with the fourth power of lengths and is multiplied by their third power: without a
+scale, float32 would hold neither in a scene of 1e6 units.
 
 References: barill-2018.
 """

@@ -13,15 +13,6 @@ constexpr double EXACT_SHARE = 1.0 + 1.0 / (1ull << 47), EXACT_SLACK = 1.0 / (1u
 
 using ExactOffset = OffsetOf<double>;
 
-inline CUDA_CALLABLE double exact_root(double x)
-{
-#if defined(__CUDA_ARCH__)
-    return sqrt(x);
-#else
-    return __builtin_sqrt(x);
-#endif
-}
-
 inline CUDA_CALLABLE NearestOn<double> exactly_nearest(const ExactOffset& a, const ExactOffset& b, const ExactOffset& c)
 {
     const NearestOn<double> found = nearest_on_edges(a, b, c);
@@ -97,7 +88,7 @@ template <class Space, class Triangles> struct ExactNearest : Search {
         const int own = first + primitive;
         if (own == number) return;
         const NearestOn<double> on = nearest_of(space, triangles, point, own);
-        const double away = exact_root(on.square);
+        const double away = square_root(on.square);
         if (!(away <= exact_most) || !((away < distance) | ((away == distance) & (own < number)))) return;
         distance = away, number = own, slot = place, at = on;
         look_up_to(farthest(), from.slack);

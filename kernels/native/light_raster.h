@@ -2,6 +2,7 @@
 // which has the proof. Cells and entries: `wrt.kernels.layout.light_cells`.
 #pragma once
 #include "loops.h"
+#include "square_root.h"
 
 namespace wrt {
 namespace {
@@ -31,15 +32,6 @@ inline CUDA_CALLABLE void lower(int* at, int value)
 #else
     int known = __atomic_load_n(at, __ATOMIC_RELAXED);
     while (value < known && !__atomic_compare_exchange_n(at, &known, value, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) { }
-#endif
-}
-
-inline CUDA_CALLABLE double root(double x)
-{
-#if defined(__CUDA_ARCH__)
-    return sqrt(x);
-#else
-    return __builtin_sqrt(x);
 #endif
 }
 
@@ -111,7 +103,7 @@ struct SeenTriangle {
             bool inside = steep > 0.0;
             for (int k = 0; k < 3; ++k) inside = inside & (dot3(edge[k], normal) > 0.0);
             if (inside) far = lesser(far, volume * volume / steep);
-            rho = greater(rho, root(far) * 0.57735);
+            rho = greater(rho, square_root(far) * 0.57735);
         }
         rho = rho * (1.0 - 1e-9) - slack;
     }

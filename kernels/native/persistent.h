@@ -1,5 +1,5 @@
-// One ray a thread through a tree of 64-byte nodes, by threads that stay and take the next ray when they are done
-// (wrt.kernels.traversal.persistent). On the CPU an item traces one ray, by the same steps.
+// One ray a thread through a tree of 64-byte nodes, by persistent threads (wrt.kernels.traversal.persistent). On the CPU an item
+// traces one ray, by the same steps.
 #pragma once
 #include "packed_triangles.h"
 
@@ -124,7 +124,8 @@ template <int FETCH, int KEEP, int STEPS, bool FROM_ZERO, class All>
 __device__ void walk_all(const All& all, int* next, int threads)
 {
     const unsigned team = __activemask();
-    const int lane = threadIdx.x & 31, leader = __ffs(team) - 1, count = all.rays.count;
+    const int lane = threadIdx.x & 31, leader = __ffs(team) - 1;
+    const unsigned count = all.rays.count;
     int stack[All::LEVELS + 1];
     Walk<All, FROM_ZERO> walk;
     walk.node = DONE, walk.number = -1;
@@ -138,11 +139,11 @@ __device__ void walk_all(const All& all, int* next, int threads)
             }
             __syncwarp(team);
             if (!more) break;
-            int first = 0;
-            if (lane == leader) first = atomicAdd(next, __popc(idle));
+            unsigned first = 0;  // beyond the rays in the end, also where their number is the largest int
+            if (lane == leader) first = (unsigned)atomicAdd(next, __popc(idle));
             first = __shfl_sync(team, first, leader);
-            const int own = first + __popc(idle & ((1u << lane) - 1u));
-            if ((idle >> lane & 1u) && own < count) walk.begin(all, own, stack);
+            const unsigned own = first + __popc(idle & ((1u << lane) - 1u));
+            if ((idle >> lane & 1u) && own < count) walk.begin(all, (int)own, stack);
             more = first + __popc(idle) < count;
             __syncwarp(team);
             if (__ballot_sync(team, walk.number >= 0) == 0) break;

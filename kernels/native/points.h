@@ -5,6 +5,7 @@
 #pragma once
 #include "lanes.h"
 #include "nearest_on_triangle.h"
+#include "square_root.h"
 
 namespace wrt {
 namespace {
@@ -35,15 +36,6 @@ template <class Vec3> inline CUDA_CALLABLE SearchPoint point_in(const Vec3& low,
         reach += below > above ? below : above;
     }
     return {x, y, z, reach - reach == 0.0f ? reach * POINT_SLACK + LEAST_DISTANCE : WRT_NAN};
-}
-
-inline CUDA_CALLABLE float square_root(float x)
-{
-#if defined(__CUDA_ARCH__)
-    return sqrtf(x);
-#else
-    return __builtin_sqrtf(x);
-#endif
 }
 
 /// What every search has: up to which distance it looks for triangles, and the tree that it is in.

@@ -3,6 +3,7 @@
 // wrt.kernels.pairs has the cases and the errors. Triangles are closed, and those without an area are segments or points.
 #pragma once
 #include "exact_signs.h"
+#include "square_root.h"
 
 namespace wrt {
 namespace {
@@ -24,15 +25,6 @@ struct Corners {
 
 /// The number after one of a triangle's vertices.
 inline CUDA_CALLABLE int after(int vertex) { return vertex == 2 ? 0 : vertex + 1; }
-
-inline CUDA_CALLABLE double square_root(double x)
-{
-#if defined(__CUDA_ARCH__)
-    return sqrt(x);
-#else
-    return __builtin_sqrt(x);
-#endif
-}
 
 /// The distance of two intervals.
 inline CUDA_CALLABLE double gap(double low, double high, double other_low, double other_high)

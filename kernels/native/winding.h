@@ -3,6 +3,7 @@
 // wrt.kernels.fields has the expansion and its bound; wrt.kernels.fields.cluster_moments stores the moments.
 #pragma once
 #include "lanes.h"
+#include "square_root.h"
 
 namespace wrt {
 namespace {
@@ -20,15 +21,6 @@ inline CUDA_CALLABLE float volume_of(const Apart& p, const Apart& q, const Apart
 {
     const Apart b = {q.x - p.x, q.y - p.y, q.z - p.z}, c = {r.x - p.x, r.y - p.y, r.z - p.z};
     return dot(p, {b.y * c.z - b.z * c.y, b.z * c.x - b.x * c.z, b.x * c.y - b.y * c.x});
-}
-
-inline CUDA_CALLABLE float square_root(float x)
-{
-#if defined(__CUDA_ARCH__)
-    return sqrtf(x);
-#else
-    return __builtin_sqrtf(x);
-#endif
 }
 
 /// Floats of a lane.

@@ -54,8 +54,9 @@ class RowSource:
     """(blocks,) number of rows before each block; what `count_rows` writes are the rows of each."""
 
 
-ITEMS = """wrt::RowItems rows;
-    const int begin = block * wrt::ROWS, end = begin + wrt::ROWS < source.count ? begin + wrt::ROWS : source.count;
+ITEMS = f"""static_assert(wrt::ROWS == {ROWS});
+    wrt::RowItems rows;
+    const int begin = block * wrt::ROWS, left = source.count - begin, end = begin + (left < wrt::ROWS ? left : wrt::ROWS);
     wrt::rows_of_block(
         source.order.shape[0] ? source.order.data : nullptr, source.own, source.id.shape[0] ? source.id.data : nullptr, begin,
         end, rows);"""

@@ -39,7 +39,7 @@ class Capabilities(Flag):
     SHARED_LEAVES = auto()
     """`shared_leaves` of the config applies: it reports crossings once where a triangle is in several leaves of a BVH."""
     PERSISTENT = auto()
-    """It walks a BVH of width 2 in the layout `wrt.kernels.layout.binary_nodes`. On CUDA its threads take one ray after the
-    other: a launch has as many as the device holds at a time."""
+    """It walks a BVH of width 2 in the layout `wrt.kernels.layout.binary_nodes`. On CUDA its threads are persistent: a
+    launch has as many as the device holds at a time."""
     CUDA_INSTANCES = auto()
     """It traces rays through instances on CUDA too."""

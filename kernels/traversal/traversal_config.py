@@ -83,7 +83,7 @@ class StreamConfig:
 
 @dataclass(frozen=True)
 class PersistentConfig:
-    """Options of threads that take the next ray (`wrt.kernels.traversal.persistent`).
+    """Options of persistent threads (`wrt.kernels.traversal.persistent`).
 
     Attributes:
         from_zero: whether t_min is 0 for all rays.
@@ -116,7 +116,7 @@ class TraversalConfig:
         packet: for packets.
         stream: for streams.
         tiles: for entry points.
-        persistent: for threads that take the next ray.
+        persistent: for persistent threads.
     """
 
     triangle_test: str

@@ -147,8 +147,8 @@ def limits_for(lanes: int) -> Limits:
 
 COHERENT_REASON, INCOHERENT_REASON = "neighbouring rays are coherent", "neighbouring rays are incoherent"
 
-SINGLE_RAYS, STAYING_THREADS, BY_PLANES, STREAMS, INTERLEAVED_RAYS, PACKETS = 1.0, 1.5, 2.0, 3.0, 3.5, 4.0
-"""Scores: of single rays; of those that CUDA threads take one after the other; of packets and lockstep lanes on the planes of a
+SINGLE_RAYS, PERSISTENT_THREADS, BY_PLANES, STREAMS, INTERLEAVED_RAYS, PACKETS = 1.0, 1.5, 2.0, 3.0, 3.5, 4.0
+"""Scores: of single rays; of persistent CUDA threads; of packets and lockstep lanes on the planes of a
 kd-tree; of streams on the boxes of a BVH or of the wide form of a kd-tree; of interleaved walks of a BVH; of packets on boxes.
 A traversal that may be slower than one with a lower score declines.
 """
@@ -266,10 +266,10 @@ def score_single(situation: Situation) -> tuple[float, str] | None:
 
 
 def score_persistent(situation: Situation) -> tuple[float, str] | None:
-    """On CUDA, threads that take the next ray suit all rays (notebooks/records/2026-11-27-gpu-traversal.md)."""
+    """On CUDA, persistent threads suit all rays (notebooks/records/2026-11-27-gpu-traversal.md)."""
     if not situation.is_cuda or situation.instances or situation.own_spaces:
         return None
-    return STAYING_THREADS, "CUDA threads that take the next ray"
+    return PERSISTENT_THREADS, "persistent CUDA threads"
 
 
 def score_lockstep(situation: Situation) -> tuple[float, str] | None:

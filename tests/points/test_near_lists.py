@@ -131,6 +131,10 @@ def test_work():
 
 REFUSED = {
     "k": (lambda scene: scene.closest_point([0, 0, 0], k=0), "from 1 to 1024"),
+    "more than int32": (
+        lambda scene: scene.closest_point(np.broadcast_to([0.0, 0, 0], (1 << 21, 3)), k=1024),
+        "times k=1024 are more",
+    ),
     "too many": (lambda scene: scene.closest_point([0, 0, 0], k=2000), "from 1 to 1024"),
     "counters of lists": (lambda scene: scene.closest_point([0, 0, 0], k=2, counters=True), "leave k out"),
     "mask": (lambda scene: scene.closest_point([0, 0, 0], mask=1), "mask needs instances"),

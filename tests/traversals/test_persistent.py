@@ -1,4 +1,4 @@
-"""Threads that take the next ray: the hits of brute force, to the bit, on every device. On the CPU the kernel's steps are the
+"""Persistent threads: the hits of brute force, to the bit, on every device. On the CPU the kernel's steps are the
 same, with one ray an item; on CUDA the launch, its counter and its votes are tested besides."""
 
 from __future__ import annotations

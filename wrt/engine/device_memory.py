@@ -1,8 +1,8 @@
 """Memory of answers on CUDA, which is used again.
 
-Warp's pool returns what is free to the driver at each synchronisation, and the next allocation maps it anew: of a call of a
-million rays, that is a fifth to a third of the time (notebooks/records/2026-11-27-gpu-traversal.md). So blocks of answers that
-nobody holds any more wait here for the next call.
+Warp's pool returns what is free to the driver at each synchronisation, and the next allocation maps it anew, which is a good
+part of the time of a call (notebooks/records/2026-11-27-gpu-traversal.md). So blocks of answers that nobody holds any more wait
+here for the next call.
 
 A block is used again on the stream for which it was allocated, so that what ran there comes first. Arrays that another stream
 reads must be held until that has been waited for, as with all of Warp's arrays.

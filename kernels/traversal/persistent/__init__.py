@@ -1,1 +1,1 @@
-"""Rays one by one on CUDA, by threads that stay and take the next ray when they are done."""
+"""Single rays on CUDA by persistent threads, which fetch rays."""

@@ -1,4 +1,4 @@
-"""The counter from which the threads of a launch take rays.
+"""The counter from which the persistent threads of a launch fetch rays.
 
 It is 0 before a launch, and the last threads of the launch set it to 0 again. Launches on one stream follow each other, so they
 share one; those on other streams, which may run at the same time, have their own. A launch that a graph captures gets a counter

@@ -1,11 +1,12 @@
-"""Single rays through a tree of two children a node, by threads that take the next ray when they are done.
+"""Single rays through a tree of two children a node, by persistent threads.
 
 **Problem.** The rays of a warp of 32 CUDA threads end at different times. With one ray a thread, a warp works on for its
-longest ray: of random rays, 6 of 32 threads are at work on average (notebooks/records/2026-11-27-gpu-traversal.md).
+longest ray, and of incoherent rays most threads wait for it (notebooks/records/2026-11-27-gpu-traversal.md).
 
-**Idea** (Aila and Laine 2009). The launch has as many threads as the device holds at a time. A thread that is done waits until
-some others of its warp are, too; together they take the next rays from a counter. Within a warp, threads walk inner nodes until
-nearly all have come to a leaf, then they test triangles. Nodes and triangles are those of `wrt.kernels.layout.binary_nodes`.
+**Idea** (Aila and Laine 2009). Threads are persistent: a launch has as many as the device holds at a time. A thread that is
+done waits until some others of its warp are, too; together they fetch the next rays from a counter. Within a warp, threads walk
+inner nodes until nearly all have come to a leaf, then they test triangles. Nodes and triangles are those of
+`wrt.kernels.layout.binary_nodes`.
 
 **Boxes are a filter.** They are tested by fused operations, with twice the slack of `wrt.kernels.simd.boxes`, and t is compared
 as an integer. Directions are scaled by a power of two, so that they may have any length. The triangle test and the consistency
@@ -35,17 +36,18 @@ from wrt.kernels.traversal.traversal_config import TraversalConfig
 exact_module(__name__)
 
 FETCH = 20
-"""Threads of a warp without a ray for which new rays are fetched: 16 to 24 are within 3 % of the best."""
+"""Threads of a warp without a ray for which new rays are fetched. A fetch stops the whole warp, so few threads do not repay
+it. Neighbours of this number and of the next two are about as good (notebooks/records/2026-11-27-gpu-traversal.md)."""
 
 KEEP = 4
-"""Threads of a warp that may wait at an inner node while the others test triangles: 3 to 6 are alike."""
+"""Threads of a warp that may wait at an inner node while the others test triangles."""
 
 STEPS = 3
-"""Nodes that a thread visits between two votes of its warp about that: 2 to 4 are alike, and 1 to 2 % faster than 1."""
+"""Nodes that a thread visits between two votes of its warp about that."""
 
 BLOCK, BLOCKS = 64, 16
-"""Threads of a block and blocks of a multiprocessor, which bound a thread to 64 registers: 4 to 6 % faster than 70, while 48
-spill."""
+"""Threads of a block and blocks of a multiprocessor. They bound a thread to 64 registers: with more, fewer threads hide the
+latency of memory, and with fewer, registers spill."""
 
 
 def launch_threads(device: wp.Device, rays: int) -> int:

@@ -1,8 +1,9 @@
 """Calls with rays in Warp arrays on the scene's CUDA device: what an earlier call of the kind has found is looked up at once.
 
-A million rays take some 0.2 ms on a GPU, and the GPU waits for Python. A usual call has two flat or shaped arrays of vec3 with
-one shape, numbers as bounds of t, and no options: then its plan, the layout of its rays and the arrays of its bounds are those
-of the last such call (notebooks/records/2026-11-27-gpu-traversal.md). All other calls go the long way, which checks them.
+A GPU traces a large batch while Python checks and plans the next one, and waits for it
+(notebooks/records/2026-11-27-gpu-traversal.md). A usual call has two flat or shaped arrays of vec3 with one shape, numbers as
+bounds of t, and no options: then its plan, the layout of its rays and the arrays of its bounds are those of the last such call.
+All other calls are checked and planned.
 """
 
 from __future__ import annotations

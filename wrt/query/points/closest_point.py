@@ -95,8 +95,14 @@ def find_nearest(scene: SceneState, points: PointBatch, work: wp.array | None = 
 
 
 def find_some(scene: SceneState, points: PointBatch, k: int) -> tuple[DeviceHits, wp.array]:
-    """The k nearest triangles to each point, in rows, and the features."""
+    """The k nearest triangles to each point, in rows, and the features.
+
+    Raises:
+        ValueError: more triangles than one result holds.
+    """
     count = points.count * k
+    if count > MAX_RAYS:
+        raise ValueError(f"{points.count:,} points times k={k} are more than the {MAX_RAYS:,} of one call; pass parts of them")
     hits, feature, lists = DeviceHits.new(CLOSEST, count, scene.device), empty(count, wp.int8, scene.device), NearLists()
     lists.found, lists.room = nearest_batch(hits, feature), k
     search(scene, points, lists, "some")
