@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import gc
 import os
 import random
@@ -69,7 +70,20 @@ SLOW = frozenset((Path(__file__).with_name("slow.txt")).read_text().split())
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--sample", metavar="N:SEED", help="of the chosen cases of each test one in N, but at least one")
+    text = "of the chosen cases of each test one in N, but at least one"
+    parser.addoption("--sample", metavar="N:SEED", type=as_sample, help=text)
+
+
+def as_sample(text: str) -> tuple[int, str]:
+    """The number and the seed of `--sample`.
+
+    Raises:
+        ArgumentTypeError: no whole number of at least 1 before the colon.
+    """
+    number, _, seed = text.partition(":")
+    if not number.isdecimal() or int(number) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not N:SEED, as 3:some-text; N is at least 1")
+    return int(number), seed
 
 
 @pytest.hookimpl(wrapper=True)
@@ -87,8 +101,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if not item.get_closest_marker("exhaustive")]
     yield
     if config.option.sample:
-        number, _, seed = config.option.sample.partition(":")
-        chosen = sample(items, int(number), seed)
+        chosen = sample(items, *config.option.sample)
         kept = {*chosen}
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])
         items[:] = chosen

@@ -19,6 +19,7 @@ import numpy as np
 import public_calls
 import pytest
 import warp as wp
+from call_objects import Call
 
 import wrt
 
@@ -166,7 +167,7 @@ def arrays(plain: Any) -> Iterator[Any]:
     yield whole
 
 
-def refused(call: public_calls.Call, name: str, plain: Any) -> Iterator[Any]:
+def refused(call: Call, name: str, plain: Any) -> Iterator[Any]:
     """Values that mean nothing as the argument."""
     declared = annotation(call.name, name)
     if isinstance(plain, (list, tuple)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import ast
 import subprocess
 import sys
@@ -123,3 +124,13 @@ def test_a_sample_has_every_test():
     assert drawn[0] != drawn[1]
     assert {node for nodes in drawn for node in nodes} == {item.nodeid for item in items}
     assert conftest.sample(items, 1, "") == items
+    assert [node[-3:-1].strip("[") for node in drawn[0]][:4] == ["2", "8", "9", "18"], (
+        "the same seed draws the same cases in every process"
+    )
+
+
+@pytest.mark.parametrize("text", ["", "0:seed", "-1:seed", "some", ":3", "1.5:seed"])
+def test_a_sample_needs_a_number(text):
+    with pytest.raises(argparse.ArgumentTypeError, match="N is at least 1"):
+        conftest.as_sample(text)
+    assert conftest.as_sample("3:a:b") == (3, "a:b")

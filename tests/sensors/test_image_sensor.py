@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+from copy import copy, deepcopy
+
 import numpy as np
 import pytest
 import warp as wp
@@ -262,6 +265,31 @@ def test_layers_do_not_change_with_the_scene():
         np.testing.assert_array_equal(found, expected)
     assert np.isfinite(before[2]).all()
     np.testing.assert_array_less(camera.capture(scene, FORWARD).depth, before[2])
+
+
+def test_images_are_pickled(scene):
+    """With all layers that can be read, before or after they were read; a shallow copy makes none."""
+    camera = Camera(8, 6, LENS)
+    given = {"labels": [7, 9], "albedo": True, "flow": 0.1}
+    images, other = camera.capture(scene, FORWARD, **given), camera.capture(scene, FORWARD, **given)
+    table, every = images.to_structured(), images.to_structured(organized=True)
+    for again in (
+        pickle.loads(pickle.dumps(other)),
+        pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(images)))),
+        deepcopy(images),
+    ):
+        np.testing.assert_array_equal(again.to_structured(), table)
+        assert again.to_structured(organized=True).tobytes() == every.tobytes()
+        for name in ("distance", "position", "normal", "camera_normal", "primitive_id", "albedo", "flow", "time"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(images, name))
+    few = pickle.loads(pickle.dumps(camera.capture(scene, FORWARD, layers=("depth",))))
+    np.testing.assert_array_equal(few.depth, images.depth)
+    with pytest.raises(ValueError, match="normal is none of the layers"):
+        _ = few.normal
+    on_device = camera.capture(scene, FORWARD, layers=("depth",), to_warp=True)
+    assert copy(on_device).depth.shape == (6, 8)
+    with pytest.raises(TypeError, match=r"CameraImages of Warp arrays cannot be pickled; .*numpy"):
+        pickle.dumps(on_device)
 
 
 def test_rays_of_a_camera_at_rest(scene):

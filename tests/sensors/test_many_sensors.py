@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 import trimesh
@@ -25,6 +27,18 @@ def worlds(count: int) -> wrt.Scene:
     """A ground for all, and a ball for each world, in another place."""
     balls = [wrt.Instance(BALL, move(2.0 + 0.3 * k, 0.2 * k), environment=10 * k) for k in range(count)]
     return wrt.Scene([wrt.Instance(GROUND), *balls], device="cpu")
+
+
+def test_scans_are_pickled():
+    """Of one sensor that moves, and of many at rest."""
+    scene, drive = worlds(1), Trajectory([0.0, 1.0], [(0, 0, 0), (1, 0, 0)])
+    for poses in (drive, np.array([move(0.1 * k) for k in range(2)])):
+        scan = LIDAR.scan(scene, poses, labels=[3, 4], seed=1)
+        again = pickle.loads(pickle.dumps(scan))
+        for frame in ("sensor", "world", "start"):
+            np.testing.assert_array_equal(again.to_structured(frame), scan.to_structured(frame))
+        for name in ("normal", "radial_velocity", "semantic_id", "time", "ring"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(scan, name))
 
 
 def test_many_sensors_measure_as_one_by_one():

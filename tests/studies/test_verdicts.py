@@ -51,6 +51,20 @@ def test_what_is_counted_needs_one_run():
     assert judge([counted(0.5)], at_most=0.5).word == HOLDS
     assert judge([counted(0.51, "a"), counted(0.5, "b")], at_most=0.5) == Verdict(FAILS, "in 1 of 2 cases: a")
     assert judge([counted(6)], 6, 6).word == HOLDS
+    assert judge([counted(2, "a"), counted(3, "b")], at_most=1).why == "in both cases"
+
+
+def test_a_variant_is_compared_with_the_reference_and_not_the_reference_with_itself():
+    """On most scenes is on more than half of them; the unit triangle's own rows decide nothing."""
+    rows = [
+        Row("6.2", {"scene": scene, "mode": "alone", "test": test}, {"ratio": counted(ratio)})
+        for test, ratios in (("ferko_utm", (1.0,) * 4), ("a", (0.9, 0.9, 1.1, 1.1)), ("b", (0.9, 0.9, 0.9, 1.1)))
+        for scene, ratio in zip("wxyz", ratios, strict=True)
+    ]
+    held = Results("pichler", {"kind": "runs", "measured": "", "commit": ""}, "", {}, (), rows)
+    verdict, here = CLAIMS["pichler-variants"].judge({"pichler": held})
+    assert verdict == Verdict(FAILS, "in 1 of 2 cases: b")
+    assert "faster on 2 to 3 of 4 scenes" in here
 
 
 def test_comparisons():

@@ -47,7 +47,7 @@ def check_at_least(name: str, value: Any, least: float, below: float = np.inf) -
     value = as_float(name, value)
     if not least <= value < below:
         raise ValueError(
-            f"{name} is {value}; it must be at least {least:g}" + ("" if below == np.inf else f" and below {below:g}")
+            f"{name} is {value}; it must be at least {least:g} and " + ("finite" if below == np.inf else f"below {below:g}")
         )
     return value
 

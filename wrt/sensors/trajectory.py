@@ -235,14 +235,16 @@ class StillPoses:
         self.poses = check_real("pose", poses)
         if self.poses.ndim < 3 or self.poses.shape[-2:] != (4, 4) or not self.poses.size:
             raise ValueError(f"pose must be one matrix (4, 4) or many of them, (..., 4, 4), not of shape {self.poses.shape}")
-        flat = self.poses.reshape(-1, 4, 4)
-        turns = flat[:, :3, :3]
+        turns = (flat := self.poses.reshape(-1, 4, 4))[:, :3, :3]
         rigid = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max(axis=(1, 2)) <= 1e-6
         rigid &= (np.linalg.det(turns) > 0.0) & (flat[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
         if not rigid.all():
             raise ValueError(f"pose {int(rigid.argmin())} does more than move and turn; sensors have no scale")
         self.shape = self.poses.shape[:-2]
         self._paths: dict[str, PosePath] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return StillPoses, (self.poses,)  # without what is kept for a device
 
     def __len__(self) -> int:
         """Number of sensors."""
@@ -284,10 +286,8 @@ def as_poses(pose: Any) -> Trajectory | StillPoses:
     Raises:
         TypeError, ValueError: as `as_trajectory` and `StillPoses`.
     """
-    if isinstance(pose, Trajectory):
-        return as_trajectory(pose)
-    pose = host_array("pose", pose)
-    return StillPoses(pose) if pose.ndim > 2 else as_trajectory(pose)
+    pose = pose if isinstance(pose, Trajectory) else host_array("pose", pose)
+    return StillPoses(pose) if isinstance(pose, np.ndarray) and pose.ndim > 2 else as_trajectory(pose)
 
 
 def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:

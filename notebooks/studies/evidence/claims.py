@@ -62,11 +62,6 @@ def inverse(measure: Measure) -> Measure:
     return Measure(1 / measure.value, 1 / measure.greatest, 1 / measure.least, measure.runs, measure.case)
 
 
-def scaled(measure: Measure, factor: float) -> Measure:
-    """In another unit."""
-    return Measure(measure.value * factor, measure.least * factor, measure.greatest * factor, measure.runs, measure.case)
-
-
 def speeds(results: Results, table: str, **key: object) -> list[Measure]:
     """Speeds against the reference of a table of time ratios."""
     return [inverse(ratio) for ratio in results.take(table, "ratio", **key)]

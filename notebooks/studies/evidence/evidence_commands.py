@@ -76,8 +76,7 @@ def figures_command(
             click.echo(f"wrote {results.write(found)}")
         if extract:
             for name in stored_outputs.SOURCES:
-                if not (results.FOLDER / f"{name}.json").is_file() or results.load(name).origin["kind"] != "runs":
-                    stored_outputs.extract(name)
+                stored_outputs.extract(name)
         if keep:
             results.keep(*keep, today=str(date.today()))
         click.echo("filled " + (", ".join(page_filling.fill_pages()) or "nothing: all pages are as their results"))

@@ -109,12 +109,6 @@ KOMATSU_4 = Table(
     {"Möller": (0.155, 0.150, 0.186, 0.106, 5.26, 33.6), "Proposed": (0.150, 0.146, 0.180, 0.104, 3.67, 25.6)},
 )
 
-KOMATSU_DEPTHS = {"asian dragon": 12, "thai statue": 10}
-"""Greatest depths of the trees of Table 4, "because of the limited memory capacity"; the others are not limited."""
-
-KOMATSU_TRIANGLES = {"armadillo": 345_944, "asian dragon": 7_219_045, "thai statue": 10_000_000}
-"""Triangles, by the captions of Fig. 5 that the text version has kept."""
-
 PICHLER_61 = Table(
     "pichler",
     "6.1",

@@ -148,7 +148,7 @@ def names(some: Sequence[Measure], cases: Sequence[Measure]) -> str:
     if len(cases) == 1:
         return ""
     if len(some) == len(cases):
-        return f"in all {len(cases)} cases"
+        return "in both cases" if len(cases) == 2 else f"in all {len(cases)} cases"
     listed = ": " + "; ".join(case.case for case in some) if len(some) <= 3 and some[0].case else ""
     return f"in {len(some)} of {len(cases)} cases{listed}"
 

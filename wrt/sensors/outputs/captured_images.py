@@ -10,7 +10,7 @@ import warp as wp
 
 from wrt.kernels.validation import as_bool
 from wrt.sensors.fired_rays import launch_blocks
-from wrt.sensors.outputs.hit_outputs import HitOutputs, TracedLayers
+from wrt.sensors.outputs.hit_outputs import HitOutputs, TracedLayers, public_name
 from wrt.sensors.outputs.row_tables import Field, as_host, coordinates, row_table
 from wrt.tables import lookup
 
@@ -24,37 +24,6 @@ if TYPE_CHECKING:
 
 MAX_USHORT = 65536
 """Largest image whose rows and columns are numbered in 16 bits."""
-
-LAYERS = {
-    "distance": "distance",
-    "depth": "depth",
-    "position": "position",
-    "normal": "normal",
-    "camera_normal": "camera_normal",
-    "instance_id": "instance",
-    "geometry_id": "geometry",
-    "primitive_id": "primitive",
-    "semantic_id": "semantic",
-}
-"""Layers by their public names, and their names in `wrt.kernels.sensors.camera_images.Images`."""
-
-
-def as_layers(layers: Any) -> tuple[str, ...] | None:
-    """The layers to be made, by their names in kernels; None for all.
-
-    Raises:
-        TypeError: not a sequence of names.
-        ValueError: an unknown name.
-    """
-    if layers is None:
-        return None
-    if isinstance(layers, str):
-        raise TypeError(f"layers must be a sequence of names, not one name; pass layers=({layers!r},)")
-    try:
-        names = tuple(layers)
-    except TypeError:
-        raise TypeError(f"layers must be a sequence of names, not {type(layers).__name__}") from None
-    return tuple(dict.fromkeys(lookup(LAYERS, name, "layers") for name in names))
 
 
 class CapturedLayers(TracedLayers):
@@ -123,6 +92,28 @@ class CapturedLayers(TracedLayers):
             launch_blocks(kernel, found.part.end - found.part.begin, inputs, self.device)
 
 
+LAYERS = {public_name(name): name for name in CapturedLayers.KINDS}
+"""Layers by their public names, and their names in `wrt.kernels.sensors.camera_images.Images`."""
+
+
+def as_layers(layers: Any) -> tuple[str, ...] | None:
+    """The layers to be made, by their names in kernels; None for all.
+
+    Raises:
+        TypeError: not a sequence of names.
+        ValueError: an unknown name.
+    """
+    if layers is None:
+        return None
+    if isinstance(layers, str):
+        raise TypeError(f"layers must be a sequence of names, not one name; pass layers=({layers!r},)")
+    try:
+        names = tuple(layers)
+    except TypeError:
+        raise TypeError(f"layers must be a sequence of names, not {type(layers).__name__}") from None
+    return tuple(dict.fromkeys(lookup(LAYERS, name, "layers") for name in names))
+
+
 class CameraImages(HitOutputs):
     """What a `Camera` saw: images of shape (height, width), NumPy arrays, or Warp arrays on request.
 
@@ -162,6 +153,11 @@ class CameraImages(HitOutputs):
         self._extra = extra
         shape = *getattr(trajectory, "shape", ()), camera.height, camera.width
         super().__init__(layers, shape, to_warp, chosen)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """As of all results; the colours and the flow are read before."""
+        _ = self.albedo, self.flow
+        return super().__getstate__() | {"_extra": {}}
 
     @cached_property
     def distance(self) -> Any:
@@ -216,6 +212,3 @@ class CameraImages(HitOutputs):
         ids = None if organized else as_host(self.instance_id).ravel()
         table = row_table(fields, ids, self._layers.count, None, self._layers.num_threads)
         return table.reshape(self.shape) if organized else table
-
-    def _public(self, name: str) -> str:
-        return next(public for public, own in LAYERS.items() if own == name)

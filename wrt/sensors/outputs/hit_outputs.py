@@ -10,9 +10,19 @@ import warp as wp
 
 from wrt.engine.memory import outputs_of
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
+from wrt.sensors.outputs.row_tables import as_host
 
 if TYPE_CHECKING:
     from wrt.sensors.time_slices import TracedSlice
+
+
+IDS = ("instance", "geometry", "primitive", "semantic")
+"""Layers whose public names end with "_id"."""
+
+
+def public_name(name: str) -> str:
+    """Of a layer by its name in kernels."""
+    return f"{name}_id" if name in IDS else name
 
 
 class TracedLayers:
@@ -35,6 +45,10 @@ class TracedLayers:
         self.found, self.count, self.labels, self.num_threads = found, count, labels, num_threads
         self.device = labels.device
         self.arrays: dict[str, wp.array] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What tables need beside the layers that were read: pickles leave out the hits."""
+        return {"found": (), "count": self.count, "labels": as_host(self.labels), "num_threads": self.num_threads}
 
     def make(self, names: Iterable[str]) -> None:
         """Makes the layers of some names that are not made yet."""
@@ -83,6 +97,24 @@ class HitOutputs:
     def __repr__(self) -> str:
         return f"{type(self).__name__}(shape={self.shape})"
 
+    def __copy__(self) -> HitOutputs:
+        """Results that share the layers."""
+        other = object.__new__(type(self))
+        other.__dict__ |= self.__dict__
+        return other
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickles hold all layers that can be read, without the hits of which they are made.
+
+        Raises:
+            TypeError: layers are Warp arrays.
+        """
+        if self._to_warp:
+            raise TypeError(f"a {type(self).__name__} of Warp arrays cannot be pickled; pickle layers by their .numpy()")
+        for name in self._chosen:
+            getattr(self, public_name(name))
+        return dict(vars(self))
+
     @cached_property
     def position(self) -> Any:
         return self._out("position")
@@ -113,15 +145,12 @@ class HitOutputs:
     def _layer(self, name: str) -> wp.array:
         """A layer as a flat array; made now, with those chosen ones that the same kernel makes."""
         if name not in self._chosen:
-            public = self._public(name)
+            public = public_name(name)
             raise ValueError(f"{public} is none of the layers that were chosen; add it: layers=(..., {public!r})")
         if name not in self._layers.arrays:
             group = next(group for group in self._layers.TOGETHER if name in group)
             self._layers.make(set(group) & set(self._chosen))
         return self._layers.arrays[name]
-
-    def _public(self, name: str) -> str:
-        return name
 
     def _shaped(self, values: wp.array | None) -> Any:
         """A flat array in the form of results; None stays None."""
