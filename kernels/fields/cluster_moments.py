@@ -187,9 +187,16 @@ def store_third(moments: wp.array(dtype=float), base: int, width: int, s: vec10d
 
 @wp.kernel
 def store_moments(
-    first: int, width: int, tree: WideNodes, triangles: TriangleBlocks, sums: Sums, moments: wp.array(dtype=float)
+    first: int,
+    width: int,
+    tree: WideNodes,
+    triangles: TriangleBlocks,
+    sums: Sums,
+    scale: wp.float64,
+    moments: wp.array(dtype=float),
 ):
-    """The moments about a centre, and the radius, of a lane. Unused lanes have area 0 and radius -1. Item: a lane."""
+    """The moments about a centre, and the radius, of a lane, of coordinates times `scale`. Unused lanes have area 0 and radius
+    -1. Item: a lane."""
     lane = first + wp.tid()
     word = tree.child[lane]
     base = (lane // width) * MOMENTS * width + lane % width
@@ -204,14 +211,15 @@ def store_moments(
             if sums.area[lane] > wp.float64(0.0):
                 middle = wp.clamp(float(sums.weighted[lane][axis] / sums.area[lane]), low, high)
             center[axis] = wp.float64(middle)  # as it is stored: the moments are about the rounded centre
-        radius = farthest_of_box(tree, lane, width, center)
+        radius = scale * farthest_of_box(tree, lane, width, center)
         if word < 0:
-            radius = farthest_in_leaf(triangles, word, width, center)
+            radius = scale * farthest_in_leaf(triangles, word, width, center)
+    square = scale * scale
     for axis in range(3):
-        moments[base + axis * width] = float(center[axis])
-        moments[base + (3 + axis) * width] = float(sums.area_vector[lane][axis])
-    store_second(moments, base + 6 * width, width, second_about(sums, lane, center))
-    store_third(moments, base + 11 * width, width, third_about(sums, lane, center))
+        moments[base + axis * width] = float(scale * center[axis])
+        moments[base + (3 + axis) * width] = float(square * sums.area_vector[lane][axis])
+    store_second(moments, base + 6 * width, width, square * scale * second_about(sums, lane, center))
+    store_third(moments, base + 11 * width, width, square * square * third_about(sums, lane, center))
     moments[base + RADIUS * width] = float(radius)
 
 

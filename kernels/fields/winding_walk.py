@@ -20,8 +20,10 @@ class Clusters:
 
     moments: wp.array(dtype=float)
     """(nodes * MOMENTS * W,) as `wrt.kernels.fields.cluster_moments` stores them."""
+    scale: float
+    """By which coordinates are multiplied for the moments, whose powers float32 then holds: a power of two."""
     far: wp.array(dtype=float)
-    """(nodes * W,) squared distance from the centre from which the moments do; -1 in unused lanes."""
+    """(nodes * W,) squared, scaled distance from the centre from which the moments do; -1 in unused lanes."""
 
 
 @wp.kernel

@@ -120,18 +120,23 @@ inline CUDA_CALLABLE float far_children(const float* moments, const float* far, 
     return sum;
 }
 
+/// Greatest coordinate of a point, relative to the size of the scene, at which the moments are summed in float32; 0 beyond.
+constexpr float MOST = 1e10f;
+
 /// The winding number of a point.
 template <int W, class Tree, class Triangles, class Clusters>
 inline CUDA_CALLABLE float number_at(const Tree& tree, const Triangles& triangles, const Clusters& clusters, const Apart& point)
 {
     int nodes[DEPTH * (W - 1) + 1 + W], size = 0;
     float sum = 0.0f, angles = 0.0f;
+    const Apart scaled = {clusters.scale * point.x, clusters.scale * point.y, clusters.scale * point.z};
+    if (WRT_ABS(scaled.x) > MOST || WRT_ABS(scaled.y) > MOST || WRT_ABS(scaled.z) > MOST) return 0.0f;
     nodes[size++] = 0;
     while (size > 0) {
         const int node = nodes[--size];
         unsigned near;
         sum += far_children<W>(
-            clusters.moments.data + (size_t)node * (MOMENTS * W), clusters.far.data + (size_t)node * W, point, &near);
+            clusters.moments.data + (size_t)node * (MOMENTS * W), clusters.far.data + (size_t)node * W, scaled, &near);
         for (; near; near &= near - 1u) {
             const int word = tree.child.data[node * W + lowest_bit(near)];
             if (word >= 0) nodes[size++] = word;

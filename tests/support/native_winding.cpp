@@ -13,6 +13,7 @@ struct Triangles {
 };
 struct Clusters {
     Array<float> moments, far;
+    float scale;
 };
 
 float winding_of(const WideTree& tree, const Triangles& triangles, const Clusters& clusters, float x, float y, float z)

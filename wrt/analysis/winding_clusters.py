@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -29,11 +30,12 @@ class WindingTree(NamedTuple):
 
     Attributes:
         other: the state that was built for winding numbers; None if the scene's own has such a tree.
-        moments: as in `wrt.kernels.fields.winding_walk.Clusters`.
+        moments, scale: as in `wrt.kernels.fields.winding_walk.Clusters`.
     """
 
     other: SceneState | None  # not the scene's own, which would keep itself alive
     moments: wp.array
+    scale: float
 
 
 _known: WeakKeyDictionary[SceneState, WindingTree] = WeakKeyDictionary()
@@ -45,8 +47,9 @@ def winding_tree(scene: SceneState) -> WindingTree:
     with _lock:
         if scene not in _known:
             state = state_of_one_bvh(scene)
-            moments = moments_of(state.tree.struct(), vertex_blocks(state), state.width)
-            _known[scene] = WindingTree(None if state is scene else state, moments)
+            scale = scale_of(state)
+            moments = moments_of(state.tree.struct(), vertex_blocks(state), state.width, scale)
+            _known[scene] = WindingTree(None if state is scene else state, moments, scale)
         return _known[scene]
 
 
@@ -73,8 +76,14 @@ def visible_mesh(scene: SceneState) -> TriangleMesh:
     return Scene(seen, device=scene.device.alias).flattened()
 
 
-def moments_of(tree: WideNodes, triangles: TriangleBlocks, width: int) -> wp.array:
-    """(nodes * MOMENTS * W,) the moments of every lane."""
+def scale_of(state: SceneState) -> float:
+    """The power of two by which the coordinates of a scene's tree are at most 1, and more than 1/2; 2^100 for smaller ones."""
+    largest = max(abs(float(end)) for end in (*state.tree.low, *state.tree.high))
+    return 2.0 ** -max(math.frexp(largest)[1], -100)
+
+
+def moments_of(tree: WideNodes, triangles: TriangleBlocks, width: int, scale: float) -> wp.array:
+    """(nodes * MOMENTS * W,) the moments of every lane, of coordinates times `scale`."""
     device, lanes = tree.child.device, tree.child.shape[0]
     sums = Sums()
     sums.area = wp.empty(lanes, dtype=wp.float64, device=device)
@@ -86,7 +95,7 @@ def moments_of(tree: WideNodes, triangles: TriangleBlocks, width: int) -> wp.arr
     launch(sum_leaves, lanes, [width, tree, triangles, sums], device=device)
     for begin, count in reversed(levels):
         launch(sum_children, count, [width, begin, tree, sums], device=device, chunk=16)
-    launch(store_moments, lanes, [width, tree, triangles, sums, moments], device=device)
+    launch(store_moments, lanes, [width, tree, triangles, sums, scale, moments], device=device)
     for begin, count in reversed(levels):
         launch(gather_radii, count, [width, begin, tree, moments], device=device, chunk=16)
     return moments
@@ -105,16 +114,18 @@ def clusters_of(tree: WindingTree, state: SceneState, accuracy: float) -> Cluste
     """The clusters for an accuracy above 0; `state`: whose tree they are of."""
     clusters = Clusters()
     lanes = len(tree.moments) // int(MOMENTS)
-    clusters.moments, clusters.far = tree.moments, wp.empty(lanes, dtype=float, device=state.device)
+    clusters.moments, clusters.scale = tree.moments, tree.scale
+    clusters.far = wp.empty(lanes, dtype=float, device=state.device)
     factor = 1.0 / farthest_share(accuracy)
     launch(set_far, lanes, [state.width, factor, clusters], device=state.device, chunk=4096)
     return clusters
 
 
 def farthest_share(accuracy: float) -> float:
-    """The greatest q, a radius over a distance, at which 4 q^3 / (1 - q)^2, the bound of an error, is at most `accuracy`."""
+    """The greatest q, a radius over a distance, at which 4 q^3 / (1 - q)^2, the bound of an error, is at most `accuracy`;
+    2^-60 where it is smaller, at which nothing is far."""
     low, high = 0.0, 1.0
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if 4.0 * middle**3 <= accuracy * (1.0 - middle) ** 2 else (low, middle)
-    return low
+    return max(low, 2.0**-60)
