@@ -24,6 +24,7 @@ import numpy as np
 
 __all__ = [
     "as_bool",
+    "as_direction",
     "as_float",
     "as_int",
     "as_numbers",
@@ -140,6 +141,20 @@ def as_point(name: str, value: Any) -> np.ndarray:
         text = ", ".join(f"{x:g}" for x in point)
         raise ValueError(f"{name} is ({text}); its three numbers must be finite")
     return point
+
+
+def as_direction(name: str, value: Any) -> np.ndarray:
+    """A unit vector, (3,) float64, of a direction of any length.
+
+    Raises:
+        TypeError, ValueError: as `as_point`, or zero.
+    """
+    vector = as_point(name, value)
+    if not vector.any():
+        raise ValueError(f"{name} is zero; give a direction of any length")
+    if not 1e-150 < (largest := np.abs(vector).max()) < 1e150:  # squares would vanish or overflow
+        vector /= largest
+    return vector / np.linalg.norm(vector)
 
 
 def as_real_array(name: str, values: Any) -> np.ndarray:

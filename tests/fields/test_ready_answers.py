@@ -88,6 +88,8 @@ def test_shape_diameter(scene, somewhere):
     thick = analysis.shape_diameter(slab, top, opening=20.0, rays=60)
     assert ((thick > 1.0) & (thick < 1.0 / np.cos(np.radians(10.0)))).all()
     assert np.isnan(analysis.shape_diameter(scene, scene.points_on([-1]))).all()
+    narrow = analysis.shape_diameter(slab, top, opening=1e-200)
+    np.testing.assert_allclose(narrow, analysis.thickness(slab, top), rtol=1e-6)
 
 
 def test_mean_near_median():
@@ -109,6 +111,10 @@ def test_the_sky_of_a_sphere(scene, somewhere):
     np.testing.assert_allclose(factor, 0.5 + 0.5 * np.cos(slope), atol=0.02)
     sideways = analysis.sky_directions(100, up=(2, 0, 0))
     assert (sideways[:, 0] > 0).all()
+    for length in (1e-200, 1e200):  # whose squares float64 does not hold
+        np.testing.assert_array_equal(analysis.sky_directions(100, up=(length, 0, 0)), sideways)
+        way = length * scene.points_on([0]).normal.astype(np.float64)
+        assert analysis.exposure(scene, scene.points_on([0]), way) == 1.0
 
 
 def test_sun_hours_on_a_floor():
@@ -158,6 +164,8 @@ def test_height_maps():
             wrt.TriangleMesh.from_heightmap(bad)
     with pytest.raises(ValueError, match="spacing must not be 0"):
         wrt.TriangleMesh.from_heightmap(np.zeros((2, 2)), spacing=(1, 0))
+    with pytest.raises(ValueError, match="spacing must be a number or two"):
+        wrt.TriangleMesh.from_heightmap(np.zeros((2, 2)), spacing=(1, 2, 3))
     with pytest.raises(TypeError, match="heights must hold real numbers"):
         wrt.TriangleMesh.from_heightmap([["a", "b"]])
 
@@ -184,6 +192,18 @@ def test_viewshed():
     ("call", "error", "message"),
     [
         (lambda s, h: analysis.sample_surface(s), TypeError, "pass either count.*or radius"),
+        (lambda s, h: analysis.sample_surface(s, radius=1e-200), ValueError, "radius 1e-200 is too small"),
+        (lambda s, h: analysis.sample_surface(SPHERE, 3), TypeError, "scene must be a wrt.Scene, not Trimesh"),
+        (lambda s, h: analysis.winding_number(SPHERE, [0, 0, 0]), TypeError, "scene must be a wrt.Scene"),
+        (lambda s, h: analysis.clearance([s, s]), TypeError, "scene must be a wrt.Scene, not list"),
+        (lambda s, h: analysis.distance_grid(s, 10**400), ValueError, "resolution is 1000"),
+        (lambda s, h: analysis.distance_grid(s, 16, band=1e39), ValueError, "band must be above 0 and a float32"),
+        (lambda s, h: analysis.distance_grid(s, 16, band=1e-200), ValueError, "band must be above 0 and a float32"),
+        (lambda s, h: analysis.thickness(s, [[0, 0, 1]]), TypeError, "surface must be hits, .*not list"),
+        (lambda s, h: analysis.shape_diameter(s, None), TypeError, "surface must be hits, .*not NoneType"),
+        (lambda s, h: analysis.exposure(s, "floor", [0, 0, 1]), TypeError, "surface must be hits, .*not str"),
+        (lambda s, h: analysis.exposure(s, h, [[0, 0, 1], [0, 0, 0]]), ValueError, "none of them 0, and number 1 is"),
+        (lambda s, h: analysis.visible_faces(s, "front"), TypeError, "camera must be a camera"),
         (lambda s, h: analysis.sample_surface(s, 5, radius=0.1), TypeError, "pass either count"),
         (lambda s, h: analysis.sample_surface(s, radius=0.0), ValueError, "radius must be above 0"),
         (lambda s, h: analysis.sample_surface(s, radius=1e-6), ValueError, "radius 1e-06 is too small"),
@@ -192,7 +212,7 @@ def test_viewshed():
         (lambda s, h: analysis.exposure(s, h, [[0, 0, 0]]), ValueError, "none of them 0"),
         (lambda s, h: analysis.exposure(s, h, [[0, 0, 1]], weights=[-1]), ValueError, "weights must be 0 or more"),
         (lambda s, h: analysis.sky_directions(0), ValueError, "count"),
-        (lambda s, h: analysis.sky_directions(4, up=(0, 0, 0)), ValueError, "up is 0"),
+        (lambda s, h: analysis.sky_directions(4, up=(0, 0, 0)), ValueError, "up is zero"),
         (lambda s, h: analysis.viewshed(s, [0, 0, 0], [0, 0, 0], eye_height=-1), ValueError, "eye_height must be 0 or more"),
         (lambda s, h: analysis.viewshed(s, [0, 0], [0, 0, 0]), ValueError, "points must have shape"),
         (lambda s, h: analysis.viewshed(s, [0, 0, 0], [0, 0]), ValueError, "observers must have shape"),

@@ -135,10 +135,22 @@ def test_moments_of_a_node():
     assert winding_tree(scene.state) is tree
 
 
+@pytest.mark.parametrize("scale", [2.0**-30, 2.0**23, 2.0**33])
+def test_powers_of_large_and_small_coordinates(scale):
+    """Numbers do not depend on the size of the scene, to the bit for powers of two; far away, they are 0."""
+    mesh = surfaces()["torus"].mesh
+    expected = wrt.analysis.winding_number(wrt.Scene(mesh, device="cpu"), POINTS)
+    scene = wrt.Scene(wrt.TriangleMesh(mesh.vertices * scale, mesh.faces), device="cpu")
+    np.testing.assert_array_equal(wrt.analysis.winding_number(scene, POINTS * scale), expected)
+    far = np.array([[1e12 * scale, 0.0, 0.0], [0.0, -1e37, 0.0], [1e30, 1e30, 1e30]])
+    np.testing.assert_array_equal(wrt.analysis.winding_number(scene, far), 0.0)
+
+
 def test_clusters_are_as_far_as_the_bound_says():
     for accuracy in (1e-3, 0.5, 4.0):
         q = farthest_share(accuracy)
         assert 4.0 * q**3 / (1.0 - q) ** 2 == pytest.approx(accuracy)
+    assert farthest_share(1e-200) > 0.0  # nothing is far, and its inverse is a number
 
 
 @pytest.mark.parametrize(

@@ -105,6 +105,12 @@ def test_arrays_of_dask(scene, points):
         map_points(scene, lazy, "t")
     with pytest.raises(ValueError, match=r"points must have shape \(\.\.\., 3\)"):
         map_points(scene, lazy[:, :2])
+    whole = lazy[:4].astype(np.int32)
+    assert map_points(scene, whole, "position").dtype == scene.closest_point(np.zeros((1, 3), np.int32)).position.dtype
+    with pytest.raises(TypeError, match="k is not an option of map_points; choose from mask"):
+        map_points(scene, lazy, k=2)
+    with pytest.raises(TypeError, match="max_distance must be a number"):  # chunks would not take their parts of it
+        map_points(scene, lazy, max_distance=np.ones(700))
     with pytest.raises(TypeError, match="points must be an array of Dask"):
         map_points(scene, points)
 
@@ -113,6 +119,7 @@ REFUSED = {
     "one point": (ValueError, {"points": np.zeros(3)}, "points must have a leading axis"),
     "iterator": (TypeError, {"points": iter([np.zeros((2, 3))])}, "points must be an array"),
     "negative": (ValueError, {"points": np.zeros((2, 3)), "max_distance": -1.0}, "max_distance must be 0 or more"),
+    "shapes": (ValueError, {"points": np.zeros((2, 3)), "max_distance": np.ones(3)}, r"max_distance \(3,\) does not broadcast"),
     "reduce": (ValueError, {"points": np.zeros((2, 3)), "reduce": {"height": "max"}}, "reduce has the key 'height'"),
 }
 

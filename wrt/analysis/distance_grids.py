@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.analysis.analysis_arguments import state_of
 from wrt.analysis.signed_distances import SIGNS, signed_distance
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers
 from wrt.tables import lookup
@@ -35,6 +36,8 @@ MOST_POINTS = 1 << 31
 
 MARGIN = 2
 """Cells between the surface's box and the end of the grid."""
+
+FLOATS = np.finfo(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,17 +119,20 @@ def distance_grid(
     Raises:
         TypeError: an argument has a wrong type.
         ValueError: `resolution` is too small, or the grid has more than 2^31 points; `bounds` are not two corners, the upper
-        one
-            not less in any coordinate; `band` is not above 0, or with pseudonormals; or as `signed_distance`.
+            one not less in any coordinate; the scene's box is a point; `band` is not above 0 and finite in float32, or with
+            pseudonormals; or as `signed_distance`.
     """
     from wrt.query.batches.block_limits import progress_bar
 
-    resolution, progress = as_int("resolution", resolution, 2), as_bool("progress", progress)
+    state_of(scene)
+    resolution, progress = as_int("resolution", resolution, 2, MOST_POINTS), as_bool("progress", progress)
     lookup(SIGNS, sign, "sign")
-    if band is not None and not as_float("band", band, finite=True) > 0.0:
-        raise ValueError(f"band must be above 0, or None for a dense grid, not {band}")
-    if band is not None and sign == "pseudonormal":
-        raise ValueError('a band needs signs where nothing is near: use sign="auto", "parity" or "winding"')
+    if band is not None:
+        band = as_float("band", band)
+        if not float(FLOATS.tiny) <= band <= float(FLOATS.max):
+            raise ValueError(f"band must be above 0 and a float32, or None for a dense grid, not {band}")
+        if sign == "pseudonormal":
+            raise ValueError('a band needs signs where nothing is near: use sign="auto", "parity" or "winding"')
     origin, spacing, shape = lay_out(scene.bounds, resolution, bounds)
     values = np.empty(tuple(-(-count // BLOCK) * BLOCK for count in shape), dtype=np.float32)
     blocks = np.stack(np.meshgrid(*(np.arange(0, n, BLOCK) for n in values.shape), indexing="ij"), axis=-1).reshape(-1, 3)
@@ -137,7 +143,7 @@ def distance_grid(
                 values[tuple(slice(start, start + BLOCK) for start in block)] = found
             advance(len(own) * BLOCK**3)
     cut = np.ascontiguousarray(values[tuple(slice(0, count) for count in shape)])
-    return DistanceGrid(cut, origin, spacing, None if band is None else float(band))
+    return DistanceGrid(cut, origin, spacing, band)
 
 
 def lay_out(box: np.ndarray, resolution: int, bounds: Any) -> tuple[np.ndarray, float, tuple[int, int, int]]:
@@ -148,6 +154,8 @@ def lay_out(box: np.ndarray, resolution: int, bounds: Any) -> tuple[np.ndarray, 
         if cells < 1:
             raise ValueError(f"resolution must be at least {2 + 2 * MARGIN}, not {resolution}, or pass bounds")
         spacing = float((high - low).max()) / cells
+        if not spacing > 0.0:
+            raise ValueError("the scene's box is a point, around which no grid has a size; pass bounds")
         low, high = low - MARGIN * spacing, high + MARGIN * spacing
     else:
         low, high = as_numbers("bounds", bounds, (2, 3))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.analysis.analysis_arguments import state_of
 from wrt.analysis.pair_bodies import PlacedBody, body_count, body_of, box_gaps, check_bodies, pair_work, slack_of
 from wrt.kernels.pairs.pair_walk import NearestPairs, PairLists, make_meeting_kernel, make_nearest_kernel
 from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_threads
@@ -72,12 +73,12 @@ def closest_pair(scene: Scene, first: int, second: int, *, max_distance: float =
         max_distance: a pair is found if its distance is at most this (closed interval), at least 0. The smaller, the faster.
 
     Raises:
-        TypeError: ids are not ints, or max_distance is no number.
+        TypeError: scene is not a scene, ids are not ints, or max_distance is no number.
         ValueError: ids that do not exist, or are the same; max_distance is negative or a NaN; a scene of one mesh, or of fans,
             groups or fuzzy boxes.
         RuntimeError: a graph is being captured.
     """
-    state, most = scene.state, as_most(max_distance)
+    state, most = state_of(scene), as_most(max_distance)
     ids = as_pair(state, "closest_pair", first, second)
     with use_threads(state.num_threads):
         a, b = (body_of(state, number) for number in sorted(ids))
@@ -103,7 +104,7 @@ def clearance(scene: Scene, instances: Any = None, *, max_distance: float = np.i
     Raises:
         TypeError, ValueError, RuntimeError: as `closest_pair`; fewer than two ids.
     """
-    state, most = scene.state, as_most(max_distance)
+    state, most = state_of(scene), as_most(max_distance)
     chosen = as_bodies(state, instances)
     with use_threads(state.num_threads):
         bodies = {number: body_of(state, number) for number in chosen}
@@ -137,7 +138,7 @@ def overlapping_triangles(scene: Scene, first: int, second: int) -> np.ndarray:
     Raises:
         TypeError, ValueError, RuntimeError: as `closest_pair`; more than 2^31 - 1 pairs.
     """
-    state = scene.state
+    state = state_of(scene)
     ids = as_pair(state, "overlapping_triangles", first, second)
     with use_threads(state.num_threads):
         pairs = meeting_of(*(body_of(state, number) for number in sorted(ids)))

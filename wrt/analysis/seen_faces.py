@@ -6,11 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.kernels.validation import as_float, as_int, as_numbers
+from wrt.analysis.analysis_arguments import state_of
+from wrt.kernels.validation import as_direction, as_float, as_int, as_numbers
 
 if TYPE_CHECKING:
     from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
     from wrt.scene.scene import Scene
+
+MOST_SAMPLES = 1 << 16
+"""Most rays through a pixel."""
 
 
 def visible_faces(scene: Scene, camera: PinholeCamera | OrthographicCamera, *, samples: int = 1) -> np.ndarray:
@@ -24,19 +28,22 @@ def visible_faces(scene: Scene, camera: PinholeCamera | OrthographicCamera, *, s
     Args:
         scene: a `wrt.Scene`.
         camera: a camera of wrt.
-        samples: rays per pixel, at least 1; with 1, the ray passes through the pixel's centre.
+        samples: rays per pixel, from 1 to 2^16; with 1, the ray passes through the pixel's centre.
 
     Returns:
         (F,) bool, for all triangles numbered through the scene, as in `scene.flattened()`: those of mesh 0, or instance 0,
         first.
 
     Raises:
-        TypeError: samples is not an int.
-        ValueError: samples is less than 1.
+        TypeError: not a scene, camera is not a camera of wrt, or samples is not an int.
+        ValueError: samples is less than 1, or more than 2^16.
     """
+    state, samples = state_of(scene), as_int("samples", samples, 1, MOST_SAMPLES)
+    if not callable(getattr(camera, "rays", None)):
+        raise TypeError(f"camera must be a camera, such as wrt.PinholeCamera, not {type(camera).__name__}")
     seen = np.zeros(scene.triangle_count, dtype=bool)
-    first = scene.state.device_mesh.geometry_first.numpy().astype(np.int64)
-    for sample in range(as_int("samples", samples, 1)):
+    first = state.device_mesh.geometry_first.numpy().astype(np.int64)
+    for sample in range(samples):
         hits = scene.intersect(camera.rays(sample, samples))
         hit = hits.is_hit
         seen[first[hits.instance_id[hit]] + hits.primitive_id[hit]] = True
@@ -69,15 +76,13 @@ def viewshed(
         TypeError: an argument has a wrong type.
         ValueError: wrong shapes, a negative height, or `up` is 0.
     """
+    state_of(scene)
     heights = {"eye_height": as_float("eye_height", eye_height, finite=True)}
     heights["target_height"] = as_float("target_height", target_height, finite=True)
     for name, height in heights.items():
         if height < 0.0:
             raise ValueError(f"{name} must be 0 or more, not {height}")
-    above = as_numbers("up", up, (3,))
-    if not above.any():
-        raise ValueError("up is 0; pass a direction")
-    above = above / np.linalg.norm(above)
+    above = as_direction("up", up)
     ground, places = as_numbers("points", points, finite=False), as_numbers("observers", observers)
     if ground.ndim < 1 or ground.shape[-1] != 3:
         raise ValueError(f"points must have shape (..., 3), not {ground.shape}")

@@ -11,6 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
+from wrt.analysis.analysis_arguments import state_of
 from wrt.analysis.winding_numbers import ACCURACY, winding_numbers_of
 from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.fields.distance_signs import apply_signs, find_sides, sides_of_numbers, sides_of_rule
@@ -45,7 +46,7 @@ def signed_distance(
 
     The distance is that of `wrt.Scene.closest_point`, to any triangle, also to one inside a body; where bodies overlap it is
     not the distance to the surface of their union. The sign is one of these; a page (docs/guides/distances.md) measures which
-    of them is right on 30 hostile meshes:
+    of them is right on meshes with faults of all kinds:
 
     ================ ======================================== ============================================================
     `sign`           inside where                             right for
@@ -55,9 +56,12 @@ def signed_distance(
     `"winding"`      the winding number is above 1/2, or      closed meshes that overlap or meet themselves; holes, which
                      below -1/2                               it closes smoothly; triangles must mostly face the same way
     `"pseudonormal"` the nearest point shows its back         closed meshes that do not meet themselves, and sheets, of
-                                                              which it tells the side; the fastest
-    `"auto"`         see `sign_rule`                          everything but sheets, and holes in meshes whose triangles
-                                                              face any way
+                                                              which it tells the side, up to some 10^6 times the size of
+                                                              the scene away; the fastest
+    `"auto"`         see `sign_rule`                          what "winding" is right for, and closed meshes whose
+                                                              triangles face any way; not sheets, wide cracks, cavities
+                                                              whose shells face outwards, and bodies one of which is
+                                                              inside out where they overlap
     ================ ======================================== ============================================================
 
     Args:
@@ -71,12 +75,12 @@ def signed_distance(
         side there; NaN for a point with a NaN or an infinity. On the surface, 0.
 
     Raises:
-        TypeError: points are not an array of real numbers, or sign is no name.
+        TypeError: scene is not a scene, points are not an array of real numbers, or sign is no name.
         ValueError: wrong shapes, an unknown sign, a negative `max_distance`, an array on another device, or a scene that
             does not answer `closest_point`.
         RuntimeError: a graph is being captured.
     """
-    state = scene.state
+    state = state_of(scene)
     rule = lookup(SIGNS, sign, "sign")
     refuse_capture("signed_distance", state.device)
     given = as_vectors(points, "points", state.device)
@@ -99,8 +103,8 @@ def sign_rule(scene: Scene) -> str:
     way, winding numbers are whole numbers, and are found exactly by the crossings of a ray, as `wrt.Scene.contains` does;
     otherwise they are sums of solid angles (`winding_number`).
     """
-    closed = scene.is_closed
-    return "parity" if closed and not is_oriented(scene.state) else "winding"
+    state = state_of(scene)
+    return "parity" if state.is_closed and not is_oriented(state) else "winding"
 
 
 def is_oriented(state: SceneState) -> bool:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.analysis.wall_thickness import BLOCK, frame_of, host
-from wrt.kernels.validation import as_bool, as_int, as_numbers
+from wrt.analysis.analysis_arguments import check_surface, host
+from wrt.analysis.wall_thickness import BLOCK, frame_of
+from wrt.kernels.validation import as_bool, as_direction, as_int, as_numbers
 
 if TYPE_CHECKING:
     from wrt.query.hits import Hits
@@ -28,10 +29,7 @@ def sky_directions(count: int, *, up: Any = (0, 0, 1)) -> np.ndarray:
         TypeError: wrong types.
         ValueError: `count` is less than 1, or `up` is 0.
     """
-    count, axis = as_int("count", count, 1), as_numbers("up", up, (3,))
-    if not axis.any():
-        raise ValueError("up is 0; pass a direction")
-    axis = axis / np.linalg.norm(axis)
+    count, axis = as_int("count", count, 1), as_direction("up", up)
     height = (np.arange(count) + 0.5) / count
     turn, flat = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0)), np.sqrt(1.0 - height**2)
     across, other = (vectors[0] for vectors in frame_of(axis[None]))
@@ -65,13 +63,16 @@ def exposure(scene: Scene, surface: Hits, directions: Any, *, weights: Any = Non
         TypeError: wrong types.
         ValueError: wrong shapes, a direction that is 0 or not finite, or a negative weight.
     """
+    check_surface(scene, surface)
     ways, cosine = as_numbers("directions", directions, (None, 3)), as_bool("cosine", cosine)
     if not len(ways) or not ways.any(axis=1).all():
-        raise ValueError("directions must be at least one, none of them 0")
-    ways = ways / np.linalg.norm(ways, axis=1, keepdims=True)
+        zero = f", and number {int((~ways.any(axis=1)).argmax())} is" if len(ways) else ""
+        raise ValueError(f"directions must be at least one, none of them 0{zero}")
+    ways /= np.abs(ways).max(axis=1, keepdims=True)  # squares of the rest neither overflow nor vanish
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     shares = np.full(len(ways), 1.0 / len(ways)) if weights is None else as_numbers("weights", weights, (len(ways),))
     if (shares < 0.0).any():
-        raise ValueError("weights must be 0 or more")
+        raise ValueError(f"weights must be 0 or more, and the least is {shares.min()}")
     found, normal = np.zeros(surface.shape), host(surface.normal).astype(np.float64)
     size = max(1, int(np.prod(surface.shape)))
     for begin in range(0, len(ways), step := max(1, BLOCK // size)):

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from wrt.analysis.analysis_arguments import state_of
 from wrt.kernels.fields.disc_samples import OPEN, settle
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.validation import as_float, as_int
@@ -54,6 +55,7 @@ def sample_surface(scene: Scene, count: int | None = None, *, radius: float | No
         TypeError: neither count nor radius, or both; or wrong types.
         ValueError: a value out of range, triangles without any area, or a radius for which more than 2^26 points are thrown.
     """
+    state = state_of(scene)
     if (count is None) == (radius is None):
         raise TypeError("pass either count, a number of points, or radius, their least distance")
     rng, mesh = np.random.default_rng(as_int("seed", seed, 0)), scene.flattened()
@@ -63,10 +65,10 @@ def sample_surface(scene: Scene, count: int | None = None, *, radius: float | No
         raise ValueError("the scene's triangles have no area, so that no point is on them")
     if radius is None:
         thrown = as_int("count", count, 1, MOST_POINTS)
-    elif not as_float("radius", radius, finite=True) > 0.0:
+    elif not (radius := as_float("radius", radius, finite=True)) > 0.0:
         raise ValueError(f"radius must be above 0, not {radius}")
-    elif (wanted := THROWN * ends[-1] / radius**2) > MOST_POINTS:
-        raise ValueError(f"radius {radius} is too small for an area of {ends[-1]:.4g}: {wanted:,.0f} points would be thrown")
+    elif (wanted := THROWN * float(ends[-1]) / max(radius * radius, 1e-300)) > MOST_POINTS:
+        raise ValueError(f"radius {radius} is too small for an area of {ends[-1]:.4g}: {wanted:.4g} points would be thrown")
     else:
         thrown = int(np.ceil(wanted)) + 16
     number = np.minimum(np.searchsorted(ends, rng.random(thrown) * ends[-1], side="right"), len(areas) - 1)
@@ -75,9 +77,9 @@ def sample_surface(scene: Scene, count: int | None = None, *, radius: float | No
     if radius is not None:
         corners = mesh.vertices[mesh.faces[number]].astype(np.float64) - scene.center
         places = corners[:, 0] + uv[:, :1] * (corners[:, 1] - corners[:, 0]) + uv[:, 1:] * (corners[:, 2] - corners[:, 0])
-        kept = kept_apart(scene, places.astype(np.float32), float(radius))
+        kept = kept_apart(scene, places.astype(np.float32), radius)
         number, uv = number[kept], uv[kept]
-    first = scene.state.device_mesh.geometry_first.numpy().astype(np.int64)
+    first = state.device_mesh.geometry_first.numpy().astype(np.int64)
     instance = np.searchsorted(first, number, side="right") - 1
     return scene.points_on(number - first[instance], uv, instance_id=instance)
 

@@ -5,10 +5,11 @@ References: shapira-2008.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wrt.analysis.analysis_arguments import check_surface, host
 from wrt.kernels.validation import as_float, as_int
 
 if TYPE_CHECKING:
@@ -31,7 +32,11 @@ def thickness(scene: Scene, surface: Hits) -> np.ndarray:
     Returns:
         (...) float32, in the scene's units; inf where nothing is behind the surface, NaN for a miss and for a point on a
         triangle without area.
+
+    Raises:
+        TypeError: not a scene, or `surface` is not hits.
     """
+    check_surface(scene, surface)
     inwards = -host(surface.normal)
     known = np.isfinite(inwards).all(axis=-1) & inwards.any(axis=-1)
     origins = host(surface.spawn(inwards.astype(np.float32)))
@@ -48,7 +53,7 @@ def shape_diameter(scene: Scene, surface: Hits, *, rays: int = 30, opening: floa
 
     Args:
         scene, surface: as in `thickness`.
-        rays: of each point, at least 1.
+        rays: of each point, from 1 to 2^20.
         opening: angle of the cone in degrees, above 0 and less than 180.
         seed: of the directions, which are turned about the normal from point to point.
 
@@ -59,16 +64,19 @@ def shape_diameter(scene: Scene, surface: Hits, *, rays: int = 30, opening: floa
         TypeError: an argument has a wrong type.
         ValueError: `rays` or `opening` is out of range.
     """
-    rays, rng = as_int("rays", rays, 1), np.random.default_rng(as_int("seed", seed, 0))
-    if not 0.0 < as_float("opening", opening) < 180.0:
+    check_surface(scene, surface)
+    rays, rng = as_int("rays", rays, 1, BLOCK), np.random.default_rng(as_int("seed", seed, 0))
+    opening = as_float("opening", opening)
+    if not 0.0 < opening < 180.0:
         raise ValueError(f"opening must be between 0 and 180 degrees, not {opening}")
     axis = -host(surface.normal).astype(np.float64).reshape(-1, 3)
-    cosines = 1.0 - (np.arange(rays) + 0.5) / rays * (1.0 - np.cos(np.radians(opening) / 2.0))
+    # evenly by solid angle: 1 - cos is 2 sin^2 of half an angle, which small ones do not round to 0
+    angles = 2.0 * np.arcsin(np.sqrt((np.arange(rays) + 0.5) / rays) * np.sin(np.radians(opening) / 4.0))
     around = np.arange(rays) * np.pi * (3.0 - np.sqrt(5.0))  # the golden angle
     turn = around[:, None] + rng.uniform(0.0, 2.0 * np.pi, len(axis))
     across, other = frame_of(axis)
-    sines = np.sqrt(1.0 - cosines**2)[:, None, None]
-    ways = cosines[:, None, None] * axis + sines * (np.cos(turn)[..., None] * across + np.sin(turn)[..., None] * other)
+    sines = np.sin(angles)[:, None, None]
+    ways = np.cos(angles)[:, None, None] * axis + sines * (np.cos(turn)[..., None] * across + np.sin(turn)[..., None] * other)
     found = np.full((rays, len(axis)), np.nan)
     shape = (rays, *surface.shape)
     ways = ways.astype(np.float32).reshape(*shape, 3)
@@ -77,7 +85,7 @@ def shape_diameter(scene: Scene, surface: Hits, *, rays: int = 30, opening: floa
         hits = scene.intersect(host(surface.spawn(part)), part)
         opposite = (host(hits.normal) * -host(surface.normal)).sum(axis=-1) > 0.0
         found[begin : begin + step] = np.where(host(hits.is_hit) & opposite, host(hits.t), np.nan).reshape(len(part), -1)
-    return mean_near_median(found, 1.0 / np.arccos(cosines)).astype(np.float32).reshape(surface.shape)
+    return mean_near_median(found, angles[0] / angles).astype(np.float32).reshape(surface.shape)
 
 
 def mean_near_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -103,8 +111,3 @@ def frame_of(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     length = np.linalg.norm(across, axis=1, keepdims=True)
     across = across / np.where(length > 0.0, length, 1.0)
     return across, np.cross(axis, across)
-
-
-def host(values: Any) -> np.ndarray:
-    """Attributes of hits as a NumPy array."""
-    return values if isinstance(values, np.ndarray) else np.asarray(values.numpy() if hasattr(values, "numpy") else values)

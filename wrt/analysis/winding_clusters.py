@@ -122,9 +122,10 @@ def clusters_of(tree: WindingTree, state: SceneState, accuracy: float) -> Cluste
 
 
 def farthest_share(accuracy: float) -> float:
-    """The greatest q, a radius over a distance, at which 4 q^3 / (1 - q)^2, the bound of an error, is at most `accuracy`."""
+    """The greatest q, a radius over a distance, at which 4 q^3 / (1 - q)^2, the bound of an error, is at most `accuracy`;
+    2^-60 where it is smaller, at which nothing is far."""
     low, high = 0.0, 1.0
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if 4.0 * middle**3 <= accuracy * (1.0 - middle) ** 2 else (low, middle)
-    return low
+    return max(low, 2.0**-60)

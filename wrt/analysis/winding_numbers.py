@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 import warp as wp
 
+from wrt.analysis.analysis_arguments import state_of
 from wrt.analysis.winding_clusters import clusters_of, visible_mesh, winding_tree
 from wrt.engine.launch.triangle_records import vertex_blocks
 from wrt.engine.rays.rays import MAX_RAYS, as_vectors
@@ -58,18 +59,17 @@ def winding_number(scene: Scene, points: ArrayLike, *, accuracy: float = ACCURAC
         accuracy: the factor of the bound, greater for faster answers; 0 sums the solid angles of all triangles in float64.
 
     Returns:
-        (...) float32, or float64 if `accuracy` is 0; NaN for a point with a NaN or an infinity. A NumPy array if the points
-        were, else a Warp array.
+        (...) float32, or float64 if `accuracy` is 0; NaN for a point with a NaN or an infinity, or beyond float32 if
+        `accuracy` is not 0. A NumPy array if the points were, else a Warp array.
 
     Raises:
-        TypeError: points are not an array of real numbers, or accuracy is no number.
+        TypeError: scene is not a scene, points are not an array of real numbers, or accuracy is no number.
         ValueError: wrong shapes, an array on another device, or accuracy is negative or not finite.
         RuntimeError: a graph is being captured.
     """
-    accuracy = as_float("accuracy", accuracy, finite=True)
+    state, accuracy = state_of(scene), as_float("accuracy", accuracy, finite=True)
     if accuracy < 0.0:
         raise ValueError(f"accuracy must be 0 for exact sums, or more, not {accuracy}")
-    state = scene.state
     refuse_capture("winding_number", state.device)
     given = as_vectors(points, "points", state.device)
     is_warp = isinstance(given, wp.array)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from wrt.engine.rays.rays import Rays
+from wrt.kernels.validation import as_float
 from wrt.query.batches.block_outputs import ATTRIBUTES
 from wrt.query.batches.block_queries import UPWARDS
 from wrt.query.batches.block_work import BlockQuery, BlockWork, PickledWork
@@ -39,6 +40,9 @@ POINT_FORMS = {
     **{name: FORMS[name] for name in ("primitive_id", "geometry_id", "uv", "is_hit", "position", "normal")},
 }
 """The same of closest points."""
+
+POINT_OPTIONS = ("mask", "environment", "precise")
+"""Options of `map_points`."""
 
 
 def map_rays(
@@ -130,12 +134,15 @@ def map_points(
 
     Raises:
         ImportError: Dask is not installed.
-        TypeError: points are not an array of Dask.
-        ValueError: an unknown answer, or a last axis that is not of 3 components.
+        TypeError: points are not an array of Dask, max_distance is no number, or an option that there is not.
+        ValueError: an unknown answer, a max_distance that is a NaN, or a last axis that is not of 3 components.
     """
     da = dask_arrays("map_points")
     if what not in POINT_FORMS:
         raise ValueError(f"what is {what!r}; choose from {', '.join(POINT_FORMS)}")
+    if unknown := options.keys() - POINT_OPTIONS:
+        raise TypeError(f"{min(unknown)} is not an option of map_points; choose from {', '.join(POINT_OPTIONS)}")
+    max_distance = as_float("max_distance", max_distance)
     labelled = points if hasattr(points, "dims") and hasattr(points, "data") else None
     array = points if labelled is None else points.data
     if not isinstance(array, da.Array):
@@ -145,7 +152,7 @@ def map_points(
     dtype, components = POINT_FORMS[what]
     if dtype is None:
         far = what == "position" and rounds_positions(scene.state.device_mesh)
-        dtype = np.float64 if far or array.dtype.itemsize > 4 else np.float32
+        dtype = np.float64 if far or array.dtype.kind != "f" or array.dtype.itemsize > 4 else np.float32
     if options.get("precise") and dtype is np.float32:
         dtype = np.float64
     function = MapChunk(shared_query(scene, "closest_point", folder, client, options), 0.0, max_distance, what)

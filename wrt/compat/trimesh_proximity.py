@@ -17,6 +17,7 @@ import numpy as np
 from wrt.accelerators.accelerator import Accelerator
 from wrt.compat.trimesh_rays import RayMeshIntersector, as_rows
 from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.facts.scene_settings import as_settings
 
 if TYPE_CHECKING:
     import trimesh
@@ -80,8 +81,11 @@ class ProximityQuery:
 
     def vertex(self, points: Any) -> tuple[np.ndarray, np.ndarray]:
         """The closest vertex to each point, by the k-d tree of the mesh's vertices, which trimesh keeps: (n,) float64 distances
-        and (n,) int64 vertices. Errors as in `on_surface`."""
-        distance, number = self._rays.mesh.kdtree.query(as_rows(points, "points"))
+        and (n,) int64 vertices. Errors as in `on_surface`; ValueError for a point with a NaN or an infinity."""
+        points = as_rows(points, "points")
+        if not np.isfinite(points).all():
+            raise ValueError("points holds NaN or infinite numbers, which are near no vertex; leave these points out")
+        distance, number = self._rays.mesh.kdtree.query(points)
         return distance, number.astype(np.int64)
 
     def signed_distance(self, points: Any) -> np.ndarray:
@@ -125,9 +129,11 @@ def for_all_meshes(
 
     Raises:
         ImportError: trimesh is not installed.
+        TypeError, ValueError: an argument is not what `wrt.Scene` accepts.
     """
     from importlib import import_module
 
+    as_settings(accelerator, AUTO, device, num_threads)  # raises the errors here, not where meshes are made
     options: dict[str, Any] = {"accelerator": accelerator, "device": device, "num_threads": num_threads}
     proximity, trimesh_ray = import_module("trimesh.proximity"), import_module("trimesh.ray")
     modules = ["ray_triangle", *(["ray_pyembree"] if trimesh_ray.has_embree else [])]

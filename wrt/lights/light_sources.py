@@ -11,24 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from wrt.kernels.validation import as_bool, as_float, as_point
+from wrt.kernels.validation import as_bool, as_direction, as_float, as_point
 from wrt.materials.material import Color, as_color
 from wrt.meshes.placement import MAX_COORDINATE
 
 __all__ = ["AreaLight", "DirectionalLight", "PointLight", "SpotLight"]
-
-
-def unit(name: str, value: Any) -> np.ndarray:
-    """(3,) float64, of length 1.
-
-    Raises:
-        ValueError: not three finite numbers, or zero.
-    """
-    vector = as_point(name, value)
-    length = np.linalg.norm(vector)
-    if length == 0.0:
-        raise ValueError(f"{name} is zero; give a direction of any length")
-    return vector / length
 
 
 def place(name: str, value: Any) -> np.ndarray:
@@ -80,7 +67,7 @@ class SpotLight(PointLight):
         self, position: Any, look_at: Any, intensity: Any = 1.0, *, angle: float = 30.0, inner: float | None = None
     ) -> None:
         super().__init__(position, intensity)
-        self.direction = unit("look_at - position", as_point("look_at", look_at) - self.position)
+        self.direction = as_direction("look_at - position", as_point("look_at", look_at) - self.position)
         angle = as_float("angle", angle)
         if not 0.0 < angle < 90.0:
             raise ValueError(f"angle is {angle}; half the angle of a spot light's cone must be between 0 and 90 degrees")
@@ -102,7 +89,7 @@ class DirectionalLight:
     """
 
     def __init__(self, direction: Any, irradiance: Any = 1.0) -> None:
-        self.direction = unit("direction", direction)
+        self.direction = as_direction("direction", direction)
         self.irradiance: Color = as_color("irradiance", irradiance)
 
     def __repr__(self) -> str:

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.kernels.validation import as_float, as_real_array
-from wrt.lights.light_sources import unit
+from wrt.kernels.validation import as_direction, as_float, as_real_array
 from wrt.materials.material import as_color
 
 __all__ = ["Sky"]
@@ -82,8 +81,12 @@ class Sky:
     def _set(self, texels: np.ndarray, up: Any, east: Any) -> None:
         self.texels = np.ascontiguousarray(texels)
         self.texels.flags.writeable = False
-        self.up = unit("up", up)
-        wanted = (np.array([0.0, 0.0, 1.0]) if abs(self.up[1]) > 0.9 else np.eye(3)[0]) if east is None else unit("east", east)
+        self.up = as_direction("up", up)
+        wanted = (
+            (np.array([0.0, 0.0, 1.0]) if abs(self.up[1]) > 0.9 else np.eye(3)[0])
+            if east is None
+            else as_direction("east", east)
+        )
         if abs(wanted @ self.up) > 0.999:
             wanted = np.eye(3)[np.argmin(np.abs(self.up))]
         across = wanted - (wanted @ self.up) * self.up

@@ -17,7 +17,10 @@ def height_map_arrays(heights: Any, spacing: Any, origin: Any) -> tuple[np.ndarr
         raise TypeError(f"heights must hold real numbers, not {values.dtype}")
     if values.ndim != 2 or min(values.shape) < 2:
         raise ValueError(f"heights must have shape (rows, columns), at least 2 x 2, not {values.shape}")
-    step, start = np.broadcast_to(as_numbers("spacing", spacing), (2,)), as_numbers("origin", origin, (3,))
+    step, start = as_numbers("spacing", spacing), as_numbers("origin", origin, (3,))
+    if step.shape not in ((), (1,), (2,)):
+        raise ValueError(f"spacing must be a number or two, of columns and of rows, not an array of shape {step.shape}")
+    step = np.broadcast_to(step, (2,))
     if not step.all():
         raise ValueError(f"spacing must not be 0, and is {step.tolist()}")
     known = np.isfinite(values)

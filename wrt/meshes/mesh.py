@@ -159,11 +159,14 @@ class TriangleMesh:
     def from_heightmap(cls, heights: Any, *, spacing: Any = 1.0, origin: Any = (0, 0, 0)) -> TriangleMesh:
         """A terrain, z up: vertex i * columns + j is at origin + (j dx, i dy, heights[i, j]), float64.
 
-        Takes (rows, columns) `heights`, NaN where there is no ground; `spacing`, a number or (dx, dy), dy < 0 for rows from the
-            north; `origin` (3,).
+        Args:
+            heights: (rows, columns) real, at least 2 x 2; cells with a NaN or an infinity at a corner are left out.
+            spacing: a number, or (dx, dy), not 0; dy < 0 for rows from the north.
+            origin: (3,).
 
         Raises:
-            TypeError, ValueError: wrong types or shapes, a spacing of 0, or no cell with four heights.
+            TypeError: not real numbers.
+            ValueError: wrong shapes, a spacing of 0, a number that is not finite, or no cell with four heights.
         """
         return cls(*height_map_arrays(heights, spacing, origin), up=(0, 0, 1))
 

@@ -242,7 +242,11 @@ class BlockQueries:
         if not hasattr(points, "shape") and not isinstance(points, (list, tuple)):
             raise TypeError(f"points must be an array or have a shape and slices, not {type(points).__name__}")
         source = as_source(points, UPWARDS, 0.0, max_distance)
-        if not source.shape:
+        try:
+            shape = source.shape
+        except ValueError:
+            raise ValueError(f"max_distance {np.shape(max_distance)} does not broadcast to points {np.shape(points)}") from None
+        if not shape:
             raise ValueError("points must have a leading axis to cut into blocks: pass points of shape (N, 3)")
         return blocks_of(
             self,

@@ -138,7 +138,8 @@ def as_distances(values: Any, shape: tuple[int, ...], name: str = "max_distance"
     values = values.numpy() if isinstance(values, wp.array) else values
     array = as_real_array(name, values)
     if not (array >= 0.0).all():
-        raise ValueError(f"{name} must be 0 or more, or inf for no limit")
+        wrong = array[~(array >= 0.0)].flat[0]
+        raise ValueError(f"{name} must be 0 or more, or inf for no limit, not {wrong}")
     with np.errstate(over="ignore"):  # beyond float32 is no limit
         array = np.asarray(array).astype(dtype)
     if array.size == 1:
