@@ -5,14 +5,13 @@ from __future__ import annotations
 import errno
 import json
 import os
-import resource
 import shutil
-import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import mixed_rays
+from small_files import small_files
 
 import wrt
 from wrt.cluster.job_folder import JobFolder
@@ -233,18 +232,10 @@ def test_a_full_disk(scene, rays, tmp_path):
     """The error says so, what was there before stays, nothing half-written is left, and the job goes on afterwards."""
     job = made(scene, rays, tmp_path / "job").run(most=3)
     before = {one: one.read_bytes() for one in (tmp_path / "job" / "chunks").rglob("*.npz")}
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (500, hard))  # files of at most 500 bytes: a chunk has more
-        with pytest.raises(OSError, match=r"0000003\.npz") as caught:
-            job.run()
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
-        with pytest.raises(OSError, match=r"manifest\.json"):
-            made(scene, rays, tmp_path / "other")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        signal.signal(signal.SIGXFSZ, handler)
+    with small_files(500), pytest.raises(OSError, match=r"0000003\.npz") as caught:  # a chunk has more
+        job.run()
+    with small_files(100), pytest.raises(OSError, match=r"manifest\.json"):
+        made(scene, rays, tmp_path / "other")
     assert caught.value.errno == errno.EFBIG
     assert {one: one.read_bytes() for one in (tmp_path / "job" / "chunks").rglob("*") if one.is_file()} == before
     assert [one.name for one in (tmp_path / "other").iterdir()] == ["lock"]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -17,22 +16,12 @@ import pytest
 import wrt
 from wrt.atomic_files import write_text
 
-resource = pytest.importorskip("resource", reason="only POSIX limits the size of files")
+small_files = pytest.importorskip("small_files", reason="only POSIX limits the size of files").small_files
 
 ROOM = 2048
 """Bytes that still fit."""
 
 MISSING = "{} is not installed: pip install 'wrt[test-all]'"
-
-
-@contextmanager
-def full_disk():
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def needs(name):
@@ -161,7 +150,7 @@ def test_the_old_file_stays(tmp_path, name):
     for old in (None, b"old"):
         if old is not None:
             path.write_bytes(old)
-        with full_disk(), pytest.raises(OSError, match=r"File too large|disk full") as caught:
+        with small_files(ROOM), pytest.raises(OSError, match=r"File too large|disk full") as caught:
             write()
         assert name in str(caught.value)
         assert (path.read_bytes() if path.exists() else None) == old
@@ -176,7 +165,7 @@ def test_a_bag_is_whole_or_not_there(tmp_path):
 
     made = wrt.Scene(wall(10.0), device="cpu")
     scan = wrt.sensors.Lidar.preset("velodyne_vlp16").scan(made, np.eye(4))
-    with full_disk(), pytest.raises(OSError, match=r"disk full|File too large") as caught:
+    with small_files(ROOM), pytest.raises(OSError, match=r"disk full|File too large") as caught:
         wrt.sensors.write_bag(tmp_path / "bag", {"/points": [scan]})
     assert "bag" in str(caught.value)
     assert not os.listdir(tmp_path)
