@@ -47,9 +47,6 @@ from wrt.builders.core.subtrees import Frame, Task
 from wrt.builders.cost import Split
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 PAD = 2.0**-14
 """Enlargement of cells and boxes, relative to the scene's largest extent: 1024 units of 2^-24, see the module's docstring."""

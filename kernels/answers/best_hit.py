@@ -5,10 +5,6 @@ Ties go to the smaller t, then to the smaller primitive id, so that no answer de
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 
 @wp.struct
 class BestHit:

@@ -20,9 +20,6 @@ import warp as wp
 
 from wrt.kernels.answers.answer_kind import AnswerKind
 from wrt.kernels.answers.best_hit import BestHit, improves
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -7,10 +7,6 @@ References: sutherland-hodgman-1974; andrew-1979.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 MAX_CORNERS = 40
 """The two chains of a hull of 20 points have at most 39 corners, even if rounding, overflow or NaN corrupt the turn tests.
 Clipping stops at this number too."""

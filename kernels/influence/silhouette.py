@@ -15,9 +15,6 @@ import warp as wp
 
 from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_polygon, clip_to_window, convex_hull, polygon_area
 from wrt.kernels.influence.view import AreaView, direction_at, project, to_view_space
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 def _outline(signs: tuple[int, ...]) -> list[int]:

@@ -16,9 +16,6 @@ import warp as wp
 from wrt.builders.bvh.phases.bvh_bins import SLOT_BINS, Scratch
 from wrt.builders.core.clip import ClippedMesh
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 MIN_PADS = 2.0
 """Least width of a slab, in pads: in thinner ones, every part would reach into the neighbours."""

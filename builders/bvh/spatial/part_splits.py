@@ -38,10 +38,7 @@ from wrt.builders.cost import leaf_cost
 from wrt.builders.influence.projected_cost import box_weight
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_int
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 MIN_OVERLAP = wp.constant(1e-5)
 """Least hit probability of the overlap of two children for which a spatial split is tried, that of Stich et al. (2009)."""

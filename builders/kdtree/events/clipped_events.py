@@ -35,9 +35,6 @@ from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_int, store_pair
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 LEFT, RIGHT, BOTH = wp.constant(1), wp.constant(2), wp.constant(3)
 """Values of `EventLists.side`."""

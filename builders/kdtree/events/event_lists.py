@@ -15,10 +15,7 @@ from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.events.least_plane import LeastPlane, find_least_plane
 from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
 from wrt.kernels.layout.unchecked import load_byte, load_pair, store_byte, store_pair
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 
 @wp.struct

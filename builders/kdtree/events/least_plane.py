@@ -15,9 +15,6 @@ import warp as wp
 
 from wrt.builders.cost import AxisFrame, SplitCost
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -14,9 +14,6 @@ import warp as wp
 
 from wrt.builders.cost import AxisFrame, Split, SplitCost, no_split, plane_cost
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.struct

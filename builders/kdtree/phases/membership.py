@@ -4,9 +4,6 @@
 import warp as wp
 
 from wrt.kernels.layout.unchecked import load_int
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.struct

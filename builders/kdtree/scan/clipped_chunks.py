@@ -6,9 +6,6 @@ from wrt.builders.core.clip import ClippedMesh
 from wrt.builders.core.levels import Chunk, LiveNode
 from wrt.builders.core.reference_lists import Sides
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @native.func_native(

@@ -6,10 +6,7 @@ The names of the arguments are those that the lines may use; `layout.box`, `layo
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
-
-exact_module(__name__)
 
 
 def bounds_set_by(header: str, code: str) -> wp.Function:

@@ -38,7 +38,7 @@ import warp as wp
 from wrt.kernels.answers.best_hit import BestHit, start
 from wrt.kernels.layout.kdtree_nodes import LEAF, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import count_bits, lowest_bit
 from wrt.kernels.traversal.leaf import CounterRows, Counters, block_step, enter
@@ -46,8 +46,6 @@ from wrt.kernels.traversal.lockstep.lockstep_lanes import FIELDS, ROWS, advance,
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 RAYS_PER_LANE = 64
 """Rays of an item per lane: enough that idle lanes at the end of a run do not matter."""

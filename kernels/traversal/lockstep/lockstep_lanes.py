@@ -19,11 +19,8 @@ import warp as wp
 
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.lanes import lanes
-
-exact_module(__name__)
 
 ROWS = 2 * MAX_TREE_DEPTH
 """Number of rows of the log."""

@@ -5,15 +5,12 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.answers.best_hit import BestHit
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.crossings import offering_step
 from wrt.kernels.traversal.leaf import Leaf, clamp_block, leaf_search
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
-
-exact_module(__name__)
 
 
 def make_leaf_step(config: TraversalConfig, Tree: type) -> wp.Function:

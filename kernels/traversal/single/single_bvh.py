@@ -22,7 +22,6 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_int
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import INFINITY, RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes
@@ -33,9 +32,6 @@ from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.single.traversal_stack import WaitingStack, waiting_stack
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
-
 
 STACKED = 4
 """Greatest number of children per node for which the walk uses a stack instead of keys."""

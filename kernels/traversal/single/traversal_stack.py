@@ -10,10 +10,6 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 SHARED_BYTES = 48 * 1024
 """Shared memory in bytes that a block can use by default."""
 

@@ -35,7 +35,6 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.triangle.support.lane_form import HandWritten
 from wrt.kernels.triangle.support.operation_counts import Operations
@@ -43,8 +42,6 @@ from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.triangle_contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.watertight.woop_areas import THIN, area64, exact_area, precise_areas
 from wrt.kernels.triangle.watertight.woop_packets import PACKET
-
-exact_module(__name__)
 
 SMALL = wp.constant(1.1754944e-38)
 """Smallest normal float32. An area below it may have lost some or all of its digits."""

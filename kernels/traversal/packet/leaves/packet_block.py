@@ -9,13 +9,10 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.leaves.packet_pairs import pairs_code
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
 from wrt.kernels.triangle import TRIANGLE_TESTS
-
-exact_module(__name__)
 
 
 def triangles_code(layout: PacketLayout) -> str:

@@ -11,12 +11,9 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import FARTHEST, NEGLIGIBLE, SHORTEST, RayBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
-
-exact_module(__name__)
 
 GUARDS = f"""
 static_assert(wrt::SLACK == {SLACK!r}f && wrt::NEGLIGIBLE == {NEGLIGIBLE!r}f);

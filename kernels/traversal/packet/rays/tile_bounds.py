@@ -10,10 +10,7 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
-
-exact_module(__name__)
 
 RUN = 64
 """Rays that are loaded at a time."""
