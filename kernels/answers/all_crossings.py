@@ -6,8 +6,7 @@ and then written one after the other.
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, join_counts
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit, join_counts
 from wrt.kernels.answers.crossing_count import bound_count, copy_count, load_count, store_count
 from wrt.kernels.layout.ray_batch import HitBatch
 

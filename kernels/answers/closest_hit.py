@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, join_nearest, start
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit, join_nearest, start
 from wrt.kernels.layout.ray_batch import HitBatch, store_hit
 
 

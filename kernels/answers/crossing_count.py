@@ -2,8 +2,7 @@
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, join_counts, start
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, join_counts, start
 from wrt.kernels.layout.ray_batch import HitBatch
 
 

@@ -39,8 +39,7 @@ References: woop-2013; ize-2013.
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit
 
 
 @wp.struct

@@ -6,8 +6,7 @@ same crossing.
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, improves, join_nearest
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, improves, join_nearest
 
 
 @wp.struct

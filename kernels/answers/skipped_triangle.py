@@ -18,8 +18,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, improves
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, improves
 
 
 @wp.struct

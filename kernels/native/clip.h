@@ -198,7 +198,7 @@ inline CUDA_CALLABLE int measure_leaf(const Mesh& mesh, const ClipCell& cell, co
     return kept;
 }
 
-// -- spatial splits: `wrt.builders.bvh.spatial.part_bins`, of which `Slabs` is ------------------------------------------------
+// -- spatial splits: `wrt.builders.bvh.spatial.part_splits`, of which `Slabs` is ------------------------------------------------
 
 template <class Slabs> inline CUDA_CALLABLE int slab_of(const Slabs& slabs, float x)
 {

@@ -4,7 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import improves, start
+from wrt.kernels.answers.answer_kind import improves, start
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach

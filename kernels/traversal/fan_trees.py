@@ -15,7 +15,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit, start
+from wrt.kernels.answers.answer_kind import BestHit, start
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH, KdNodes

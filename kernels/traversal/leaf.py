@@ -4,7 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit, improves
+from wrt.kernels.answers.answer_kind import BestHit, improves
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.runtime import native
 from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, slab_interval

@@ -110,7 +110,7 @@ class TraversalConfig:
         skipping: whether each ray ignores one triangle (`wrt.kernels.answers.skipped_triangle`), in walks that are asked for
             the nearest hit or for a count.
         shared_leaves: whether a triangle may be in several leaves of a BVH, so that only one of them may report a crossing
-            (`wrt.kernels.traversal.shared_leaves`).
+            (`wrt.kernels.traversal.crossings`).
         stack: for wide trees.
         single: for single rays.
         packet: for packets.

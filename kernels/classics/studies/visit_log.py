@@ -5,7 +5,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import specialised_kernel

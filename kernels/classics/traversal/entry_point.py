@@ -29,7 +29,7 @@ of its rays, to the bit: its bounds contain those of the packets, which contain 
 (blocks, Morton order), tiles are compact; if it lists them by rows, they are not, and most searches end at the root.
 
 **Differences from the papers.** Tiles are bounded by intervals of origins and directions
-(`wrt.kernels.traversal.packet.rays.tile_bounds`), so rays need not share an origin or signs. The queues of algorithm 5.1 in
+(`wrt.kernels.traversal.packet.rays.packet_load`), so rays need not share an origin or signs. The queues of algorithm 5.1 in
 Rahikainen (2013) are processed deepest first, so the first success would not be the topmost node; here AEPSA processes the
 frozen stack from its bottom.
 
@@ -43,7 +43,7 @@ from functools import cache, partial
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import start
+from wrt.kernels.answers.answer_kind import start
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
@@ -55,7 +55,7 @@ from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_bo
 from wrt.kernels.traversal.packet.core.packet_kdtree import MIXED_AXES, make_packet_kdtree_walk, walk_memory
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, packet_step
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
-from wrt.kernels.traversal.packet.rays.tile_bounds import bound_rays
+from wrt.kernels.traversal.packet.rays.packet_load import bound_rays
 from wrt.kernels.traversal.single.single_kdtree import Cell, make_kdtree_walk, pop_cell, step_guessing
 from wrt.kernels.traversal.traversal_config import TileConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS

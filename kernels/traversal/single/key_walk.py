@@ -10,7 +10,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes

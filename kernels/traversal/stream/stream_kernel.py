@@ -37,7 +37,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
 from wrt.kernels.simd.boxes import RaySlabs

@@ -12,7 +12,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime import native

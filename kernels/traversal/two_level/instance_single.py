@@ -22,7 +22,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit, start
+from wrt.kernels.answers.answer_kind import BestHit, start
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.instance_maps import Placement, SceneRay, object_ray

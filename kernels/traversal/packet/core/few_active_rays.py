@@ -13,7 +13,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.runtime import native
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import Counters, block_step

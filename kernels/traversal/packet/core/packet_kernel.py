@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit, improves, start
+from wrt.kernels.answers.answer_kind import BestHit, improves, start
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import specialised_kernel
