@@ -194,11 +194,17 @@ def assign_rays(
 ):
     """Finds the area of each ray and the t at which the ray is split. Item: a chunk of rays, a multiple of the lanes.
 
-Args: first: number of the first item. rays: the batch. chunk: rays of an item. areas: the influence areas. given, stride:
-`given[i * stride]` is the area of ray i, -1 for none; (0,) to find areas. A ray that does not start in the region of its area
-has none, so a wrong area changes no hit. low, high: corners of a box that contains all hits. splits: where the rays are split.
-sums: (chunks,) per chunk: rays with an area and a second part, greatest number of an area, `areas` less the least number, rays
-without an area.
+    Args:
+        first: number of the first item.
+        rays: the batch.
+        chunk: rays of an item.
+        areas: the influence areas.
+        given, stride: `given[i * stride]` is the area of ray i, -1 for none; (0,) to find areas. A ray that does not start in
+            the region of its area has none, so a wrong area changes no hit.
+        low, high: corners of a box that contains all hits.
+        splits: where the rays are split.
+        sums: (chunks,) per chunk: rays with an area and a second part, greatest number of an area, `areas` less the least
+            number, rays without an area.
     """
     item = first + wp.tid()
     lanes = wp.zeros(shape=(LANE_WORDS,), dtype=float)

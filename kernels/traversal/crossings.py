@@ -1,10 +1,9 @@
-"""The block steps of kinds of answers that are not `nearest`: they are offered each hit, or test triangles themselves. And how
-a crossing is offered once, if a triangle is in several leaves.
+"""Crossings: how a block of triangles offers its hits one by one, and how a crossing is offered once, if its triangle is in
+several leaves. And the block step of kinds of answers that test triangles themselves.
 
 **Problem.** A closest hit may be found twice, and a ray on an edge may hit both triangles there: the result is the same. A
 count would be wrong. The triangle test decides edges and vertices (`TriangleTest.crossing`), and every triangle is in one leaf
-of a BVH, unless it was split (see below); but a kd-tree lists a triangle in each leaf that it
-overlaps.
+of a BVH, unless it was split (see below); but a kd-tree lists a triangle in each leaf that it overlaps.
 
 **Idea.** A mailbox would have to remember every triangle that a ray has crossed. Instead, a crossing is reported only in the
 leaf that owns it. The interval of a leaf on the ray must contain the t of the hit, which excludes nearly all other leaves.

@@ -1,7 +1,7 @@
 """One node of a build with spatial splits: its best division, among triangles or between slabs, and the division itself.
 
-`split` searches as `projected_binned` does; if the boxes of both sides overlap, it also searches between slabs.
-Phases: search, divide. `spatial_build` has the story and the bounds.
+`split` searches as `projected_binned` does; if the boxes of both sides overlap, it also searches between slabs. Phases: search,
+divide. `spatial_build` has the story and the bounds.
 
 **Bins.** The box of a node is cut into slabs of equal width along an axis. A triangle adds to each slab that its box meets the
 box of its part there (`wrt.builders.core.clip`, with the same pads), is counted as entering at the first of them, and as

@@ -10,8 +10,8 @@ the signs of their directions, unlike in the packets of Wald et al.; nodes, axes
 
 **Phases**, repeated until the item's run of rays is used up:
 1. refill: idle lanes take the next rays of the run;
-2. step: all lanes at inner nodes take steps. Lanes at leaves wait until at
-   most half of the lanes with a ray are still stepping: Aila and Laine's "while-while" loop with a threshold;
+2. step: all lanes at inner nodes take steps. Lanes at leaves wait until at most half of the lanes with a ray are still
+   stepping: Aila and Laine's "while-while" loop with a threshold;
 3. test: the blocks of the leaves reached, one ray against W triangles, as for single rays. The first blocks of all lanes are
    tested first, then the second ones, so that neighbouring iterations do not depend on each other's best hit;
 4. pop: the next cell on the lane's stack, by the rule of `wrt.kernels.traversal.single.single_kdtree`; if there is none, the

@@ -21,8 +21,7 @@ from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core import packet_splitting
 from wrt.kernels.traversal.packet.culling.back_faces import keep_front_faces
-from wrt.kernels.traversal.packet.leaves.packet_block import test_block
-from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes, lanes_tested
+from wrt.kernels.traversal.packet.leaves.packet_block import active_lanes, lanes_tested, test_block
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import finish_packet, load_packet

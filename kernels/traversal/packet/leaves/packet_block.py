@@ -1,8 +1,5 @@
 """The rays of a packet against the triangles of a block: W rays x one triangle at a time, or each ray against those that it may
-meet, if the test has the form for it (`PacketForm.pairs`).
-
-Tests that have the form for it (`PacketForm.pairs`) take the triangles for each ray on the CPU instead
-(`wrt.kernels.traversal.packet.leaves.packet_block`).
+meet, on the CPU and if the test has the form for it (`PacketForm.pairs`).
 
 **Problem.** On a fine mesh, the W rays of a vector meet several triangles of a block, each of which only a few of them meet. If
 all W rays are tested against one triangle after the other, most lanes are idle.
@@ -20,6 +17,9 @@ What does not depend on the ray is computed before, for the W triangles of the b
 boxes, and planes of the boxes less the origin. Both forms have the same bits, because each pair has the same operations.
 
 Figures: notebooks/records/2026-11-25-packet-pairs.md.
+
+**Lane utilisation** is the number of ray-triangle lanes tested (`lanes_tested`), and the number that held a useful test
+(`active_lanes`).
 
 References: wald-2001 (packets of rays against one triangle, which pairs depart from).
 """
@@ -81,3 +81,30 @@ def test_block(layout: PacketLayout, any_hit: bool, cull_backfaces: bool) -> wp.
     ): ...
 
     return packet_block
+
+
+@cache
+def active_lanes(layout: PacketLayout) -> wp.Function:
+    """`wp.func(records, block, mask, packet, bounds) -> int`: pairs of a triangle in `mask` and a ray that meets its box."""
+
+    @native.func_native("packet_leaves.h", f"return wrt::count_active({layout.packet}, bounds, {layout.block}, mask);")
+    def count_active_lanes(
+        records: wp.array(dtype=float),
+        block: int,
+        mask: wp.uint32,
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+    ) -> int: ...
+
+    return count_active_lanes
+
+
+@cache
+def lanes_tested(layout: PacketLayout) -> wp.Function:
+    """`wp.func(bounds) -> int`: number of lanes that `test_block` processes per triangle, over all passes."""
+    passes = "1" if layout.passes == 1 else "wrt::count_bits(bounds.passes & 7)"
+
+    @native.func_native("lanes.h", f"return {layout.rays} * {passes};")
+    def count_lanes(bounds: wp.ref[PacketBounds]) -> int: ...
+
+    return count_lanes
