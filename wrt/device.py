@@ -199,6 +199,7 @@ def has_backward(kernel: wp.Kernel) -> bool:
 def handle_of(scene: SceneState, mask: int | None = None, environment: int | None = None) -> Any:
     """The kernel argument for a scene: `Scene.handle`."""
     scene.require("handle")
+    scene.require_opaque("a handle")
     if mask is not None or environment is not None:
         scene.require_instances("mask and environment of a handle")
     mask = MAX_MASK if mask is None else check_mask(mask)

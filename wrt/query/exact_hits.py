@@ -87,6 +87,7 @@ def find_precisely(scene: SceneState, given: GivenRays, query: Query) -> Precise
 
     if (query.traversal, query.triangle_test, query.counters, query.cull_backfaces) != (AUTO, AUTO, False, False):
         raise ValueError("precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out")
+    scene.require_opaque("precise=True")
     with use_threads(scene.num_threads):
         rays, device = one_object(given), scene.device
         buffers = on_device(scene, rays, query)
@@ -135,7 +136,7 @@ def exact_mesh(scene: SceneState) -> ExactMesh:
     from wrt.kernels.query.exact_closest import ExactMesh
 
     mesh = ExactMesh()
-    mesh.vertices, mesh.faces = scene.exact_vertices, scene.device_mesh.faces
+    mesh.vertices, mesh.faces = scene.exact_vertices, scene.shown[1]
     return mesh
 
 

@@ -76,12 +76,13 @@ def check_skip(scene: SceneState, others: dict[str, Any]) -> None:
     """Refuses arguments and scenes that `skip` does not support.
 
     Raises:
-        ValueError: a `wrt.moving.FuzzyScene`, or an argument in `others` that is neither "auto" nor False.
+        ValueError: a `wrt.moving.FuzzyScene`, alpha masks, or an argument in `others` that is neither "auto" nor False.
     """
     if scene.only_single:
         raise ValueError(
             "skip needs a scene with one tree; start rays at hits.spawn(directions) instead, or use wrt.Scene(scene.meshes)"
         )
+    scene.require_opaque("skip")
     if given := [name for name, value in others.items() if value not in (AUTO, False)]:
         raise ValueError(f"skip cannot be combined with {', '.join(given)}; leave one or the other out")
 
