@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 
 import wrt
-from wrt.kernels.shading.bsdf import material_table
+from wrt.kernels.layout import image_footprint
 from wrt.materials.material import WRAPS
 from wrt.scenes.shapes import boxes, plane
 
@@ -119,7 +119,7 @@ def test_coordinates_beyond_an_image():
         "mirror": [0.75, 0.25, 0.0, 0.25, 1.0, 0.75, 0.75],
     }
     for number, wrap in enumerate(WRAPS):
-        found = [material_table.folded.func(coordinate, number) for coordinate in coordinates]
+        found = [image_footprint.folded.func(coordinate, number) for coordinate in coordinates]
         assert found == pytest.approx(expected[wrap]), wrap
 
 

@@ -17,11 +17,13 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.executor import Answer, on_device
 from wrt.engine.facts.query_kinds import AUTO, Query
+from wrt.engine.launch.traversal_launch import counter_rows, no_work
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.plan.plan import kernel_factory, plan_for_query, stack_levels, traversal_config
 from wrt.engine.plan.planner import find_plan
 from wrt.engine.rays.ray_integers import as_integers
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
+from wrt.kernels.traversal.leaf import Counters
 from wrt.query.hits import Hits
 
 if TYPE_CHECKING:
@@ -67,7 +69,8 @@ def answer_skipping(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
         else:
             triangles = [scene.tree.struct(), records_of(scene, carried_out, buffers.batch)]
             kernel = specialise(kernel_factory(carried_out, scene), config)
-        inputs = [*triangles, buffers.batch, skipped, hits.struct()]
+        counters = counter_rows(no_work(Counters, scene.device.alias))
+        inputs = [*triangles, buffers.batch, hits.struct(), counters, skipped]
         launch(kernel, buffers.count, inputs, device=scene.device, chunk=1024)
     return Answer(hits, buffers.form, plan)
 
@@ -89,7 +92,7 @@ def check_skip(scene: SceneState, others: dict[str, Any]) -> None:
 
 def skipped_triangles(skip: Any, scene: SceneState, buffers: DeviceRays) -> wp.array:
     """The triangle that each ray ignores, numbered through all meshes, for
-    `wrt.kernels.traversal.single.single_kernel.make_skipping_kernel`.
+    `wrt.kernels.traversal.single.single_kernel.make_variant_kernel`.
 
     Raises:
         TypeError: neither hits nor integers.

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.engine.memory import keep_alive
 from wrt.kernels.runtime.launch import kept
 from wrt.materials.material import WRAPS, Material
 from wrt.materials.mesh_materials import MeshMaterials, joined_materials
@@ -81,12 +80,12 @@ def alpha_masks(meshes: Sequence[TriangleMesh], geometry_ids: Sequence[int], fir
     with kept(first.device):
         masks.first_face = wp.array(faces.astype(np.int32), dtype=int, device=first.device)
     masks.first_triangle = first
-    return keep_alive(masks, made)
+    return masks
 
 
 @lru_cache(maxsize=4)
 def mask_images(materials: tuple[MeshMaterials | None, ...], counts: tuple[int, ...], device: str) -> Any:
-    """The part of `alpha_masks` that does not depend on instances: made once for the materials of meshes of so many triangles."""
+    """The part of `alpha_masks` that does not depend on instances; made once for the materials of meshes of some sizes."""
     from wrt.kernels.answers.alpha_mask import AlphaMasks
 
     joined = joined_materials(materials, counts, Material()) or MeshMaterials((Material(),))

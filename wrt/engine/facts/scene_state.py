@@ -186,7 +186,7 @@ class SceneState:
     def shares_few_rays(self) -> bool:
         """Whether few rays are answered as in all other scenes of the kind: then they share plans and prepared queries."""
         alone = self.is_plain and self.accelerator.kind == "bvh" and self.lazy_tree is None and self.area_trees is None
-        plain = not (self.only_single or self.shares_leaves or self.facts.has_masks)
+        plain = not (self.only_single or self.shares_leaves) and self.alpha_masks is None
         return alone and plain and self.device.is_cpu
 
     @cached_property
