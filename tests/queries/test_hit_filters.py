@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -183,6 +184,60 @@ def test_a_leaf_above_a_floor(device):
     placed = [wrt.Instance(FLOOR), wrt.Instance(FLOOR), wrt.Instance(leaf(), place), wrt.Instance(FLOOR)]
     mirrored = wrt.Scene(placed, device=device).filtered(alpha=True)
     np.testing.assert_array_equal(mirrored.intersect(origins, DOWN).instance_id[sure], np.where(inside, 2, 0)[sure])
+
+
+@wp.func
+def is_kept(scene: Any, hit: wrt.device.Hit, ignored: wp.array(dtype=wp.bool)):
+    return not ignored[hit.primitive_id]
+
+
+@wp.func
+def is_even(scene: Any, hit: wrt.device.Hit, divisor: int):
+    return hit.primitive_id % divisor == 0
+
+
+kept_hit, even_hit = wrt.device.hit_where(is_kept), wrt.device.hit_where(is_even)
+
+
+@wrt.device.kernel
+def ask_filters(
+    first: int,
+    scene: wrt.device.SceneHandle,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    ignored: wp.array(dtype=wp.bool),
+    found: wp.array(dtype=float),
+    even: wp.array(dtype=float),
+):
+    """Item: a ray. Two functions decide."""
+    i = first + wp.tid()
+    found[i] = kept_hit(scene, origins[i], directions[i], 0.1, wp.inf, ignored).t
+    even[i] = even_hit(scene, origins[i], directions[i], 0.1, wp.inf, 2).t
+
+
+def test_functions_in_kernels(device):
+    """Of all hits, the first that is accepted; the handle of a filtered scene knows its triangles."""
+    scene, (origins, directions) = wrt.Scene(TEAPOT, device=device), mixed_rays(TEAPOT, 500, 3)
+    ignored = np.random.default_rng(8).random(TEAPOT.triangle_count) < 0.5
+    rays = [wp.array(np.asarray(a, np.float32), dtype=wp.vec3, device=device) for a in (origins, directions)]
+    every = scene.intersect_all(*rays, t_min=0.1)
+    ids, ray, t = (values.numpy() for values in (every.primitive_id, every.ray_id, every.t))
+    mask = wp.array(ignored, dtype=wp.bool, device=device)
+    for handle, kept in ((scene.handle(), ids >= 0), (scene.filtered(ignore=ignored).handle(), ~ignored[ids])):
+        found, even = wp.zeros(500, dtype=float, device=device), wp.zeros(500, dtype=float, device=device)
+        wrt.device.launch(ask_filters, 500, [handle, *rays, mask, found, even], device=device)
+        for values, accepted in ((found, ~ignored[ids]), (even, ids % 2 == 0)):
+            expected = np.full(500, np.inf, dtype=np.float32)
+            np.minimum.at(expected, ray[kept & accepted], t[kept & accepted])
+            np.testing.assert_array_equal(values.numpy(), expected)
+    with pytest.raises(TypeError, match=r"accept must be a wp\.func of \(scene, hit, data\), not function"):
+        wrt.device.hit_where(lambda scene, hit, data: True)
+    with pytest.raises(TypeError, match="and takes a, b"):
+        wrt.device.hit_where(wp.func(two_arguments))
+
+
+def two_arguments(a: int, b: int):
+    return a == b
 
 
 def test_cutoffs():
