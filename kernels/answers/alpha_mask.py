@@ -17,7 +17,7 @@ import warp as wp
 
 from wrt.kernels.answers.answer_kind import AnswerKind
 from wrt.kernels.answers.best_hit import BestHit, improves
-from wrt.kernels.layout.image_footprint import footprint
+from wrt.kernels.images.image_footprint import footprint
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module
 
@@ -41,7 +41,7 @@ class AlphaMasks:
     size: wp.array(dtype=wp.vec2i)
     """(M,) width and height."""
     wrap: wp.array(dtype=wp.vec2i)
-    """(M,) as in `wrt.kernels.layout.image_footprint`."""
+    """(M,) as in `wrt.kernels.images.image_footprint`."""
     cutoff: wp.array(dtype=float)
     """(M,) least alpha that is there, of 255."""
     texels: wp.array(dtype=wp.uint8)

@@ -15,7 +15,7 @@ from wrt.kernels.runtime.options import exact_module
 exact_module(__name__)
 
 
-def hit_where(accept: Callable[..., Any]) -> wp.Function:
+def hit_where(accept: Callable[..., Any]) -> Callable[..., Any]:
     """A function for kernels: the first hit of a ray that a function accepts.
 
         @wp.func

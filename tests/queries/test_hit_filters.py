@@ -240,6 +240,22 @@ def two_arguments(a: int, b: int):
     return a == b
 
 
+def test_pictures(device):
+    """Paths pass through the holes of a leaf above a red floor, lit from a sky; the key of the samples tells filters apart."""
+    ground = wrt.TriangleMesh(np.asarray(FLOOR.vertices) * [9, 9, 1] - [4, 4, 0], FLOOR.faces)
+    ground = ground.with_materials(wrt.Material(color=(0.9, 0.1, 0.1)))
+    scene = wrt.Scene([leaf(), ground], device=device)
+    camera = wrt.PinholeCamera(24, 24, position=(0.5, 0.5, 1.0), look_at=(0.5, 0.5, 0.0), up=(0, 1, 0), fov=53.0)
+    options = {"integrator": "path", "samples": 2, "lights": [wrt.lights.Sky.gradient(0.4, 0.8)]}
+    pictures = [wrt.pictures.Rendering(each, camera, **options).advance() for each in (scene, scene.filtered(alpha=True))]
+    whole, holes = (picture.linear for picture in pictures)
+    corners = np.ix_([1, 2, -2, -3], [1, 2, -2, -3])
+    np.testing.assert_allclose(whole[corners][..., 0], whole[corners][..., 1], rtol=1e-5)
+    assert (holes[corners][..., 0] > 3 * holes[corners][..., 1]).all()
+    np.testing.assert_allclose(holes[12, 12], whole[12, 12], rtol=1e-5)
+    assert len({pictures[0].key, pictures[1].key, wrt.pictures.Rendering(scene.filtered(), camera, **options).key}) == 2
+
+
 def test_cutoffs():
     assert cutoff_of_image(0.5, 1.0) == 0.5
     assert cutoff_of_image(0.5, 0.8) == 0.625

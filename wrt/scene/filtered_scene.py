@@ -14,14 +14,10 @@ from wrt.kernels.validation import as_bool, as_int, host_array
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
-    from wrt.scene.scene import Scene
 
 
-def filtered(scene: Scene, ignore: Any, alpha: bool) -> Scene:
-    """A scene of the same tree with a filter; arguments and errors as in `wrt.Scene.filtered`."""
-    from wrt.scene.scene import scene_of_state
-
-    state = scene.state
+def filtered(state: SceneState, ignore: Any, alpha: bool) -> SceneState:
+    """The state of the same tree with a filter; arguments and errors as in `wrt.Scene.filtered`."""
     if not (state.is_plain or state.instances) or state.area_trees is not None:
         raise ValueError("filters need a scene with one tree, or one of instances; make wrt.Scene(scene.meshes)")
     alpha, ignored = as_bool("alpha", alpha), ignored_triangles(state, ignore)
@@ -29,10 +25,10 @@ def filtered(scene: Scene, ignore: Any, alpha: bool) -> Scene:
     if state.instances:
         parts = tuple(with_filter(part, ignored.get(number), False) for number, part in enumerate(state.parts))
         seen = replace(state, mesh_states=parts, hit_filter=None, cache=QueryCache())  # type: ignore[call-arg]
-        return scene_of_state(replace(seen, hit_filter=HitFilter(alpha=alpha) if ignored or alpha else None))
+        return replace(seen, hit_filter=HitFilter(alpha=alpha) if ignored or alpha else None)
     counts = [mesh.triangle_count for mesh in state.meshes]
     hidden = [ignored.get(number, np.zeros(count, dtype=bool)) for number, count in enumerate(counts)]
-    return scene_of_state(with_filter(state, np.concatenate(hidden) if ignored else None, alpha))
+    return with_filter(state, np.concatenate(hidden) if ignored else None, alpha)
 
 
 def with_filter(state: SceneState, ignored: np.ndarray | None, alpha: bool) -> SceneState:
@@ -70,9 +66,12 @@ def ignored_triangles(state: SceneState, ignore: Any) -> dict[int, np.ndarray]:
     return found
 
 
-def given_filter(state: SceneState) -> tuple[dict[int, np.ndarray] | None, bool]:
-    """The arguments `ignore` and `alpha` that make a state's filter of the whole scene."""
-    filters: Any = state.hit_filter
+def given_filter(state: SceneState) -> tuple[dict[int, np.ndarray] | None, bool] | tuple[()]:
+    """The arguments `ignore` and `alpha` that make a state's filter of the whole scene; none if it has no filter."""
+    filters = state.hit_filter
+    if filters is None:
+        return ()
+    each: list[Any]
     if state.instances:
         each = [None if part.hit_filter is None else part.hit_filter.ignored for part in state.parts]
     elif filters.ignored is None:

@@ -297,9 +297,9 @@ class Scene(Queries, Members):
 
         self.state.require("pickle")
         if self.state.hit_filter is not None:
-            from wrt.scene.filtered_scene import filtered, given_filter
+            from wrt.scene.filtered_scene import given_filter
 
-            return filtered, (self.filtered(), *given_filter(self.state))
+            return unpickle_filtered, (self.filtered(), *given_filter(self.state))
         return unpickle_scene, pack_scene(self.state)
 
     def __copy__(self) -> Scene:
@@ -334,7 +334,7 @@ class Scene(Queries, Members):
         """
         from wrt.scene.filtered_scene import filtered
 
-        return filtered(self, ignore, alpha)
+        return scene_of_state(filtered(self.state, ignore, alpha))
 
     def flattened(self) -> TriangleMesh:
         """All meshes as one, with triangles in the order in which the scene numbers them.
@@ -383,3 +383,8 @@ def unpickle_scene(geometry: Any, options: dict[str, Any], mark: str, cache: Any
     scene = Scene(geometry, **options, cache=cache)
     scene.state = replace(scene.state, mark=mark, **({} if graph is None else {"graph": graph}))
     return scene
+
+
+def unpickle_filtered(scene: Scene, ignore: Any, alpha: bool) -> Scene:
+    """The filtered scene of a pickle."""
+    return scene.filtered(ignore=ignore, alpha=alpha)

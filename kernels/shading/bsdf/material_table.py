@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from wrt.kernels.layout.image_footprint import footprint
+from wrt.kernels.images.image_footprint import footprint
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.ggx import MIN_ALPHA
 

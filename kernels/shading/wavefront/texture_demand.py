@@ -8,7 +8,7 @@ References: pharr-1997.
 
 import warp as wp
 
-from wrt.kernels.layout.image_footprint import footprint
+from wrt.kernels.images.image_footprint import footprint
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.hit_attributes import triangle_of
 from wrt.kernels.runtime.options import exact_module
