@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 import warp as wp
 from conftest import degenerate_soup, mixed_rays
+from test_cuda_compiles import compile_to_ptx
 
 import wrt
+from wrt.engine.facts.query_kinds import ALL, CLOSEST
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.materials.material import cutoff_of_image
 
 TEAPOT = wrt.scenes.build("teapot", level=3)
@@ -293,3 +297,10 @@ def test_bad_filters():
             masked.intersect([[0.0, 0, 1]], DOWN, **options)
     with pytest.raises(ValueError, match="a handle does not look at alpha masks"):
         masked.handle()
+
+
+@pytest.mark.parametrize("query", [CLOSEST, ALL])
+def test_cuda(query, tmp_path, monkeypatch):
+    monkeypatch.setattr(wp.config, "optimization_level", 1)  # what is asked is whether it compiles
+    config = TraversalConfig("woop", 2, query, masked=True)
+    assert ".entry" in compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](config).module, tmp_path)
