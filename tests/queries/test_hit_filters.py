@@ -12,7 +12,6 @@ from conftest import degenerate_soup, mixed_rays
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
-from wrt.engine.facts.query_kinds import ALL, CLOSEST
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.materials.material import cutoff_of_image
@@ -103,9 +102,14 @@ def test_lists_ends_and_float64(device):
     np.testing.assert_array_equal(filtered.count(*rays), np.bincount(every.ray_id[kept], minlength=len(rays[0])))
     hits = filtered.intersect(*rays)
     precise, without = filtered.intersect(*rays, precise=True), np.flatnonzero(~ignored)
-    expected = wrt.Scene(wrt.TriangleMesh(TEAPOT.vertices, TEAPOT.faces[without]), device=device).intersect(*rays, precise=True)
+    remaining = wrt.Scene(wrt.TriangleMesh(TEAPOT.vertices, TEAPOT.faces[without]), device=device)
+    expected = remaining.intersect(*rays, precise=True)
     np.testing.assert_array_equal(precise.t, expected.t)
     np.testing.assert_array_equal(precise.primitive_id, np.append(without, -1)[expected.primitive_id])
+    points = np.random.default_rng(2).uniform(*TEAPOT.bounds, (300, 3))
+    near, expected = filtered.closest_point(points), remaining.closest_point(points)
+    np.testing.assert_array_equal(near.distance, expected.distance)
+    np.testing.assert_array_equal(near.primitive_id, without[expected.primitive_id])
     again = pickle.loads(pickle.dumps(filtered)).intersect(*rays)
     np.testing.assert_array_equal(again.primitive_id, hits.primitive_id)
     np.testing.assert_array_equal(filtered.filtered().intersect(*rays).primitive_id, scene.intersect(*rays).primitive_id)
@@ -282,7 +286,7 @@ def test_bad_filters():
     with pytest.raises(ValueError, match=r"alpha_cutoff is -0\.5; it must be 0 or more"):
         wrt.Material(alpha_cutoff=-0.5)
     chosen = scene.filtered(ignore=[True, False])
-    for call in (chosen.contains, chosen.closest_point):
+    for call in (chosen.contains, lambda points: wrt.analysis.signed_distance(chosen, points)):
         with pytest.raises(
             ValueError, match=r"needs all triangles, and rays of this scene pass through some; use scene\.filtered\(\)"
         ):
@@ -297,10 +301,11 @@ def test_bad_filters():
             masked.intersect([[0.0, 0, 1]], DOWN, **options)
     with pytest.raises(ValueError, match="a handle does not look at alpha masks"):
         masked.handle()
+    with pytest.raises(ValueError, match="a query of points does not look at alpha masks"):
+        masked.closest_point([[0.0, 0, 0]])
 
 
-@pytest.mark.parametrize("query", [CLOSEST, ALL])
-def test_cuda(query, tmp_path, monkeypatch):
+def test_cuda(tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "optimization_level", 1)  # what is asked is whether it compiles
-    config = TraversalConfig("woop", 2, query, masked=True)
+    config = TraversalConfig("woop", 2, masked=True)
     assert ".entry" in compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](config).module, tmp_path)

@@ -317,7 +317,8 @@ class Scene(Queries, Members):
         Answers are those of brute force over what is left, to the bit: nothing starts again behind a hit. Numbers of
         triangles and the scene's bounds stay. Triangles that are left out cost nothing a ray, whatever the traversal; with
         alpha masks, rays go one by one (`explain`). Updates of the new scene keep its filter; those of this one do not
-        reach it. Questions about the whole surface (`contains`, `closest_point`, `save`) are refused.
+        reach it. Nearest points are those of what is left, too; with alpha masks they are refused. Questions about the
+        whole surface (`contains`, `verify`, `save`) are refused.
 
         Args:
             ignore: (T,) bool, NumPy, Warp or a list: the triangles of the mesh that rays do not see, in all its

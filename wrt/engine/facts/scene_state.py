@@ -228,10 +228,8 @@ class SceneState:
             ValueError: the scene is of a kind that has none.
         """
         self.require("float64 vertices")
-        vertices = np.concatenate([mesh.vertices for mesh in self.meshes]).astype(np.float64)
-        if self.leaves_out:
-            vertices = np.concatenate([vertices, np.full((1, 3), np.nan)])  # as in `shown`
-        return wp.array(vertices, dtype=wp.vec3d, device=self.device)
+        vertices = np.concatenate([mesh.vertices for mesh in self.meshes])
+        return wp.array(vertices.astype(np.float64), dtype=wp.vec3d, device=self.device)
 
     @property
     def record_bytes(self) -> int:

@@ -41,9 +41,9 @@ def vertex_blocks(scene: SceneState) -> TriangleBlocks:
     """The vertices of the triangles in the order of the leaves of the scene's tree, as tests store them that need no more.
 
     Raises:
-        ValueError: rays pass through some of them.
+        ValueError: alpha masks count in the scene.
     """
-    scene.require_whole("a query of points")
+    scene.require_opaque("a query of points")
     return known_blocks(scene, scene.tree, scene.accelerator.kind, VERTICES, None, scene.cache.records)
 
 
