@@ -12,6 +12,7 @@ from conftest import degenerate_soup, mixed_rays
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
+from wrt.cluster.identity.scene_hashes import scene_hash
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.materials.material import cutoff_of_image
@@ -110,6 +111,7 @@ def test_lists_ends_and_float64(device):
     near, expected = filtered.closest_point(points), remaining.closest_point(points)
     np.testing.assert_array_equal(near.distance, expected.distance)
     np.testing.assert_array_equal(near.primitive_id, without[expected.primitive_id])
+    assert len({scene_hash(one) for one in (scene, filtered, scene.filtered(ignore=~ignored), scene.filtered())}) == 3
     again = pickle.loads(pickle.dumps(filtered)).intersect(*rays)
     np.testing.assert_array_equal(again.primitive_id, hits.primitive_id)
     np.testing.assert_array_equal(filtered.filtered().intersect(*rays).primitive_id, scene.intersect(*rays).primitive_id)
@@ -131,6 +133,9 @@ def test_instances_and_updates(device):
     filtered.update(1, transform=matrix)
     assert filtered.count([0.05, 9.02, -5], UP) == 1
     assert scene.count([0.05, 9.02, -5], UP) == 0
+    filtered.add(wrt.Instance(ball, np.diag([1.0, 1, -1, 1])))  # its upper half is the lower one of the mesh
+    assert filtered.count([0.05, 0.02, -5], UP, t_max=4.9) == 1
+    filtered.remove(3)
     filtered.update(0, vertices=2 * np.asarray(ball.vertices))
     assert filtered.count([0.05, 0.02, -5], UP) == 1
     single = wrt.Scene(ball, device=device).filtered(ignore=lower)
@@ -285,6 +290,8 @@ def test_bad_filters():
         scene.filtered(alpha="yes")
     with pytest.raises(ValueError, match=r"alpha_cutoff is -0\.5; it must be 0 or more"):
         wrt.Material(alpha_cutoff=-0.5)
+    with pytest.raises(ValueError, match=r"filters need a scene with one tree, or one of instances; make wrt\.Scene"):
+        wrt.moving.FuzzyScene(np.asarray(SQUARE.vertices)[None], SQUARE.faces).filtered(alpha=True)
     chosen = scene.filtered(ignore=[True, False])
     for call in (chosen.contains, lambda points: wrt.analysis.signed_distance(chosen, points)):
         with pytest.raises(

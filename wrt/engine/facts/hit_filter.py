@@ -11,8 +11,7 @@ which costs time and changes no hit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,10 +35,12 @@ class HitFilter:
     Attributes:
         ignored: (F,) bool, the triangles that are left out; None for none.
         alpha: whether alpha masks of materials count.
+        images: what `mask_images` has made of the materials that there are, which updates keep.
     """
 
     ignored: np.ndarray | None = None
     alpha: bool = False
+    images: dict[Any, Any] = field(default_factory=dict, repr=False)
 
 
 def shown_triangles(mesh: SceneMesh, ignored: np.ndarray) -> tuple[wp.array, wp.array]:
@@ -61,10 +62,11 @@ def has_masks(meshes: Sequence[TriangleMesh]) -> bool:
     return any(one.alpha_cutoff is not None for one in listed)
 
 
-def alpha_masks(meshes: Sequence[TriangleMesh], geometry_ids: Sequence[int], first: wp.array) -> Any:
+def alpha_masks(hit_filter: HitFilter, meshes: Sequence[TriangleMesh], geometry_ids: Sequence[int], first: wp.array) -> Any:
     """The alpha masks of meshes, as kernels read them.
 
     Args:
+        hit_filter: of their scene.
         meshes: in the order of their geometry ids.
         geometry_ids: the mesh of each instance; none in scenes without.
         first: (N + 1,) number of the first triangle of each instance or mesh, on the scene's device.
@@ -72,7 +74,12 @@ def alpha_masks(meshes: Sequence[TriangleMesh], geometry_ids: Sequence[int], fir
     from wrt.kernels.answers.alpha_mask import AlphaMasks
 
     counts = tuple(mesh.triangle_count for mesh in meshes)
-    made = mask_images(tuple(mesh.materials for mesh in meshes), counts, first.device.alias)
+    key = tuple(mesh.materials for mesh in meshes), counts
+    made = hit_filter.images.get(key)
+    if made is None:
+        made = mask_images(*key, first.device)
+        hit_filter.images.clear()
+        hit_filter.images[key] = made
     masks = AlphaMasks()
     for name in ("of_face", "corner_uv", "first_texel", "size", "wrap", "cutoff", "texels"):
         setattr(masks, name, getattr(made, name))
@@ -83,9 +90,8 @@ def alpha_masks(meshes: Sequence[TriangleMesh], geometry_ids: Sequence[int], fir
     return masks
 
 
-@lru_cache(maxsize=4)
-def mask_images(materials: tuple[MeshMaterials | None, ...], counts: tuple[int, ...], device: str) -> Any:
-    """The part of `alpha_masks` that does not depend on instances; made once for the materials of meshes of some sizes."""
+def mask_images(materials: tuple[MeshMaterials | None, ...], counts: tuple[int, ...], device: wp.Device) -> Any:
+    """The part of `alpha_masks` that does not depend on instances: of the materials of meshes of so many triangles."""
     from wrt.kernels.answers.alpha_mask import AlphaMasks
 
     joined = joined_materials(materials, counts, Material()) or MeshMaterials((Material(),))
@@ -102,7 +108,7 @@ def mask_images(materials: tuple[MeshMaterials | None, ...], counts: tuple[int, 
         cutoffs.append(255.0 * material.alpha_cutoff)
     uv, total = joined.corner_uv, sum(counts)
     masks, sizes = AlphaMasks(), np.array([image.shape[::-1] for image in images], dtype=np.int32)
-    with kept(wp.get_device(device)):
+    with kept(device):
         masks.of_face = wp.array(np.array(numbers, dtype=np.int32)[joined.numbers(total)], dtype=int, device=device)
         corners = np.zeros((3 * total, 2), dtype=np.float32) if uv is None else uv.reshape(-1, 2)
         masks.corner_uv = wp.array(corners, dtype=wp.vec2, device=device)

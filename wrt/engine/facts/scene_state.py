@@ -218,7 +218,7 @@ class SceneState:
         """The alpha masks that hits are decided by, as kernels read them; None for none."""
         if self.hit_filter is None or not self.hit_filter.alpha or not has_masks(self.meshes):
             return None
-        return alpha_masks(self.meshes, getattr(self, "geometry_ids", ()), self.device_mesh.geometry_first)
+        return alpha_masks(self.hit_filter, self.meshes, getattr(self, "geometry_ids", ()), self.device_mesh.geometry_first)
 
     @cached_property
     def exact_vertices(self) -> wp.array:
