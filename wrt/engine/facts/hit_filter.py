@@ -91,7 +91,7 @@ def alpha_masks(hit_filter: HitFilter, meshes: Sequence[TriangleMesh], geometry_
 
 
 def mask_images(materials: tuple[MeshMaterials | None, ...], counts: tuple[int, ...], device: wp.Device) -> Any:
-    """The part of `alpha_masks` that does not depend on instances: of the materials of meshes and the numbers of their triangles."""
+    """The part of `alpha_masks` that does not depend on instances: of the materials of meshes, and their triangle counts."""
     from wrt.kernels.answers.alpha_mask import AlphaMasks
 
     joined = joined_materials(materials, counts, Material()) or MeshMaterials((Material(),))
