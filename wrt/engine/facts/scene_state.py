@@ -61,6 +61,10 @@ class SceneState:
     is_plain: ClassVar[bool] = False
     """Whether rays meet the triangles of the meshes in one tree, and nothing else."""
 
+    tangents: ClassVar[Any] = None
+    """Makes the triangles in which hits are, if what rays meet are no triangles of `device_mesh`: (hits) -> (mesh, the triangle
+    of each hit, -1 for a miss, and its weights)."""
+
     settings: Settings
     meshes: tuple[TriangleMesh, ...]
     center: np.ndarray
