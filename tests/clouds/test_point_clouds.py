@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from copy import copy
 
 import numpy as np
 import pytest
@@ -223,6 +224,17 @@ def test_warp_arrays(device):
     hits = cloud.intersect(*rays)
     assert isinstance(hits.normal, wp.array)
     np.testing.assert_array_equal(hits.t.numpy(), cloud.intersect(origins, directions).t)
+
+
+def test_pickles_and_copies():
+    cloud = scattered("discs", at=UTM)
+    rays = every_ray(cloud)
+    for other in (pickle.loads(pickle.dumps(cloud)), copy(cloud)):
+        assert len(other) == len(cloud)
+        hits = other.intersect(*rays)
+        assert hits.is_of(cloud.state)
+        np.testing.assert_array_equal(hits.t, cloud.intersect(*rays).t)
+    assert copy(cloud).state is cloud.state
 
 
 def room(step: float) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -36,6 +36,11 @@ class CloudState(SceneState):
         points: on the device.
     """
 
+    refused: ClassVar[dict[str, str]] = {
+        "float64 vertices": "points have no vertices, so hits on them have no gradients; make a wrt.Scene of triangles",
+        "handle": "kernels trace rays through triangles, and points are none; make a wrt.Scene of triangles",
+    }
+
     points: CloudPoints
 
     @property
@@ -48,6 +53,11 @@ class CloudState(SceneState):
         """Memory of the points, their tree and their records."""
         arrays = self.points.centre, self.points.radius, self.points.normal
         return self.tree.bytes + sum(array.capacity for array in arrays)
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+        """What `place_cloud` makes the state of again."""
+        points, normals = self.points, self.points.normal
+        return points.centre.numpy(), self.center, points.radius.numpy(), normals.numpy() if len(normals) else None
 
     def contents(self) -> str:
         """What is in the cloud, in words."""
@@ -168,14 +178,23 @@ def build_cloud(points: np.ndarray, radius: np.ndarray, normals: np.ndarray | No
             f"points and their radius reach from {low} to {high}; a cloud may be {MAX_EXTENT:.3g} across, with coordinates up "
             f"to {MAX_COORDINATE:.3g}: remove coordinates that are errors, or scale the cloud down"
         )
-    center, device, host = 0.5 * low + 0.5 * high, settings.device, CloudPoints()
-    with memory_for(f"the tree of {len(points):,} points", points.nbytes), use_threads(settings.num_threads):
-        host.centre = wp.array((points - center).astype(np.float32), dtype=wp.vec3, device="cpu")
-        host.radius = wp.array(radius, dtype=float, device="cpu")
-        given = np.zeros((0, 3), dtype=np.float32) if normals is None else normals.astype(np.float32)
-        host.normal = wp.array(given, dtype=wp.vec3, device="cpu")
-        tree, own, mesh = CloudTree.build(host, settings), CloudPoints(), SceneMesh()
-        own.centre, own.radius, own.normal = host.centre.to(device), host.radius.to(device), host.normal.to(device)
+    center = 0.5 * low + 0.5 * high
+    with memory_for(f"the tree of {len(points):,} points", points.nbytes):
+        own = None if normals is None else normals.astype(np.float32)
+        return place_cloud((points - center).astype(np.float32), center, radius, own, settings)
+
+
+def place_cloud(
+    points: np.ndarray, center: np.ndarray, radius: np.ndarray, normals: np.ndarray | None, settings: Settings
+) -> CloudState:
+    """The state of points that are (N, 3) float32 relative to a centre; the other arguments as in `build_cloud`, in float32."""
+    device, host, own, mesh = settings.device, CloudPoints(), CloudPoints(), SceneMesh()
+    host.centre = wp.array(points, dtype=wp.vec3, device="cpu")
+    host.radius = wp.array(radius, dtype=float, device="cpu")
+    host.normal = wp.array(np.zeros((0, 3)) if normals is None else normals, dtype=wp.vec3, device="cpu")
+    with use_threads(settings.num_threads):
+        tree = CloudTree.build(host, settings)
+    own.centre, own.radius, own.normal = host.centre.to(device), host.radius.to(device), host.normal.to(device)
     mesh.vertices, mesh.faces = own.centre, wp.zeros(1, dtype=wp.vec3i, device=device)  # not met by any ray
     mesh.center, mesh.low, mesh.high = wp.vec3d(*map(float, center)), wp.vec3(*tree.low), wp.vec3(*tree.high)
     mesh.geometry_first = wp.array([0, len(points)], dtype=int, device=device)

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.tree_descriptions import Bvh
-from wrt.clouds.cloud_state import CloudState, build_cloud
+from wrt.clouds.cloud_state import CloudState, build_cloud, place_cloud
 from wrt.engine.facts.query_cache import QueryCache
 from wrt.engine.facts.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
 from wrt.engine.facts.scene_settings import as_settings
@@ -93,6 +93,14 @@ class PointCloud:
 
     def __repr__(self) -> str:
         return f"PointCloud({self.state.contents()}, device={str(self.device)!r})"
+
+    def __copy__(self) -> PointCloud:
+        """Another cloud with the same state."""
+        return cloud_of_state(self.state)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles hold the points; the tree is built again, and answers have the same bits."""
+        return unpickle_cloud, (self.state.arrays(), str(self.device), self.num_threads, self.state.mark)
 
     @property
     def device(self) -> wp.Device:
@@ -229,6 +237,18 @@ class PointCloud:
         rays = as_rays(*given)
         refuse_tape(query, (rays.origins, rays.directions))
         return rays
+
+
+def cloud_of_state(state: CloudState) -> PointCloud:
+    """A cloud with the state of another."""
+    cloud = object.__new__(PointCloud)
+    cloud.state = state
+    return cloud
+
+
+def unpickle_cloud(arrays: tuple[Any, ...], device: str, num_threads: int | None, mark: str) -> PointCloud:
+    """The cloud of a pickle, on its device."""
+    return cloud_of_state(replace(place_cloud(*arrays, as_settings(Bvh(), AUTO, device, num_threads)), mark=mark))
 
 
 def _as_points(points: Any) -> np.ndarray:
