@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import wrt
+from wrt.engine.plan import planner
 from wrt.sensors import PointCloud
 
 UTM = np.array([691_000.0, 5_334_000.0, 500.0])
@@ -128,6 +129,19 @@ def test_one_sphere(distance, radius, length, direction, aside):
         return
     assert hits.t == pytest.approx(enter if np.float32(enter) >= 0 else leave, rel=2.0**-23)
     np.testing.assert_allclose(np.linalg.norm(hits.position - UTM), radius, rtol=1e-6)
+
+
+def test_scattered_rays_are_sorted(monkeypatch):
+    """In large clouds, as in large scenes."""
+    monkeypatch.setattr(planner, "MIN_RAYS_TO_REORDER", 500)
+    monkeypatch.setattr(planner, "CACHED_BYTES", 400 * 36)
+    cloud, rng = scattered("spheres"), np.random.default_rng(7)
+    rays = rng.uniform(-1, 1, (2, 3000, 3))
+    hits = cloud.intersect(*rays)
+    assert hits.plan.reorder == "cells"
+    np.testing.assert_array_equal(hits.primitive_id, cloud.intersect(*rays, brute_force=True).primitive_id)
+    np.testing.assert_array_equal(cloud.occluded(*rays), hits.is_hit)
+    assert scattered("spheres", 300).intersect(*rays).plan.reorder == "none"
 
 
 def test_sphere_closed_form(device):

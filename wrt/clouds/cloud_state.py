@@ -49,6 +49,11 @@ class CloudState(SceneState):
         return len(self.points.centre)
 
     @property
+    def slots(self) -> int:
+        """Lanes of all blocks of points, in use or not."""
+        return len(self.tree.tree.primitive)
+
+    @property
     def bytes(self) -> int:
         """Memory of the points, their tree and their records."""
         arrays = self.points.centre, self.points.radius, self.points.normal

@@ -135,6 +135,11 @@ class SceneState:
         return self.device_mesh.faces.shape[0]
 
     @property
+    def slots(self) -> int:
+        """Lanes of all blocks of the tree's leaves, in use or not."""
+        return len(self.tree.primitive)
+
+    @property
     def parts(self) -> tuple[SceneState, ...]:
         """The states of one level that this one is made of."""
         return (self,)
