@@ -80,6 +80,7 @@ def make_all_kernels() -> list[wp.Kernel]:
     kernels += [make_points_kernel(PointConfig(tree, WIDTH, task=task)) for tree in TREES for task in TASKS]
     kernels += [make_points_kernel(PointConfig(tree, WIDTH, instances=True)) for tree in TREES]
     kernels += [make_exact_points_kernel(PointConfig(tree, WIDTH, instances=each)) for tree in TREES for each in (False, True)]
+    kernels.append(make_exact_points_kernel(PointConfig("bvh", WIDTH, task="some")))
     for tree in TREES:
         add_point_search(handle_type(tree, WIDTH, 8), tree, WIDTH, False)
         add_point_search(instances_handle_type(tree, WIDTH, 8), tree, WIDTH, True)

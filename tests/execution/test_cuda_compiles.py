@@ -175,9 +175,11 @@ def test_points(tree, task, instances, tmp_path):
     assert not FUSIBLE.search(text)
 
 
-@pytest.mark.parametrize(("tree", "instances"), [("kdtree", False), ("bvh", True)])
-def test_exact_points(tree, instances, tmp_path):
-    text = compile_to_ptx(make_exact_points_kernel(PointConfig(tree, 2, 1, instances=instances)).module, tmp_path)
+@pytest.mark.parametrize(
+    ("tree", "task", "instances"), [("kdtree", "nearest", False), ("bvh", "nearest", True), ("kdtree", "some", True)]
+)
+def test_exact_points(tree, task, instances, tmp_path):
+    text = compile_to_ptx(make_exact_points_kernel(PointConfig(tree, 2, 1, task, instances)).module, tmp_path)
     assert ".entry" in text
     assert not FUSIBLE.search(text)
 
