@@ -128,6 +128,12 @@ template <class Space, class Triangles, class Exact, class Found> struct ExactLi
     inline CUDA_CALLABLE double& weight(int i, int which) const { return exact.uv.data[rows.begin + i].c[which]; }
     inline CUDA_CALLABLE signed char& feature(int i) const { return (signed char&)rows.found.feature.data[rows.begin + i]; }
 
+    /// Whether triangle i comes before one of this distance and number.
+    inline CUDA_CALLABLE bool before(int i, double away, int number) const
+    {
+        return distance(i) < away || (distance(i) == away && rows.number(i) < number);
+    }
+
     inline CUDA_CALLABLE void put(int i, const NearestOn<double>& on, double away, int number, int slot) const
     {
         distance(i) = away, weight(i, 0) = on.u, weight(i, 1) = on.v, feature(i) = (signed char)on.feature;
@@ -143,8 +149,7 @@ template <class Space, class Triangles, class Exact, class Found> struct ExactLi
         const double away = square_root(on.square);
         if (!(away <= this->exact_most)) return;
         int place = size;
-        while (place > 0 && ((away < distance(place - 1)) | ((away == distance(place - 1)) & (own <= rows.number(place - 1)))))
-            --place;
+        while (place > 0 && !before(place - 1, away, own)) --place;
         if (place == room || (place < size && rows.number(place) == own)) return;
         if (size < room) ++size;
         for (int i = size - 1; i > place; --i) {
