@@ -63,6 +63,10 @@ class SceneState:
     is_plain: ClassVar[bool] = False
     """Whether rays meet the triangles of the meshes in one tree, and nothing else."""
 
+    tangents: ClassVar[Any] = None
+    """Makes the triangles in which hits are, if what rays meet are no triangles of `device_mesh`: (hits) -> (mesh, the triangle
+    of each hit, -1 for a miss, and its weights)."""
+
     settings: Settings
     meshes: tuple[TriangleMesh, ...]
     center: np.ndarray
@@ -132,6 +136,11 @@ class SceneState:
     def triangle_count(self) -> int:
         """Number of triangles of all meshes."""
         return self.device_mesh.faces.shape[0]
+
+    @property
+    def slots(self) -> int:
+        """Lanes of all blocks of the tree's leaves, in use or not."""
+        return len(self.tree.primitive)
 
     @property
     def parts(self) -> tuple[SceneState, ...]:

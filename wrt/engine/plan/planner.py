@@ -315,4 +315,4 @@ def choose_order(scene: SceneState, rays: RayFacts, traversal: Traversal, test: 
 
 def is_large(scene: SceneState, rays: RayFacts, test: TriangleTest) -> bool:
     """Whether the batch and the triangle records are large enough for sorting the rays to pay."""
-    return rays.count >= MIN_RAYS_TO_REORDER and len(scene.tree.primitive) * 4 * test.record.components >= CACHED_BYTES
+    return rays.count >= MIN_RAYS_TO_REORDER and scene.slots * 4 * test.record.components >= CACHED_BYTES
