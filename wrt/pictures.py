@@ -5,7 +5,7 @@
         picture.advance(16)
         wrt.save_image("preview.png", picture.image())
 
-`AmbientRendering` and `Viewer` are what `wrt.render` and `wrt.view` return.
+`AmbientRendering` is the default integrator of `wrt.render` in the same steps, and `Viewer` what `wrt.view` returns.
 """
 
 from __future__ import annotations

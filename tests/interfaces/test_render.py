@@ -246,8 +246,8 @@ def test_creases_stay_sharp_and_winding_does_not_matter():
 def test_corner_normals_of_a_cylinder_keep_the_rim():
     mesh = wrt.TriangleMesh.from_trimesh(trimesh.creation.cylinder(1.0, 2.0, sections=32))
     scene = wrt.Scene(mesh)
-    normals = wrt.imaging.rendering.corner_normals(scene, 30.0).numpy().reshape(-1, 3, 3)
-    assert wrt.imaging.rendering.corner_normals(scene, 30.0) is wrt.imaging.rendering.corner_normals(scene, 30.0)
+    normals = wrt.imaging.sampled_picture.corner_normals(scene, 30.0).numpy().reshape(-1, 3, 3)
+    assert wrt.imaging.sampled_picture.corner_normals(scene, 30.0) is wrt.imaging.sampled_picture.corner_normals(scene, 30.0)
     side = np.abs(mesh.face_normals[:, 2]) < 0.5
     radial = mesh.vertices[mesh.faces[side]] * (1, 1, 0)
     np.testing.assert_allclose(normals[side], radial, atol=1e-5)
@@ -384,3 +384,11 @@ def test_scene_and_camera_are_checked():
 
 def test_render_stays_a_function_after_its_module_is_imported():
     assert callable(wrt.render)
+
+
+def test_an_unknown_option_lists_those_of_the_integrator():
+    scene, camera = small_scene(), small_camera()
+    with pytest.raises(TypeError, match=r"'ambient' has no option 'smaples'; its options are .*samples.*albedo"):
+        wrt.render(scene, camera, smaples=4)
+    with pytest.raises(TypeError, match=r"'path' has no option 'albedo'; its options are .*samples.*depth"):
+        wrt.render(scene, camera, integrator="path", albedo=0.5)
