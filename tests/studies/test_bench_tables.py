@@ -76,9 +76,9 @@ def test_what_is_missing_is_an_error():
     with pytest.raises(ValueError, match=r"no report of any mesh in the run 'dragon'; pass dragon=FILE"):
         table_of("builds", {"bunny": [report("bunny")]}, commit="abc", measured="2026-11-27")
     other = report("bunny", machine={**MACHINE, "cpu": "Another"})
-    with pytest.raises(ValueError, match="different machines: A CPU.*; Another"):
+    with pytest.raises(ValueError, match=r"different machines: A CPU.*; Another"):
         table_of("builds", {"bunny": [report("bunny"), other], "dragon": [report("dragon")]}, commit="abc", measured="")
-    with pytest.raises(ValueError, match="'a.json' does not name its run"):
+    with pytest.raises(ValueError, match=r"'a\.json' does not name its run"):
         write_table("builds", ["a.json"], commit="abc", measured="")
 
 
