@@ -246,7 +246,7 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
     return len(shape) == len(wanted) and all(n in (None, own) for n, own in zip(wanted, shape, strict=True))
 
 
-def first_bad(is_bad: np.ndarray, values: np.ndarray) -> str:
+def first_bad(is_bad: Any, values: np.ndarray) -> str:
     """Place and value of the first element that is wrong, such as "[3, 0] is -0.5", to follow a name; empty if none is.
 
     Args:

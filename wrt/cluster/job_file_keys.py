@@ -223,7 +223,9 @@ def check_keys(given: dict[str, Any], path: Path) -> None:
         for key, value in found.items():
             if message := keys[key](value):
                 shown = f"[{name}] {key}" if name else key
-                raise ValueError(f"{shown} in '{path}' {message}{f': [{key}]' if key in TABLES and not name else ''}")
+                wanted = f"{message}: [{key}]" if key in TABLES and not name else message
+                text = repr(value)
+                raise ValueError(f"{shown} in '{path}' {wanted}, not {text if len(text) <= 60 else type(value).__name__}")
     if "file" not in given["scene"] or "folder" not in given:
         raise ValueError(f"'{path}' needs folder and [scene] file")
     rays = given["rays"]
@@ -239,6 +241,6 @@ def check_keys(given: dict[str, Any], path: Path) -> None:
         raise ValueError(f"[reduce] in '{path}' has an axis and no by; name what to do along it, such as by = 'sum'")
     if isinstance(given["reduce"].get("by", ""), dict) != (given.get("query") == "intersect") and "by" in given["reduce"]:
         kind = "a table such as {t = 'min'}" if given.get("query") == "intersect" else "one name, such as 'sum'"
-        raise ValueError(f"[reduce] by in '{path}' must be {kind} for this query")
+        raise ValueError(f"[reduce] by in '{path}' must be {kind} for this query, not {given['reduce']['by']!r}")
     if "precise" in given["options"] and given.get("query") != "intersect":
         raise ValueError(f"[options] precise in '{path}' is for query = 'intersect'; leave it out")
