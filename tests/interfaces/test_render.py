@@ -6,7 +6,7 @@ import trimesh
 import warp as wp
 
 import wrt
-import wrt.imaging.rendering
+import wrt.imaging.ambient_rendering
 from wrt.imaging import ambient_rays
 from wrt.imaging.integrators import ray_tracer
 from wrt.kernels.runtime.launch import use_threads
@@ -269,7 +269,7 @@ def test_threads_and_tiles_do_not_show(monkeypatch):
     scene, camera = small_scene(), small_camera()
     images = []
     for threads, tile in ((1, 1 << 16), (3, 1 << 16), (2, 999)):
-        monkeypatch.setattr(wrt.imaging.rendering, "TILE_PIXELS", tile)
+        monkeypatch.setattr(wrt.imaging.ambient_rendering, "TILE_PIXELS", tile)
         with use_threads(threads):
             images.append(wrt.render(scene, camera, samples=2, ambient_samples=3))
     np.testing.assert_array_equal(images[0], images[1])
@@ -293,7 +293,7 @@ def test_batches_of_ambient_rays_do_not_show(monkeypatch):
 
     monkeypatch.setattr(ray_tracer, "trace_chosen", note)
     monkeypatch.setattr(ambient_rays, "DIRECTIONS_AT_ONCE", 7)
-    monkeypatch.setattr(wrt.imaging.rendering, "TILE_PIXELS", 700)  # the uppermost tiles have few hits
+    monkeypatch.setattr(wrt.imaging.ambient_rendering, "TILE_PIXELS", 700)  # the uppermost tiles have few hits
     np.testing.assert_array_equal(wrt.render(scene, camera, samples=2, ambient_samples=20), whole)
     assert len(plans) == 1
 
@@ -316,7 +316,7 @@ def test_traversal_and_triangle_test_are_handed_on(names):
 
 
 def test_progress_counts_up_to_the_end(monkeypatch):
-    monkeypatch.setattr(wrt.imaging.rendering, "TILE_PIXELS", 1000)
+    monkeypatch.setattr(wrt.imaging.ambient_rendering, "TILE_PIXELS", 1000)
     calls = []
     wrt.render(small_scene(), small_camera(), samples=2, ambient_samples=0, progress=lambda *call: calls.append(call))
     assert calls == [(875 * i, 7000) for i in range(1, 9)], "tiles of one size, as each size may need a kernel of its own"

@@ -12,8 +12,8 @@ import pytest
 from tests.typed.mypy_run import run_mypy
 from tests.typed.stubs import ROOT, checked_imports, modules_with_stubs, modules_with_tables, stub_of, table_of
 from wrt.imaging import picture_options
+from wrt.imaging.ambient_rendering import AmbientRendering
 from wrt.imaging.integrators.render_settings import RenderSettings
-from wrt.imaging.rendering import AmbientRendering
 
 HERE = Path(__file__).parent
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.imaging.ambient_rendering import AmbientRendering
 from wrt.imaging.integrators import INTEGRATORS
 from wrt.imaging.picture_options import AmbientOptions
-from wrt.imaging.rendering import AmbientRendering
 from wrt.imaging.sampled_picture import Camera, SampledPicture
 from wrt.scene.scene import Scene
 from wrt.tables import one_of
