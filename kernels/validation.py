@@ -119,7 +119,7 @@ def as_numbers(name: str, values: Any, shape: tuple[int | None, ...] | None = No
         wanted = ", ".join("N" if n is None else str(n) for n in shape)
         raise ValueError(f"{name} has the shape {array.shape}; it must be ({wanted}{',' if len(shape) == 1 else ''})")
     if finite and not np.isfinite(array).all():
-        raise ValueError(f"{name} holds NaN or infinite numbers; all must be finite")
+        raise ValueError(f"{name}{first_bad(~np.isfinite(array), array)}; all must be finite")
     return array
 
 
@@ -244,6 +244,20 @@ def _scalar(name: str, value: Any) -> Any:
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
     return len(shape) == len(wanted) and all(n in (None, own) for n, own in zip(wanted, shape, strict=True))
+
+
+def first_bad(is_bad: Any, values: np.ndarray) -> str:
+    """Place and value of the first element that is wrong, such as "[3, 0] is -0.5", to follow a name; empty if none is.
+
+    Args:
+        is_bad: which elements are wrong.
+        values: of the same shape, or with further axes.
+    """
+    if not is_bad.any():
+        return ""
+    place = np.unravel_index(int(is_bad.argmax()), is_bad.shape)
+    value = values[place]
+    return f"{[int(i) for i in place] if place else ''} is {value.tolist() if isinstance(value, np.ndarray) else value}"
 
 
 def _shown(value: Any) -> str:

@@ -5,7 +5,7 @@
         picture.advance(16)
         wrt.save_image("preview.png", picture.image())
 
-`AmbientRendering` and `Viewer` are what `wrt.render` and `wrt.view` return.
+`AmbientRendering` is the default integrator of `wrt.render` in the same steps, and `Viewer` what `wrt.view` returns.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from wrt.lazy_names import lazy_names
 
 _HOME = {
-    "AmbientRendering": "wrt.imaging.rendering",
+    "AmbientRendering": "wrt.imaging.ambient_rendering",
     "RenderSettings": "wrt.imaging.integrators.render_settings",
     "Rendering": "wrt.imaging.integrators.rendering_job",
     "Viewer": "wrt.viewer.live_view",

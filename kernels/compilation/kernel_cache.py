@@ -17,7 +17,7 @@ from pathlib import Path
 
 import warp as wp
 
-from wrt.kernels.compilation import damaged_kernels
+from wrt.kernels.compilation import damaged_kernels, target
 
 ROOM = 1 << 20
 """Bytes that must fit into the folder: the size of a large kernel."""
@@ -25,11 +25,14 @@ ROOM = 1 << 20
 
 def init_warp() -> None:
     """Calls `wp.init`; switches to a temporary folder if the kernel cache is not writable."""
-    try:
-        wp.init()
-    except OSError as error:
-        use_temporary_folder(error)
-        wp.init()
+    if target.has_started():
+        return
+    with target.without_driver_message():
+        try:
+            wp.init()
+        except OSError as error:
+            use_temporary_folder(error)
+            wp.init()
 
 
 def load_compiled(module: wp.Module, device: wp.Device, block_dim: int) -> bool:

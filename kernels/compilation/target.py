@@ -22,6 +22,9 @@ References: lu-2020 (the levels x86-64-v2, v3 and v4).
 
 import os
 import platform
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import warp as wp
@@ -29,6 +32,9 @@ import warp as wp
 from wrt.kernels.compilation.host_cpu import cpu_features, cpu_information
 
 TARGET_VARIABLE, WIDTH_VARIABLE = "WRT_TARGET", "WRT_WIDTH"
+
+NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver."
+"""How the line begins that Warp writes on machines without an NVIDIA GPU; whoever asks for CUDA there gets an error."""
 
 WIDTHS = (4, 8, 16)
 """Supported lane counts."""
@@ -169,6 +175,30 @@ def quiet_warp() -> None:
     is_asked_for = os.environ.get("WRT_WARP_LOG", "0") not in ("", "0")
     if wp.config.log_level == wp.LOG_INFO and not is_asked_for and not has_started():
         wp.config.log_level = wp.LOG_WARNING
+
+
+@contextmanager
+def without_driver_message() -> Iterator[None]:
+    """Leaves out the line that Warp's native library writes to stderr where there is no NVIDIA driver, if Warp shall be quiet;
+    whatever else is written there meanwhile appears at the end."""
+    if wp.config.log_level < wp.LOG_WARNING or not hasattr(os, "memfd_create"):
+        yield
+        return
+    sys.stderr.flush()
+    try:
+        saved = os.dup(2)
+    except OSError:  # there is no stderr
+        yield
+        return
+    with open(os.memfd_create("stderr"), "w+b") as held:
+        try:
+            os.dup2(held.fileno(), 2)
+            yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+            held.seek(0)
+            os.write(2, b"".join(line for line in held if not line.startswith(NO_DRIVER)))
 
 
 def target_flags(name: str) -> tuple[str, ...]:

@@ -75,10 +75,8 @@ def display(linear: float):
 
 
 @wp.kernel
-def develop(first: int, film: wp.array2d(dtype=wp.vec3), samples: int, image: wp.array2d(dtype=wp.vec3)):
+def develop(first: int, film: wp.array(dtype=wp.vec3), samples: int, image: wp.array(dtype=wp.vec3)):
     """Item: a pixel. Writes the display colour of the mean of its samples."""
     i = first + wp.tid()
-    row = i / film.shape[1]
-    column = i % film.shape[1]
-    mean = film[row, column] / float(samples)
-    image[row, column] = wp.vec3(display(mean[0]), display(mean[1]), display(mean[2]))
+    mean = film[i] / float(samples)
+    image[i] = wp.vec3(display(mean[0]), display(mean[1]), display(mean[2]))

@@ -59,7 +59,7 @@ def fails(place: Path, text: str | bytes) -> str:
 WRONG = {
     b"\xff\xfe": "not a TOML file",
     b"folder = " + b"[" * 5000: "not a TOML file",
-    "folder = 3\n" + JOB.split("\n", 1)[1] + RAYS: "folder in .* must be a text",
+    "folder = 3\n" + JOB.split("\n", 1)[1] + RAYS: "folder in .* must be a text, not 3",
     'folder = ""\n' + JOB.split("\n", 1)[1] + RAYS: "folder in .* must be a text",
     'folder = "a\\u0000b"\n' + JOB.split("\n", 1)[1] + RAYS: "folder in .* must be a text",
     "query = 3\n" + JOB + RAYS: "query in .* is 3; choose from intersect, occluded, count",
@@ -74,7 +74,7 @@ WRONG = {
     "options = 3\n" + JOB + RAYS: "options in .* must be a table",
     JOB + RAYS + "[options]\nexecutor = 3": r"the key 'executor' in \[options\]",
     JOB + RAYS + "[options]\nmask = -1": r"\[options\] mask in .* must be a whole number from 0 to 4294967295",
-    JOB + RAYS + "[options]\nmask = 1.0": r"\[options\] mask in .* must be a whole number",
+    JOB + RAYS + "[options]\nmask = 1.0": r"\[options\] mask in .* must be a whole number from .*, not 1.0",
     JOB + RAYS + "[options]\nprecise = true": "precise in .* is for query = 'intersect' or 'closest_point'",
     JOB + RAYS + "[points]\nmax_distance = 2": r"\[points\] max_distance in .* is for query = 'closest_point'",
     NEAREST.replace("positions", "# positions"): r"needs \[points\] positions",

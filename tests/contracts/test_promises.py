@@ -23,6 +23,8 @@ def test_every_promise_names_what_tests_it(row):
     for test in tests:
         if test.startswith("wrt "):
             assert test.split()[1] in main.list_commands(None)
+        elif test.startswith("python -m "):
+            assert (ROOT / test.removeprefix("python -m ").replace(".", "/") / "__main__.py").is_file(), test
         else:
             assert re.search(r"^def test_", (ROOT / test).read_text(), re.MULTILINE), f"{test} has no test"
 

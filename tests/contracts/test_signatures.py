@@ -14,7 +14,7 @@ MAKERS = ("kernel", "specialised_kernel")
 """Functions, and last names of decorators, that make a kernel of a function."""
 
 PUBLIC = {
-    "wrt/imaging/rendering.py: __init__",
+    "wrt/imaging/ambient_rendering.py: __init__",
     "wrt/disk/partitioned_scene.py: build",
     "wrt/query/api.py: count",
     "wrt/query/api.py: explain",

@@ -54,4 +54,4 @@ def test_options_of_other_integrators(tmp_path):
     assert "--depth needs --integrator" in result.output
     result = run("--integrator", "path", "--sampler", "blue", "-o", tmp_path / "a.png")
     assert result.exit_code == 2
-    assert "unknown sampler" in result.output
+    assert "sampler 'blue' is unknown" in result.output

@@ -5,9 +5,9 @@ import pytest
 from click.testing import CliRunner
 
 import wrt
-import wrt.imaging.rendering
 from wrt.cli import main
 from wrt.imaging.cameras import pixel_offset
+from wrt.imaging.integrators import rendering_call
 from wrt.scenes import random_triangles
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -153,9 +153,10 @@ def test_framing_and_wrt_render_agree_on_the_upward_direction(tmp_path, monkeypa
 
     def fake(scene, camera, **options):
         seen.append(camera)
-        return np.zeros((camera.height, camera.width, 3), dtype=np.float32)
+        return ambient(scene, camera, samples=1, ambient_samples=2)
 
-    monkeypatch.setattr(wrt.imaging.rendering, "render", fake)
+    ambient = rendering_call.AmbientRendering
+    monkeypatch.setattr(rendering_call, "AmbientRendering", fake)
     random_triangles(20).save(path)
     arguments = ["render", path, "-o", tmp_path / "a.png", "--width", 30, "--height", 20, "--device", "cpu"]
     assert CliRunner().invoke(main, [str(a) for a in arguments]).exit_code == 0

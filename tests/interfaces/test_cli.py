@@ -13,10 +13,10 @@ from click.testing import CliRunner
 from PIL import Image
 
 import wrt
-import wrt.imaging.rendering
 import wrt.scene.scene
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.cli import catalogue, main
+from wrt.imaging.integrators import rendering_call
 from wrt.kernels.runtime.schedules import SCHEDULES
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -61,11 +61,17 @@ def test_render_makes_the_teapot(tmp_path):
 def test_render_passes_its_options_on(tmp_path, monkeypatch):
     seen = {}
 
-    def fake(scene, camera, **options):
-        seen.update(options, scene=scene, camera=camera)
-        return np.zeros((camera.height, camera.width, 3), dtype=np.float32)
+    class Picture:
+        def __init__(self, scene, camera, **options):
+            seen.update(options, scene=scene, camera=camera)
 
-    monkeypatch.setattr(wrt.imaging.rendering, "render", fake)
+        def advance(self, progress):
+            seen["advanced"] = True
+
+        def save(self, path):
+            path.write_bytes(b"")
+
+    monkeypatch.setattr(rendering_call, "AmbientRendering", Picture)
     result = run(
         "render", "-o", tmp_path / "a.png", "--scene", "random_triangles", "--option", "count=7", "--option", "size=0.5",
         "--width", 20, "--height", 10, "--samples", 3, "--ambient-samples", 5, "--ambient-distance", 2.5,
@@ -74,6 +80,8 @@ def test_render_passes_its_options_on(tmp_path, monkeypatch):
         "--seed", 4,
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
+    assert seen["advanced"]
+    assert (tmp_path / "a.png").exists()
     assert seen["scene"].triangle_count == 7
     assert seen["scene"].num_threads == 1
     camera = seen["camera"]
@@ -239,7 +247,7 @@ def test_what_goes_wrong_on_the_way_ends_with_1(tmp_path, model, monkeypatch):
         assert result.stderr.startswith("error: ")
         assert result.stderr.count("\n") == 1
         assert message in result.stderr
-    monkeypatch.setattr(wrt.imaging.rendering, "render", lambda *args, **options: (_ for _ in ()).throw(MemoryError()))
+    monkeypatch.setattr(rendering_call, "AmbientRendering", lambda *args, **options: (_ for _ in ()).throw(MemoryError()))
     assert run("render", model, "-o", "a.png").stderr == "error: out of memory; use a smaller mesh or image\n"
 
 
@@ -247,7 +255,7 @@ def test_interruption_ends_with_130(model, tmp_path, monkeypatch):
     def interrupted(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(wrt.imaging.rendering, "render", interrupted)
+    monkeypatch.setattr(rendering_call, "AmbientRendering", interrupted)
     result = run("render", model, "-o", tmp_path / "a.png")
     assert result.exit_code == 130
     assert result.stderr.strip() == "interrupted"

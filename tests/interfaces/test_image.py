@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 import wrt
-import wrt.imaging.rendering
+import wrt.imaging.ambient_rendering
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (5, 7, 4)])

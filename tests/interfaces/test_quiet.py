@@ -7,6 +7,9 @@ import subprocess
 import sys
 
 import pytest
+import warp as wp
+
+from wrt.kernels.compilation import target
 
 SCRIPT = """
 scene = wrt.Scene(wrt.scenes.build("teapot"), device="cpu")
@@ -24,6 +27,18 @@ def lines(before: str, **environment: str) -> list[str]:
 
 def test_a_script_prints_its_own_lines():
     assert lines("import wrt") == ["True"]
+
+
+def test_a_missing_driver_is_no_news_and_other_lines_stay(capfd, monkeypatch):
+    """Every script on a machine without an NVIDIA GPU printed Warp's warning, whatever device it asked for."""
+    monkeypatch.setattr(wp.config, "log_level", wp.LOG_WARNING)
+    with target.without_driver_message():
+        os.write(2, target.NO_DRIVER + b" GPU execution will not be available.\nanother line\n")
+    assert capfd.readouterr().err == "another line\n"
+    monkeypatch.setattr(wp.config, "log_level", wp.LOG_INFO)
+    with target.without_driver_message():
+        os.write(2, target.NO_DRIVER + b"\n")
+    assert capfd.readouterr().err == target.NO_DRIVER.decode() + "\n"
 
 
 @pytest.mark.parametrize(

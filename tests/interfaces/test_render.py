@@ -6,7 +6,7 @@ import trimesh
 import warp as wp
 
 import wrt
-import wrt.imaging.rendering
+import wrt.imaging.ambient_rendering
 from wrt.imaging import ambient_rays
 from wrt.imaging.integrators import ray_tracer
 from wrt.kernels.runtime.launch import use_threads
@@ -246,8 +246,8 @@ def test_creases_stay_sharp_and_winding_does_not_matter():
 def test_corner_normals_of_a_cylinder_keep_the_rim():
     mesh = wrt.TriangleMesh.from_trimesh(trimesh.creation.cylinder(1.0, 2.0, sections=32))
     scene = wrt.Scene(mesh)
-    normals = wrt.imaging.rendering.corner_normals(scene, 30.0).numpy().reshape(-1, 3, 3)
-    assert wrt.imaging.rendering.corner_normals(scene, 30.0) is wrt.imaging.rendering.corner_normals(scene, 30.0)
+    normals = wrt.imaging.sampled_picture.corner_normals(scene, 30.0).numpy().reshape(-1, 3, 3)
+    assert wrt.imaging.sampled_picture.corner_normals(scene, 30.0) is wrt.imaging.sampled_picture.corner_normals(scene, 30.0)
     side = np.abs(mesh.face_normals[:, 2]) < 0.5
     radial = mesh.vertices[mesh.faces[side]] * (1, 1, 0)
     np.testing.assert_allclose(normals[side], radial, atol=1e-5)
@@ -269,7 +269,7 @@ def test_threads_and_tiles_do_not_show(monkeypatch):
     scene, camera = small_scene(), small_camera()
     images = []
     for threads, tile in ((1, 1 << 16), (3, 1 << 16), (2, 999)):
-        monkeypatch.setattr(wrt.imaging.rendering, "TILE_PIXELS", tile)
+        monkeypatch.setattr(wrt.imaging.ambient_rendering, "TILE_PIXELS", tile)
         with use_threads(threads):
             images.append(wrt.render(scene, camera, samples=2, ambient_samples=3))
     np.testing.assert_array_equal(images[0], images[1])
@@ -293,7 +293,7 @@ def test_batches_of_ambient_rays_do_not_show(monkeypatch):
 
     monkeypatch.setattr(ray_tracer, "trace_chosen", note)
     monkeypatch.setattr(ambient_rays, "DIRECTIONS_AT_ONCE", 7)
-    monkeypatch.setattr(wrt.imaging.rendering, "TILE_PIXELS", 700)  # the uppermost tiles have few hits
+    monkeypatch.setattr(wrt.imaging.ambient_rendering, "TILE_PIXELS", 700)  # the uppermost tiles have few hits
     np.testing.assert_array_equal(wrt.render(scene, camera, samples=2, ambient_samples=20), whole)
     assert len(plans) == 1
 
@@ -316,7 +316,7 @@ def test_traversal_and_triangle_test_are_handed_on(names):
 
 
 def test_progress_counts_up_to_the_end(monkeypatch):
-    monkeypatch.setattr(wrt.imaging.rendering, "TILE_PIXELS", 1000)
+    monkeypatch.setattr(wrt.imaging.ambient_rendering, "TILE_PIXELS", 1000)
     calls = []
     wrt.render(small_scene(), small_camera(), samples=2, ambient_samples=0, progress=lambda *call: calls.append(call))
     assert calls == [(875 * i, 7000) for i in range(1, 9)], "tiles of one size, as each size may need a kernel of its own"
@@ -384,3 +384,11 @@ def test_scene_and_camera_are_checked():
 
 def test_render_stays_a_function_after_its_module_is_imported():
     assert callable(wrt.render)
+
+
+def test_an_unknown_option_lists_those_of_the_integrator():
+    scene, camera = small_scene(), small_camera()
+    with pytest.raises(TypeError, match=r"'ambient' has no option 'smaples'; its options are .*samples.*albedo"):
+        wrt.render(scene, camera, smaples=4)
+    with pytest.raises(TypeError, match=r"'path' has no option 'albedo'; its options are .*samples.*depth"):
+        wrt.render(scene, camera, integrator="path", albedo=0.5)

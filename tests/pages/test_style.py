@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -40,3 +41,16 @@ def test_no_text_has(phrase, texts):
 
 def test_a_phrase_is_found_across_lines(texts):
     assert "Exact ray and point queries against triangle meshes from Python, on all cores" in texts["README.md"]
+
+
+def test_files_of_the_page_on_adding_have_our_style():
+    """As they stand: a contributor who copies one had ruff complain about its imports."""
+    pytest.importorskip("ruff", reason="ruff is not installed: pip install 'wrt[test]'")
+    page = (ROOT / "docs" / "adding.md").read_text(encoding="utf-8")
+    files = re.findall(r"^<!-- file: (\S+) -->\n```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    assert len(files) == 3
+    for name, code in files:
+        for command in (["check", "--quiet"], ["format", "--check", "--quiet"]):
+            ruff = [sys.executable, "-m", "ruff", *command, "--stdin-filename", f"kernels/{name}", "-"]
+            done = subprocess.run(ruff, input=code, cwd=ROOT, capture_output=True, text=True)
+            assert done.returncode == 0, done.stdout + done.stderr

@@ -157,7 +157,7 @@ def test_refused(scene):
     for rays, message in (
         (([0, 0, 0], [1, 0]), "directions must have shape"),
         (([0, 0, 0], [1, 0, 0], -1.0), "t_min must not be negative"),
-        (([0, 0, 0], [1, 0, 0], np.inf), "t_min must be finite"),
+        (([0, 0, 0], [1, 0, 0], np.inf), "t_min is infinite"),
         (([0, 0, 0], [1, 0, 0], 0.0, np.nan), "t_max must not be negative or NaN"),
         ((np.zeros((3, 3)), np.ones((4, 3))), "do not broadcast"),
     ):

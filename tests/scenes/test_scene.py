@@ -266,7 +266,7 @@ BAD_QUERIES = {
     "shapes": (lambda s: s.intersect(np.zeros((4, 3)), np.ones((5, 3))), ValueError, "do not broadcast"),
     "negative t_min": (lambda s: s.intersect(ORIGIN, DIRECTION, t_min=-1.0), ValueError, "t_min must not be negative"),
     "NaN t_min": (lambda s: s.intersect(ORIGIN, DIRECTION, t_min=np.nan), ValueError, "t_min must not be negative or NaN"),
-    "infinite t_min": (lambda s: s.intersect(ORIGIN, DIRECTION, t_min=np.inf), ValueError, "t_min must be finite"),
+    "infinite t_min": (lambda s: s.intersect(ORIGIN, DIRECTION, t_min=np.inf), ValueError, "t_min is infinite"),
     "negative t_max": (lambda s: s.occluded(ORIGIN, DIRECTION, t_max=-1.0), ValueError, "t_max must not be negative"),
     "NaN t_max": (lambda s: s.occluded(ORIGIN, DIRECTION, t_max=[np.nan]), ValueError, "t_max must not be negative or NaN"),
     "traversal": (lambda s: s.intersect(ORIGIN, DIRECTION, traversal="x"), ValueError, "choose from brute, single"),

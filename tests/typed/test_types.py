@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
+from inspect import signature
 from pathlib import Path
 
 import pytest
 
 from tests.typed.mypy_run import run_mypy
 from tests.typed.stubs import ROOT, checked_imports, modules_with_stubs, modules_with_tables, stub_of, table_of
+from wrt.imaging import picture_options
+from wrt.imaging.ambient_rendering import AmbientRendering
+from wrt.imaging.integrators.render_settings import RenderSettings
 
 HERE = Path(__file__).parent
+
+PAGES = "README.md", "docs/start.md"
+"""Pages whose first Python lines users copy."""
 
 MARK = re.compile(r"  # mistake: ([a-z-]+)$")
 
@@ -36,8 +44,18 @@ def test_no_stub_without_a_table():
     assert set((ROOT / "wrt").rglob("*.pyi")) == {path.with_suffix(".pyi") for path in modules_with_stubs()}
 
 
+def test_options_of_pictures_are_those_that_there_are():
+    shared = set(picture_options.SharedOptions.__annotations__)
+    keywords = {name for name, one in signature(AmbientRendering).parameters.items() if one.kind is one.KEYWORD_ONLY}
+    settings = {one.name for one in fields(RenderSettings)}
+    assert set(picture_options.AmbientOptions.__annotations__) == keywords
+    assert set(picture_options.SettingOptions.__annotations__) == settings
+    assert shared == keywords & settings
+
+
 def test_code_of_users(tmp_path):
-    """mypy finds nothing in `user_code.py`, and in `user_mistakes.py` each marked line, by the marked code, and no other."""
+    """mypy finds nothing in `user_code.py` and in the lines that pages show first, and in `user_mistakes.py` each marked line,
+    by the marked code, and no other."""
     pytest.importorskip("mypy", reason="mypy is not installed: pip install 'wrt[test-all]'")
     mistakes = HERE / "user_mistakes.py"
     marked = {
@@ -46,7 +64,12 @@ def test_code_of_users(tmp_path):
         if (found := MARK.search(line)) is not None
     }
     assert len(marked) > 10
-    printed = run_mypy(tmp_path, ["--strict-optional", "--follow-imports=silent", str(HERE / "user_code.py"), str(mistakes)])
+    files = [str(HERE / "user_code.py"), str(mistakes)]
+    for page in PAGES:
+        code = re.search(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)[1]
+        files.append(str(tmp_path / f"{Path(page).stem.lower()}_lines.py"))
+        Path(files[-1]).write_text(code)
+    printed = run_mypy(tmp_path, ["--strict-optional", "--follow-imports=silent", *files])
     errors = [line for line in printed.splitlines() if ": error:" in line]
     assert [line for line in errors if "user_mistakes.py:" not in line] == []
     numbers = {(int(line.split("user_mistakes.py:")[1].split(":")[0]), line[line.rindex("[") + 1 : -1]) for line in errors}

@@ -84,7 +84,8 @@ def pictures(scene: wrt.Scene) -> None:
     depth = scene.intersect(camera.rays()).t
     assert_type(depth, np.ndarray)
     settings = wrt.pictures.RenderSettings(samples=4)
-    image = wrt.render(scene, camera, integrator="path", settings=settings)
+    image = wrt.render(scene, camera, integrator="path", settings=settings, depth=4)
+    print(wrt.render(scene, camera, samples=2, ambient_distance=None, albedo=(0.5, 0.4, 0.3)).shape)
     wrt.save_image("image.png", image.clip(0.0, 1.0))
     wrt.save_image("linear.exr", wrt.pictures.Rendering(scene, camera, settings=settings).advance(1).linear)
 

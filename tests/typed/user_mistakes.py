@@ -20,6 +20,10 @@ def mistakes(mesh: wrt.TriangleMesh, scene: wrt.Scene, origins: np.ndarray, dire
     wrt.Scene(mesh, accelerator="bhv")  # mistake: arg-type
     scene.update(0, vertices=origins, rebuild="sometimes")  # mistake: arg-type
     wrt.pictures.RenderSettings(samples="four")  # mistake: arg-type
+    camera = wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0))
+    wrt.render(scene, camera, samples="four")  # mistake: arg-type
+    wrt.render(scene, camera, smaples=4)  # mistake: call-arg
+    wrt.pictures.Rendering(scene, camera, dept=4)  # mistake: call-arg
     wrt.PinholeCamera(640, 480, position=(0, -3, 1), lookat=(0, 0, 0))  # mistake: call-arg
     wrt.Scenee(mesh)  # mistake: attr-defined
     print(wrt.sensors.Lidarr)  # mistake: attr-defined

@@ -10,7 +10,7 @@ import pytest
 from wrt.viewer import client_session
 from wrt.viewer.client_session import ClientSession
 from wrt.viewer.connections import Connection
-from wrt.viewer.pictures.wish import Wish
+from wrt.viewer.pictures.view_request import ViewRequest
 from wrt.viewer.session_life import NEXT, Life, SessionState
 
 POSE = (0.0, -3.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0
@@ -90,8 +90,8 @@ class Sketch:
 
 @pytest.fixture
 def shared(monkeypatch):
-    def make(scene, wish, scale, is_coarse, options):
-        return Sketch(is_coarse, wish.samples > 4)
+    def make(scene, request, scale, is_coarse, options):
+        return Sketch(is_coarse, request.samples > 4)
 
     monkeypatch.setattr(client_session, "make_picture", make)
     monkeypatch.setattr("wrt.viewer.frame_loop.SETTLE", 0.002)
@@ -99,7 +99,7 @@ def shared(monkeypatch):
 
 
 def session_of(shared, browser, samples=4, **options):
-    return ClientSession(browser, shared, Wish(0, POSE, (8, 6), samples=samples), {}, **options)
+    return ClientSession(browser, shared, ViewRequest(0, POSE, (8, 6), samples=samples), {}, **options)
 
 
 def until(true, seconds=10.0):
@@ -193,16 +193,16 @@ def test_no_more_threads(shared, monkeypatch):
     until(lambda: not own_threads())
 
 
-def test_an_error_of_a_picture_is_told_and_another_wish_mends_it(shared, monkeypatch):
+def test_an_error_of_a_picture_is_told_and_another_request_mends_it(shared, monkeypatch):
     """Not a black page: the panel says what is wrong, and the session goes on."""
     browser, errors = FakeBrowser(), []
     session = session_of(shared, browser)
     make = client_session.make_picture
 
-    def fail(scene, wish, *rest):
-        if wish.look == "depth":
+    def fail(scene, request, *rest):
+        if request.look == "depth":
             raise ValueError("no such tree")
-        return make(scene, wish, *rest)
+        return make(scene, request, *rest)
 
     monkeypatch.setattr(client_session, "make_picture", fail)
     session.on_error = errors.append
@@ -245,7 +245,7 @@ def test_a_thousand_cameras_a_second(shared):
     for step in range(1000):
         browser.look((POSE[0], (0.0, 0.0, 1e-3 * step), *POSE[2:]), (8, 6))
     until(lambda: session.is_idle)
-    assert session.wish.camera[1][2] == pytest.approx(0.999)
+    assert session.request.camera[1][2] == pytest.approx(0.999)
     assert session.close()
 
 

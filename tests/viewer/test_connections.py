@@ -153,12 +153,12 @@ def test_cameras_that_make_no_sense(viewer, camera, page):
     until(lambda: one.pictures and viewer.sessions)
     (session,) = viewer.sessions.values()
     until(lambda: session.is_idle)
-    before = session.wish.camera
+    before = session.request.camera
     for fields in NONSENSE:
         one.look(camera, **fields)
     one.look(camera, image_width=90)
-    until(lambda: session.wish.size[0] == 90)
-    assert session.wish.camera == before
+    until(lambda: session.request.size[0] == 90)
+    assert session.request.camera == before
     assert session.error is None
     until(lambda: session.is_idle)
 
@@ -168,8 +168,8 @@ def test_a_first_camera_that_makes_no_sense(viewer, camera, page):
     one.look(camera, position=(float("nan"),) * 3, image_width=0, image_height=-5)
     until(lambda: one.pictures)
     (session,) = viewer.sessions.values()
-    assert session.wish.camera[0] == pytest.approx(tuple(camera.position))
-    assert session.wish.size == (1, 1)
+    assert session.request.camera[0] == pytest.approx(tuple(camera.position))
+    assert session.request.size == (1, 1)
 
 
 class Window:
@@ -201,7 +201,7 @@ def test_a_pose_is_that_of_the_camera(camera):
 
 
 def test_a_flood_of_cameras(viewer, camera, page):
-    """A thousand in a second are one wish: pictures are as many as the browser answers for, the last one of the last camera."""
+    """A thousand in a second are one request: pictures are as many as the browser answers for, the last of the last camera."""
     one = page()
     one.look(camera)
     until(lambda: one.pictures)
@@ -210,7 +210,7 @@ def test_a_flood_of_cameras(viewer, camera, page):
     before = one.pictures
     for step in range(1000):
         one.look(camera, image_width=100 + step % 7, image_height=60 + step // 200)
-    until(lambda: session.wish.size == (100 + 999 % 7, 64) and session.is_idle)
+    until(lambda: session.request.size == (100 + 999 % 7, 64) and session.is_idle)
     assert one.pictures - before < 200
 
 
@@ -272,13 +272,13 @@ def test_the_scene_changes_while_it_is_shown(camera):
         with viewer.shared._lock:  # as while a tree is built
             count = one.pictures
             one.look(camera, image_width=88)
-            until(lambda: session.wish.size[0] == 88 and session.is_idle and one.pictures > count, 20.0)
+            until(lambda: session.request.size[0] == 88 and session.is_idle and one.pictures > count, 20.0)
         for step in range(10):
             scene.update(0, vertices=np.add(vertices, (0.0, 0.0, 0.1 * step)))
             viewer.refresh()
             one.look(camera, image_width=80 + step)
-        until(lambda: session.wish.size[0] == 89 and session.is_idle)
-        expected = wrt.render(scene, session.wish.camera_of(), samples=1, ambient_samples=2)
+        until(lambda: session.request.size[0] == 89 and session.is_idle)
+        expected = wrt.render(scene, session.request.camera_of(), samples=1, ambient_samples=2)
         assert np.abs(session.picture.pixels() - 255.0 * expected).max() <= 1.0
         one.close()
 

@@ -12,8 +12,8 @@ from wrt.viewer.frame_loop import SCALES, FrameLoop
 class Sketch:
     """A picture of so many samples, each of which takes `steps` checks."""
 
-    def __init__(self, wish, scale, is_coarse, samples=3, steps=1, pause=0.0):
-        self.wish, self.scale, self.is_coarse = wish, scale, is_coarse
+    def __init__(self, request, scale, is_coarse, samples=3, steps=1, pause=0.0):
+        self.request, self.scale, self.is_coarse = request, scale, is_coarse
         self.samples, self.steps, self.pause = 1 if is_coarse else samples, steps, pause
         self.done = self.rays = 0
 
@@ -83,15 +83,15 @@ def test_sleeps_when_all_is_shown(client):
     assert time.process_time() - used < 0.2
 
 
-def test_a_new_wish_ends_the_whole_picture():
+def test_a_new_request_ends_the_whole_picture():
     """A picture of a second must not stand between the mouse and the next picture."""
-    client = Client(lambda wish, scale, coarse: Sketch(wish, scale, coarse, steps=1 if coarse else 200, pause=0.005))
+    client = Client(lambda request, scale, coarse: Sketch(request, scale, coarse, steps=1 if coarse else 200, pause=0.005))
     client.loop.start()
     client.loop.want("a")
     client.wait(lambda: client.shown)
     time.sleep(frame_loop.SETTLE + 0.1)  # the whole picture of "a" is under way
     client.loop.want("b")
-    client.wait(lambda: client.shown[-1][0].wish == "b", 0.5)
+    client.wait(lambda: client.shown[-1][0].request == "b", 0.5)
     assert all(picture.is_coarse for picture, _ in client.shown)
     client.loop.close()
     assert not client.loop.is_alive
@@ -100,21 +100,21 @@ def test_a_new_wish_ends_the_whole_picture():
 def test_pictures_never_queue_up(client):
     """A client that takes no pictures while the camera moves gets the newest one afterwards, not all of them."""
     client.gate.clear()
-    for wish in range(50):
-        client.loop.want(wish)
+    for request in range(50):
+        client.loop.want(request)
         time.sleep(0.004)
     client.gate.set()
     client.wait(lambda: client.loop.is_idle)
-    wishes = [picture.wish for picture, _ in client.shown]
-    assert len(set(wishes)) <= 4
-    assert wishes[-1] == 49
+    requests = [picture.request for picture, _ in client.shown]
+    assert len(set(requests)) <= 4
+    assert requests[-1] == 49
 
 
-def test_an_error_is_reported_and_the_next_wish_is_fulfilled():
-    def make(wish, scale, is_coarse):
-        if wish == "bad":
+def test_an_error_is_reported_and_the_next_request_is_served():
+    def make(request, scale, is_coarse):
+        if request == "bad":
             raise ValueError("no such tree")
-        return Sketch(wish, scale, is_coarse)
+        return Sketch(request, scale, is_coarse)
 
     client = Client(make)
     client.loop.start()
@@ -123,7 +123,7 @@ def test_an_error_is_reported_and_the_next_wish_is_fulfilled():
     assert client.loop.is_idle
     client.loop.want("good")
     client.wait(lambda: client.loop.is_idle)
-    assert client.shown[-1][0].wish == "good"
+    assert client.shown[-1][0].request == "good"
     assert len(client.errors) == 1
     client.loop.close()
 
@@ -147,7 +147,7 @@ def test_scale_follows_the_time_of_pictures(monkeypatch):
 
 
 def test_closing_in_the_middle_of_a_picture():
-    client = Client(lambda wish, scale, coarse: Sketch(wish, scale, coarse, steps=1 if coarse else 1000, pause=0.005))
+    client = Client(lambda request, scale, coarse: Sketch(request, scale, coarse, steps=1 if coarse else 1000, pause=0.005))
     client.loop.start()
     client.loop.want("a")
     client.wait(lambda: client.shown)

@@ -106,10 +106,10 @@ def tab(browser, viewer):
 def test_picture_is_that_of_render(tab):
     """In the message, within the codec; and in the window, pixel by pixel."""
     view = scenes.BUILTIN_SCENES["teapot"].camera
-    tab.until(lambda: np.allclose(tab.session.wish.camera[0], view["position"], atol=1e-4))
+    tab.until(lambda: np.allclose(tab.session.request.camera[0], view["position"], atol=1e-4))
     tab.settle()
-    wish = tab.session.wish
-    camera = wish.camera_of()
+    request = tab.session.request
+    camera = request.camera_of()
     np.testing.assert_allclose(camera.forward, wrt.PinholeCamera(4, 3, **view).forward, atol=1e-5)
     assert camera.fov == pytest.approx(view["fov"], abs=1e-4)
     light = scenes.BUILTIN_SCENES["teapot"].light
@@ -126,15 +126,15 @@ def test_picture_is_that_of_render(tab):
 
 def test_drag_moves_the_camera(tab):
     tab.settle()
-    before, count = tab.session.wish, len(tab.pictures)
+    before, count = tab.session.request, len(tab.pictures)
     tab.page.mouse.move(*PLACE)
     tab.page.mouse.down()
     for step in range(6):
         tab.page.mouse.move(PLACE[0] + 10 * step, PLACE[1] + 3 * step)
     tab.page.mouse.up()
-    tab.until(lambda: tab.session.wish.camera != before.camera and len(tab.pictures) > count)
+    tab.until(lambda: tab.session.request.camera != before.camera and len(tab.pictures) > count)
     tab.settle()
-    after = tab.session.wish.camera_of()
+    after = tab.session.request.camera_of()
     old = before.camera_of()
     assert np.linalg.norm(after.position - old.position) > 0.1
     distances = [np.linalg.norm(camera.position - camera.look_at) for camera in (old, after)]
@@ -148,7 +148,7 @@ def test_drag_moves_the_camera(tab):
 def test_looks(tab):
     for look in ("depth", "cost: nodes", "beauty"):
         tab.controls._look.value = look
-        tab.until(lambda look=look: tab.session.wish.look == look)
+        tab.until(lambda look=look: tab.session.request.look == look)
         tab.settle()
         np.testing.assert_array_less(np.abs(tab.received() - tab.session.picture.pixels().astype(int)).mean(), 4.0)
         has_scale = look != "beauty"
@@ -161,7 +161,7 @@ def test_a_control_in_the_browser(tab):
     tab.settle()
     tab.page.locator("input:visible").first.click()
     tab.page.get_by_text("normals", exact=True).click()
-    tab.until(lambda: tab.session.wish.look == "normals")
+    tab.until(lambda: tab.session.request.look == "normals")
     tab.controls._look.value = "beauty"
     tab.settle()
 
@@ -181,8 +181,8 @@ def test_pick_is_intersect(tab):
     tab.pick.hits = None
     tab.page.mouse.click(*PLACE)
     tab.until(lambda: tab.pick.hits is not None and "triangle" in tab.pick._text.content)
-    camera = tab.session.wish.camera_of()
-    rays, size = camera.rays(), tab.session.wish.size
+    camera = tab.session.request.camera_of()
+    rays, size = camera.rays(), tab.session.request.size
     row, column = PLACE[1] * size[1] // SIZE["height"], PLACE[0] * size[0] // SIZE["width"]
     expected = tab.viewer.shared.scene.intersect(rays.origins.reshape(3), rays.directions[row, column])
     assert bool(tab.pick.hits.is_hit) == bool(expected.is_hit)
@@ -271,16 +271,16 @@ def test_scene_that_moves(browser):
     options = {"ambient": {"ambient_samples": 2}}
     with wrt.view(scene, block=False, port=0, options=options, samples=1, animate=animate, frames=4) as viewer:
         tab = Tab(browser, viewer)
-        version = tab.session.wish.version
+        version = tab.session.request.version
         scene.update(0, vertices=np.add(vertices, (0.0, 0.0, 1.0)))
         viewer.refresh()
-        tab.until(lambda: tab.session.wish.version > version)
+        tab.until(lambda: tab.session.request.version > version)
         viewer._panel._play.value = True
         tab.until(lambda: viewer.shared.is_playing and viewer.shared.frame == 3)
         viewer._panel._play.value = False
         tab.until(lambda: not viewer.shared.is_playing)
         tab.settle()
-        expected = wrt.render(scene, tab.session.wish.camera_of(), ambient_samples=2)
+        expected = wrt.render(scene, tab.session.request.camera_of(), ambient_samples=2)
         assert np.abs(tab.received() - to_bytes(expected).astype(int)).mean() < 3.0
         tab.close()
 
@@ -313,7 +313,7 @@ def test_gizmo_moves_an_instance(browser):
         viewer._panel._moves.value = True
         tab.until(lambda: viewer._panel.gizmo is not None)
         tab.page.wait_for_timeout(500)  # until it is drawn
-        seen = tab.session.wish.camera_of()
+        seen = tab.session.request.camera_of()
         (column, row), (left, _) = on_screen(seen, matrix[:3, 3]), on_screen(seen, matrix[:3, 3] - (2.0, 0.0, 0.0))
         before = tab.received()
         arrow = column + 0.6 * GIZMO_PIXELS
@@ -329,8 +329,8 @@ def test_gizmo_moves_an_instance(browser):
         np.testing.assert_allclose(scene.instances[1].transform[1:, 3], matrix[1:, 3], atol=1e-3)  # along the arrow only
         np.testing.assert_allclose(scene.instances[1].transform[:3, :3], np.eye(3), atol=1e-6)
         np.testing.assert_array_equal(scene.instances[0].transform, np.eye(4))
-        assert tab.session.wish.camera_of().position == pytest.approx(seen.position)  # the mouse moved no camera
-        expected = to_bytes(wrt.render(scene, tab.session.wish.camera_of(), ambient_samples=2)).astype(int)
+        assert tab.session.request.camera_of().position == pytest.approx(seen.position)  # the mouse moved no camera
+        expected = to_bytes(wrt.render(scene, tab.session.request.camera_of(), ambient_samples=2)).astype(int)
         assert np.abs(tab.received() - expected).mean() < 3.0
         assert np.abs(tab.received() - before).mean() > 1.0
         assert "instance 1, updated in" in viewer._panel._moved_text.content

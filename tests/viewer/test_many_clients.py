@@ -49,7 +49,7 @@ def test_eight_clients_at_once(viewer):
             time.sleep(0.03)
         sessions = [*viewer.sessions.values()]
         until(lambda: all(session.is_idle for session in sessions) and all(page.pictures >= 3 for page in pages))
-        assert len({session.wish.camera for session in sessions}) == CLIENTS
+        assert len({session.request.camera for session in sessions}) == CLIENTS
         for session in sessions[::2]:
             session.change(samples=256)
         time.sleep(0.1)

@@ -10,7 +10,7 @@ from wrt import scenes
 from wrt.imaging.image_files import to_bytes
 from wrt.viewer.pictures.cost_layers import tile_order
 from wrt.viewer.pictures.looks import LOOKS, make_picture
-from wrt.viewer.pictures.wish import Wish
+from wrt.viewer.pictures.view_request import ViewRequest
 
 SIZE = 48, 36
 
@@ -21,34 +21,34 @@ def scene(request):
 
 
 @pytest.fixture(scope="module")
-def wish():
+def wanted():
     view = scenes.BUILTIN_SCENES["teapot"].camera
-    return Wish(1, (view["position"], view["look_at"], view["up"], view["fov"]), SIZE, samples=2)
+    return ViewRequest(1, (view["position"], view["look_at"], view["up"], view["fov"]), SIZE, samples=2)
 
 
-def finished(scene, wish, scale=1.0, is_coarse=False, **options):
-    picture, checks = make_picture(scene, wish, scale, is_coarse, options), []
+def finished(scene, wanted, scale=1.0, is_coarse=False, **options):
+    picture, checks = make_picture(scene, wanted, scale, is_coarse, options), []
     while not picture.is_complete:
         picture.advance(lambda *_: checks.append(1))
     return picture
 
 
-def test_beauty_is_the_picture_of_render(scene, wish):
-    picture = finished(scene, wish, ambient_samples=2)
-    expected = wrt.render(scene, wish.camera_of(), samples=2, ambient_samples=2)
+def test_beauty_is_the_picture_of_render(scene, wanted):
+    picture = finished(scene, wanted, ambient_samples=2)
+    expected = wrt.render(scene, wanted.camera_of(), samples=2, ambient_samples=2)
     np.testing.assert_array_equal(picture.pixels(), to_bytes(expected))
     assert picture.rays > 0
 
 
-def test_other_integrators(wish):
+def test_other_integrators(wanted):
     scene = wrt.Scene(scenes.build("teapot", level=4), device="cpu")
-    picture = finished(scene, replace(wish, integrator="whitted", samples=1))
-    expected = wrt.render(scene, wish.camera_of(), integrator="whitted", samples=1)
+    picture = finished(scene, replace(wanted, integrator="whitted", samples=1))
+    expected = wrt.render(scene, wanted.camera_of(), integrator="whitted", samples=1)
     np.testing.assert_array_equal(picture.pixels(), to_bytes(expected))
 
 
-def test_coarse_pictures_are_small_and_have_one_sample(scene, wish):
-    picture = finished(scene, wish, 0.5, True)
+def test_coarse_pictures_are_small_and_have_one_sample(scene, wanted):
+    picture = finished(scene, wanted, 0.5, True)
     assert picture.pixels().shape == (18, 24, 3)
 
 
@@ -98,7 +98,7 @@ def test_coarse_pictures_have_no_black_speckles(cloister):
     scene, camera = cloister
     true = linear(scene, camera, ambient_samples=256)
     pose = tuple(camera.position), tuple(camera.look_at), tuple(camera.up), camera.fov
-    coarse = finished(scene, Wish(1, pose, (40, 30)), 1.0, True, **DARK).pixels()[..., 0] / 255.0
+    coarse = finished(scene, ViewRequest(1, pose, (40, 30)), 1.0, True, **DARK).pixels()[..., 0] / 255.0
     coarse = np.where(coarse <= 0.04045, coarse / 12.92, ((coarse + 0.055) / 1.055) ** 2.4)
     alone = linear(scene, camera, ambient_samples=2)
     inside = (true < 0.6) & (true > 0.05)
@@ -109,14 +109,14 @@ def test_coarse_pictures_have_no_black_speckles(cloister):
 
 
 @pytest.mark.parametrize("look", [name for name in LOOKS if name != "beauty"])
-def test_layers_and_costs(scene, wish, look):
+def test_layers_and_costs(scene, wanted, look):
     """Each look makes a picture with more than one colour; what it shows is that of `intersect`."""
-    picture = finished(scene, replace(wish, look=look))
+    picture = finished(scene, replace(wanted, look=look))
     pixels = picture.pixels()
     assert pixels.shape == (36, 48, 3)
     if "geometry" not in look and "instance" not in look:
         assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 3
-    rays = wish.camera_of().rays()
+    rays = wanted.camera_of().rays()
     hits = scene.intersect(rays, traversal="single", counters=True)
     grey = (pixels == pixels[~hits.is_hit][0]).all(axis=-1) if (~hits.is_hit).any() else np.zeros(hits.shape, bool)
     if look == "depth":
@@ -140,12 +140,12 @@ def test_layers_and_costs(scene, wish, look):
         assert known.max() <= 100.0
 
 
-def test_costs_of_packets_are_those_of_their_tiles(scene, wish):
+def test_costs_of_packets_are_those_of_their_tiles(scene, wanted):
     """All pixels of a tile show one value, and it is what `intersect` counts for the tile's rays."""
-    values = finished(scene, replace(wish, look="cost: nodes of packets")).values
+    values = finished(scene, replace(wanted, look="cost: nodes of packets")).values
     tiles = values.reshape(9, 4, 6, 8).swapaxes(1, 2).reshape(54, 32)  # 48 x 36 pixels are 6 x 9 tiles of 8 x 4
     assert (tiles == tiles[:, :1]).all()
-    rays = wish.camera_of().rays()
+    rays = wanted.camera_of().rays()
     order = tile_order(*SIZE)
     directions = rays.directions.reshape(-1, 3)[order]
     flat = wrt.Rays(rays.origins.reshape(3), directions)
@@ -160,7 +160,7 @@ def test_order_of_tiles_is_a_permutation():
         np.testing.assert_array_equal(np.sort(tile_order(width, height)), np.arange(width * height))
 
 
-def test_options_that_do_not_fit_are_errors(scene, wish):
+def test_options_that_do_not_fit_are_errors(scene, wanted):
     other = "mlrta" if scene.accelerator.kind == "bvh" else "interleaved"
     with pytest.raises(ValueError, match=other):
-        finished(scene, replace(wish, look="depth", traversal=other))
+        finished(scene, replace(wanted, look="depth", traversal=other))

@@ -7,7 +7,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from wrt.kernels.validation import as_numbers, convert_fields
-from wrt.tables import lookup
+from wrt.tables import lookup, one_of
 
 if TYPE_CHECKING:
     from wrt.builders import tree as common
@@ -86,7 +86,7 @@ class ProjectedBvh:
         convert_fields(self)
         if self.shares is not None:
             object.__setattr__(self, "shares", tuple(as_numbers("shares", self.shares, (None,), finite=False).tolist()))
-        lookup(dict.fromkeys(COSTS), self.cost, "cost")
+        one_of(COSTS, self.cost, "cost")
         if self.block_cost is not None and self.triangle_cost is not None:
             raise ValueError("block_cost and triangle_cost are both given; leave one out: leaves have one cost")
         self.config(width=8)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.kernels.validation import convert_fields
-from wrt.tables import lookup
+from wrt.tables import one_of
 
 if TYPE_CHECKING:
     from wrt.accelerators.tree_descriptions import Bvh
@@ -83,7 +83,7 @@ class RayAwareBvh:
             raise TypeError(f"local must be a wrt.Bvh or a wrt.known_rays.ProjectedBvh, not {type(self.local).__name__}")
         if not 0.0 <= self.tolerance < 90.0:
             raise ValueError(f"tolerance is {self.tolerance}; it must be in [0, 90), in degrees")
-        lookup(dict.fromkeys(TOP_LEVELS), self.top_level, "top_level")
+        one_of(TOP_LEVELS, self.top_level, "top_level")
         if not 1 <= self.depth <= MAX_DEPTH:
             raise ValueError(f"depth is {self.depth}; it must be from 1 to {MAX_DEPTH}, or use top_level='array'")
         object.__setattr__(self, "whole", self.whole or Bvh())

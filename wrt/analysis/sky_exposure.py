@@ -15,7 +15,7 @@ from wrt.analysis.wall_thickness import BLOCK, frame_of
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.shading.surface import Surface
-from wrt.kernels.validation import as_bool, as_direction, as_float, as_int, as_numbers
+from wrt.kernels.validation import as_bool, as_direction, as_float, as_int, as_numbers, first_bad
 
 if TYPE_CHECKING:
     from wrt.query.hits import Hits
@@ -72,9 +72,10 @@ def exposure(scene: Scene, surface: Hits, directions: Any, *, weights: Any = Non
     """
     check_surface(scene, surface)
     ways, cosine = as_numbers("directions", directions, (None, 3)), as_bool("cosine", cosine)
-    if not len(ways) or not ways.any(axis=1).all():
-        zero = f", and number {int((~ways.any(axis=1)).argmax())} is" if len(ways) else ""
-        raise ValueError(f"directions must be at least one, none of them 0{zero}")
+    if not len(ways):
+        raise ValueError("directions has the shape (0, 3); pass at least one")
+    if bad := first_bad(~ways.any(axis=1), ways):
+        raise ValueError(f"directions{bad}; pass directions other than zero")
     ways /= np.abs(ways).max(axis=1, keepdims=True)  # squares of the rest neither overflow nor vanish
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     shares = np.full(len(ways), 1.0 / len(ways)) if weights is None else as_numbers("weights", weights, (len(ways),))

@@ -105,5 +105,5 @@ def _tag(values: Any, name: str, count: int, device: wp.Device) -> wp.array:
     if values.shape != (count,):
         raise ValueError(f"{name} has the shape {values.shape}; it must have one value for each of {count} rays")
     if count and not 0 <= int(values.min()) <= int(values.max()) <= MOST_TAG:
-        raise ValueError(f"{name} must be from 0 to {MOST_TAG}")
+        raise ValueError(f"{name} must be from 0 to {MOST_TAG}, but ranges from {values.min()} to {values.max()}")
     return wp.array(values.astype(np.int32), dtype=int, device=device)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -187,20 +186,13 @@ def check_name(argument: str, name: str) -> str:
 
 
 def start_warp(device: str | None) -> None:
-    """Initialises Warp without its log lines, including its native library's message about missing CUDA; checks the device."""
+    """Initialises Warp without its log lines; checks the device."""
     import warp
 
+    from wrt.kernels.compilation.kernel_cache import init_warp
+
     warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)
-    sys.stderr.flush()
-    saved = os.dup(2)
-    null = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(null, 2)
-        warp.init()
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(null)
+    init_warp()
     names = [known.alias for known in warp.get_devices()]
     if device is not None and device not in (*names, "cuda" if len(names) > 1 else "cpu"):
         raise click.BadParameter(f"device {device!r} does not exist; choose from {', '.join(names)}", param_hint="--device")

@@ -148,6 +148,7 @@ OTHERS: dict[str, dict[str, str]] = {
         "wald_table": "Wald (2004): axes by a table",
         "wald_modulo": "Wald (2004): axes by division",
         "wald_shifts": "Wächter: Realtime ray tracing (2004): axes by shifts",
+        "unit_ray": "Schmittler, Woop, Wagner, Paul, Slusallek (2004); Woop, Schmittler, Slusallek: RPU (2005)",
         "watertight_prune3": "after Ferko and Ferko: Pichler (2018); Woop, Benthin, Wald (2013)",
         "compact_subtrees": "Havran: Heuristic ray shooting algorithms (2001): kd-tree nodes without indices",
         "coupled_trees": "Cadet, Lécussan: Coupled use of BSP and BVH trees in order to exploit ray bundle performance (2007)",

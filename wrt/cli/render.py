@@ -26,11 +26,12 @@ from wrt.cli.number_types import Real, Whole
 
 if TYPE_CHECKING:
     from wrt.imaging.cameras import PinholeCamera
+    from wrt.imaging.sampled_picture import SampledPicture
     from wrt.meshes.mesh import TriangleMesh
     from wrt.scene.scene import Scene
     from wrt.scenes import BuiltinScene
 
-OPTIONS_OF_OTHERS = ("depth", "sampler", "exposure", "tone_mapping", "lens_radius", "sky")
+OPTIONS_OF_OTHERS = ("depth", "sampler", "exposure", "tone_mapping", "lens_radius", "sky", "resume")
 """Options that the integrator "ambient" does not have."""
 
 KEPT = ".samples.npz"
@@ -95,6 +96,7 @@ def render(output: Path, ground: bool, **given: Any) -> None:
         check_replaceable(output)
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--output") from None
+    _check_integrator(given)
     check_size(given["width"], given["height"])
     query = {name: check_name(name, given[name]) for name in ("triangle_test", "traversal")}
     expect_build(given)
@@ -106,88 +108,67 @@ def render(output: Path, ground: bool, **given: Any) -> None:
     camera = _camera(mesh, builtin, up, given)
     start = time.perf_counter()
     light = given["light"] or (builtin.light if builtin else None)
-    make = _ambient if given["integrator"] == "ambient" else _by_integrator
-    made = make(scene, camera, output, light, mesh.name, given, query)
+    try:
+        picture = _picture(scene, camera, light, given, query)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    if given["integrator"] == "ambient":
+        with progress(f"rendering {mesh.name}") as on_progress:
+            picture.advance(progress=on_progress)
+        picture.save(output)
+        made = ""
+    else:
+        made = _make_or_keep(picture, output, mesh.name, given["resume"])
     seconds = time.perf_counter() - start
     click.echo(f"{output}: {camera.width} x {camera.height}, {scene.triangle_count:,} triangles, {made}{seconds:.1f} s")
 
 
-def _ambient(
-    scene: Scene,
-    camera: PinholeCamera,
-    output: Path,
-    light: Any,
-    name: str | None,
-    given: Mapping[str, Any],
-    query: Mapping[str, Any],
-) -> str:
-    """Renders and writes a picture by ambient occlusion."""
-    from wrt.imaging.image_files import save_image
-    from wrt.imaging.rendering import render as render_image
+def _picture(
+    scene: Scene, camera: PinholeCamera, light: Any, given: Mapping[str, Any], query: Mapping[str, Any]
+) -> SampledPicture:
+    """The picture by the options, without samples."""
+    from wrt.imaging.integrators.rendering_call import new_picture
 
-    for option in OPTIONS_OF_OTHERS:
-        if given[option] is not None:
+    if given["integrator"] == "ambient":
+        options = {"samples": 4, "light": light, "ambient_distance": ambient_distance(scene, camera)}
+        wanted: tuple[str, ...] = ("ambient_samples", "ambient_distance", "shadows")
+    else:
+        options = {"lights": _lights(scene, camera, light, given["sky"])}
+        wanted = ("depth", "sampler", "exposure", "tone_mapping", "lens_radius")
+    options |= {option: given[option] for option in (*wanted, "samples", "smooth", "seed") if given[option] is not None}
+    return new_picture(scene, camera, given["integrator"], **options, **query)
+
+
+def _check_integrator(given: Mapping[str, Any]) -> None:
+    """Refuses options that the integrator does not have."""
+    for option in OPTIONS_OF_OTHERS if given["integrator"] == "ambient" else ():
+        if given[option] not in (None, False):
             raise click.UsageError(f"--{option.replace('_', '-')} needs --integrator whitted, distribution or path")
-    if given["resume"]:
-        raise click.UsageError("--resume needs --integrator whitted, distribution or path")
-    with progress(f"rendering {name}") as on_progress:
-        image = render_image(
-            scene,
-            camera,
-            samples=given["samples"] or 4,
-            ambient_samples=given["ambient_samples"],
-            ambient_distance=given["ambient_distance"] or ambient_distance(scene, camera),
-            light=light,
-            shadows=given["shadows"],
-            smooth=given["smooth"],
-            seed=given["seed"],
-            progress=on_progress,
-            **query,
-        )
-    save_image(output, image)
-    return ""
 
 
-def _by_integrator(
-    scene: Scene,
-    camera: PinholeCamera,
-    output: Path,
-    light: Any,
-    name: str | None,
-    given: Mapping[str, Any],
-    query: Mapping[str, Any],
-) -> str:
-    """Renders and writes a picture by another integrator; the number of samples, in words."""
-    from wrt.imaging.integrators.rendering_job import Rendering
-
-    wanted = ("samples", "depth", "sampler", "exposure", "tone_mapping", "lens_radius", "smooth", "seed")
-    options = {option: given[option] for option in wanted if given[option] is not None}
-    try:
-        lights = _lights(scene, camera, light, given["sky"])
-        rendering = Rendering(scene, camera, integrator=given["integrator"], lights=lights, **options, **query)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
+def _make_or_keep(picture: Any, output: Path, name: str | None, resume: bool) -> str:
+    """Makes and writes a `wrt.pictures.Rendering`, whose samples Ctrl-C keeps; the number of samples, in words."""
     kept = output.with_name(output.name + KEPT)
-    if given["resume"]:
+    if resume:
         try:
-            rendering.load_samples(kept)
+            picture.load_samples(kept)
         except FileNotFoundError:
             raise click.UsageError(f"--resume: there is no '{kept}' of an interrupted picture; leave --resume out") from None
         except ValueError as error:
             raise click.UsageError(f"--resume: {error}") from None
     try:
-        with sample_progress(f"rendering {name}", rendering) as on_progress:
-            rendering.advance(progress=on_progress)
+        with sample_progress(f"rendering {name}", picture) as on_progress:
+            picture.advance(progress=on_progress)
     except KeyboardInterrupt:
-        if rendering.done == 0:
+        if picture.done == 0:
             raise
-        rendering.save_samples(kept)
-        text = f"interrupted: the picture has {rendering.done} of {rendering.samples} samples; --resume adds the others"
+        picture.save_samples(kept)
+        text = f"interrupted: the picture has {picture.done} of {picture.samples} samples; --resume adds the others"
         click.echo(text, err=True)
-    rendering.save(output)
-    if rendering.done == rendering.samples:  # not before the picture is there
+    picture.save(output)
+    if picture.done == picture.samples:  # not before the picture is there
         kept.unlink(missing_ok=True)
-    return f"{rendering.done} samples, "
+    return f"{picture.done} samples, "
 
 
 def _lights(scene: Scene, camera: PinholeCamera, light: Any, sky: float | None) -> list[Any] | None:

@@ -116,7 +116,7 @@ def _viewer(server: WebServer, models: tuple[Path, ...], integrator: str, sample
 
     from wrt.cli.animated_models import load_models
     from wrt.meshes.up_axis import default_up
-    from wrt.viewer.live_view import Viewer, first_wish
+    from wrt.viewer.live_view import Viewer, first_request
 
     loaded, fuzzy = load_models(models, given, given["animate"]), given["fuzzy"]
     scene, builtin = loaded.scene(given, fuzzy), loaded.builtin
@@ -126,7 +126,7 @@ def _viewer(server: WebServer, models: tuple[Path, ...], integrator: str, sample
     if builtin:
         options["light"] = builtin.light
     click.echo(f"{scene.triangle_count:,} triangles" + (f", {loaded.frames} frames" if loaded.frames else ""))
-    first, frames = first_wish(camera, integrator, samples), loaded.frames
+    first, frames = first_request(camera, integrator, samples), loaded.frames
     shown: dict[str, Any] = {"camera": camera, "up": up, "first": first, "options": {"ambient": options}}
     viewer = Viewer(scene, server, **shown, animate=loaded.animation(fuzzy), frames=frames)
     if frames:

@@ -124,7 +124,7 @@ def default_kernels() -> list[wp.Kernel]:
     """One kernel of each module that the default paths on the CPU need: builds, closest hits and occlusion, pictures."""
     from wrt.engine.facts.query_kinds import ANY, CLOSEST
     from wrt.engine.launch.expected_kernels import expected_rays
-    from wrt.imaging.rendering import shading_kernels
+    from wrt.imaging.ambient_rendering import shading_kernels
 
     rays = []
     for count in RAY_COUNTS:

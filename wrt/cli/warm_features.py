@@ -143,7 +143,7 @@ def _update(samples: Samples) -> None:
 
 
 def _ambient(samples: Samples) -> None:
-    from wrt.imaging.rendering import render
+    from wrt.imaging.integrators.rendering_call import render
 
     render(samples.scene, samples.camera, samples=1, ambient_samples=2)
 

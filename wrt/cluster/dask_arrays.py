@@ -88,7 +88,8 @@ def map_rays(
     labelled = next((one for one in (origins, directions) if hasattr(one, "dims") and hasattr(one, "data")), None)
     arrays = [getattr(one, "data", one) if hasattr(one, "dims") else one for one in (origins, directions)]
     if not any(isinstance(one, da.Array) for one in arrays):
-        raise TypeError("origins or directions must be an array of Dask; for others call scene.intersect or intersect_blocks")
+        kinds = f"{type(origins).__name__} and {type(directions).__name__}"
+        raise TypeError(f"origins or directions must be an array of Dask, not {kinds}; for others call scene.intersect_blocks")
     arrays = [one if isinstance(one, da.Array) else da.from_array(np.asarray(one), chunks=-1) for one in arrays]
     if any(one.shape[-1:] != (3,) for one in arrays):
         raise ValueError(f"origins and directions must have shape (..., 3), not {arrays[0].shape} and {arrays[1].shape}")
@@ -146,7 +147,8 @@ def map_points(
     labelled = points if hasattr(points, "dims") and hasattr(points, "data") else None
     array = points if labelled is None else points.data
     if not isinstance(array, da.Array):
-        raise TypeError("points must be an array of Dask; for others call scene.closest_point or closest_point_blocks")
+        kind = type(points).__name__
+        raise TypeError(f"points must be an array of Dask, not {kind}; for others call scene.closest_point_blocks")
     if array.shape[-1:] != (3,):
         raise ValueError(f"points must have shape (..., 3), not {array.shape}")
     dtype, components = POINT_FORMS[what]

@@ -225,7 +225,9 @@ def check_keys(given: dict[str, Any], path: Path) -> None:
         for key, value in found.items():
             if message := keys[key](value):
                 shown = f"[{name}] {key}" if name else key
-                raise ValueError(f"{shown} in '{path}' {message}{f': [{key}]' if key in TABLES and not name else ''}")
+                wanted = f"{message}: [{key}]" if key in TABLES and not name else message
+                text = repr(value)
+                raise ValueError(f"{shown} in '{path}' {wanted}, not {text if len(text) <= 60 else type(value).__name__}")
     if "file" not in given["scene"] or "folder" not in given:
         raise ValueError(f"'{path}' needs folder and [scene] file")
     (check_points if given.get("query") == "closest_point" else check_rays)(given, path)
@@ -234,7 +236,7 @@ def check_keys(given: dict[str, Any], path: Path) -> None:
     of_hits = given.get("query") in HIT_QUERIES
     if isinstance(given["reduce"].get("by", ""), dict) != of_hits and "by" in given["reduce"]:
         kind = "a table such as {t = 'min'}" if of_hits else "one name, such as 'sum'"
-        raise ValueError(f"[reduce] by in '{path}' must be {kind} for this query")
+        raise ValueError(f"[reduce] by in '{path}' must be {kind} for this query, not {given['reduce']['by']!r}")
     if "precise" in given["options"] and not of_hits:
         raise ValueError(f"[options] precise in '{path}' is for query = 'intersect' or 'closest_point'; leave it out")
 

@@ -270,7 +270,7 @@ def _rays_of_view(fov_deg: float, center: Any, eye: Any, up: Any, width_px: int,
         raise ValueError(f"fov_deg must lie between 0 and 180, not {fov_deg}")
     ahead, across = center - eye, np.cross(up, center - eye)
     if not across.any():
-        raise ValueError("the view direction center - eye and up must be neither zero nor parallel")
+        raise ValueError(f"center - eye is {ahead.tolist()}, and up {up.tolist()}; they must be neither zero nor parallel")
     rows = [across, np.cross(ahead, across), ahead]
     rotation = np.stack([row / np.linalg.norm(row) for row in rows])
     extrinsic = np.eye(4)

@@ -18,6 +18,7 @@ from wrt.accelerators.accelerator import Accelerator
 from wrt.compat.trimesh_rays import RayMeshIntersector, as_rows
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.engine.facts.scene_settings import as_settings
+from wrt.kernels.validation import first_bad
 
 if TYPE_CHECKING:
     import trimesh
@@ -83,8 +84,8 @@ class ProximityQuery:
         """The closest vertex to each point, by the k-d tree of the mesh's vertices, which trimesh keeps: (n,) float64 distances
         and (n,) int64 vertices. Errors as in `on_surface`; ValueError for a point with a NaN or an infinity."""
         points = as_rows(points, "points")
-        if not np.isfinite(points).all():
-            raise ValueError("points holds NaN or infinite numbers, which are near no vertex; leave these points out")
+        if bad := first_bad(~np.isfinite(points).all(axis=1), points):
+            raise ValueError(f"points{bad}, which is near no vertex; leave such points out")
         distance, number = self._rays.mesh.kdtree.query(points)
         return distance, number.astype(np.int64)
 

@@ -43,6 +43,7 @@ class AmbientRays:
 
     Attributes:
         scale: what `count_open` gives for a ray.
+        ray_count: number of rays traced so far.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class AmbientRays:
     ) -> None:
         self._scene, self._samples, self._seed, self._query = scene, samples, seed, query
         self._width, self._radius, self.scale = width, radius, int(ambient.SHARES) if radius else 1
+        self.ray_count = 0
         _, self._expected = most_rays(points, samples)
         self._origins, self._directions = (empty(self._expected.count, wp.vec3, scene.device) for _ in range(2))
         self._distance = wp.array(np.array([distance], np.float32), dtype=float, device=scene.device)
@@ -85,6 +87,7 @@ class AmbientRays:
             self._run(ambient.ambient_rays, hit, surface, points, center, *numbers, self._origins, self._directions)
             rays = self._origins, self._directions, len(hit) * count
             blocked = tracer.blocked_from_points(*rays, self._distance, self._expected)
+            self.ray_count += len(hit) * count
             self._run(ambient.count_open, hit, points, count, blocked, open_rays)
         return self._shared(surface, first_pixel, open_rays) if self._radius else open_rays
 

@@ -37,7 +37,7 @@ from wrt.engine.rays.rays import as_rays
 from wrt.kernels.query.ordering.ray_order import sort_rays
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.validation import as_int
-from wrt.tables import lookup
+from wrt.tables import one_of
 
 if TYPE_CHECKING:
     from wrt.builders.influence.influence_area import InfluenceArea
@@ -177,7 +177,7 @@ def break_even(
         raise ValueError(
             "the scene has no influence areas with triangles; make it with accelerator=wrt.known_rays.RayAwareBvh(areas=...)"
         )
-    lookup(dict.fromkeys((CLOSEST, ANY)), query, "query")
+    one_of((CLOSEST, ANY), query, "query")
     with use_threads(scene.num_threads):
         buffers = to_device(as_rays(origins, directions, t_min, t_max), scene.device, scene.center)
         plan = plan_for_query(make_plan(scene.state, buffers, "single", AUTO, query), query)

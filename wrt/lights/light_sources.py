@@ -167,7 +167,7 @@ class AreaLight:
     def _flat(cls, shape: str, corner: Any, edge1: Any, edge2: Any, radiance: Any, two_sided: bool) -> AreaLight:
         corner, edge1, edge2 = (place(name, value) for name, value in (("corner", corner), ("edge1", edge1), ("edge2", edge2)))
         if not np.linalg.norm(np.cross(edge1, edge2)) > 0.0:
-            raise ValueError("the light has no area: its edges are parallel, or zero")
+            raise ValueError(f"the light has no area: its edges {edge1.tolist()} and {edge2.tolist()} are parallel, or zero")
         return cls(shape, corner, edge1, edge2, 0.0, as_color("radiance", radiance), as_bool("two_sided", two_sided))
 
     @property

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.kernels.validation import as_direction, as_float, as_real_array
+from wrt.kernels.validation import as_direction, as_float, as_real_array, first_bad
 from wrt.materials.material import as_color
 
 __all__ = ["Sky"]
@@ -73,7 +73,8 @@ class Sky:
         if texels.ndim != 3 or texels.shape[2] != 3 or texels.size == 0:
             raise ValueError(f"image must have shape (H, W, 3), not {texels.shape}")
         if not (np.isfinite(texels).all() and texels.min() >= 0.0):
-            raise ValueError("image must be finite and not negative")
+            bad = first_bad(~(np.isfinite(texels) & (texels >= 0.0)), texels)
+            raise ValueError(f"image times scale{bad}; it must be finite and not negative")
         sky = object.__new__(cls)
         sky._set(texels, up, east)
         return sky

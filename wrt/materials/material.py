@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from wrt.kernels.validation import as_float, as_numbers, convert_fields, host_array
+from wrt.tables import one_of
 
 __all__ = ["KINDS", "Material", "Texture"]
 
@@ -125,8 +126,7 @@ class Material:
     alpha_cutoff: float | None = None
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ValueError(f"unknown kind {self.kind!r} of material; choose from {', '.join(KINDS)}")
+        one_of(KINDS, self.kind, "kind")
         convert_fields(self)
         kept: dict[str, Any] = {
             "color": as_color("color", self.color, 1.0),

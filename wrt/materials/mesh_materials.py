@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.kernels.validation import as_real_array, host_array
+from wrt.kernels.validation import as_real_array, first_bad, host_array
 from wrt.materials.material import Material
 
 __all__ = ["MeshMaterials"]
@@ -70,7 +70,8 @@ def make_mesh_materials(
         if of_face.dtype.kind not in "iu" or of_face.shape != (len(faces),):
             raise ValueError(f"of_face must be integers of shape ({len(faces)},), not {of_face.dtype} of shape {of_face.shape}")
         if of_face.min() < 0 or of_face.max() >= len(listed):
-            raise ValueError(f"of_face must be from 0 to {len(listed) - 1}, the materials, but goes up to {of_face.max()}")
+            found = f"{of_face.min()} to {of_face.max()}"
+            raise ValueError(f"of_face must be from 0 to {len(listed) - 1}, the materials, but ranges from {found}")
         of_face = of_face.astype(np.int32)
     return MeshMaterials(
         listed, of_face, _by_corner("uv", uv, faces, vertex_count, 2), _by_corner("colors", colors, faces, vertex_count, 3)
@@ -86,8 +87,8 @@ def _by_corner(name: str, values: Any, faces: np.ndarray, vertex_count: int, wid
     if array.shape != (len(faces), 3, width):
         shapes = f"({vertex_count}, {width}) for vertices or ({len(faces)}, 3, {width}) for corners"
         raise ValueError(f"{name} must have shape {shapes}, not {array.shape}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite")
+    if bad := first_bad(~np.isfinite(array).all(axis=2), array):
+        raise ValueError(f"{name} must be finite, but that of [triangle, corner] {bad}")
     return np.ascontiguousarray(array)
 
 

@@ -32,5 +32,8 @@ def height_map_arrays(heights: Any, spacing: Any, origin: Any) -> tuple[np.ndarr
     cells = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=-2)[whole]
     faces = cells.reshape(-1, 3)
     if not len(faces):
-        raise ValueError("heights have no cell of four finite numbers")
+        raise ValueError(
+            f"heights of shape {values.shape}, {int(known.sum())} of them finite, have no cell of four finite numbers; a cell "
+            "needs two neighbours in each of two rows"
+        )
     return places.reshape(-1, 3), faces if step[0] * step[1] > 0.0 else faces[:, ::-1]

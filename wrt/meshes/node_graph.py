@@ -118,7 +118,7 @@ class NodeGraph:
             TypeError, ValueError: as `wrt.Scene.move`.
         """
         if not isinstance(nodes, Mapping) or not nodes:
-            raise TypeError("nodes must be a dict from names to transforms, with at least one")
+            raise TypeError(f"nodes must be a dict from names to transforms, with at least one, not {nodes!r}")
         local, changed = self.local.copy(), np.zeros(len(self.names), dtype=bool)
         for name, matrix in nodes.items():
             number = self.number(name)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.kernels.validation import as_int, as_numbers, as_real_array
+from wrt.kernels.validation import as_int, as_numbers, as_real_array, first_bad
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,15 +34,18 @@ class Skeleton:
         joints, limits = (as_numbers(name, getattr(self, name), finite=False) for name in ("joints", "limits"))
         count = len(parents) if parents.ndim == 1 else 0
         if not count or parents.dtype.kind not in "iu":
-            raise ValueError("parents must be of shape (B,), an integer for each bone")
+            raise ValueError(f"parents must be an integer for each bone, (B,), not {parents.dtype} of shape {parents.shape}")
         if joints.shape != (count, 3) or limits.shape != (count, 3, 2):
             raise ValueError(
                 f"joints and limits must be of shapes ({count}, 3) and ({count}, 3, 2), not {joints.shape} and {limits.shape}"
             )
-        if not (np.isfinite(joints).all() and np.isfinite(limits).all() and (limits[..., 0] <= limits[..., 1]).all()):
-            raise ValueError("joints and limits must be finite, and least angles must not exceed greatest angles")
-        if ((parents < -1) | (parents >= np.arange(count))).any():
-            raise ValueError("parents must come before their bones; -1 stands for none")
+        for name, values in (("joints", joints), ("limits", limits)):
+            if bad := first_bad(~np.isfinite(values), values):
+                raise ValueError(f"{name}{bad}; all must be finite")
+        if bad := first_bad(limits[..., 0] > limits[..., 1], limits):
+            raise ValueError(f"limits{bad}: the least angle must not exceed the greatest one")
+        if bad := first_bad((parents < -1) | (parents >= np.arange(count)), parents):
+            raise ValueError(f"parents{bad}; parents must come before their bones, and -1 stands for none")
         for name, values in (("parents", parents.astype(np.int64)), ("joints", joints), ("limits", limits)):
             object.__setattr__(self, name, values)
 

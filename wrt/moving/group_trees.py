@@ -68,8 +68,9 @@ class GroupLayout:
                     f"builder {accelerator.builder!r} cannot build the trees of groups; choose one that is not lazy"
                 )
         width = native_width(settings.device)
-        if len({(one.kind, one.width or width) for one in chosen}) > 1:
-            raise ValueError("accelerators must be trees of one kind and width, as that of the other groups")
+        forms = {f"{one.kind} of width {one.width or width}": None for one in chosen}
+        if len(forms) > 1:
+            raise ValueError(f"accelerators must be trees of one kind and width, not {' and '.join(forms)}")
         if top == LIST and chosen[0].kind != "kdtree":
             raise ValueError("top='list' needs groups with kd-trees; pass accelerator='kdtree', or leave top out")
         return cls(hierarchy_of(geometry), tuple(TreeRecipe(one, width, settings.device) for one in chosen), top)

@@ -27,7 +27,7 @@ from wrt.engine.facts.scene_settings import as_settings
 from wrt.engine.facts.scene_state import Settings, new_mark
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
-from wrt.kernels.validation import as_int, as_numbers, as_real_array
+from wrt.kernels.validation import as_int, as_numbers, as_real_array, first_bad
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import find_center, moved_mesh, place_meshes
 from wrt.meshes.skeleton import Skeleton, skinned
@@ -242,6 +242,9 @@ def check_weights(weights: Any, vertices: int, bones: int) -> np.ndarray:
     weights = as_numbers("weights", weights, finite=False)
     if weights.shape != (vertices, bones):
         raise ValueError(f"weights must be of shape ({vertices}, {bones}), vertices by bones, not {weights.shape}")
-    if not ((weights >= 0.0).all() and np.allclose(weights.sum(axis=1), 1.0, atol=1e-4)):
-        raise ValueError("weights must be at least 0, and sum to 1 for each vertex")
+    if bad := first_bad(~(weights >= 0.0), weights):
+        raise ValueError(f"weights{bad}; weights must be at least 0")
+    sums = weights.sum(axis=1)
+    if bad := first_bad(~np.isclose(sums, 1.0, atol=1e-4), sums):
+        raise ValueError(f"the sum of weights{bad}; weights must sum to 1 for each vertex")
     return weights

@@ -68,7 +68,7 @@ def unknown_option(method: Callable[..., Any], given: Iterable[str]) -> TypeErro
     """The error of an option that a method does not take: it lists those that there are."""
     parameters = inspect.signature(method).parameters
     unknown = next(name for name in given if name not in parameters)
-    options = ", ".join(name for name, one in parameters.items() if one.kind is inspect.Parameter.KEYWORD_ONLY)
+    options = ", ".join(name for name, one in parameters.items() if name != "self" and one.kind is not one.VAR_KEYWORD)
     return TypeError(f"{method.__name__}() got an unexpected keyword argument {unknown!r}; its options are {options}")
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.validation import convert_fields
-from wrt.tables import lookup
+from wrt.tables import one_of
 
 if TYPE_CHECKING:
     from wrt.accelerators.accelerator import Accelerator
@@ -68,7 +68,7 @@ class UpdatePolicy:
 
     def __post_init__(self) -> None:
         convert_fields(self)
-        lookup(dict.fromkeys((AUTO, ALWAYS, NEVER)), self.when, "rebuild")
+        one_of((AUTO, ALWAYS, NEVER), self.when, "rebuild")
         if not self.tolerance >= 1.0:
             raise ValueError(f"tolerance is {self.tolerance}; it must be at least 1")
 

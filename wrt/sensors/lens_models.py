@@ -224,7 +224,10 @@ class FTheta(LensModel):
         check_real("cx and cy", [self.cx, self.cy])
         values = check_real("coefficients", self.coefficients).ravel()
         if not 1 <= len(values) <= 12 or values[0] <= 0.0:
-            raise ValueError("coefficients must be 1 to 12 numbers, the first one, pixels per radian at the centre, above 0")
+            raise ValueError(
+                f"coefficients are {values.tolist()}; they must be 1 to 12 numbers, the first one, pixels per radian at the "
+                "centre, above 0"
+            )
         object.__setattr__(self, "coefficients", tuple(values.tolist()))
         _check_angle(self.max_angle)
 

@@ -54,7 +54,8 @@ class LidarPattern:
         self.directions = self._vectors("directions", directions)
         self.shape = self.directions.shape if self.is_warp else self.directions.shape[:-1]
         if not self.shape or 0 in self.shape:
-            raise ValueError("directions must have shape (..., 3) with at least one beam and one leading axis")
+            found = self.directions.shape
+            raise ValueError(f"directions must have shape (..., 3) with at least one beam and one leading axis, not {found}")
         self.times = self._spread("times", np.zeros(()) if times is None else times, np.float64)
         default = np.arange(self.shape[0]).reshape(-1, *(1,) * (len(self.shape) - 1))
         self.rings = self._spread("rings", default if rings is None else rings, np.int32)
@@ -241,10 +242,11 @@ class LidarPattern:
             if values.dtype is not wp.vec3:
                 raise TypeError(f"{name} must be a Warp array of vec3, not of {values.dtype.__name__}")
             if name != "directions" and (not self.is_warp or values.shape != self.shape):
-                raise ValueError(f"{name} must have the shape of the directions, which must be a Warp array, too")
+                where = self.shape if self.is_warp else "a NumPy array"
+                raise ValueError(f"{name} of shape {values.shape} must be as the directions, which are {where}")
             return values.contiguous()
         if name != "directions" and self.is_warp:
-            raise TypeError(f"{name} must be a Warp array of vec3, as the directions are")
+            raise TypeError(f"{name} must be a Warp array of vec3, as the directions are, not {type(values).__name__}")
         values = check_real(name, values)
         if values.shape[-1:] != (3,):
             raise ValueError(f"{name} must have shape (..., 3), not {values.shape}")

@@ -12,7 +12,7 @@ import warp as wp
 from wrt.engine.memory import keep_alive
 from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.runtime.launch import as_device, launch, refuse_capture
-from wrt.kernels.validation import host_array
+from wrt.kernels.validation import first_bad, host_array
 from wrt.sensors.checks import SAME_STRETCH, as_time, check_matrix, check_real, is_rigid
 
 if TYPE_CHECKING:
@@ -50,15 +50,17 @@ class Trajectory:
     def __init__(self, times: Any, positions: Any, rotations: Any = None, *, stretch: Any = None) -> None:
         self.times = check_real("times", times, (None,))
         count = len(self.times)
-        if count == 0 or (np.diff(self.times) <= 0.0).any():
-            raise ValueError("times must ascend and hold at least one time; sort the poses by time and leave doubles out")
+        if count == 0:
+            raise ValueError("times is empty; pass at least one time")
+        if bad := first_bad(np.diff(self.times, prepend=-np.inf) <= 0.0, self.times):
+            raise ValueError(f"times must ascend, but times{bad}; sort the poses by time and leave doubles out")
         self.positions = check_real("positions", positions, (count, 3))
         given = (
             np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)) if rotations is None else check_real("rotations", rotations, (count, 4))
         )
         lengths = np.linalg.norm(given, axis=1, keepdims=True)
-        if (lengths == 0.0).any():
-            raise ValueError("rotations holds a quaternion of length 0; the one without a rotation is (0, 0, 0, 1)")
+        if bad := first_bad(lengths[:, 0] == 0.0, given):
+            raise ValueError(f"rotations{bad}, a quaternion of length 0; the one without a rotation is (0, 0, 0, 1)")
         unit = given / lengths
         flips = np.where((unit[1:] * unit[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
         unit[1:] *= np.cumprod(flips)[:, None]
@@ -303,7 +305,9 @@ def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:
             return Trajectory.at_rest(matrix, rows)
         pose = Trajectory.from_matrices([0.0], matrix[None])
     if not pose.is_rigid:
-        raise ValueError(f"{name} must move and turn the sensor only, without scale, shear or mirroring")
+        raise ValueError(
+            f"{name} must move and turn the sensor only, without scale, shear or mirroring, not by {pose.stretch.tolist()}"
+        )
     return pose
 
 

@@ -18,7 +18,7 @@ from wrt.engine.rays.device_rays import DeviceRays, lay_out
 from wrt.engine.rays.rays import Rays, ResultForm, check_number
 from wrt.kernels.layout.light_samples import GROUP, LightSamples, pattern_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
-from wrt.kernels.validation import as_int, as_numbers, as_point, as_real_array, host_array
+from wrt.kernels.validation import as_int, as_numbers, as_point, as_real_array, first_bad, host_array
 
 if TYPE_CHECKING:
     from wrt.scene.scene import Scene
@@ -272,8 +272,8 @@ def check_samples(positions: Any) -> np.ndarray:
             f"positions hold {array.shape[0]} patterns of {array.shape[1]} samples; pass 1 to {MAX_PATTERNS} patterns of 1 to "
             f"{MAX_SAMPLES} samples"
         )
-    if not (np.abs(array) <= FARTHEST_SAMPLE).all():
-        raise ValueError(f"positions must be finite and at most {FARTHEST_SAMPLE:g} in size")
+    if bad := first_bad(~(np.abs(array) <= FARTHEST_SAMPLE), array):
+        raise ValueError(f"positions{bad}; they must be finite and at most {FARTHEST_SAMPLE:g} in size")
     return array
 
 

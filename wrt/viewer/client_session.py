@@ -23,7 +23,7 @@ from wrt.kernels.runtime.launch import use_threads
 from wrt.viewer.browser import Browser, Pose
 from wrt.viewer.frame_loop import FrameLoop, FrameTimes, Superseded
 from wrt.viewer.pictures.looks import make_picture
-from wrt.viewer.pictures.wish import Wish
+from wrt.viewer.pictures.view_request import ViewRequest
 from wrt.viewer.session_life import Life, SessionState
 from wrt.viewer.shared_scene import SharedScene
 
@@ -50,7 +50,7 @@ class ClientSession:
 
     Attributes:
         life: where the session is.
-        wish: what the client wants to see.
+        request: what the client wants to see.
         picture: the picture that was made last.
         times: what it took.
         error: why there is none; None for no reason.
@@ -60,7 +60,7 @@ class ClientSession:
         self,
         browser: Browser,
         shared: SharedScene,
-        first: Wish,
+        first: ViewRequest,
         options: dict[str, Any],
         furnish: Callable[[ClientSession], None] = lambda session: None,
         left: Callable[[ClientSession], None] = lambda session: None,
@@ -75,9 +75,9 @@ class ClientSession:
         self._options, self._furnish, self._left = options, furnish, left
         self._begun, self._room = threading.Event(), threading.Event()
         self._room.set()
-        self._wishing = threading.Lock()
+        self._requesting = threading.Lock()
         pose, size = browser.view()
-        self.wish = replace(first, version=shared.current[0], camera=pose or first.camera, size=size)
+        self.request = replace(first, version=shared.current[0], camera=pose or first.camera, size=size)
         self._loop = FrameLoop(self._make, self._show, self._tell, self._ended)
         self._furnisher = threading.Thread(target=self._make_panels, name="wrt-panels", daemon=True)
 
@@ -96,7 +96,7 @@ class ClientSession:
             return
         self.shared.listen(self._follow)
         self.browser.on_look(self._look)
-        self._loop.want(self.wish)
+        self._loop.want(self.request)
         try:
             self._furnisher.start()
             self._loop.start()
@@ -135,14 +135,14 @@ class ClientSession:
         return self._loop.is_alive or self._furnisher.is_alive()
 
     def change(self, **values: Any) -> None:
-        """Changes fields of the wish."""
+        """Changes fields of the request."""
         self._tell(None)
         self._want(**values)
 
     def _want(self, **values: Any) -> None:
-        with self._wishing:
-            self.wish = replace(self.wish, **values)
-            self._loop.want(self.wish)
+        with self._requesting:
+            self.request = replace(self.request, **values)
+            self._loop.want(self.request)
 
     def _look(self, pose: Pose, size: tuple[int, int]) -> None:
         """The camera has moved."""
@@ -152,9 +152,11 @@ class ClientSession:
         """The scene has changed."""
         self._want(version=self.shared.current[0])
 
-    def _make(self, wish: Wish, scale: float, is_coarse: bool) -> Any:
+    def _make(self, request: ViewRequest, scale: float, is_coarse: bool) -> Any:
         with use_threads(self.shared.threads):
-            self.picture = make_picture(self.shared.current[1], wish, scale, is_coarse, self._options.get(wish.integrator))
+            self.picture = make_picture(
+                self.shared.current[1], request, scale, is_coarse, self._options.get(request.integrator)
+            )
         return self.picture
 
     def _show(self, pixels: np.ndarray, times: FrameTimes) -> None:
@@ -194,7 +196,7 @@ class ClientSession:
         self._free()
 
     def _fail(self, error: Exception) -> None:
-        """Ends the session for an error that no other wish would mend, and says so."""
+        """Ends the session for an error that no other request would mend, and says so."""
         if self.life.is_over:
             return
         self.error = error

@@ -1,10 +1,10 @@
 """The loop that makes the pictures of one client: coarse while something changes, whole once it rests, then refined.
 
-One thread makes pictures and knows only the newest wish: a new wish replaces the one before, and ends the whole picture that is
-being made for it. `show` returns only when the client has room for another picture, so none wait in a queue.
+One thread makes pictures and knows only the newest request: a new one replaces the one before, and ends the whole picture that
+is being made for it. `show` returns only when the client has room for another picture, so none wait in a queue.
 
-    moving   a wish is younger than `SETTLE` seconds: one coarse picture. Its scale follows the time that pictures take.
-    resting  the same wish for longer: the whole picture, then more samples, until it is complete.
+    moving   a request is younger than `SETTLE` seconds: one coarse picture. Its scale follows the time that pictures take.
+    resting  the same request for longer: the whole picture, then more samples, until it is complete.
     idle     nothing is wanted but what is shown: the thread sleeps, without a timeout.
 """
 
@@ -26,7 +26,7 @@ PATIENCE, TRY_AGAIN = 3, 60
 """Coarse pictures after which a finer scale is tried, and after which one that was too slow is tried again."""
 
 SETTLE = 0.15
-"""Seconds after which a wish rests."""
+"""Seconds after which a request rests."""
 
 SHOW_EVERY = 0.3
 """Seconds between pictures to which samples are added."""
@@ -76,9 +76,9 @@ class FrameLoop:
     """A thread that makes the pictures of a client.
 
     Args:
-        make: make(wish, scale, is_coarse) -> `Picture`.
+        make: make(request, scale, is_coarse) -> `Picture`.
         show: show(pixels, times): sends a picture; waits until the client has received the one before.
-        fail: fail(error): reports that a wish could not be fulfilled; the loop then waits for another.
+        fail: fail(error): reports that a request could not be served; the loop then waits for another.
         ended: ended(error): the thread's last call; `error` is what `fail` raised, and None after `stop`.
     """
 
@@ -91,8 +91,8 @@ class FrameLoop:
     ) -> None:
         self._make, self._show, self._fail, self._ended = make, show, fail, ended
         self._changed = threading.Condition()
-        self._wish: Any = None
-        self._wished_at = 0.0
+        self._request: Any = None
+        self._requested_at = 0.0
         self._done: Any = None
         self._closed = False
         self._scale, self._count, self._last = 2, 0, 0.0
@@ -104,11 +104,11 @@ class FrameLoop:
         self._thread.start()
         return self
 
-    def want(self, wish: Any) -> None:
-        """Replaces the wish; an equal one changes nothing."""
+    def want(self, request: Any) -> None:
+        """Replaces the request; an equal one changes nothing."""
         with self._changed:
-            if wish != self._wish:
-                self._wish, self._wished_at = wish, perf_counter()
+            if request != self._request:
+                self._request, self._requested_at = request, perf_counter()
                 self._changed.notify_all()
 
     def stop(self) -> None:
@@ -137,55 +137,55 @@ class FrameLoop:
     def is_idle(self) -> bool:
         """Whether all that is wanted is shown."""
         with self._changed:
-            return self._wish is None or self._wish is self._done
+            return self._request is None or self._request is self._done
 
     def _run(self) -> None:
         failed = None
         try:
-            self._answer_wishes()
-        except Exception as error:  # of `fail`: no other wish would mend it
+            self._serve_requests()
+        except Exception as error:  # of `fail`: no other request would mend it
             failed = error
         finally:
             with self._changed:
                 self._closed = True
             self._ended(failed)
 
-    def _answer_wishes(self) -> None:
+    def _serve_requests(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._wish is not self._done)
+                self._changed.wait_for(lambda: self._closed or self._request is not self._done)
                 if self._closed:
                     return
-                wish, age = self._wish, perf_counter() - self._wished_at
+                request, age = self._request, perf_counter() - self._requested_at
             try:
                 if age < SETTLE:
-                    self._move(wish)
+                    self._move(request)
                 else:
-                    self._refine(wish)
+                    self._refine(request)
             except Superseded:
                 continue
-            except Exception as error:  # whatever a wish leads to, the next one must be answered
-                self._done = wish
+            except Exception as error:  # whatever a request leads to, the next one must be answered
+                self._done = request
                 if not self._closed:
                     self._fail(error)
 
-    def _check(self, wish: Any) -> None:
-        if self._closed or self._wish is not wish:
+    def _check(self, request: Any) -> None:
+        if self._closed or self._request is not request:
             raise Superseded
 
-    def _move(self, wish: Any) -> None:
+    def _move(self, request: Any) -> None:
         """A coarse picture; then sleeps until something moves on, or rests."""
         scale, start = SCALES[self._scale], perf_counter()
-        picture = self._make(wish, scale, True)
+        picture = self._make(request, scale, True)
         picture.advance(lambda *_: None)  # a coarse picture is finished, or none would be seen while the mouse moves
         pixels, seconds = picture.pixels(), perf_counter() - start
         self._adapt(seconds)
         if not self._closed:
             self._show(pixels, FrameTimes(True, scale, seconds, picture.rays, False))
         with self._changed:
-            left = self._wished_at + SETTLE - perf_counter()
+            left = self._requested_at + SETTLE - perf_counter()
             if left > 0.0:
-                self._changed.wait_for(lambda: self._closed or self._wish is not wish, left)
+                self._changed.wait_for(lambda: self._closed or self._request is not request, left)
 
     def _adapt(self, seconds: float) -> None:
         """Coarser after two pictures in a row that took too long; finer after some that did not.
@@ -204,21 +204,21 @@ class FrameLoop:
             if self._count >= PATIENCE and not (self._wait and self._scale - 1 == self._too_slow):
                 self._scale, self._count = self._scale - 1, 0
 
-    def _refine(self, wish: Any) -> None:
+    def _refine(self, request: Any) -> None:
         """The whole picture, then more samples."""
         start = shown = perf_counter()
-        rays, picture = 0, self._make(wish, 1.0, False)
+        rays, picture = 0, self._make(request, 1.0, False)
         first = True
         while not picture.is_complete:
-            self._check(wish)
-            picture.advance(lambda *_: self._check(wish))
+            self._check(request)
+            picture.advance(lambda *_: self._check(request))
             now = perf_counter()
             if first or picture.is_complete or now - shown >= SHOW_EVERY:
                 times = FrameTimes(False, 1.0, now - start, picture.rays - rays, picture.is_complete)
                 pixels = picture.pixels()
-                self._check(wish)
+                self._check(request)
                 self._show(pixels, times)
                 first, rays = False, picture.rays
                 start = shown = perf_counter()
         with self._changed:
-            self._done = wish
+            self._done = request

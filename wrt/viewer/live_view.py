@@ -27,7 +27,7 @@ from wrt.viewer.panels.pick_panel import PickPanel
 from wrt.viewer.panels.scene_panel import ScenePanel
 from wrt.viewer.panels.tree_panel import TreePanel
 from wrt.viewer.pictures.looks import make_picture
-from wrt.viewer.pictures.wish import Wish
+from wrt.viewer.pictures.view_request import ViewRequest
 from wrt.viewer.shared_scene import SharedScene
 from wrt.viewer.trees.box_lines import heat_colors
 from wrt.viewer.web_server import WebServer, check_viser
@@ -82,7 +82,7 @@ class Viewer:
         *,
         camera: PinholeCamera,
         up: Any,
-        first: Wish,
+        first: ViewRequest,
         options: Mapping[str, Mapping[str, Any]],
         animate: Callable[[Scene, int], Any] | None = None,
         frames: int = 0,
@@ -224,8 +224,8 @@ class Viewer:
             if self._web.browsers or self._ended.is_set():  # one waits: its picture is made already
                 return
             version, scene = self.shared.current
-            wish = replace(self._first, version=version, size=(160, 120))
-            make_picture(scene, wish, 1.0, True, self._options.get(wish.integrator)).advance(self._check)
+            request = replace(self._first, version=version, size=(160, 120))
+            make_picture(scene, request, 1.0, True, self._options.get(request.integrator)).advance(self._check)
 
     def _check(self, *_: Any) -> None:
         if self._ended.is_set():
@@ -369,7 +369,7 @@ def view(
         raise ValueError(f"frames is {frames}; an animation needs the number of its frames")
     up = tuple(map(float, as_point("up", default_up(scene) if up is None else up)))
     camera = PinholeCamera.framing(scene, 800, 600, up=up) if camera is None else camera
-    first, options = first_wish(camera, integrator, samples), dict(options or {})
+    first, options = first_request(camera, integrator, samples), dict(options or {})
     for name in options:
         check_integrator(name, "options has")
     server = WebServer(host, port, token)
@@ -391,7 +391,7 @@ def in_notebook() -> bool:
     return hasattr(shell, "kernel")
 
 
-def first_wish(camera: Any, integrator: str, samples: int) -> Wish:
+def first_request(camera: Any, integrator: str, samples: int) -> ViewRequest:
     """What a browser shows at first.
 
     Raises:
@@ -401,7 +401,7 @@ def first_wish(camera: Any, integrator: str, samples: int) -> Wish:
     if not isinstance(camera, PinholeCamera):
         raise TypeError(f"camera must be a wrt.PinholeCamera, not {type(camera).__name__}")
     pose = tuple(camera.position), tuple(camera.look_at), tuple(camera.up), camera.fov
-    return Wish(version=0, camera=pose, size=(800, 600), integrator=integrator, samples=samples)
+    return ViewRequest(version=0, camera=pose, size=(800, 600), integrator=integrator, samples=samples)
 
 
 def check_integrator(name: str, said: str) -> None:

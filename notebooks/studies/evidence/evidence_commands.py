@@ -40,35 +40,47 @@ def described(machine: dict[str, Any]) -> str:
     return f"{machine['cpu']}, {machine['simd_bits']} bit vectors, kernels of {machine['lanes']} lanes, {machine['system']}"
 
 
+def head() -> str:
+    """The commit of the checkout."""
+    found = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True)
+    return found.stdout.strip()
+
+
 @click.command("figures")
 @click.option("--collect", "study", type=click.Choice([*STUDIES]), help="Makes results of the runs in FILES.")
+@click.option("--bench", "table", help="Makes a table of speed, such as queries, of the reports of wrt bench RUN=FILE.")
+@click.option("--measured", help="Date of these reports.  [today]")
 @click.option("--commit", help="Commit that FILES were measured at.  [that of the checkout]")
 @click.option("--extract", is_flag=True, help="Reads the results of notebooks and records that have not been run with JSON.")
 @click.option(
     "--keep", nargs=2, metavar="NAME REASON", help="Says why a change of the code leaves the figures of NAME as they are."
 )
-@click.argument("files", nargs=-1, type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("files", nargs=-1)
 def figures_command(
-    study: str | None, commit: str | None, extract: bool, keep: tuple[str, str] | None, files: tuple[Path, ...]
+    study: str | None,
+    table: str | None,
+    measured: str | None,
+    commit: str | None,
+    extract: bool,
+    keep: tuple[str, str] | None,
+    files: tuple[str, ...],
 ) -> None:
     """Makes results and fills the pages from them: docs/documents.md, docs/claims.md, docs/performance.md, README.md."""
-    from studies.evidence import page_filling, results, stored_outputs
+    from studies.evidence import bench_tables, page_filling, results, stored_outputs
 
     with usage_errors():
-        if bool(files) != bool(study):
-            raise ValueError("--collect NAME and FILES come together")
+        if bool(files) != bool(study or table) or (study and table):
+            raise ValueError("--collect NAME, or --bench NAME, and FILES come together")
+        if table:
+            made = bench_tables.write_table(table, files, commit=commit or head(), measured=measured or str(date.today()))
+            click.echo(f"wrote {made}")
         if study:
-            runs = [json.loads(file.read_text(encoding="utf-8")) for file in files]
+            runs = [json.loads(Path(file).read_text(encoding="utf-8")) for file in files]
             strangers = {run["study"] for run in runs} - {study}
             if strangers:
                 raise ValueError(f"FILES are runs of {', '.join(sorted(strangers))}, not of {study}")
-            at = (
-                commit
-                or subprocess.run(
-                    ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True
-                ).stdout.strip()
-            )
-            origin = {"kind": "runs", "of": f"python -m studies measure {study}", "measured": runs[-1]["date"], "commit": at}
+            of = f"python -m studies measure {study}"
+            origin = {"kind": "runs", "of": of, "measured": runs[-1]["date"], "commit": commit or head()}
             about = {"origin": origin, "machine": described(runs[0]["machine"]), "settings": runs[0]["settings"]}
             found = results.collect(
                 study, [run["tables"] for run in runs], STUDIES[study].is_counted, sources=STUDIES[study].sources, **about

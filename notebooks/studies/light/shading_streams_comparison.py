@@ -16,8 +16,8 @@ import warp as wp
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.engine.device_hits import DeviceHits
 from wrt.imaging.cameras import PinholeCamera
-from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.rendering_job import Rendering
+from wrt.imaging.integrators.tile_runs import new_queue
 from wrt.imaging.integrators.wavefront import GROUP, Wave
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.ordering.ray_order import sort_buckets

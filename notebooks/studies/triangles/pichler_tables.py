@@ -30,7 +30,7 @@ from wrt.engine.facts.query_kinds import ANY, CLOSEST
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.imaging.cameras import PinholeCamera
-from wrt.imaging.rendering import render
+from wrt.imaging.integrators.rendering_call import render
 from wrt.kernels.classics.studies.pruning_counts import Pruned, make_kernel
 from wrt.kernels.classics.triangle.ferko import VARIANTS
 from wrt.kernels.classics.triangle.ferko.record_part import join

@@ -24,7 +24,7 @@ import numpy as np
 from wrt.engine.rays.rays import Rays
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene
-from wrt.tables import lookup
+from wrt.tables import lookup, one_of
 
 CLOSEST = "closest"
 OCCLUSION = "occlusion"
@@ -112,7 +112,7 @@ class WorkloadMaker:
     """
 
     def __init__(self, mesh: TriangleMesh, *, size: int = 1024, order: str = "tiles", seed: int = 0) -> None:
-        lookup(dict.fromkeys(ORDERS), order, "order")
+        one_of(ORDERS, order, "order")
         if size < 1 or (order == "tiles" and size % TILE):
             raise ValueError(f"size is {size}; it must be a positive multiple of {TILE}, or any positive number by rows")
         self.mesh, self.size, self.order, self.seed = mesh, size, order, seed

@@ -13,7 +13,7 @@ from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS, Culling
 from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
-from wrt.tables import lookup
+from wrt.tables import lookup, one_of
 
 if TYPE_CHECKING:
     from wrt.engine.facts.facts import RayFacts, SceneFacts
@@ -281,7 +281,7 @@ def check_plan(plan: Plan, scene: SceneFacts, rays: RayFacts, query: str) -> Pla
         raise ValueError(
             f"plan.mailbox is {plan.mailbox!r}, but the query {query!r} has to test a triangle in every leaf; use 'none'"
         )
-    lookup(dict.fromkeys(ORDERS), plan.reorder, "plan.reorder")
+    one_of(ORDERS, plan.reorder, "plan.reorder")
     if plan.reorder not in traversal.orders:
         able = " or ".join(name for name, entry in TRAVERSALS.items() if plan.reorder in entry.orders)
         raise ValueError(f"plan.reorder is {plan.reorder!r}, which needs {able}, not {plan.traversal!r}")

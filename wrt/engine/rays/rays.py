@@ -186,7 +186,7 @@ def as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray 
     if not low >= 0.0:
         raise ValueError(f"{name} must not be negative or NaN, but its smallest value is {low}; pass distances from 0 up")
     if name == "t_min" and (math.isinf(values) if is_number else np.isinf(values).any()):
-        raise ValueError("t_min must be finite: no hit lies at infinity; leave it at 0 to count all hits")
+        raise ValueError("t_min is infinite, and no hit lies at infinity; leave it at 0 to count all hits")
     if is_number:
         return values
     with np.errstate(over="ignore"):

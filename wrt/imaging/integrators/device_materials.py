@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from wrt.imaging.integrators.texture_tiles import TextureTiles, packed_texels
-from wrt.imaging.rendering import corner_normals
+from wrt.imaging.sampled_picture import corner_normals
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.bsdf import material_table

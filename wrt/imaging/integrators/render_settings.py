@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from wrt.kernels.shading.wavefront.picture import TONE_MAPPINGS
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.validation import as_int, convert_fields
 from wrt.materials.material import as_color
+from wrt.tables import one_of
 
 __all__ = ["INTEGRATORS", "RenderSettings"]
 
@@ -88,8 +90,7 @@ class RenderSettings:
                 as_int(name, getattr(self, name), minimum)
         choices = {"sampler": SAMPLERS, "pixel_filter": FILTERS, "fresnel": FRESNEL, "tone_mapping": TONE_MAPPINGS}
         for name, known in choices.items():
-            if getattr(self, name) not in known:
-                raise ValueError(f"unknown {name} {getattr(self, name)!r}; choose from {', '.join(known)}")
+            one_of(known, getattr(self, name), name)
         for name in ("lens_radius", "threshold", "max_radiance", "exposure"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must not be negative")
@@ -106,7 +107,7 @@ class RenderSettings:
         """Samples per pixel of an integrator."""
         return DEFAULT_SAMPLES[integrator] if self.samples is None else self.samples
 
-    def with_options(self, integrator: str, options: dict[str, Any]) -> RenderSettings:
+    def with_options(self, integrator: str, options: Mapping[str, Any]) -> RenderSettings:
         """The same with some values replaced.
 
         Args:

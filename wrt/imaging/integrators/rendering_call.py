@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.imaging import rendering
-from wrt.imaging.integrators.render_settings import INTEGRATORS, RenderSettings
-from wrt.imaging.integrators.rendering_job import Rendering
-from wrt.imaging.integrators.scene_motion import Motion
-from wrt.imaging.rendering import Camera
+from wrt.imaging.ambient_rendering import AmbientRendering
+from wrt.imaging.integrators import INTEGRATORS
+from wrt.imaging.picture_options import AmbientOptions
+from wrt.imaging.sampled_picture import Camera, SampledPicture
 from wrt.scene.scene import Scene
+from wrt.tables import one_of
 
-__all__ = ["render"]
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from wrt.imaging.integrators.render_settings import RenderSettings
+    from wrt.imaging.integrators.scene_motion import Motion
+    from wrt.imaging.picture_options import PictureOptions
+
+__all__ = ["new_picture", "render"]
+
+OF_OTHERS = ("lights", "materials", "motion", "settings")
+"""Arguments that the integrator "ambient" does not have."""
 
 
 def render(
@@ -27,7 +37,7 @@ def render(
     motion: Motion | None = None,
     settings: RenderSettings | None = None,
     progress: Callable[[int, int], Any] | None = None,
-    **options: Any,
+    **options: Unpack[PictureOptions],
 ) -> np.ndarray:
     """Renders an image.
 
@@ -39,8 +49,9 @@ def render(
     Integrators:
 
     * "ambient": all surfaces of one colour, or one for each triangle; a point light with hard shadows; ambient occlusion. Its
-      options are those of `wrt.imaging.rendering.AmbientRendering`: samples, light, light_color, shadows, ambient_samples,
-      ambient_distance, ambient_color, albedo, background, smooth, crease_angle, seed, traversal, triangle_test.
+      options are those of `wrt.pictures.AmbientRendering`: samples, light, light_color, shadows, ambient_samples,
+      ambient_distance, ambient_radius, ambient_color, albedo, background, smooth, crease_angle, seed, traversal,
+      triangle_test, tile_pixels.
     * "whitted": Whitted's ray tracing: mirrors, glass, hard shadows.
     * "distribution": distribution ray tracing (Cook et al. 1984): also penumbrae, gloss, translucency, depth of field, motion
       blur.
@@ -63,15 +74,25 @@ def render(
         TypeError: an argument has a wrong type; an unknown option.
         ValueError: a value out of range, or an unknown name.
     """
-    if integrator not in INTEGRATORS:
-        raise ValueError(f"unknown integrator {integrator!r}; choose from {', '.join(INTEGRATORS)}")
-    given = {"lights": lights, "materials": materials, "motion": motion, "settings": settings}
-    if integrator != "ambient":
-        return Rendering(scene, camera, integrator=integrator, **given, **options).advance(progress=progress).image()
-    unused = [name for name, value in given.items() if value is not None]
+    given = {"lights": lights, "materials": materials, "motion": motion, "settings": settings, **options}
+    return new_picture(scene, camera, integrator, **given).advance(progress=progress).image()
+
+
+def new_picture(scene: Scene, camera: Camera, integrator: str, **options: Any) -> SampledPicture:
+    """A picture by any integrator, without samples; arguments and errors as in `render`."""
+    if one_of(INTEGRATORS, integrator, "integrator") != "ambient":
+        from wrt.imaging.integrators.rendering_job import Rendering  # whose kernels need time to be imported
+
+        return Rendering(scene, camera, integrator=integrator, **options)
+    unknown = [name for name in options if name not in OF_OTHERS and name not in AmbientOptions.__annotations__]
+    if unknown:
+        known = ", ".join(AmbientOptions.__annotations__)
+        raise TypeError(f"integrator 'ambient' has no option {unknown[0]!r}; its options are {known}")
+    of_others = {name: options.pop(name, None) for name in OF_OTHERS}
+    unused = [name for name, value in of_others.items() if value is not None]
     if unused:
         raise TypeError(
             f"integrator 'ambient' has no {unused[0]}; choose integrator='path', 'distribution' or 'whitted', or give "
             "light= and albedo="
         )
-    return rendering.render(scene, camera, progress=progress, **options)
+    return AmbientRendering(scene, camera, **options)

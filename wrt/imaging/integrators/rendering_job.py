@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from wrt.engine.memory import empty
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
 from wrt.imaging.image_files import save_exr, save_image
 from wrt.imaging.integrators.device_materials import scene_materials, shaded_mesh, tiled_materials
@@ -18,18 +17,24 @@ from wrt.imaging.integrators.render_settings import FRESNEL, INTEGRATORS, Render
 from wrt.imaging.integrators.saved_samples import NOT_IN_SAMPLES, fingerprint, read_samples, write_samples
 from wrt.imaging.integrators.scene_motion import Motion
 from wrt.imaging.integrators.wavefront import SQUARE, Wave, pixel_samples, square_order
-from wrt.imaging.rendering import Camera, check_types, default_light
-from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
+from wrt.imaging.sampled_picture import Camera, SampledPicture, default_light
+from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.shading.wavefront import picture, ray_queue
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS, CameraModel
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.shading.wavefront.scene_light import LitScene
-from wrt.kernels.validation import as_float, as_int
+from wrt.kernels.validation import as_float
 from wrt.lights.device_lights import check_lights, device_lights
 from wrt.lights.sky_image import Sky
 from wrt.materials.material import Material
 from wrt.scene.filtered_scene import given_filter
 from wrt.scene.scene import Scene
+from wrt.tables import one_of
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from wrt.imaging.picture_options import SettingOptions
 
 __all__ = ["LAYERS", "Rendering"]
 
@@ -39,7 +44,7 @@ DEFAULT_SKY = ((0.79, 0.81, 0.83), (0.48, 0.59, 0.73), (0.2, 0.2, 0.2))
 """Horizon, zenith and ground, if there are neither lights nor emissive materials."""
 
 
-class Rendering:
+class Rendering(SampledPicture):
     """A picture to which samples are added.
 
         rendering = wrt.pictures.Rendering(scene, camera, integrator="path", samples=256, lights=[wrt.lights.Sky(1.0)])
@@ -85,19 +90,15 @@ class Rendering:
         materials: Any = None,
         motion: Motion | None = None,
         settings: RenderSettings | None = None,
-        **options: Any,
+        **options: Unpack[SettingOptions],
     ) -> None:
-        check_types(scene, camera)
-        refuse_capture("rendering", scene.device)
-        if integrator not in INTEGRATORS[1:]:
-            raise ValueError(f"unknown integrator {integrator!r}; choose from {', '.join(INTEGRATORS[1:])}")
+        super().__init__(scene, camera)
+        one_of(INTEGRATORS[1:], integrator, "integrator")
         settings = RenderSettings() if settings is None else settings
         if not isinstance(settings, RenderSettings):
             raise TypeError(f"settings must be a wrt.pictures.RenderSettings, not {type(settings).__name__}")
         self.settings = settings = settings.with_options(integrator, options)
-        self.integrator, self.camera = integrator, camera
-        self.samples, self.done = settings.samples_of(integrator), 0
-        self.pixels = camera.width * camera.height
+        self.integrator, self.samples = integrator, settings.samples_of(integrator)
         self._scene = scene if motion is None else motion.begin(scene)
         self._motion = motion
         self._shown = tuple(self._scene.meshes), tuple(self._scene.instances), materials
@@ -111,7 +112,7 @@ class Rendering:
             self._lit.schlick = settings.fresnel == FRESNEL[1]
             self._lit.materials, self._tiles = tiled_materials(found, device, settings.texture_memory)
             self._take_state()
-            self._film, self._squares = self._new_film()
+            self._sums = self._zeros()
         self._tile = min(self.pixels, settings.wave)
         if SQUARE * SQUARE < self._tile < self.pixels:
             self._tile -= self._tile % (SQUARE * SQUARE)
@@ -123,12 +124,8 @@ class Rendering:
         slots = self._tile * self._pass
         self._wave = self.wave_type(self._lit, device, integrator, settings, source, ambient, slots, self._tiles)
 
-    def _new_film(self) -> tuple[wp.array, wp.array]:
-        """The film, and the sums of squares, of no samples."""
-        film, squares = (empty(self.pixels, dtype, self._scene.device) for dtype in (wp.vec3, wp.float32))
-        film.zero_()
-        squares.zero_()
-        return film, squares
+    def _zeros(self) -> tuple[wp.array, ...]:
+        return self._black(wp.vec3), self._black(wp.float32)
 
     def _ambient(self) -> Sequence[float]:
         if self.settings.ambient is not None:
@@ -154,38 +151,10 @@ class Rendering:
         """Number of tiles of textures loaded so far; 0 without `texture_memory`, or if the whole images fit it."""
         return 0 if self._tiles is None else self._tiles.loads
 
-    def advance(self, samples: int | None = None, progress: Callable[[int, int], Any] | None = None) -> Rendering:
-        """Adds samples to all pixels.
-
-        After an exception, a Ctrl-C included, the picture holds those samples that all pixels have; it may be continued.
-
-        Args:
-            samples: how many; None for all that are missing.
-            progress: called as progress(done, total) in samples of pixels, after each wave.
-
-        Raises:
-            TypeError, ValueError: `samples` is not a whole number of at least 1.
-        """
-        refuse_capture("rendering", self._scene.device)
-        goal = self.samples if samples is None else min(self.samples, self.done + as_int("samples", samples, 1))
-        with use_threads(self._scene.num_threads):
-            while self.done < goal:
-                count = min(self._pass, goal - self.done)
-                if self._motion is not None:
-                    self._motion.move(self._scene, (self.done + 0.5) / self.samples)
-                    self._take_state()
-                kept = (wp.clone(self._film), wp.clone(self._squares)) if self.done else None
-                try:
-                    for first in range(0, self.pixels, self._tile):
-                        pixels = min(self._tile, self.pixels - first)
-                        self._expose(first, pixels, count)
-                        if progress is not None:
-                            progress(self.done * self.pixels + (first + pixels) * count, self.samples * self.pixels)
-                except BaseException:
-                    self._film, self._squares = self._new_film() if kept is None else kept
-                    raise
-                self.done += count
-        return self
+    def _begin_pass(self) -> None:
+        if self._motion is not None:
+            self._motion.move(self._scene, (self.done + 0.5) / self.samples)
+            self._take_state()
 
     @property
     def _starts_at_one_point(self) -> bool:
@@ -206,7 +175,8 @@ class Rendering:
     @property
     def _collected(self) -> picture.Film:
         film = picture.Film()
-        film.sums, film.squares, film.limit = self._film, self._squares, float(self.settings.max_radiance)
+        film.sums, film.squares = self._sums
+        film.limit = float(self.settings.max_radiance)
         return film
 
     def _start(self, wave: ray_queue.Wave, count: int) -> None:
@@ -225,19 +195,6 @@ class Rendering:
             picture.develop_wave, pixels, [wave, self._wave.radiance, self._collected], device=self._scene.device, chunk=4096
         )
 
-    def _of_pixels(self, kernel: wp.Kernel, dtype: type, *inputs: Any) -> wp.array:
-        """The result of a kernel over the pixels, from what the film holds."""
-        if self.done == 0:
-            raise ValueError("the picture has no samples yet; call advance() first")
-        out = empty(self.pixels, dtype, self._scene.device)
-        with use_threads(self._scene.num_threads):
-            launch(kernel, self.pixels, [*inputs, out], device=self._scene.device, chunk=4096)
-        return out
-
-    def _shaped(self, values: wp.array) -> np.ndarray:
-        array = values.numpy()
-        return array.reshape(self.camera.height, self.camera.width, *array.shape[1:])
-
     @property
     def linear(self) -> np.ndarray:
         """(height, width, 3) float32, linear: the mean of the samples so far.
@@ -245,7 +202,7 @@ class Rendering:
         Raises:
             ValueError: there are none.
         """
-        return self._shaped(self._of_pixels(picture.mean_of_samples, wp.vec3, self._film, self.done))
+        return self._of_pixels(picture.mean_of_samples, wp.vec3, self._sums[0], self.done).numpy()
 
     @property
     def noise(self) -> np.ndarray:
@@ -253,7 +210,14 @@ class Rendering:
 
         Samplers other than "random" spread samples evenly, so the true error is smaller.
         """
-        return self._shaped(self._of_pixels(picture.standard_errors, float, self._film, self._squares, self.done))
+        return self._of_pixels(picture.standard_errors, float, *self._sums, self.done).numpy()
+
+    def developed(self, tone_mapping: str | None = None, exposure: float | None = None) -> wp.array:
+        """(height, width) vec3 on the scene's device, for display; arguments and errors as in `image`."""
+        mapping = self.settings.tone_mapping if tone_mapping is None else tone_mapping
+        number = picture.TONE_MAPPINGS.index(one_of(picture.TONE_MAPPINGS, mapping, "tone_mapping"))
+        factor = self.settings.exposure if exposure is None else as_float("exposure", exposure)
+        return self._of_pixels(picture.map_tones, wp.vec3, self._sums[0], self.done, float(factor), number)
 
     def image(self, tone_mapping: str | None = None, exposure: float | None = None) -> np.ndarray:
         """(height, width, 3) float32 for display, as `wrt.save_image` takes it.
@@ -264,12 +228,7 @@ class Rendering:
         Raises:
             ValueError: an unknown name, or no samples yet.
         """
-        mapping = self.settings.tone_mapping if tone_mapping is None else tone_mapping
-        if mapping not in picture.TONE_MAPPINGS:
-            raise ValueError(f"unknown tone_mapping {mapping!r}; choose from {', '.join(picture.TONE_MAPPINGS)}")
-        factor = self.settings.exposure if exposure is None else as_float("exposure", exposure)
-        number = picture.TONE_MAPPINGS.index(mapping)
-        return self._shaped(self._of_pixels(picture.map_tones, wp.vec3, self._film, self.done, float(factor), number))
+        return self.developed(tone_mapping, exposure).numpy()
 
     @property
     def layers(self) -> dict[str, np.ndarray]:
@@ -295,7 +254,7 @@ class Rendering:
                 for start, stop in self._wave.ranges(found):
                     inputs = [start, self._lit, wave, self._wave.queue, found, made]
                     launch(picture.write_layers, stop - start, inputs, device=scene.device)
-        return {name: self._shaped(getattr(made, name)) for name in LAYERS}
+        return {name: self._shaped(getattr(made, name)).numpy() for name in LAYERS}
 
     def save(self, path: str | Path) -> None:
         """Writes the picture: for display, or linear to ".exr" (with all layers) and ".npy".
@@ -340,7 +299,7 @@ class Rendering:
         """
         if self.done == 0:
             raise ValueError("the picture has no samples yet; call advance() first")
-        write_samples(Path(path), self.key, self.done, self._film.numpy(), self._squares.numpy())
+        write_samples(Path(path), self.key, self.done, *(one.numpy() for one in self._sums))
 
     def load_samples(self, path: str | Path) -> Rendering:
         """Takes the samples of a file in place of those so far. The picture will be the same bit for bit as if it had not been
@@ -354,8 +313,8 @@ class Rendering:
             ValueError: the samples are of another picture or another version of wrt, or the file is damaged.
         """
         self.done, film, squares = read_samples(Path(path), self.key, self.samples, self.pixels)
-        self._film.assign(film)
-        self._squares.assign(squares)
+        for held, read in zip(self._sums, (film, squares), strict=True):
+            held.assign(read)
         return self
 
     def __repr__(self) -> str:

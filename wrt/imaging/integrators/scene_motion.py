@@ -69,7 +69,9 @@ class Motion:
 
 def _keys(name: str, index: int, pair: Any) -> tuple[np.ndarray, np.ndarray]:
     if not isinstance(pair, tuple | list) or len(pair) != 2:
-        raise ValueError(f"{name}[{index}] must be a pair: when the shutter opens, and when it closes")
+        raise ValueError(
+            f"{name}[{index}] must be a pair, when the shutter opens and when it closes, not {type(pair).__name__}"
+        )
     before, after = (as_numbers("motion", key, finite=False) for key in pair)
     if before.shape != after.shape:
         raise ValueError(f"{name}[{index}] has keys of the shapes {before.shape} and {after.shape}; they must be equal")

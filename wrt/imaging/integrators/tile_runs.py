@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import warp as wp
 
+from wrt.engine.memory import empty
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.launch_chain import MAX_TILES, LaunchChain
 from wrt.kernels.shading.ray_trees import tile_memories
+from wrt.kernels.shading.wavefront import ray_queue
 
 FIRST_SAMPLES = 1 << 17
 """Camera rays of which plans are made at most: plans depend on the number of rays, and these are as many as matter."""
 
 STOP = 2
 """Which argument of kernels whose item is a tile memory says where the rays end, the number of the first item counted."""
+
+
+def new_queue(count: int, device: wp.Device) -> ray_queue.RayQueue:
+    """An uninitialised queue for this many rays."""
+    queue = ray_queue.RayQueue()
+    queue.origin, queue.direction, queue.weight = (empty(count, wp.vec3, device) for _ in range(3))
+    queue.density, queue.slot, queue.media = (empty(count, dtype, device) for dtype in (wp.float32, wp.int32, wp.uint64))
+    return queue
 
 
 class TileRuns:

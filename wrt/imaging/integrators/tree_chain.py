@@ -17,9 +17,8 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.facts.query_kinds import ANY, CLOSEST
 from wrt.engine.memory import empty
-from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.ray_tracer import TileRays
-from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES, STOP, TileRuns
+from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES, STOP, TileRuns, new_queue
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.runtime.launch_chain import LaunchChain, Stage

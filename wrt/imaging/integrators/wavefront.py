@@ -19,11 +19,10 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.memory import empty
 from wrt.imaging.integrators.path_chain import PathChain, Paths
-from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.imaging.integrators.render_settings import RenderSettings
 from wrt.imaging.integrators.texture_tiles import TextureTiles
-from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES
+from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES, new_queue
 from wrt.imaging.integrators.tree_chain import MAX_TREE_LIGHTS, TreeChain, Trees
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.launch import launch

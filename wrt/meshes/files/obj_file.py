@@ -19,7 +19,7 @@ from wrt.materials.trimesh_materials import to_linear
 from wrt.meshes.files.corner_values import checked_colors, checked_uv
 from wrt.meshes.files.mesh_source import FileMesh, MeshSource
 from wrt.meshes.files.mtl_file import UvMap, read_materials_of
-from wrt.meshes.files.text_lines import TextLines, parse_numbers, plain_text, words_per_line
+from wrt.meshes.files.text_lines import TextLines, no_number, parse_numbers, plain_text, words_per_line
 from wrt.meshes.files.triangulation import triangulate
 from wrt.meshes.up_axis import stated_up
 
@@ -77,7 +77,7 @@ def _vertices(text: bytes) -> tuple[np.ndarray, np.ndarray | None]:
     words = words_per_line(text)
     numbers = parse_numbers(text, np.float64, "a vertex")
     if len(numbers) != words.sum():
-        raise ValueError("a vertex holds a word that is no number")
+        raise no_number(text, np.float64, "a vertex")
     if len(words) and words.min() < 3:
         raise ValueError(f"vertex {int(np.argmin(words))} has {int(words.min())} coordinates, and not three")
     first = np.cumsum(words) - words
@@ -96,14 +96,14 @@ def _read_faces(lines: TextLines, is_vertex: np.ndarray, with_uv: bool) -> Faces
         bare = re.sub(rb"/[^ \n]*", b"", text) if b"/" in text else text
         indices = parse_numbers(bare, np.int64, "a face")
         if len(indices) != counts.sum():
-            raise ValueError("a face holds a word that is no index")
+            raise no_number(bare, np.int64, "a face")
         return Faces(_from_zero(indices, counts, before, "vertex"), counts, None, at)
     words = re.sub(rb"/(?=[ \n])", b"", re.sub(rb"//[^ \n]*", b"", text)).split()
     parts = np.array([[*word.split(b"/", 2), b"0"][:2] for word in words], dtype="S24").reshape(-1, 2)
     try:
         pairs = parts.astype(np.int64)
     except (ValueError, OverflowError):
-        raise ValueError("a face holds a word that is no index") from None
+        raise no_number(b" ".join(parts.ravel().tolist()), np.int64, "a face") from None
     uv_before = np.cumsum(lines.of_keyword(b"vt"))[at]
     none = pairs[:, 1] == 0
     uv = np.where(none, -1, _from_zero(np.where(none, 1, pairs[:, 1]), counts, uv_before, "texture coordinate"))
@@ -135,7 +135,7 @@ def _coordinates(lines: TextLines) -> np.ndarray:
     words = words_per_line(text)
     numbers = np.append(parse_numbers(text, np.float64, "a texture coordinate"), 0.0)
     if len(numbers) != words.sum() + 1:
-        raise ValueError("a texture coordinate holds a word that is no number")
+        raise no_number(text, np.float64, "a texture coordinate")
     first = np.cumsum(words) - words
     return np.stack([numbers[first], np.where(words > 1, numbers[np.minimum(first + 1, len(numbers) - 1)], 0.0)], axis=1)
 

@@ -18,7 +18,7 @@ from wrt.materials.mesh_materials import MeshMaterials
 from wrt.materials.trimesh_materials import to_linear
 from wrt.meshes.files.corner_values import checked_colors, checked_uv
 from wrt.meshes.files.mesh_source import FileMesh, MeshSource
-from wrt.meshes.files.text_lines import parse_numbers, plain_text, words_per_line
+from wrt.meshes.files.text_lines import no_number, parse_numbers, plain_text, words_per_line
 from wrt.meshes.files.triangulation import triangulate
 from wrt.meshes.up_axis import stated_up
 
@@ -66,7 +66,7 @@ def _mesh(
         source.warn(f"{len(words) - vertex_count - face_count} lines behind the last face are not read")
     numbers = parse_numbers(body, np.float64, "the file")
     if len(numbers) != words.sum():
-        raise ValueError("it holds a word that is no number")
+        raise no_number(body, np.float64, "the file")
     first = np.cumsum(words) - words
     if vertex_count == 0 or words[:vertex_count].min() < 3:
         raise ValueError(

@@ -143,10 +143,15 @@ def parse_numbers(text: bytes, dtype: type, what: str) -> np.ndarray:
             return found
     except ValueError:
         pass
+    raise no_number(text, dtype, what)
+
+
+def no_number(text: bytes, dtype: type, what: str) -> ValueError:
+    """The error for a text with a word that is no number; arguments as in `parse_numbers`."""
     kind = float if dtype is np.float64 else int
     for word in text.split():
         try:
             kind(word)
         except ValueError:
-            raise ValueError(f"{what} holds {word[:40].decode(errors='replace')!r}, which is no number") from None
-    raise ValueError(f"{what} holds words that are no numbers")
+            return ValueError(f"{what} holds {word[:40].decode(errors='replace')!r}, which is no number")
+    return ValueError(f"{what} holds words that are no numbers")

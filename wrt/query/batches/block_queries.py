@@ -245,7 +245,8 @@ class BlockQueries:
         try:
             shape = source.shape
         except ValueError:
-            raise ValueError(f"max_distance {np.shape(max_distance)} does not broadcast to points {np.shape(points)}") from None
+            own = np.shape(max_distance)  # type: ignore[arg-type]
+            raise ValueError(f"max_distance {own} does not broadcast to points {np.shape(points)}") from None
         if not shape:
             raise ValueError("points must have a leading axis to cut into blocks: pass points of shape (N, 3)")
         return blocks_of(

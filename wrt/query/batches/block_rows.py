@@ -98,7 +98,10 @@ def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Any:
         if directions is not None:
             raise TypeError("pass either wrt.batches.GeneratedRays, or origins and directions, not both")
         if np.ndim(t_min) or np.ndim(t_max):
-            raise ValueError("t_min and t_max must be numbers if a function makes the rays; let it return wrt.Rays instead")
+            raise ValueError(
+                f"t_min and t_max must be numbers, not of shapes {np.shape(t_min)} and {np.shape(t_max)}, if a function makes "
+                "the rays; let it return wrt.Rays instead"
+            )
         t_min, t_max = as_float("t_min", t_min), as_float("t_max", t_max)
         return replace(origins, t_min=max(origins.t_min, t_min), t_max=min(origins.t_max, t_max))
     if isinstance(origins, Rays):
@@ -110,7 +113,10 @@ def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Any:
     if hasattr(origins, "shape") or not isinstance(origins, Iterable):
         raise TypeError("directions is missing; pass origins and directions, a wrt.Rays, or an iterator of pairs of them")
     if np.ndim(t_min) or np.ndim(t_max):
-        raise ValueError("t_min and t_max must be numbers if the rays come from an iterator; let it give wrt.Rays instead")
+        raise ValueError(
+            f"t_min and t_max must be numbers, not of shapes {np.shape(t_min)} and {np.shape(t_max)}, if the rays come from an "
+            "iterator; let it give wrt.Rays instead"
+        )
     return _items(origins, t_min, t_max)
 
 
@@ -142,7 +148,10 @@ def as_column(values: Any, name: str, scene: Any, source: Source) -> Any:
         return values
     values = sliceable(values)
     if len(values.shape) and not isinstance(source, (Rays, GeneratedRays)):
-        raise ValueError(f"{name} must be one number if the rays come from an iterator; pass rays and {name} as arrays instead")
+        raise ValueError(
+            f"{name} must be one number, not of shape {values.shape}, if the rays come from an iterator; pass rays and {name} "
+            "as arrays instead"
+        )
     return values
 
 

@@ -116,7 +116,7 @@ class Histogram:
     def __post_init__(self) -> None:
         edges = as_numbers("edges", self.edges, finite=False)
         if edges.ndim != 1 or edges.size < 2 or not (np.diff(edges) > 0.0).all():
-            raise ValueError("edges must be at least two increasing numbers")
+            raise ValueError(f"edges must be at least two increasing numbers, not {self.edges!r}")
         object.__setattr__(self, "edges", edges)
 
     def part(self, values: np.ndarray, axes: tuple[int, ...]) -> Any:
@@ -250,7 +250,9 @@ def as_block_reduction(reduce: Any, axis: Any, is_closest: bool) -> BlockReducti
     if not is_closest:
         return BlockReduction({"": as_reduction(reduce, "reduce")}, axis)
     if not isinstance(reduce, Mapping) or not reduce:
-        raise ValueError("reduce must be a dict from attributes of wrt.Hits to reductions here, such as {'t': 'min'}")
+        raise ValueError(
+            f"reduce must be a dict from attributes of wrt.Hits to reductions here, such as {{'t': 'min'}}, not {reduce!r}"
+        )
     for name in reduce:
         if name not in ATTRIBUTES:
             raise ValueError(f"reduce has the key {name!r}; choose from {', '.join(ATTRIBUTES)}")

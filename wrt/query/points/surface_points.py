@@ -11,6 +11,7 @@ from wrt.engine.device_hits import DTYPES, DeviceHits
 from wrt.engine.rays.rays import ResultForm
 from wrt.kernels.answers.answer_kind import HIT_COLUMNS
 from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.validation import first_bad
 from wrt.query.hits import Hits
 
 if TYPE_CHECKING:
@@ -94,28 +95,20 @@ def _numbers_in_scene(scene: SceneState, primitive: np.ndarray, instance: np.nda
     """Checked numbers of triangles through the whole scene, int32; -1 for none."""
     first = scene.device_mesh.geometry_first.numpy().astype(np.int64)
     is_given = primitive != -1
-    if bad := _first_bad(is_given & ((instance < 0) | (instance > len(first) - 2)), instance):
+    if bad := first_bad(is_given & ((instance < 0) | (instance > len(first) - 2)), instance):
         raise ValueError(f"instance_id{bad}, and the scene has numbers from 0 to {len(first) - 2}")
     own = np.where(is_given, instance, 0).astype(np.int64)
     count = first[own + 1] - first[own]
-    if bad := _first_bad(is_given & ((primitive < 0) | (primitive >= count)), primitive):
+    if bad := first_bad(is_given & ((primitive < 0) | (primitive >= count)), primitive):
         raise ValueError(f"primitive_id{bad}; it must be from 0 to the number of its triangles less one, or -1 for none")
     return np.where(is_given, first[own] + primitive, -1).astype(np.int32)
-
-
-def _first_bad(is_bad: np.ndarray, values: np.ndarray) -> str:
-    """Place and value of the first element that is wrong; empty if none is."""
-    if not is_bad.any():
-        return ""
-    place = np.unravel_index(int(is_bad.argmax()), is_bad.shape)
-    return f"{[int(i) for i in place] if place else ''} is {values[place]}"
 
 
 def _check_weights(weights: np.ndarray) -> None:
     """Refuses weights that lie outside of a triangle."""
     low, high = weights.min(axis=-1, initial=np.inf), weights.sum(axis=-1)
-    if not ((low >= -ROUNDING) & (high <= 1.0 + ROUNDING)).all():
-        raise ValueError("uv lies outside of its triangle; both weights must be at least 0, and their sum at most 1")
+    if bad := first_bad(~((low >= -ROUNDING) & (high <= 1.0 + ROUNDING)), weights):
+        raise ValueError(f"uv{bad}, outside of its triangle; both weights must be at least 0, and their sum at most 1")
 
 
 def _weights_of(scene: SceneState, number: np.ndarray, points: np.ndarray) -> np.ndarray:

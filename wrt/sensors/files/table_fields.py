@@ -33,7 +33,10 @@ def as_table(points: Any) -> np.ndarray:
     points = np.asarray(points)
     names = points.dtype.names or ()
     if not {"x", "y", "z"} <= set(names) or points.ndim != 1:
-        raise TypeError("points must be an (N,) structured array with the fields x, y and z; call scan.to_structured()")
+        raise TypeError(
+            "points must be an (N,) structured array with the fields x, y and z, such as scan.to_structured(), not of "
+            f"{points.dtype} and shape {points.shape}"
+        )
     for name in names:
         if not re.fullmatch(r"[!-~]+", name):
             raise ValueError(f"points has a field with the name {name!r}; use letters, digits and underscores")

@@ -39,20 +39,20 @@ class ControlPanel:
         self._written = self._plotted = 0.0
         self._times: deque[tuple[float, FrameTimes]] = deque(maxlen=PLOTTED)
         self._rates: deque[float] = deque(maxlen=PLOTTED)
-        wish = session.wish
+        request = session.request
         with gui.add_folder("Picture"):
-            self._look = gui.add_dropdown("Look", [*LOOKS], initial_value=wish.look)
-            self._integrator = gui.add_dropdown("Integrator", INTEGRATORS, initial_value=wish.integrator)
-            self._samples = gui.add_slider("Samples", min=1, max=256, step=1, initial_value=wish.samples)
+            self._look = gui.add_dropdown("Look", [*LOOKS], initial_value=request.look)
+            self._integrator = gui.add_dropdown("Integrator", INTEGRATORS, initial_value=request.integrator)
+            self._samples = gui.add_slider("Samples", min=1, max=256, step=1, initial_value=request.samples)
             self._scale = gui.add_markdown("", visible=False)
             self._bar = gui.add_image(color_bar(), format="png", visible=False)
             self._problem = gui.add_markdown("", visible=False)
             self._figures = gui.add_markdown("")
         with gui.add_folder("Rays", expand_by_default=False):
-            self._traversal = gui.add_dropdown("Traversal", [AUTO, *TRAVERSALS], initial_value=wish.traversal)
+            self._traversal = gui.add_dropdown("Traversal", [AUTO, *TRAVERSALS], initial_value=request.traversal)
             hint = "Of camera rays in packets; not of light."
-            self._culling = gui.add_dropdown("Culling", [AUTO, *CULLINGS], initial_value=wish.culling, hint=hint)
-            self._test = gui.add_dropdown("Triangle test", [AUTO, *TRIANGLE_TESTS], initial_value=wish.triangle_test)
+            self._culling = gui.add_dropdown("Culling", [AUTO, *CULLINGS], initial_value=request.culling, hint=hint)
+            self._test = gui.add_dropdown("Triangle test", [AUTO, *TRIANGLE_TESTS], initial_value=request.triangle_test)
         with gui.add_folder("Time", expand_by_default=False):
             self._plot = self._new_plot(gui)
         fields = {
@@ -110,7 +110,7 @@ class ControlPanel:
             self._plot.data = (count, milliseconds, speed, np.array(self._rates))
 
     def _text(self, times: FrameTimes) -> str:
-        width, height = (max(1, round(side * times.scale)) for side in self._session.wish.size)
+        width, height = (max(1, round(side * times.scale)) for side in self._session.request.size)
         lines = [
             f"{width} x {height}, {1e3 * times.seconds:.0f} ms, {times.rays / max(times.seconds, 1e-9) / 1e6:.1f} Mrays/s",
             f"{self.rate():.0f} pictures/s" if times.is_coarse else ("complete" if times.is_complete else "refining"),

@@ -54,10 +54,10 @@ class PickPanel:
         """
         from wrt.viewer.trees.ray_way import walk
 
-        session, wish = self._session, self._session.wish
+        session, request = self._session, self._session.request
         scene = session.shared.current[1]
         origin, direction = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
-        self.hits = hits = scene.intersect(origin, direction, triangle_test=wish.triangle_test)
+        self.hits = hits = scene.intersect(origin, direction, triangle_test=request.triangle_test)
         self._center = scene.center
         try:
             self.visits = walk(scene.state, origin, direction)

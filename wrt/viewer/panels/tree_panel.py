@@ -162,10 +162,10 @@ class TreePanel:
         """Writes the plan for camera rays, and the figures of the tree."""
         from wrt.scene.scene_statistics import tree_figures
 
-        wish, scene = self._session.wish, self._session.shared.current[1]
-        rays = wish.camera_of().rays()
+        request, scene = self._session.request, self._session.shared.current[1]
+        rays = request.camera_of().rays()
         try:
-            plan = scene.explain(rays, traversal=wish.traversal, triangle_test=wish.triangle_test)
+            plan = scene.explain(rays, traversal=request.traversal, triangle_test=request.triangle_test)
             rows = [f"**camera rays:** {plan}"]
         except ValueError as error:
             rows = [f"**camera rays:** {error}"]

@@ -16,7 +16,7 @@ from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.shading import false_color
 from wrt.scene.scene import Scene
 from wrt.viewer.pictures.layers import Layer, packet_plan, scale_of
-from wrt.viewer.pictures.wish import Wish
+from wrt.viewer.pictures.view_request import ViewRequest
 
 __all__ = ["PacketWork", "PacketsTakenApart", "RayWork", "tile_order"]
 
@@ -40,15 +40,15 @@ class RayWork(Work):
     Args:
         counter: a field of `wrt.kernels.traversal.leaf.Counters`.
         unit: in words.
-        scene, wish, camera: as in `Layer`.
+        scene, request, camera: as in `Layer`.
     """
 
-    def __init__(self, counter: str, unit: str, scene: Scene, wish: Wish, camera: PinholeCamera) -> None:
-        super().__init__(scene, wish, camera)
+    def __init__(self, counter: str, unit: str, scene: Scene, request: ViewRequest, camera: PinholeCamera) -> None:
+        super().__init__(scene, request, camera)
         self._counter, self._unit = counter, unit
 
     def _draw(self, rays: Rays) -> None:
-        hits = self._scene.intersect(rays, traversal="single", triangle_test=self._wish.triangle_test, counters=True)
+        hits = self._scene.intersect(rays, traversal="single", triangle_test=self._request.triangle_test, counters=True)
         self._show(hits.counters[self._counter].ravel(), self._unit)
 
 
@@ -60,7 +60,7 @@ class PacketWork(Work):
     def _draw(self, rays: Rays) -> None:
         order = tile_order(self._camera.width, self._camera.height)
         tiled = Rays(rays.origins.numpy()[0], rays.directions.numpy()[order])
-        plan = replace(packet_plan(self._scene, tiled, self._wish), packet=COLUMNS * ROWS, reorder="none")
+        plan = replace(packet_plan(self._scene, tiled, self._request), packet=COLUMNS * ROWS, reorder="none")
         counters = self._scene.intersect(tiled, traversal=plan, counters=True).counters
         work = self._of_packets({name: values[:: COLUMNS * ROWS] for name, values in counters.items()})
         values = np.empty(len(order), np.float32)

@@ -16,7 +16,7 @@ from wrt.kernels.runtime.launch import get_num_threads, launch, use_threads
 from wrt.kernels.shading import false_color
 from wrt.query.hits import Hits
 from wrt.scene.scene import Scene
-from wrt.viewer.pictures.wish import Wish
+from wrt.viewer.pictures.view_request import ViewRequest
 
 __all__ = ["Depth", "Ids", "Layer", "Normals", "Scale", "as_bytes", "packet_plan", "scale_of"]
 
@@ -44,7 +44,7 @@ class Layer:
     """A picture of one value of each pixel (`wrt.viewer.frame_loop.Picture`).
 
     Args:
-        scene, wish, camera: what to show, from where.
+        scene, request, camera: what to show, from where.
 
     Attributes:
         rays: number of rays traced so far.
@@ -52,8 +52,8 @@ class Layer:
         scale: what the colours mean, once it is made; None for colours without order.
     """
 
-    def __init__(self, scene: Scene, wish: Wish, camera: PinholeCamera) -> None:
-        self._scene, self._wish, self._camera = scene, wish, camera
+    def __init__(self, scene: Scene, request: ViewRequest, camera: PinholeCamera) -> None:
+        self._scene, self._request, self._camera = scene, request, camera
         self._threads = get_num_threads()
         self.rays, self.is_complete = 0, False
         self.scale: Scale | None = None
@@ -73,12 +73,12 @@ class Layer:
         raise NotImplementedError
 
     def _hits(self, rays: Rays) -> Hits:
-        wish = self._wish
-        traversal: str | Plan = wish.traversal
-        packets = traces_packets(wish.traversal)
-        if wish.culling != "auto" and (packets or wish.traversal == "auto"):
-            traversal = packet_plan(self._scene, rays, wish)
-        return self._scene.intersect(rays, traversal=traversal, triangle_test=wish.triangle_test)
+        request = self._request
+        traversal: str | Plan = request.traversal
+        packets = traces_packets(request.traversal)
+        if request.culling != "auto" and (packets or request.traversal == "auto"):
+            traversal = packet_plan(self._scene, rays, request)
+        return self._scene.intersect(rays, traversal=traversal, triangle_test=request.triangle_test)
 
     def _color(self, kernel: wp.Kernel, *inputs: Any) -> None:
         launch(kernel, len(self._image), [*inputs, self._image], device=self._scene.device, chunk=4096)
@@ -113,11 +113,11 @@ class Ids(Layer):
 
     Args:
         name: "primitive_id", "geometry_id" or "instance_id".
-        scene, wish, camera: as in `Layer`.
+        scene, request, camera: as in `Layer`.
     """
 
-    def __init__(self, name: str, scene: Scene, wish: Wish, camera: PinholeCamera) -> None:
-        super().__init__(scene, wish, camera)
+    def __init__(self, name: str, scene: Scene, request: ViewRequest, camera: PinholeCamera) -> None:
+        super().__init__(scene, request, camera)
         self._name = name
 
     def _draw(self, rays: Rays) -> None:
@@ -132,15 +132,15 @@ def traces_packets(traversal: str) -> bool:
     return traversal != "auto" and Capabilities.PACKETS in TRAVERSALS[traversal].capabilities
 
 
-def packet_plan(scene: Scene, rays: Rays, wish: Wish) -> Plan:
-    """The plan that traces camera rays in packets, with the wish's traversal if that has packets, its test and its culling.
+def packet_plan(scene: Scene, rays: Rays, request: ViewRequest) -> Plan:
+    """The plan that traces camera rays in packets, with the request's traversal if that has packets, its test and its culling.
 
     Raises:
         ValueError: they do not fit together, or the scene's tree.
     """
-    traversal = wish.traversal if traces_packets(wish.traversal) else "packet"
-    plan = scene.explain(rays, traversal=traversal, triangle_test=wish.triangle_test)
-    return plan if wish.culling == "auto" else replace(plan, culling=wish.culling)
+    traversal = request.traversal if traces_packets(request.traversal) else "packet"
+    plan = scene.explain(rays, traversal=traversal, triangle_test=request.triangle_test)
+    return plan if request.culling == "auto" else replace(plan, culling=request.culling)
 
 
 def as_bytes(image: wp.array, camera: PinholeCamera, scene: Scene) -> np.ndarray:

@@ -10,15 +10,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from wrt.imaging.cameras import PinholeCamera
-from wrt.imaging.rendering import AmbientRendering
+from wrt.imaging.integrators.rendering_call import new_picture
 from wrt.kernels.runtime.launch import get_num_threads, use_threads
 from wrt.scene.scene import Scene
 from wrt.viewer.pictures.cost_layers import PacketsTakenApart, PacketWork, RayWork
 from wrt.viewer.pictures.layers import Depth, Ids, Normals, as_bytes
-from wrt.viewer.pictures.wish import Wish
+from wrt.viewer.pictures.view_request import ViewRequest
 
 __all__ = ["BEAUTY", "LOOKS", "Light", "make_picture"]
 
@@ -26,8 +25,8 @@ COARSE_AMBIENT_RAYS, COARSE_RADIUS = 2, 2
 """Ambient rays of coarse pictures, and the rows and columns within which pixels share them: two rays alone are both blocked
 at every other pixel of a dark cloister, which made it black and white."""
 
-TILE, WAVE = 1 << 14, 1 << 14
-"""Rays of "ambient" and of the others that are traced at a time: a picture that is no longer wanted ends after them."""
+TILE = 1 << 14
+"""Camera rays that are traced at a time: a picture that is no longer wanted ends after them."""
 
 BEAUTY = "beauty"
 
@@ -36,28 +35,25 @@ class Light:
     """A picture by an integrator of `wrt.render` (`wrt.viewer.frame_loop.Picture`).
 
     Args:
-        scene, wish, camera: what to show, from where.
+        scene, request, camera: what to show, from where.
         is_coarse: whether one sample is enough.
         options: of the integrator, as in `wrt.render`.
     """
 
     scale = None
 
-    def __init__(self, scene: Scene, wish: Wish, camera: PinholeCamera, is_coarse: bool, options: Mapping[str, Any]) -> None:
+    def __init__(
+        self, scene: Scene, request: ViewRequest, camera: PinholeCamera, is_coarse: bool, options: Mapping[str, Any]
+    ) -> None:
         self._scene, self._camera, self.rays = scene, camera, 0
         self._threads = threads_for(is_coarse)
-        given = {"traversal": wish.traversal, "triangle_test": wish.triangle_test, **options}
-        given["samples"] = 1 if is_coarse else wish.samples
-        if wish.integrator == "ambient":
-            if is_coarse:
-                given["ambient_samples"] = min(COARSE_AMBIENT_RAYS, given.get("ambient_samples", COARSE_AMBIENT_RAYS))
-                given["ambient_radius"] = max(COARSE_RADIUS, given.get("ambient_radius", 0))
-            self._made: Any = AmbientRendering(scene, camera, tile_pixels=TILE, **given)
-            self._rays_a_sample = (2 + given.get("ambient_samples", 16)) * camera.width * camera.height
-        else:
-            from wrt.imaging.integrators.rendering_job import Rendering  # not needed for the first picture
-
-            self._made = Rendering(scene, camera, integrator=wish.integrator, wave=WAVE, **given)
+        given = {"traversal": request.traversal, "triangle_test": request.triangle_test, **options}
+        given["samples"] = 1 if is_coarse else request.samples
+        if request.integrator == "ambient" and is_coarse:
+            given["ambient_samples"] = min(COARSE_AMBIENT_RAYS, given.get("ambient_samples", COARSE_AMBIENT_RAYS))
+            given["ambient_radius"] = max(COARSE_RADIUS, given.get("ambient_radius", 0))
+        given["tile_pixels" if request.integrator == "ambient" else "wave"] = TILE
+        self._made = new_picture(scene, camera, request.integrator, **given)
 
     @property
     def is_complete(self) -> bool:
@@ -68,16 +64,11 @@ class Light:
         """Adds a sample."""
         with use_threads(self._threads):
             self._made.advance(1, progress=check)
-        is_ambient = isinstance(self._made, AmbientRendering)
-        self.rays = self._made.done * self._rays_a_sample if is_ambient else self._made.rays
+        self.rays = self._made.rays
 
     def pixels(self) -> np.ndarray:
         """(H, W, 3) uint8, rounded as by `wrt.save_image`."""
-        if isinstance(self._made, AmbientRendering):
-            image = self._made.developed()
-        else:
-            image = wp.array(self._made.image().reshape(-1, 3), dtype=wp.vec3, device=self._scene.device)
-        return as_bytes(image, self._camera, self._scene)
+        return as_bytes(self._made.developed(), self._camera, self._scene)
 
 
 LOOKS: dict[str, Any] = {
@@ -93,15 +84,17 @@ LOOKS: dict[str, Any] = {
     "cost: nodes of packets": PacketWork,
     "cost: packets taken apart": PacketsTakenApart,
 }
-"""Makers of pictures by name; layers take scene, wish and camera."""
+"""Makers of pictures by name; layers take scene, request and camera."""
 
 
-def make_picture(scene: Scene, wish: Wish, scale: float, is_coarse: bool, options: Mapping[str, Any] | None = None) -> Any:
-    """The picture of a wish.
+def make_picture(
+    scene: Scene, request: ViewRequest, scale: float, is_coarse: bool, options: Mapping[str, Any] | None = None
+) -> Any:
+    """The picture of a request.
 
     Args:
-        scene: the scene in the wish's version.
-        wish: what to show.
+        scene: the scene in the request's version.
+        request: what to show.
         scale: side of the picture relative to that of the whole one.
         is_coarse: whether something moves: light then has one sample.
         options: of the integrator, as in `wrt.render`.
@@ -109,10 +102,10 @@ def make_picture(scene: Scene, wish: Wish, scale: float, is_coarse: bool, option
     Raises:
         TypeError, ValueError: as in `wrt.render` and `wrt.Scene.intersect`.
     """
-    camera = wish.camera_of(scale)
-    if wish.look == BEAUTY:
-        return Light(scene, wish, camera, is_coarse, options or {})
-    return LOOKS[wish.look](scene, wish, camera)
+    camera = request.camera_of(scale)
+    if request.look == BEAUTY:
+        return Light(scene, request, camera, is_coarse, options or {})
+    return LOOKS[request.look](scene, request, camera)
 
 
 def threads_for(is_coarse: bool) -> int:

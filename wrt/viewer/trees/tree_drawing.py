@@ -129,7 +129,7 @@ def _axes(axes: Any) -> tuple[Axes, Axes | None]:
         return main, side
     given = [axes] if isinstance(axes, Axes) else list(np.ravel(axes))
     if not all(isinstance(one, Axes) for one in given):
-        raise TypeError("axes must be one or two axes of matplotlib, as in matplotlib.pyplot.subplots, or None")
+        raise TypeError(f"axes must be one or two axes of matplotlib, as in matplotlib.pyplot.subplots, or None, not {axes!r}")
     if len(given) not in (1, 2):
         raise ValueError(f"axes must be one, for the boxes, or two, for the costs as well, not {len(given)}")
     return given[0], (given[1] if len(given) == 2 else None)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from wrt.imaging.cameras import PinholeCamera
 
-__all__ = ["Wish"]
+__all__ = ["ViewRequest"]
 
 
 @dataclass(frozen=True)
-class Wish:
+class ViewRequest:
     """What a client wants to see.
 
     Attributes:

@@ -10,33 +10,25 @@ data stays on the scene's device; the steps are the kernels of `wrt.kernels.shad
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from wrt.engine.facts.query_kinds import AUTO
 from wrt.engine.launch.expected_kernels import picture_rays, query_kernels
 from wrt.engine.rays.rays import Rays
 from wrt.imaging.ambient_rays import AmbientRays, most_rays
-from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, pixel_offset
-from wrt.kernels.query.hit_attributes import SceneMesh
-from wrt.kernels.runtime.launch import expect, launch, refuse_capture, use_threads
+from wrt.imaging.cameras import PinholeCamera, pixel_offset
+from wrt.imaging.sampled_picture import Camera, SampledPicture, corner_normals, default_light
+from wrt.kernels.runtime.launch import expect, launch, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.kernels.shading.pixel_rays import pinhole_directions
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_point
-from wrt.meshes.vertex_values import joined, smooth_corner_normals
 from wrt.scene.scene import Scene
 
-if TYPE_CHECKING:
-    pass
-from wrt.engine.facts.query_kinds import AUTO
-
-__all__ = ["AmbientRendering", "corner_normals", "default_light", "render"]
-
-Camera = PinholeCamera | OrthographicCamera
+__all__ = ["AmbientRendering"]
 
 TILE_PIXELS = 1 << 16
 """Camera rays traced at once; bounds the memory, and the time between two calls of `progress`."""
@@ -46,10 +38,8 @@ BACKGROUND = ((0.90, 0.91, 0.92), (0.72, 0.79, 0.87))
 LIGHT_COLOR = (0.80, 0.77, 0.71)
 AMBIENT_COLOR = (0.36, 0.39, 0.43)
 
-_corner_normals: WeakKeyDictionary[Scene, tuple[SceneMesh, dict[float, wp.array]]] = WeakKeyDictionary()
 
-
-class AmbientRendering:
+class AmbientRendering(SampledPicture):
     """A picture by point light and ambient occlusion to which samples are added.
 
     The same arguments give the same picture bit for bit, whatever the number of threads and the steps in which it advances.
@@ -107,16 +97,14 @@ class AmbientRendering:
         triangle_test: str = AUTO,
         tile_pixels: int | None = None,
     ) -> None:
-        check_types(scene, camera)
-        refuse_capture("rendering", scene.device)
+        super().__init__(scene, camera)
         shadows, smooth = as_bool("shadows", shadows), as_bool("smooth", smooth)
         if not 0.0 < (crease_angle := as_float("crease_angle", crease_angle)) < 90.0:
             raise ValueError(
                 f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)"
             )
-        self.camera, self.done = camera, 0
         self.samples = as_int("samples", samples, 1)
-        self._scene, self._seed = scene, as_int("seed", seed, 0)
+        self._seed = as_int("seed", seed, 0)
         self._settings = _Settings(
             light=default_light(camera) if light is None else as_point("light", light),
             lighting=_lighting(light_color, ambient_color, background),
@@ -129,54 +117,29 @@ class AmbientRendering:
         )
         if self._settings.ambient_radius > MAX_RADIUS:
             raise ValueError(f"ambient_radius is {ambient_radius}; it must be at most {MAX_RADIUS}")
-        self.pixels = camera.width * camera.height
         tiles = -(-self.pixels // as_int("tile_pixels", TILE_PIXELS if tile_pixels is None else tile_pixels, 1))
         self._tile = -(-self.pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each
         with use_threads(scene.num_threads):
             expect(_kernels(scene, camera, self._tile, self._settings, smooth), scene.device)
             self._ambient = _ambient_rays(scene, self._tile, camera.width, self._settings)
             self._look = _appearance(scene, albedo, crease_angle if smooth else None)
-            self._film = self._black()
+            self._sums = self._zeros()
+        self._rays = 0
 
-    def _black(self) -> wp.array:
-        return wp.zeros((self.camera.height, self.camera.width), dtype=wp.vec3, device=self._scene.device)
+    def _zeros(self) -> tuple[wp.array, ...]:
+        return (self._black(wp.vec3),)
 
-    def advance(self, samples: int | None = None, progress: Callable[[int, int], Any] | None = None) -> AmbientRendering:
-        """Adds samples to all pixels.
+    @property
+    def rays(self) -> int:
+        """Number of rays traced so far."""
+        return self._rays + (0 if self._ambient is None else self._ambient.ray_count)
 
-        After an exception the picture holds those samples that all pixels have; it may be continued.
-
-        Args:
-            samples: how many; None for all that are missing.
-            progress: called as progress(done, total) in camera rays, after each tile; an exception that it raises ends the
-                rendering.
-
-        Raises:
-            TypeError, ValueError: `samples` is not a whole number of at least 1.
-        """
-        refuse_capture("rendering", self._scene.device)
-        goal = self.samples if samples is None else min(self.samples, self.done + as_int("samples", samples, 1))
-        with use_threads(self._scene.num_threads):
-            while self.done < goal:
-                kept = wp.clone(self._film) if self.done else None
-                try:
-                    self._expose(progress)
-                except BaseException:
-                    self._film = self._black() if kept is None else kept
-                    raise
-                self.done += 1
-        return self
-
-    def _expose(self, progress: Callable[[int, int], Any] | None) -> None:
-        """Adds a sample to all pixels, tile by tile."""
+    def _expose(self, first: int, pixels: int, samples: int) -> None:
         scene, sample = self._scene, self.done
-        offset = pixel_offset(sample, self.samples, self._seed)
-        for first in range(0, self.pixels, self._tile):
-            count = min(self._tile, self.pixels - first)
-            rays = self.camera.rays_on(scene.device, first, count, offset)
-            _Tile(scene, self._look, self._settings, first, count).expose(rays, sample, self._ambient, self._film)
-            if progress is not None:
-                progress(sample * self.pixels + first + count, self.samples * self.pixels)
+        rays = self.camera.rays_on(scene.device, first, pixels, pixel_offset(sample, self.samples, self._seed))
+        tile = _Tile(scene, self._look, self._settings, first, pixels)
+        tile.expose(rays, sample, self._ambient, self._shaped(self._sums[0]))
+        self._rays += pixels * (2 if self._settings.shadows else 1)
 
     def developed(self) -> wp.array:
         """(height, width) vec3 on the scene's device, in [0, 1], encoded for display: the mean of the samples so far.
@@ -184,32 +147,7 @@ class AmbientRendering:
         Raises:
             ValueError: there are none.
         """
-        if self.done == 0:
-            raise ValueError("the picture has no samples yet; call advance() first")
-        image = wp.empty_like(self._film)
-        with use_threads(self._scene.num_threads):
-            launch(film.develop, self.pixels, [self._film, self.done, image], device=self._scene.device, chunk=4096)
-        return image
-
-    def image(self) -> np.ndarray:
-        """(height, width, 3) float32 in [0, 1], as `wrt.save_image` takes it; errors as in `developed`."""
-        return self.developed().numpy()
-
-
-def render(scene: Scene, camera: Camera, *, progress: Callable[[int, int], Any] | None = None, **options: Any) -> np.ndarray:
-    """Renders an image at once.
-
-    Args:
-        scene, camera, options: as in `AmbientRendering`.
-        progress: as in `AmbientRendering.advance`.
-
-    Returns:
-        (height, width, 3) float32 in [0, 1], encoded for display (sRGB), as `wrt.save_image` takes it.
-
-    Raises:
-        TypeError, ValueError: as `AmbientRendering`.
-    """
-    return AmbientRendering(scene, camera, **options).advance(progress=progress).image()
+        return self._of_pixels(film.develop, wp.vec3, self._sums[0], self.done)
 
 
 def _kernels(scene: Scene, camera: Camera, tile: int, settings: _Settings, smooth: bool) -> list[wp.Kernel]:
@@ -226,28 +164,6 @@ def shading_kernels(smooth: bool, ambient_rays: bool) -> list[wp.Kernel]:
     kernels = [pinhole_directions, surface.find_surface, film.develop]
     kernels += [normals.face_normals_and_angles] if smooth else []
     return kernels + ([ambient.ambient_rays] if ambient_rays else [])
-
-
-def default_light(camera: Camera) -> np.ndarray:
-    """(3,) a position above and to the left of the camera, at about the distance between the camera and its target."""
-    distance = float(np.linalg.norm(camera.look_at - camera.position))
-    return camera.position + 0.75 * distance * (camera.up - camera.right)
-
-
-def corner_normals(scene: Scene, crease_angle: float) -> wp.array:
-    """(3 F,) vec3 on the scene's device: smooth unit normals of all triangle corners; shared meshes once, in their own
-    space.
-
-    Cached for each crease angle, in degrees, until the scene changes.
-    """
-    mesh, made = _corner_normals.get(scene, (None, {}))
-    if mesh is not scene.state.device_mesh:
-        made = {}
-        _corner_normals[scene] = scene.state.device_mesh, made
-    if crease_angle not in made:
-        parts = [(part.device_mesh.vertices, part.device_mesh.faces, part.meshes) for part in scene.state.parts]
-        made[crease_angle] = joined([smooth_corner_normals(*part, crease_angle) for part in parts])
-    return made[crease_angle]
 
 
 @dataclass(frozen=True)
@@ -318,18 +234,6 @@ def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surfac
     look.albedo = wp.array(colors, dtype=wp.vec3, device=scene.device)
     look.albedo_stride = 0 if len(colors) == 1 else 1
     return look
-
-
-def check_types(scene: Any, camera: Any) -> None:
-    """Refuses what is no scene or no camera.
-
-    Raises:
-        TypeError: one of them has a wrong type.
-    """
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene must be a wrt.Scene, not {type(scene).__name__}; make one with wrt.Scene(mesh)")
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera must be a wrt.PinholeCamera or wrt.OrthographicCamera, not {type(camera).__name__}")
 
 
 def _check_distance(ambient_distance: float | None) -> float:
