@@ -128,7 +128,8 @@ def test_one_sphere(distance, radius, length, direction, aside):
         assert not hits.is_hit
         return
     assert hits.t == pytest.approx(enter if np.float32(enter) >= 0 else leave, rel=2.0**-23)
-    np.testing.assert_allclose(np.linalg.norm(hits.position - UTM), radius, rtol=1e-6)
+    steps = 2.0 * np.spacing(UTM.max())  # of float64 there
+    np.testing.assert_allclose(np.linalg.norm(hits.position - UTM), radius, rtol=1e-6, atol=steps)
 
 
 def test_scattered_rays_are_sorted(monkeypatch):

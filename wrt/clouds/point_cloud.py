@@ -246,7 +246,7 @@ def cloud_of_state(state: CloudState) -> PointCloud:
     return cloud
 
 
-def unpickle_cloud(arrays: tuple[Any, ...], device: str, num_threads: int | None, mark: str) -> PointCloud:
+def unpickle_cloud(arrays: tuple[Any, Any, Any, Any], device: str, num_threads: int | None, mark: str) -> PointCloud:
     """The cloud of a pickle, on its device."""
     return cloud_of_state(replace(place_cloud(*arrays, as_settings(Bvh(), AUTO, device, num_threads)), mark=mark))
 

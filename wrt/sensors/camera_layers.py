@@ -24,6 +24,7 @@ from wrt.materials.material import Material
 from wrt.sensors.checks import check_at_least
 
 if TYPE_CHECKING:
+    from wrt.clouds.point_cloud import PointCloud
     from wrt.kernels.sensors.camera_images import Images
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.scene.scene import Scene
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 def extra_images(
     camera: Any,
-    scene: Scene,
+    scene: Scene | PointCloud,
     path: Trajectory | StillPoses,
     motions: Mapping[int, Trajectory],
     times: tuple[float, float],
@@ -48,7 +49,7 @@ def extra_images(
     if albedo:
         if scene.state.tangents is not None:
             raise ValueError("albedo needs materials, and points have none; leave it out, and look colours up by primitive_id")
-        found["albedo"] = Albedo(scene, materials, count)
+        found["albedo"] = Albedo(scene, materials, count)  # type: ignore[arg-type]  # no cloud
     if flow is not None:
         found["flow"] = Flow(camera, path, motions, flow, times, len(scene.instances), count, scene.device)
     return found

@@ -119,7 +119,7 @@ class SensorRays:
     each: Mapping[str, Any]
     is_relative: bool = False
 
-    def hits(self, scene: Scene, begin: int, end: int, shape: tuple[int, ...], **each: Any) -> DeviceHits:
+    def hits(self, scene: Scene | PointCloud, begin: int, end: int, shape: tuple[int, ...], **each: Any) -> DeviceHits:
         """The closest hits of the rays of some beams in a leading shape."""
         shape, rays = (*shape, *((self.bundle,) if self.bundle > 1 else ())), (begin * self.bundle, end * self.bundle)
         if self.is_relative:
@@ -161,7 +161,7 @@ class TracedSlice(NamedTuple):
     motions: Motions
 
 
-def trace_slices(scene: Scene, rays: SensorRays, bodies: Bodies, parts: Sequence[Slice]) -> Iterator[TracedSlice]:
+def trace_slices(scene: Scene | PointCloud, rays: SensorRays, bodies: Bodies, parts: Sequence[Slice]) -> Iterator[TracedSlice]:
     """Traces the rays of all slices.
 
     All at once, if there are several slices: time slices are environments then (`wrt.scene.sliced_state`). In a scene that has
@@ -300,7 +300,7 @@ def labelled(scene: Scene | PointCloud) -> int:
     return max(len(scene.instances) or len(scene.meshes), 1)
 
 
-def labels_on(labels: Any, scene: Scene) -> wp.array:
+def labels_on(labels: Any, scene: Scene | PointCloud) -> wp.array:
     """(I,) int32 on the scene's device, or (0,) for none.
 
     Raises:
@@ -317,7 +317,7 @@ def labels_on(labels: Any, scene: Scene) -> wp.array:
     return wp.array(values.astype(np.int32), dtype=int, device=scene.device)
 
 
-def as_motions(motions: Any, scene: Scene, begin: float, end: float) -> Mapping[int, Trajectory]:
+def as_motions(motions: Any, scene: Scene | PointCloud, begin: float, end: float) -> Mapping[int, Trajectory]:
     """Checked trajectories of instances over a time.
 
     Raises:
@@ -383,7 +383,7 @@ def cut_slices(
     return order.astype(np.int32), parts
 
 
-def slice_error(bodies: Mapping[int, Trajectory], scene: Scene, parts: Sequence[Slice]) -> float:
+def slice_error(bodies: Mapping[int, Trajectory], scene: Scene | PointCloud, parts: Sequence[Slice]) -> float:
     """Bound on the distance between where a point of an instance is and where it was traced, in units of length."""
     worst = 0.0
     for number, body in bodies.items():
