@@ -43,16 +43,13 @@ def described(machine: dict[str, Any]) -> str:
 @click.command("figures")
 @click.option("--collect", "study", type=click.Choice([*STUDIES]), help="Makes results of the runs in FILES.")
 @click.option("--commit", help="Commit that FILES were measured at.  [that of the checkout]")
-@click.option("--extract", is_flag=True, help="Reads the results of notebooks and records that have not been run with JSON.")
 @click.option(
     "--keep", nargs=2, metavar="NAME REASON", help="Says why a change of the code leaves the figures of NAME as they are."
 )
 @click.argument("files", nargs=-1, type=click.Path(exists=True, dir_okay=False, path_type=Path))
-def figures_command(
-    study: str | None, commit: str | None, extract: bool, keep: tuple[str, str] | None, files: tuple[Path, ...]
-) -> None:
+def figures_command(study: str | None, commit: str | None, keep: tuple[str, str] | None, files: tuple[Path, ...]) -> None:
     """Makes results and fills the pages from them: docs/documents.md, docs/claims.md, docs/performance.md, README.md."""
-    from studies.evidence import page_filling, results, stored_outputs
+    from studies.evidence import page_filling, results
 
     with usage_errors():
         if bool(files) != bool(study):
@@ -68,15 +65,12 @@ def figures_command(
                     ["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True
                 ).stdout.strip()
             )
-            origin = {"kind": "runs", "of": f"python -m studies measure {study}", "measured": runs[-1]["date"], "commit": at}
+            origin = {"of": f"python -m studies measure {study}", "measured": runs[-1]["date"], "commit": at}
             about = {"origin": origin, "machine": described(runs[0]["machine"]), "settings": runs[0]["settings"]}
             found = results.collect(
                 study, [run["tables"] for run in runs], STUDIES[study].is_counted, sources=STUDIES[study].sources, **about
             )
             click.echo(f"wrote {results.write(found)}")
-        if extract:
-            for name in stored_outputs.SOURCES:
-                stored_outputs.extract(name)
         if keep:
             results.keep(*keep, today=str(date.today()))
         click.echo("filled " + (", ".join(page_filling.fill_pages()) or "nothing: all pages are as their results"))
