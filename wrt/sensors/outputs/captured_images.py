@@ -155,7 +155,7 @@ class CameraImages(HitOutputs):
         super().__init__(layers, shape, to_warp, chosen)
 
     def __getstate__(self) -> dict[str, Any]:
-        """As of all results; the colours and the flow are read before."""
+        """As that of all results; the colours and the flow are read first."""
         _ = self.albedo, self.flow
         return super().__getstate__() | {"_extra": {}}
 
