@@ -209,6 +209,13 @@ def bounces(models: Path | None, effort: Effort) -> Tables:
     return {"steps": steps, "leaves": leaves}
 
 
+def fuzzy_boxes(models: Path | None, effort: Effort) -> Tables:
+    """Areas of fuzzy boxes and triangle tests in trees of them, by clusters and frames; counted."""
+    from studies.moving.motion_run import fuzzy_boxes as compare
+
+    return {"boxes": [short(row, "clusters", "frames", measures=("area", "tests")) for row in compare(rounds=1)]}
+
+
 def plane_places(models: Path | None, effort: Effort) -> Tables:
     """Whether planes of least cost lie between the medians; counted."""
     from studies.kdtrees.plane_places import compare_places
@@ -240,6 +247,7 @@ STUDIES = {
     "kdtree_builders": Study(kdtree_builders, ("studies.kdtrees.kdtree_comparison",)),
     "leaf_sizes": Study(leaf_sizes, ("studies.kdtrees.leaf_sizes",), is_counted=True),
     "bounces": Study(bounces, ("studies.light.bounce_comparison",), is_counted=True),
+    "fuzzy_boxes": Study(fuzzy_boxes, ("studies.moving.motion_run", "studies.moving.motion_costs"), is_counted=True),
     "plane_places": Study(plane_places, ("studies.kdtrees.plane_places",), is_counted=True),
     "ray_distribution": Study(ray_distribution, ("studies.known_rays.area_tables",), is_counted=True),
     "dynamic": Study(dynamic, ("studies.moving.motion_run", "studies.moving.motion_costs")),
