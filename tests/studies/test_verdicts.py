@@ -132,6 +132,7 @@ NUMBERS = {
     "rays-at-leaves": ("rays", {"bounce": "9"}, 2.0, 12.0),
     "vertex-culling": ("avoided", {"leaf": "512", "culling": "vertex"}, 95.0, 80.0),
     "subtrees": ("built", {}, 0, 6),
+    "fuzzy-boxes": ("area", {"clusters": ("found", "found, best rest pose", "bones")}, 1e-6, 1e6),
     "instance-updates": ("update", {"way": "instances"}, 1e-6, 1e6),
     "instance-rays": ("trace", {"way": "instances"}, 1e-6, 1e6),
     "gkdtree": ("speed", {"way": "groups, built"}, 2.0, 0.9),

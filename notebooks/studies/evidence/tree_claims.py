@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from studies.evidence.claims import Found, Held, claim, pairs
+from studies.evidence.claims import Found, Held, claim, pairs, quotient
 from studies.evidence.papers import FALCONE_PRECISION
 from studies.evidence.verdicts import all_of, counted, judge, span
 
@@ -86,6 +86,19 @@ def subtrees(held: Held) -> Found:
     return judge(whole, at_most=0), (
         f"{span(whole, '.0f')} whole builds and {span(parts, '.0f')} partial ones in 23 frames of coherent"
         f" motion, with the default tolerance"
+    )
+
+
+@claim("fuzzy-boxes", "rahikainen", "4.2", "Motion decomposition makes fuzzy boxes smaller", "fuzzy_boxes")
+def fuzzy_boxes(held: Held) -> Found:
+    """Of all 24 frames, against one cluster, whose boxes hold the whole motion but for the mean."""
+    take, frames = held["fuzzy_boxes"].take, {"frames": "24"}
+    (one,), (tested,) = (take("boxes", what, clusters="one cluster", **frames) for what in ("area", "tests"))
+    several = ("found", "found, best rest pose", "bones")
+    areas, tests = (take("boxes", what, clusters=several, **frames) for what in ("area", "tests"))
+    return judge([quotient(area, one) for area in areas], at_most=0.99), (
+        f"{span(areas)} times the area of the triangles' own boxes with clusters, {one.value:.0f} times with one;"
+        f" {span(tests)} and {tested.value:.1f} times the triangle tests of a tree for the frame"
     )
 
 
