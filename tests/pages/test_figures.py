@@ -81,6 +81,16 @@ def test_claims_of_some_sections():
     assert 2 < len(some) < len(every)
 
 
+@pytest.mark.parametrize("path", sorted(results.NOTEBOOKS.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_notebooks_were_stored_with_the_verdicts_that_there_are(path):
+    """What a cell shows last, if it shows claims."""
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        called = re.search(r"^Markdown\(claims_table\((.*)\)\)$", "".join(cell["source"]), re.MULTILINE)
+        if called:
+            stored = "".join(cell["outputs"][-1]["data"]["text/markdown"])
+            assert stored == page_filling.claims_table(*re.findall(r'"([^"]*)"', called[1])), "run the notebook again"
+
+
 def test_quotes_of_the_papers():
     """What the texts of the papers say of their own tables."""
     gains = KOMATSU_4.ratio("Möller", "Proposed")
