@@ -36,6 +36,8 @@ from wrt.kernels.classics.studies.replayed_tests import make_lists
 from wrt.kernels.classics.studies.variants.watertight_pruning import PRUNED
 from wrt.kernels.classics.studies.walk_orders import make_kernel as make_walk_kernel
 from wrt.kernels.classics.triangle.ferko import VARIANTS
+from wrt.kernels.clouds.cloud_test import DISC, SPHERE
+from wrt.kernels.clouds.cloud_walk import make_brute_cloud_kernel, make_cloud_kernel
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.exact_points import make_exact_points_kernel
 from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
@@ -173,9 +175,11 @@ def test_points(tree, task, instances, tmp_path):
     assert not FUSIBLE.search(text)
 
 
-@pytest.mark.parametrize(("tree", "instances"), [("kdtree", False), ("bvh", True)])
-def test_exact_points(tree, instances, tmp_path):
-    text = compile_to_ptx(make_exact_points_kernel(PointConfig(tree, 2, 1, instances=instances)).module, tmp_path)
+@pytest.mark.parametrize(
+    ("tree", "task", "instances"), [("kdtree", "nearest", False), ("bvh", "nearest", True), ("kdtree", "some", True)]
+)
+def test_exact_points(tree, task, instances, tmp_path):
+    text = compile_to_ptx(make_exact_points_kernel(PointConfig(tree, 2, 1, task, instances)).module, tmp_path)
     assert ".entry" in text
     assert not FUSIBLE.search(text)
 
@@ -191,6 +195,14 @@ def test_shared_leaves(tmp_path):
 def test_light_buffer_builder(stage, tmp_path):
     assert ".entry" in compile_to_ptx(make_rasteriser(stage, False, True, stage == FILL).module, tmp_path)
     assert ".entry" in compile_to_ptx(make_rasteriser(stage, True, False, stage == FILL).module, tmp_path / "by_box")
+
+
+@pytest.mark.parametrize("make", [make_cloud_kernel, make_brute_cloud_kernel])
+@pytest.mark.parametrize("components", [SPHERE, DISC])
+def test_clouds(make, components, tmp_path):
+    text = compile_to_ptx(make(TraversalConfig("woop", 2), components).module, tmp_path)
+    assert ".entry" in text
+    assert not FUSIBLE.search(text)
 
 
 SHADOW_KERNELS = {

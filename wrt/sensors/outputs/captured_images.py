@@ -85,7 +85,7 @@ class CapturedLayers(TracedLayers):
             kernel, given = {
                 "distance": (fill_depths, [traced, self._miss]),
                 "position": (fill_positions, [traced, found.origins]),
-                "normal": (fill_image_normals, [self._path, traced, mesh]),
+                "normal": (fill_image_normals, [self._path, *found.surface]),
                 "instance": (fill_image_ids, [traced, mesh, self.labels]),
             }[group[0]]
             inputs = [self._beams, *given, struct]
