@@ -20,6 +20,7 @@ ROW_STUDIES = {
     "area-build-times": ("known_rays.area_tables", "build_times"),
     "area-costs": ("known_rays.area_tables", "costs"),
     "area-memory": ("known_rays.area_tables", "memory"),
+    "area-precision": ("known_rays.area_tables", "precision"),
     "area-thresholds": ("known_rays.area_tables", "thresholds"),
     "area-walks": ("known_rays.area_tables", "walk_orders"),
     "area-work": ("known_rays.affinity", "compare_work"),
@@ -39,6 +40,7 @@ ROW_STUDIES = {
     "octree-levels": ("known_rays.area_tables", "octree_levels"),
     "octree-top-levels": ("known_rays.ray_distribution", "top_levels"),
     "packet-widths": ("kdtrees.packet_widths", "compare_widths"),
+    "plane-places": ("kdtrees.plane_places", "compare_places"),
     "tree-coupling": ("kdtrees.tree_coupling", "compare_coupling"),
     "volume-search": ("triangles.volume_search", "compare_forms"),
 }

@@ -7,10 +7,11 @@ import re
 
 import pytest
 
-from studies.evidence import page_filling, results, stored_outputs
+from studies.evidence import page_filling, results
 from studies.evidence.claims import CLAIMS
 from studies.evidence.page_filling import MARK, PAGES, fill, path_of
 from studies.evidence.papers import DOCUMENTS, KOMATSU_2, KOMATSU_4, PICHLER_61, TABLES, Table, break_even
+from studies.evidence.single_runs import STUDIES
 from studies.evidence.verdicts import FAILS, HOLDS
 
 REMEDY = "`cd notebooks; python -m studies figures` fills the pages"
@@ -62,33 +63,32 @@ def test_the_hash_is_of_statements():
     first, same, other = (ast.parse(text) for text in ('"""One."""\nx = 1\n', "# Two.\nx  =  1\n", "x = 2\n"))
     assert results.statements(first) == results.statements(same) != results.statements(other)
     assert results.code_hash(["studies.triangles.komatsu_tables"]) != results.code_hash(["studies.triangles.isolated_tests"])
-    assert results.code_hash(["komatsu.ipynb[5]"]) != results.code_hash(["komatsu.ipynb[9]"])
-
-
-@pytest.mark.parametrize("study", stored_outputs.SOURCES)
-def test_what_was_read_is_what_the_notebook_or_the_record_says(study):
-    held = results.load(study)
-    assert held.origin["kind"] != "runs", "measured anew: what read the old figures can go"
-    rounded = [
-        (
-            row.table,
-            dict(row.key),
-            {n: [*map(results.short, (m.value, m.least, m.greatest)), m.runs] for n, m in row.measures.items()},
-        )
-        for row in stored_outputs.SOURCES[study].read()
-    ]
-    kept = [
-        (row.table, dict(row.key), {n: [m.value, m.least, m.greatest, m.runs] for n, m in row.measures.items()})
-        for row in held.rows
-    ]
-    assert rounded == kept
 
 
 def test_every_claim_has_results_or_says_that_it_has_none():
     for claim in CLAIMS.values():
+        assert {*claim.needs} <= STUDIES.keys(), claim.name
         verdict, here = page_filling.judged(claim)
         assert here
         assert (verdict is None) == (not {*claim.needs} <= {*HELD}), claim.name
+
+
+def test_claims_of_some_sections():
+    """As notebooks show them."""
+    every, some = (page_filling.claims_table(*key).splitlines() for key in (("rahikainen",), ("rahikainen", "4.1", "5")))
+    assert some[:2] == every[:2]
+    assert some[2:] == [line for line in every[2:] if line.split(" | ")[1].startswith(("4.1", "5"))]
+    assert 2 < len(some) < len(every)
+
+
+@pytest.mark.parametrize("path", sorted(results.NOTEBOOKS.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_notebooks_were_stored_with_the_verdicts_that_there_are(path):
+    """What a cell shows last, if it shows claims."""
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        called = re.search(r"^Markdown\(claims_table\((.*)\)\)$", "".join(cell["source"]), re.MULTILINE)
+        if called:
+            stored = "".join(cell["outputs"][-1]["data"]["text/markdown"])
+            assert stored == page_filling.claims_table(*re.findall(r'"([^"]*)"', called[1])), "run the notebook again"
 
 
 def test_quotes_of_the_papers():

@@ -104,3 +104,11 @@ def test_rays_that_leave_an_area():
         shares.append(share)
     assert shares == sorted(shares)
     assert (state == 1).sum() == 0 < (state == 2).sum()
+
+
+def test_rays_over_caps_are_estimated_worse_by_the_circular_one():
+    """Its rays keep away from the corners of the window, which the estimate counts in."""
+    rows = experiments.cap_errors([Case("head", SCENES["head"](), "point", "oblique")], rays=256)
+    errors = {row["cap"]: row["error"] for row in rows}
+    assert errors.keys() == {"square", "circular"}
+    assert 0.0 < errors["square"] < errors["circular"] < 1.0

@@ -51,7 +51,7 @@ def test_cells_of_the_first_table():
     runs |= {name: [report("bunny", factor)] for factor, name in ((10.0, "avx2"), (20.0, "one-thread"), (40.0, "gpu"))}
     made = table_of("queries", runs, commit="abc", measured="2026-11-27")
     assert made["origin"] == {
-        "kind": "runs", "of": "wrt bench --json", "commit": "abc", "measured": "2026-11-27",
+        "of": "wrt bench --json", "commit": "abc", "measured": "2026-11-27",
         "note": "reports: avx512 3, avx2 1, one-thread 1, gpu 1",
     }  # fmt: skip
     assert made["machine"] == "A CPU, x86-64-v4, 16 lanes, Linux x86_64"

@@ -28,7 +28,7 @@ def figures(speeds: dict[str, float] | None = None) -> list[BounceFigures]:
         speed = dict.fromkeys(WAYS, 1.0) | (speeds or {} if bounce else {})
         for way in WAYS:
             ratios = {other: speed[way] / speed[other] for other in WAYS}
-            rows.append(BounceFigures("box", way, bounce, 64, speed[way], ratios, 1.0, 1.0, 10.0, 20.0, 30.0, 0.5, True))
+            rows.append(BounceFigures("box", way, bounce, 64, speed[way], ratios, 1.0, 1.0, 10.0, 20.0, 30.0, 4.0, 0.5, True))
     return rows
 
 

@@ -207,7 +207,7 @@ def table_of(name: str, reports: Mapping[str, Sequence[Mapping[str, Any]]], *, c
         if len(found) > 1:
             raise ValueError(f"reports of the run {run!r} are of different machines: {'; '.join(sorted(found))}")
     counts = ", ".join(f"{run} {len(found)}" for run, found in reports.items())
-    origin = {"kind": "runs", "of": "wrt bench --json", "commit": commit, "measured": measured, "note": f"reports: {counts}"}
+    origin = {"of": "wrt bench --json", "commit": commit, "measured": measured, "note": f"reports: {counts}"}
     return {
         "origin": origin,
         "machine": "; ".join(dict.fromkeys(text for found in machines.values() for text in found)),

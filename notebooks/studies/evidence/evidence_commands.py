@@ -51,7 +51,6 @@ def head() -> str:
 @click.option("--bench", "table", help="Makes a table of speed, such as queries, of the reports of wrt bench RUN=FILE.")
 @click.option("--measured", help="Date of these reports.  [today]")
 @click.option("--commit", help="Commit that FILES were measured at.  [that of the checkout]")
-@click.option("--extract", is_flag=True, help="Reads the results of notebooks and records that have not been run with JSON.")
 @click.option(
     "--keep", nargs=2, metavar="NAME REASON", help="Says why a change of the code leaves the figures of NAME as they are."
 )
@@ -61,12 +60,11 @@ def figures_command(
     table: str | None,
     measured: str | None,
     commit: str | None,
-    extract: bool,
     keep: tuple[str, str] | None,
     files: tuple[str, ...],
 ) -> None:
     """Makes results and fills the pages from them: docs/documents.md, docs/claims.md, docs/performance.md, README.md."""
-    from studies.evidence import bench_tables, page_filling, results, stored_outputs
+    from studies.evidence import bench_tables, page_filling, results
 
     with usage_errors():
         if bool(files) != bool(study or table) or (study and table):
@@ -80,15 +78,12 @@ def figures_command(
             if strangers:
                 raise ValueError(f"FILES are runs of {', '.join(sorted(strangers))}, not of {study}")
             of = f"python -m studies measure {study}"
-            origin = {"kind": "runs", "of": of, "measured": runs[-1]["date"], "commit": commit or head()}
+            origin = {"of": of, "measured": runs[-1]["date"], "commit": commit or head()}
             about = {"origin": origin, "machine": described(runs[0]["machine"]), "settings": runs[0]["settings"]}
             found = results.collect(
                 study, [run["tables"] for run in runs], STUDIES[study].is_counted, sources=STUDIES[study].sources, **about
             )
             click.echo(f"wrote {results.write(found)}")
-        if extract:
-            for name in stored_outputs.SOURCES:
-                stored_outputs.extract(name)
         if keep:
             results.keep(*keep, today=str(date.today()))
         click.echo("filled " + (", ".join(page_filling.fill_pages()) or "nothing: all pages are as their results"))

@@ -49,15 +49,14 @@ def origin(name: str) -> str:
     """When and how results were measured."""
     results = load(name)
     runs = max((measure.runs for row in results.rows for measure in row.measures.values()), default=0)
-    many = {"runs": f"{runs} runs" if runs > 1 else "counted", "stored outputs": "notebook", "record": "record"}
-    return f"{results.origin['measured']}, {many[results.origin['kind']]}"
+    return f"{results.origin['measured']}, {f'{runs} runs' if runs > 1 else 'counted'}"
 
 
-def claims_table(document: str) -> str:
-    """All claims of a document."""
+def claims_table(document: str, *places: str) -> str:
+    """All claims of a document, or those of the sections, tables and figures whose names begin with one of `places`."""
     lines = ["| claim | where | verdict | here | measured |", "| --- | --- | --- | --- | --- |"]
     for claim in CLAIMS.values():
-        if claim.document == document:
+        if claim.document == document and claim.place.startswith(places or ""):
             verdict, here = judged(claim)
             word = "-" if verdict is None else str(verdict)
             measured = "; ".join(dict.fromkeys(map(origin, claim.needs))) if verdict is not None else "-"

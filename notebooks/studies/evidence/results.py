@@ -1,6 +1,6 @@
 """Results of studies as JSON in notebooks/results/: values with their spread, and what they came from.
 
-A file has "study", "origin" (kind, measured, commit, and where it was taken from), "machine", "settings", "code" (the sources
+A file has "study", "origin" (the command, the date, and the commit), "machine", "settings", "code" (the sources
 that made it and their hash) and "rows". A row has the "table" that it belongs to, a "key" (scene, test and so on) and
 "measures": by the name of a quantity its median, least and greatest value and the number of runs, 0 for what is counted.
 
@@ -29,9 +29,6 @@ FOLDER = NOTEBOOKS / "results"
 VARYING = frozenset({"hits", "samples", "bytes"})
 """Whole numbers of a row that do not tell cases apart."""
 
-KINDS = ("runs", "stored outputs", "record")
-"""Origins: a study ran; numbers were read from the outputs of a notebook; from the table of a record or a page."""
-
 
 @dataclass(frozen=True)
 class Row:
@@ -48,10 +45,10 @@ class Results:
 
     Attributes:
         study: name of the file.
-        origin: "kind" (one of `KINDS`), "measured" (a date), "commit", "of".
+        origin: "of" (the command), "measured" (a date), "commit".
         machine: where it ran.
         settings: of the runs.
-        sources: modules of `studies`, or cells of notebooks such as "komatsu.ipynb[5]".
+        sources: modules of `studies`.
         rows: in the order of the study.
     """
 
@@ -99,8 +96,6 @@ def load(study: str) -> Results:
 
 def write(results: Results, folder: Path | None = None, kept: Sequence[Mapping[str, str]] = ()) -> Path:
     """Writes a file with the present hash of its sources; `kept`: why its figures stayed when these changed."""
-    if results.origin["kind"] not in KINDS:
-        raise ValueError(f"origin of {results.study!r} is {results.origin['kind']!r}; one of {', '.join(KINDS)}")
     held = {
         "study": results.study,
         "origin": dict(results.origin),
@@ -154,13 +149,13 @@ def studies_with_results() -> list[str]:
 
 
 def code_hash(sources: Iterable[str]) -> str:
-    """Hash of the statements of modules, with the modules of `studies` that they import, and of cells of notebooks."""
+    """Hash of the statements of modules, with the modules of `studies` that they import."""
     texts, waiting = {}, [*sources]
     while waiting:
         name = waiting.pop()
         if name in texts:
             continue
-        tree = ast.parse(cell_source(name) if "[" in name else module_path(name).read_text(encoding="utf-8"))
+        tree = ast.parse(module_path(name).read_text(encoding="utf-8"))
         waiting += [module for module in imported(tree) if not module.startswith("studies.evidence")]
         texts[name] = statements(tree)
     return hashlib.sha256("\n".join(f"{name}\n{texts[name]}" for name in sorted(texts)).encode()).hexdigest()[:16]
@@ -169,15 +164,6 @@ def code_hash(sources: Iterable[str]) -> str:
 def module_path(name: str) -> Path:
     """File of a module of `studies`."""
     return NOTEBOOKS / (name.replace(".", "/") + ".py")
-
-
-def cell_source(name: str) -> str:
-    """Source of a code cell, "komatsu.ipynb[5]"."""
-    file, number = name.removesuffix("]").split("[")
-    cell = json.loads((NOTEBOOKS / file).read_text(encoding="utf-8"))["cells"][int(number)]
-    if cell["cell_type"] != "code":
-        raise ValueError(f"{name} is no code cell")
-    return "".join(cell["source"])
 
 
 def statements(tree: ast.Module) -> str:

@@ -13,6 +13,9 @@ from typing import Any
 
 from wrt.meshes.mesh import TriangleMesh
 
+LARGE_LEAF = 512
+"""Triangles below which a node is not divided, for leaves of hundreds."""
+
 Row = dict[str, Any]
 Tables = dict[str, list[Row]]
 
@@ -46,11 +49,15 @@ def named(mesh: TriangleMesh, rows: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 
 def komatsu_counts(models: Path | None, effort: Effort) -> Tables:
-    """Table 1: operations and bytes."""
+    """Table 1: operations; and bytes of the engine's records by test."""
     from studies.triangles.komatsu_tables import table_1
+    from wrt.kernels.triangle import TRIANGLE_TESTS
 
     counts = ("triangle", "precomputation", "test")
-    return {"1": [{"algorithm": row["algorithm"]} | {name: float(row[name]) for name in counts} for row in table_1()]}
+    return {
+        "1": [{"algorithm": row["algorithm"]} | {name: float(row[name]) for name in counts} for row in table_1()],
+        "records": [{"test": name, "bytes": float(test.record.test_bytes)} for name, test in TRIANGLE_TESTS.items()],
+    }
 
 
 def komatsu_scenes(models: Path | None, effort: Effort) -> Tables:
@@ -169,6 +176,60 @@ def dynamic(models: Path | None, effort: Effort) -> Tables:
     return motion_tables(effort.rounds)
 
 
+def leaf_sizes(models: Path | None, effort: Effort) -> Tables:
+    """Tests that cullings avoid in small and in large leaves; counted."""
+    from studies.kdtrees.leaf_sizes import compare_leaf_sizes
+    from studies.triangles import komatsu_packets
+
+    rows = []
+    for mesh in [*komatsu_packets.scenes(models).values()][:2]:
+        options = {"leaves": (0, LARGE_LEAF), "cullings": ("vertex", "interval"), "size": effort.size, "rounds": 1}
+        for found in compare_leaf_sizes(mesh, **options):
+            leaf = {"scene": mesh.name, "leaf": str(found.leaf_triangles), "culling": found.culling}
+            rows.append(leaf | {"avoided": 100.0 * found.culled, "triangles": found.mean_leaf, "nodes": float(found.nodes)})
+    return {"leaves": rows}
+
+
+def bounces(models: Path | None, effort: Effort) -> Tables:
+    """Steps of packets through a kd-tree over those of omnidirectional packets, and rays of a packet at a leaf; counted."""
+    from studies.light.bounce_comparison import compare_bounces
+    from studies.triangles import komatsu_packets
+    from wrt.scenes import build
+
+    steps, leaves = [], []
+    for mesh in [*[*komatsu_packets.scenes(models).values()][:2], build("atrium"), build("cornell_box")]:
+        ways = ("kd-tree packets", "omnidirectional", "types", "single")
+        found = {(r.bounce, r.way): r for r in compare_bounces(mesh, mesh.name, size=effort.size, rounds=1, ways=ways)}
+        last = min(9, max(bounce for bounce, _ in found))
+        for bounce, name in ((0, "0"), (last, "9")):
+            packets, omnidirectional, types, single = (found[bounce, way] for way in ways)
+            key = {"scene": mesh.name, "bounce": name}
+            steps.append(key | {"fewer": packets.steps / omnidirectional.steps})
+            leaves.append(key | {"rays": single.leaves / types.leaves})
+    return {"steps": steps, "leaves": leaves}
+
+
+def fuzzy_boxes(models: Path | None, effort: Effort) -> Tables:
+    """Areas of fuzzy boxes and triangle tests in trees of them, by clusters and frames; counted."""
+    from studies.moving.motion_run import fuzzy_boxes as compare
+
+    return {"boxes": [short(row, "clusters", "frames", measures=("area", "tests")) for row in compare(rounds=1)]}
+
+
+def plane_places(models: Path | None, effort: Effort) -> Tables:
+    """Whether planes of least cost lie between the medians; counted."""
+    from studies.kdtrees.plane_places import compare_places
+
+    return {"places": compare_places()}
+
+
+def ray_distribution(models: Path | None, effort: Effort) -> Tables:
+    """Sections 6.2.1 and 6.2.2: precision of estimates; counted."""
+    from studies.known_rays.area_tables import precision
+
+    return {"precision": precision()}
+
+
 def short(row: Mapping[str, Any], *keys: str, measures: Sequence[str] = ("ratio",)) -> Row:
     """Some of the parts of a row: the key as text, the measures as floats."""
     return {key: str(row[key]) for key in keys} | {name: float(row[name]) for name in measures}
@@ -184,6 +245,11 @@ STUDIES = {
     "fans": Study(fans, ("studies.triangles.fan_comparison",)),
     "traversal": Study(traversal, ("studies.kdtrees.packet_speeds",)),
     "kdtree_builders": Study(kdtree_builders, ("studies.kdtrees.kdtree_comparison",)),
+    "leaf_sizes": Study(leaf_sizes, ("studies.kdtrees.leaf_sizes",), is_counted=True),
+    "bounces": Study(bounces, ("studies.light.bounce_comparison",), is_counted=True),
+    "fuzzy_boxes": Study(fuzzy_boxes, ("studies.moving.motion_run", "studies.moving.motion_costs"), is_counted=True),
+    "plane_places": Study(plane_places, ("studies.kdtrees.plane_places",), is_counted=True),
+    "ray_distribution": Study(ray_distribution, ("studies.known_rays.area_tables",), is_counted=True),
     "dynamic": Study(dynamic, ("studies.moving.motion_run", "studies.moving.motion_costs")),
 }
 """By the name of the results."""

@@ -2,6 +2,7 @@
 
     octree_levels   Table 6.1: cost of the areas' trees if an octree's leaf decides on the area, by the octree's levels
     walk_orders     section 5.1.2: counts with a queue, as in Algorithm 5.2, and with stacks
+    cap_errors      section 6.2.1: error of estimates for rays that are uniform over a part of the sphere
     axes_tried      section 6.2.4: splitting planes' axes tried a node, by SPFH (thesis: 2.1) and by LSPH (1.5)
 
 Each returns a list of plain dicts; see `studies.known_rays.ray_distribution` for scenes, trees and costs.
@@ -34,6 +35,7 @@ from wrt.kernels.runtime.launch import launch
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+from wrt.known_rays.ray_casters import CircularCapCaster, SquareCapCaster
 from wrt.known_rays.tree_analysis import BOX_COST, TRIANGLE_COST, analyse
 from wrt.scene.scene import Scene, scene_of_state
 
@@ -189,4 +191,28 @@ def axes_tried(cases: Iterable[Case]) -> list[Row]:
             tried, fallback = axis_tries(Scene(case.mesh, accelerator, device="cpu"))
             row = {"scene": case.scene, "kind": case.kind, "way": case.way, "axes": name}
             rows.append(row | {"tried": tried, "fallback": fallback})
+    return rows
+
+
+def cap_errors(points: Iterable[Case], *, rays: int = 1024) -> list[Row]:
+    """Errors of PAH + SPFH for point areas whose rays are uniform over the sphere, as the thesis casts them.
+
+    Args:
+        points: cases with point areas.
+        rays: of each.
+
+    Returns:
+        A row for each case and cap: scene, way, cap ("square": what the window shows; "circular": the cone inscribed in it),
+        error (|counted cost - estimate| / estimate) of rays from the near plane on.
+    """
+    rows = []
+    for case in points:
+        area, scene = case.area, scene_of(case, "PAH + SPFH")
+        cone = CircularCapCaster(position=area.position, direction=area.direction, angle=min(area.fov) / 2)
+        for name, caster in (("square", SquareCapCaster.of(area)), ("circular", cone)):
+            directions = caster.rays(rays).directions
+            cast = Rays(np.array([area.position]), directions / (directions @ area.frame[2])[:, None], area.near)
+            found = analyse(scene, area, cast)
+            error = abs(found.passing.cost - found.expected_cost) / found.expected_cost
+            rows.append({"scene": case.scene, "way": case.way, "cap": name, "error": error})
     return rows

@@ -17,6 +17,19 @@ def costs(*, rays: int = 1024) -> list[Row]:
     return distribution.measure(cases(), rays=rays)
 
 
+def precision(*, rays: int = 1024) -> list[Row]:
+    """Sections 6.2.1 and 6.2.2: mean errors of both heuristics in per cent, by the areas and by how rays are cast."""
+    measured = costs(rays=rays)
+    errors, kinds = (distribution.average(measured, "error", *by) for by in (("tree",), ("tree", "kind")))
+    raw = distribution.average(measured, "error_unclipped", "tree", "kind")
+    caps = distribution.average(experiments.cap_errors(cases(kinds=("point",)), rays=rays), "error", "cap")
+    found = {"SAH, plane and point": errors["SAH + LSPH",], "PAH, plane and point": errors["PAH + SPFH",]}
+    for kind in ("plane", "point"):
+        found |= {f"PAH, {kind}": kinds["PAH + SPFH", kind], f"PAH, {kind}, not clipped": raw["PAH + SPFH", kind]}
+    found |= {f"PAH, point, {cap} cap": error for (cap,), error in caps.items()}
+    return [{"error": name, "percent": 100.0 * value} for name, value in found.items()]
+
+
 def build_times(*, rounds: int = 3) -> list[Row]:
     """Section 6.2.4: times of builds."""
     return distribution.build_times(cases(("random 1000", "wood", "palace"), ways=("15 degrees",)), rounds=rounds)

@@ -66,7 +66,7 @@ class BounceFigures:
         ratios: speed over that of each other way, median of the rounds.
         usage: share of the places of packets that hold a ray.
         order_ms: milliseconds to put the rays into packets.
-        steps, boxes, triangles: inner nodes, box tests and triangle tests per ray; packets as a whole count once.
+        steps, boxes, triangles, leaves: inner nodes, box tests, triangle tests and leaves a ray; a packet counts once.
         active: share of the lanes of triangle tests whose ray meets the triangle's box; 0 for single rays.
         same: whether the hits are those of single rays.
     """
@@ -82,6 +82,7 @@ class BounceFigures:
     steps: float
     boxes: float
     triangles: float
+    leaves: float
     active: float
     same: bool
 
@@ -169,6 +170,7 @@ def _figures(
         sums["nodes"] / count,
         sums["boxes"] / count,
         sums["triangles"] / count,
+        sums["leaves"] / count,
         sums["active"] / sums["lanes"] if sums["lanes"] else 0.0,
         same,
     )
