@@ -24,6 +24,7 @@ ray at a time, it can call:
 * `first_hit(...)`, then `next_hit(scene, origin, direction, hit, t_max)` until it misses: all hits, as
   `Scene.intersect_all`. Each call is a new search from the previous hit on: nothing is stored, and the number of hits is
   not limited;
+* `hit_where(accept)` makes a function: the first hit of a ray that a `wp.func` of yours accepts;
 * `closest_point(scene, point, max_distance)`: a `Hit` whose t is the distance, as `Scene.closest_point`;
 * `position(scene, hit)`, `normal(scene, hit)`, `faces(scene, hit, direction)`, `spawn(scene, hit, direction)`: as in
   `wrt.Hits`;
@@ -51,6 +52,7 @@ import warp as wp
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.plan.plan import Plan, stack_levels
 from wrt.kernels.points.device_points import add_point_search, closest_point
+from wrt.kernels.query.device_filters import hit_where
 from wrt.kernels.query.device_functions import (
     TRIANGLE_TEST,
     Hit,
@@ -96,6 +98,7 @@ __all__ = [
     "count_hits",
     "faces",
     "first_hit",
+    "hit_where",
     "kernel",
     "launch",
     "next_hit",
@@ -199,6 +202,7 @@ def has_backward(kernel: wp.Kernel) -> bool:
 def handle_of(scene: SceneState, mask: int | None = None, environment: int | None = None) -> Any:
     """The kernel argument for a scene: `Scene.handle`."""
     scene.require("handle")
+    scene.require_opaque("a handle")
     if mask is not None or environment is not None:
         scene.require_instances("mask and environment of a handle")
     mask = MAX_MASK if mask is None else check_mask(mask)

@@ -86,6 +86,10 @@ REFERENCES = {
         "B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree "
         "construction. High Performance Graphics 2010."
     ),
+    "cigolle-2014": (
+        "Z. H. Cigolle et al.: A survey of efficient representations for independent unit vectors. Journal of Computer "
+        "Graphics Techniques 3(2), 2014."
+    ),
     "cook-1984": "R. L. Cook, T. Porter, L. Carpenter: Distributed ray tracing. SIGGRAPH 1984.",
     "cook-1986": "R. L. Cook: Stochastic sampling in computer graphics. ACM Transactions on Graphics 5(1), 1986.",
     "cranley-patterson-1976": (
@@ -194,6 +198,10 @@ REFERENCES = {
     ),
     "haeberli-akeley-1990": (
         "P. Haeberli, K. Akeley: The accumulation buffer: hardware support for high-quality rendering. SIGGRAPH 1990."
+    ),
+    "haines-2019": (
+        "E. Haines, J. Guenther, T. Akenine-Moeller: Precision improvements for ray/sphere intersection. Ray Tracing Gems, "
+        "chapter 7, 2019."
     ),
     "haines-greenberg-1986": (
         "E. A. Haines, D. P. Greenberg: The light buffer: a shadow-testing accelerator. IEEE Computer Graphics and "

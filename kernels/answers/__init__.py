@@ -22,7 +22,8 @@ offer hits to a kind in one of three ways:
   on; then `renumber(hits, i, count, first)` for lists, and `within(first, search) -> search` before, for a `Search` that
   names triangles.
 
-A variant of several kinds is one file, too: `skipped_triangle` makes a row from a row.
+A variant of several kinds is one file, too: `skipped_triangle` and `alpha_mask` make a row from a row. It says what its kernels
+get besides, `Given`, and how a ray's search begins: `begin(given, hits, i, t_min) -> search`.
 
 To add a kind, write its file and add one line to `ANSWERS` (docs/adding.md). Neither engines nor hosts ask for its name.
 """

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import warp as wp
 
@@ -52,6 +52,8 @@ class AnswerKind:
             lists are nearly sorted when they are found.
         walks_only: whether only kernels that are built around the walk of one ray ask for it, with a `Search` of their own.
         Search: struct that walks take as `hits`: where hits are stored, or what decides about them.
+        Given: of variants, the type of what their kernels get besides (`wrt.kernels.traversal.single.single_kernel`).
+        begin: of variants, `wp.func(given, hits, i, t_min) -> search` of ray i.
         accept: `wp.func(search, i, best, t, primitive, u, v) -> best`; None if the best hit is kept.
         own_test: `wp.func(search, primitive)`: tests a triangle, in place of the config's triangle test; None for that.
         best_of: `wp.func(search, best) -> best`: what the search has found by `own_test`.
@@ -69,6 +71,8 @@ class AnswerKind:
     front_to_back: bool = False
     walks_only: bool = False
     Search: type = HitBatch
+    Given: Any = None
+    begin: wp.Function | None = None
     accept: wp.Function | None = None
     own_test: wp.Function | None = None
     best_of: wp.Function | None = None

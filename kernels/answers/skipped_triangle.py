@@ -20,6 +20,7 @@ import warp as wp
 
 from wrt.kernels.answers.answer_kind import AnswerKind
 from wrt.kernels.answers.best_hit import BestHit, improves
+from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -36,7 +37,7 @@ class Skipping:
 
 
 @wp.func
-def skip_for(skipped: wp.array(dtype=int), i: int, t_min: float):
+def skip_for(skipped: wp.array(dtype=int), hits: HitBatch, i: int, t_min: float):
     """What ray i ignores. skipped: (N,), or (n,) for rays in rows of n that share them by column."""
     search = Skipping()
     search.t_min = t_min
@@ -75,4 +76,12 @@ def skip_within(first: int, search: Skipping):
 def skipping(kind: AnswerKind) -> AnswerKind:
     """The variant of a kind of query that keeps the best hit, or counts crossings."""
     accept = accept_unskipped if kind.nearest else count_unskipped
-    return replace(kind, walks_only=True, Search=Skipping, accept=accept, within=skip_within)
+    return replace(
+        kind,
+        walks_only=True,
+        Search=Skipping,
+        Given=wp.array(dtype=int),
+        begin=skip_for,
+        accept=accept,
+        within=skip_within,
+    )

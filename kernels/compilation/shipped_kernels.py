@@ -128,7 +128,7 @@ def export(modules: Iterable[wp.Module], destination: Path) -> int:
     """
     name, device = target_name(), wp.get_device("cpu")
     if name == "native":
-        raise ValueError("kernels for the target 'native' are for this CPU alone; choose x86-64-v3 or x86-64-v4")
+        raise ValueError("kernels for the target 'native' are for this CPU alone; choose another one, such as x86-64-v3")
     modules = set(modules)
     place = destination / name
     shutil.rmtree(place, ignore_errors=True)

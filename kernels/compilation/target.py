@@ -23,9 +23,10 @@ References: lu-2020 (the levels x86-64-v2, v3 and v4).
 import os
 import platform
 from dataclasses import dataclass
-from functools import cache
 
 import warp as wp
+
+from wrt.kernels.compilation.host_cpu import cpu_features, cpu_information
 
 TARGET_VARIABLE, WIDTH_VARIABLE = "WRT_TARGET", "WRT_WIDTH"
 
@@ -35,6 +36,10 @@ WIDTHS = (4, 8, 16)
 AVX2 = frozenset({"abm", "avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"})
 AVX512 = AVX2 | {"avx512bw", "avx512cd", "avx512dq", "avx512f", "avx512vl"}
 """Features of the levels x86-64-v3 and v4, as `/proc/cpuinfo` names them."""
+
+NEOVERSE_N1 = frozenset({"aes", "asimd", "asimddp", "asimdhp", "atomics", "lrcpc"})
+NEOVERSE_V2 = NEOVERSE_N1 | {"bf16", "i8mm", "sve2"}
+"""The same of two CPUs of ARM: of Graviton 2 and Altra, and of Graviton 4 and Grace. Jetson Orin's has those of the first."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,8 @@ TARGETS = {
     "native": Target(("-march=native",)),
     "x86-64-v3": Target(("-target-cpu", "x86-64-v3"), AVX2, 256),
     "x86-64-v4": Target(("-target-cpu", "x86-64-v4", "-mprefer-vector-width=512"), AVX512, 512),
+    "neoverse-n1": Target(("-target-cpu", "neoverse-n1"), NEOVERSE_N1, 128),
+    "neoverse-v2": Target(("-target-cpu", "neoverse-v2"), NEOVERSE_V2, 128),
 }
 """Targets by name. For "x86-64-v4", and for Intel's CPUs with AVX-512, Clang prefers registers of 256 bits by default, which
 suits the first CPUs of that level."""
@@ -68,35 +75,6 @@ QUICKER = ("-discard-value-names", "-fpch-instantiate-templates")
 """Options that leave the object code as it is, to the byte, and save 0.05 to 0.1 s a module. Clang's driver gives the first,
 but Warp runs the compiler proper. By the second, templates that Warp's header itself uses are instantiated once, when the
 header is precompiled, and not again for each module."""
-
-
-@cache
-def cpu_information(*names: str) -> str | None:
-    """The value of the first line of `/proc/cpuinfo` with one of these names; None if there is no such line."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as text:
-            for line in text:
-                if line.startswith(names):
-                    return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return None
-
-
-def cpu_name() -> str:
-    """Name of the processor according to the operating system."""
-    return cpu_information("model name") or platform.processor() or platform.machine()
-
-
-def cpu_features() -> frozenset[str]:
-    """The SIMD extensions of this CPU that targets refer to, as far as the operating system reports them."""
-    return words_of(cpu_information("flags", "Features") or "")
-
-
-@cache
-def words_of(text: str) -> frozenset[str]:
-    """The words of a text."""
-    return frozenset(text.split())
 
 
 def target_name() -> str:
@@ -201,7 +179,7 @@ def target_flags(name: str) -> tuple[str, ...]:
 
 def prefers_half_registers() -> bool:
     """Whether Clang by default uses half of this CPU's registers of 512 bits."""
-    return "avx512f" in cpu_features() and cpu_information("vendor_id") == "GenuineIntel"
+    return "avx512f" in cpu_features() and "GenuineIntel" in (cpu_information("vendor_id") or platform.processor())
 
 
 def split_flags(flags: str) -> tuple[list[str], list[str]]:

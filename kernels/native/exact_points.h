@@ -58,16 +58,14 @@ inline CUDA_CALLABLE NearestOn<double> nearest_of(
     return exactly_nearest(corner[0], corner[1], corner[2]);
 }
 
-/// As `NearestTriangle`, with distances in float64 of what is near enough in float32.
-template <class Space, class Triangles> struct ExactNearest : Search {
+/// A search for what is near enough in float32, with distances in float64.
+template <class Space, class Triangles> struct ExactSearch : Search {
     const Space& space;
     const Triangles& triangles;
     ExactOffset point;
-    double exact_most, distance = WRT_INFINITY;
-    NearestOn<double> at = {0.0, 0.0, 0.0, -1};
-    int number = -1, slot = -1;
+    double exact_most;
 
-    CUDA_CALLABLE ExactNearest(const Space& space, const Triangles& triangles, const ExactOffset& point, double most)
+    CUDA_CALLABLE ExactSearch(const Space& space, const Triangles& triangles, const ExactOffset& point, double most)
         : space(space)
         , triangles(triangles)
         , point(point)
@@ -76,22 +74,98 @@ template <class Space, class Triangles> struct ExactNearest : Search {
         this->most = (float)most;
     }
 
-    inline CUDA_CALLABLE float farthest() const { return (float)(distance < exact_most ? distance : exact_most) * WIDENED; }
+    /// The greatest distance at which a triangle counts, if the last of those that were found is at `distance`.
+    inline CUDA_CALLABLE float nearer(double distance) const
+    {
+        return (float)(distance < exact_most ? distance : exact_most) * WIDENED;
+    }
 
     inline CUDA_CALLABLE void look_up_to(float away, float slack)
     {
         Search::look_up_to(away + CANDIDATE_SLACK * slack * scale, slack);
     }
 
+    inline CUDA_CALLABLE NearestOn<double> measure(int number) const { return nearest_of(space, triangles, point, number); }
+};
+
+/// As `NearestTriangle`.
+template <class Space, class Triangles> struct ExactNearest : ExactSearch<Space, Triangles> {
+    double distance = WRT_INFINITY;
+    NearestOn<double> at = {0.0, 0.0, 0.0, -1};
+    int number = -1, slot = -1;
+
+    using ExactSearch<Space, Triangles>::ExactSearch;
+
+    inline CUDA_CALLABLE float farthest() const { return this->nearer(distance); }
+
     inline CUDA_CALLABLE void keep(float, int primitive, int place, const SearchPoint& from)
     {
-        const int own = first + primitive;
+        const int own = this->first + primitive;
         if (own == number) return;
-        const NearestOn<double> on = nearest_of(space, triangles, point, own);
+        const NearestOn<double> on = this->measure(own);
         const double away = square_root(on.square);
-        if (!(away <= exact_most) || !((away < distance) | ((away == distance) & (own < number)))) return;
+        if (!(away <= this->exact_most) || !((away < distance) | ((away == distance) & (own < number)))) return;
         distance = away, number = own, slot = place, at = on;
-        look_up_to(farthest(), from.slack);
+        this->look_up_to(farthest(), from.slack);
+    }
+};
+
+/// As `NearestList`: the `room` nearest triangles from a place of the answers on, sorted by distance, then number.
+template <class Space, class Triangles, class Exact, class Found> struct ExactList : ExactSearch<Space, Triangles> {
+    const Exact& exact;
+    TriangleRows<Found> rows;
+    int room, size = 0;
+
+    CUDA_CALLABLE ExactList(const ExactSearch<Space, Triangles>& search, const Exact& exact, const Found& found, int i)
+        : ExactSearch<Space, Triangles>(search)
+        , exact(exact)
+        , rows {found, (size_t)i * exact.room}
+        , room(exact.room)
+    {
+    }
+
+    inline CUDA_CALLABLE double& distance(int i) const { return exact.t.data[rows.begin + i]; }
+    inline CUDA_CALLABLE double& weight(int i, int which) const { return exact.uv.data[rows.begin + i].c[which]; }
+    inline CUDA_CALLABLE signed char& feature(int i) const { return (signed char&)rows.found.feature.data[rows.begin + i]; }
+
+    /// Whether triangle i comes before one of this distance and number.
+    inline CUDA_CALLABLE bool before(int i, double away, int number) const
+    {
+        return distance(i) < away || (distance(i) == away && rows.number(i) < number);
+    }
+
+    inline CUDA_CALLABLE void put(int i, const NearestOn<double>& on, double away, int number, int slot) const
+    {
+        distance(i) = away, weight(i, 0) = on.u, weight(i, 1) = on.v, feature(i) = (signed char)on.feature;
+        rows.put(i, (float)away, number, slot);
+    }
+
+    inline CUDA_CALLABLE float farthest() const { return this->nearer(size == room ? distance(room - 1) : WRT_INFINITY); }
+
+    inline CUDA_CALLABLE void keep(float, int primitive, int slot, const SearchPoint& from)
+    {
+        const int own = this->first + primitive;
+        const NearestOn<double> on = this->measure(own);
+        const double away = square_root(on.square);
+        if (!(away <= this->exact_most)) return;
+        int place = size;
+        while (place > 0 && !before(place - 1, away, own)) --place;
+        if (place == room || (place < size && rows.number(place) == own)) return;
+        if (size < room) ++size;
+        for (int i = size - 1; i > place; --i) {
+            const NearestOn<double> before = {0.0, weight(i - 1, 0), weight(i - 1, 1), feature(i - 1)};
+            put(i, before, distance(i - 1), rows.number(i - 1), rows.slot(i - 1));
+        }
+        put(place, on, away, own, slot);
+        this->look_up_to(farthest(), from.slack);
+    }
+
+    /// Writes weights in place of slots, and what is not there.
+    inline CUDA_CALLABLE void finish() const
+    {
+        for (int i = size; i < room; ++i) put(i, {0.0, 0.0, 0.0, -1}, WRT_INFINITY, -1, 0);
+        for (int i = 0; i < room; ++i)
+            for (int which = 0; which < 2; ++which) rows.weight(i, which) = (float)weight(i, which);
     }
 };
 
@@ -114,6 +188,26 @@ inline CUDA_CALLABLE void exact_nearest_of_group(
         found.primitive.data[i] = kept.number;
         found.uv.data[i].c[0] = (float)kept.at.u, found.uv.data[i].c[1] = (float)kept.at.v;
         found.feature.data[i] = (signed char)kept.at.feature;
+    }
+}
+
+/// The same, of the `exact.room` nearest triangles of each point, in rows.
+template <int GROUP, class Space, class Points, class Triangles, class Exact, class Found>
+inline CUDA_CALLABLE void exact_lists_of_group(
+    Space space, const Points& points, const Triangles& triangles, const Exact& exact, const Found& found, int first)
+{
+    int last[2 * TRIED], count = 0;
+    for (int place = first; place < first + GROUP && place < points.count; ++place) {
+        const int i = point_at(points, place);
+        const auto& point = exact.point.data[i];
+        const double most = exact.most.data[(size_t)i * points.most_stride];
+        const ExactSearch<Space, Triangles> search(space, triangles, {point.c[0], point.c[1], point.c[2]}, most);
+        ExactList<Space, Triangles, Exact, Found> kept(search, exact, found, i);
+        search_point(space, points, i, kept, last, count);
+        if (kept.size > 0)
+            for (count = 0; count < kept.size && count < TRIED; ++count)
+                last[2 * count] = kept.rows.number(count), last[2 * count + 1] = kept.rows.slot(count);
+        kept.finish();
     }
 }
 

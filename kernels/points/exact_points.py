@@ -34,21 +34,27 @@ class ExactPoints:
     most: wp.array(dtype=wp.float64)
     """(N,) or (1,) greatest distance at which a triangle is found, with the stride of `PointBatch.most`."""
     t: wp.array(dtype=wp.float64)
-    """(N,) distances; inf if nothing was found."""
+    """(N,) distances; inf if nothing was found. Of lists, `room` for each point, as in `NearestBatch`."""
     uv: wp.array(dtype=wp.vec2d)
-    """(N,) weights of the triangle's second and third vertex; 0 if nothing was found."""
+    """(N,) weights of the triangle's second and third vertex; 0 if nothing was found. Of lists as `t`."""
+    room: int
+    """Triangles of a list."""
+
+
+TASKS = {"nearest": "exact_nearest_of_group", "some": "exact_lists_of_group"}
+"""C++ of what is searched: the nearest triangle of each point, or the `room` nearest."""
 
 
 @cache
 def make_exact_points_kernel(config: PointConfig) -> wp.Kernel:
-    """The kernel for one specialisation, of the task "nearest". Item: a group of points."""
+    """The kernel for one specialisation, of a task of `TASKS`. Item: a group of points."""
     group, Space = config.group, space_type(config.tree, config.instances)
     Triangles = wp.array(dtype=ExactGeometry) if config.instances else ExactMesh
     space = space_code(config.tree, config.width, config.instances)
 
     @native.func_native(
         "exact_points.h",
-        f"{GUARDS}wrt::exact_nearest_of_group<{group}>({space}, points, triangles, exact, found, begin);",
+        f"{GUARDS}wrt::{TASKS[config.task]}<{group}>({space}, points, triangles, exact, found, begin);",
     )
     def search_exactly(
         scene: Space, points: PointBatch, triangles: Triangles, exact: ExactPoints, found: NearestBatch, begin: int

@@ -30,8 +30,8 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.compilation.cores import available_cores
+from wrt.kernels.compilation.host_cpu import cpu_features
 from wrt.kernels.compilation.module_compiler import load_modules
-from wrt.kernels.compilation.target import cpu_features
 from wrt.kernels.runtime import job_queue as layout
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.core_pinning import MAX_CORES

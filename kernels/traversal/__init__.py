@@ -170,6 +170,7 @@ TRAVERSALS: dict[str, Traversal] = {
                 | Capabilities.NODE_ORDERS
                 | Capabilities.OWN_SPACES
                 | Capabilities.SHARED_LEAVES
+                | Capabilities.ALPHA_MASKS
                 | Capabilities.CUDA_INSTANCES
             ),
             each_hit=("kdtree", "bvh"),

@@ -41,5 +41,7 @@ class Capabilities(Flag):
     PERSISTENT = auto()
     """It walks a BVH of width 2 in the layout `wrt.kernels.layout.binary_nodes`. On CUDA its threads are persistent: a
     launch has as many as the device holds at a time."""
+    ALPHA_MASKS = auto()
+    """`masked` of the config applies."""
     CUDA_INSTANCES = auto()
     """It traces rays through instances on CUDA too."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from wrt.kernels.answers import ANSWERS, closest_hit
+from wrt.kernels.answers.alpha_mask import masking
 from wrt.kernels.answers.answer_kind import AnswerKind
 from wrt.kernels.answers.skipped_triangle import skipping
 from wrt.kernels.traversal.mailbox import NONE
@@ -109,6 +110,7 @@ class TraversalConfig:
         cull_backfaces: whether triangles are hit only from their front (`wrt.kernels.traversal.leaf.comes_from_front`).
         skipping: whether each ray ignores one triangle (`wrt.kernels.answers.skipped_triangle`), in walks that are asked for
             the nearest hit or for a count.
+        masked: whether rays pass through the holes of alpha masks (`wrt.kernels.answers.alpha_mask`); not together with that.
         shared_leaves: whether a triangle may be in several leaves of a BVH, so that only one of them may report a crossing
             (`wrt.kernels.traversal.shared_leaves`).
         stack: for wide trees.
@@ -127,6 +129,7 @@ class TraversalConfig:
     mailbox: str = NONE
     cull_backfaces: bool = False
     skipping: bool = False
+    masked: bool = False
     shared_leaves: bool = False
     stack: StackConfig = StackConfig()
     single: SingleConfig = SingleConfig()
@@ -138,4 +141,7 @@ class TraversalConfig:
     @property
     def answer(self) -> AnswerKind:
         """What is asked of each ray."""
-        return skipping(ANSWERS[self.query]) if self.skipping else ANSWERS[self.query]
+        kind = ANSWERS[self.query]
+        if self.masked:
+            return masking(kind)
+        return skipping(kind) if self.skipping else kind

@@ -19,6 +19,7 @@ from wrt.cluster.job_file_keys import KEYS
 
 RAYS = '[rays]\norigins = "origins.npy"\ndirections = [0, 0, 1]\n'
 JOB = 'folder = "job"\n[scene]\nfile = "scene.npz"\ndevice = "cpu"\n'
+NEAREST = 'query = "closest_point"\n' + JOB + '[points]\npositions = "origins.npy"\n'
 FUNCTION = 'folder = "job"\n[scene]\nfile = "scene.npz"\n[rays]\nshape = [20]\nfunction = "rays.py:rays"\n'
 PRECIOUS = "years of work"
 
@@ -74,7 +75,14 @@ WRONG = {
     JOB + RAYS + "[options]\nexecutor = 3": r"the key 'executor' in \[options\]",
     JOB + RAYS + "[options]\nmask = -1": r"\[options\] mask in .* must be a whole number from 0 to 4294967295",
     JOB + RAYS + "[options]\nmask = 1.0": r"\[options\] mask in .* must be a whole number",
-    JOB + RAYS + "[options]\nprecise = true": "precise in .* is for query = 'intersect'",
+    JOB + RAYS + "[options]\nprecise = true": "precise in .* is for query = 'intersect' or 'closest_point'",
+    JOB + RAYS + "[points]\nmax_distance = 2": r"\[points\] max_distance in .* is for query = 'closest_point'",
+    NEAREST.replace("positions", "# positions"): r"needs \[points\] positions",
+    NEAREST + RAYS: r"\[rays\] origins in .* is for rays",
+    NEAREST + '[options]\ntraversal = "single"': r"\[options\] traversal in .* is for rays",
+    NEAREST + "max_distance = -1": r"\[points\] max_distance in .* must be a number of at least 0",
+    NEAREST.replace("origins.npy", "cut.npy"): r"\[points\] positions: .* is not an array of NumPy, or is damaged",
+    NEAREST + '[reduce]\nby = "max"': "must be a table such as",
     JOB + RAYS + '[options]\ntraversal = "magic"': "traversal",
     JOB + RAYS + '[options]\ntriangle_test = "magic"': "triangle_test",
     JOB + 'accelerator = "bvh"\n' + RAYS: "accelerator is for mesh files",
@@ -283,6 +291,21 @@ def test_the_command_that_goes_on_with_a_job(place):
     shown = CliRunner().invoke(main, ["job", "status", str(place / "job")])
     assert "the script or the job file that began it goes on with it" in shown.output
     assert "has no job" in called("job", "run", place)
+
+
+def test_closest_points(place):
+    """Of points in a file: distances and triangles, in float64 if that is asked for."""
+    scene, points = wrt.Scene.load(place / "scene.npz", device="cpu"), np.load(place / "origins.npy")
+    limit = float(np.median(scene.closest_point(points).distance))
+    for precise in ("false", "true"):
+        rest = f'max_distance = {limit}\n[options]\nprecise = {precise}\n[output]\nfile = "near"\n'
+        (place / "job.toml").write_text('attributes = ["t", "primitive_id"]\n' + NEAREST + rest)
+        run_job_file(place / "job.toml", progress=False)
+        expected = scene.closest_point(points, max_distance=limit, precise=precise == "true")
+        assert 0 < expected.is_hit.sum() < len(points)
+        np.testing.assert_array_equal(np.load(place / "near" / "t.npy"), expected.distance)
+        np.testing.assert_array_equal(np.load(place / "near" / "primitive_id.npy"), expected.primitive_id)
+        shutil.rmtree(place / "job")
 
 
 def test_every_key_is_checked():

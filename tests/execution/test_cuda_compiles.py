@@ -38,6 +38,8 @@ from wrt.kernels.classics.studies.replayed_tests import make_lists
 from wrt.kernels.classics.studies.variants.watertight_pruning import PRUNED
 from wrt.kernels.classics.studies.walk_orders import make_kernel as make_walk_kernel
 from wrt.kernels.classics.triangle.ferko import VARIANTS
+from wrt.kernels.clouds.cloud_test import DISC, SPHERE
+from wrt.kernels.clouds.cloud_walk import make_brute_cloud_kernel, make_cloud_kernel
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.exact_points import make_exact_points_kernel
 from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
@@ -207,6 +209,7 @@ POINTS = [
     *((tree, "nearest", instances) for tree in TREES for instances in (False, True)),
     *(("bvh", task, False) for task in TASKS if task != "nearest"),
 ]
+EXACT_POINTS = (("kdtree", "nearest", False), ("bvh", "nearest", True), ("kdtree", "some", True))
 
 
 SHADOW_KERNELS = {
@@ -347,8 +350,12 @@ MEASURED = {
 EXACT_KERNELS = {
     "points": lambda: {f"points {' '.join(map(str, one))}": make_points_kernel(points(*one)) for one in POINTS},
     "exact points": lambda: {
-        f"exact points {tree}": make_exact_points_kernel(PointConfig(tree, 2, 1, instances=instances))
-        for tree, instances in (("kdtree", False), ("bvh", True))
+        f"exact points {' '.join(map(str, one))}": make_exact_points_kernel(points(*one)) for one in EXACT_POINTS
+    },
+    "clouds": lambda: {
+        f"{make.__name__} {part}": make(TraversalConfig("woop", 2), part)
+        for make in (make_cloud_kernel, make_brute_cloud_kernel)
+        for part in (SPHERE, DISC)
     },
     "shared leaves": lambda: {"shared leaves": single(TraversalConfig("woop", 2, "count", shared_leaves=True))},
     "shadows": lambda: {name: make() for name, make in SHADOW_KERNELS.items()},

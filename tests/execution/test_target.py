@@ -12,7 +12,7 @@ import warp as wp
 from click.testing import CliRunner
 
 from wrt.cli import main
-from wrt.kernels.compilation import target
+from wrt.kernels.compilation import host_cpu, target
 from wrt.kernels.simd.lanes import native_width
 
 ZEN_2 = frozenset(target.AVX2 | {"sse2", "clflushopt"})
@@ -78,6 +78,7 @@ def set_cpu(monkeypatch):
         (ZEN_4, {"WRT_TARGET": "x86-64-v3"}, 256, 8),
         (ZEN_2, {"WRT_TARGET": "x86-64-v3"}, 256, 8),
         (ZEN_4, {"WRT_TARGET": "x86-64-v4"}, 512, 16),
+        (target.NEOVERSE_V2, {"WRT_TARGET": "neoverse-v2"}, 128, 8),
         (ZEN_2, {"WRT_WIDTH": "16"}, 256, 16),
         (ZEN_4, {"WRT_TARGET": "x86-64-v3", "WRT_WIDTH": "4"}, 256, 4),
     ],
@@ -101,6 +102,8 @@ def test_widths_and_registers(features, environment, bits, width, set_cpu):
         (ZEN_4, {"WRT_WIDTH": "5"}, r"'5' \(WRT_WIDTH\) must be 4, 8 or 16"),
         (ZEN_4, {"WRT_WIDTH": "many"}, "'many'"),
         (ZEN_2, {"WRT_TARGET": "x86-64-v4", "WRT_WIDTH": "8"}, "cannot run"),
+        (ZEN_4, {"WRT_TARGET": "neoverse-n1"}, "it has no aes, asimd,.*; choose from native, x86-64-v3, x86-64-v4$"),
+        (target.NEOVERSE_N1, {"WRT_TARGET": "neoverse-v2"}, "it has no bf16, i8mm, sve2; choose from native, neoverse-n1$"),
     ],
 )
 def test_what_cannot_be_is_refused(features, environment, message, set_cpu):
@@ -216,10 +219,19 @@ def test_command_line(monkeypatch):
 
 def test_info_says_what_kernels_are_compiled_for():
     found = json.loads(CliRunner().invoke(main, ["info", "--level", "2", "--json"]).stdout)["CPU"]
-    assert found["name"] == target.cpu_name()
+    assert found["name"] == host_cpu.cpu_name()
     assert (found["target"], found["lanes"], found["SIMD bits"]) == (
         target.target_name(),
         target.lane_width(),
         target.simd_bits(),
     )
     assert found["threads"] >= 1
+
+
+def test_the_compiler_knows_the_cpu_where_linux_does_not_tell(monkeypatch):
+    """As on Windows and macOS: the same targets fit, and the CPU has a name."""
+    able = {name for name, one in target.TARGETS.items() if one.needs <= host_cpu.cpu_features()}
+    monkeypatch.setattr(host_cpu, "cpu_information", lambda *names: None)
+    assert {name for name, one in target.TARGETS.items() if one.needs <= host_cpu.cpu_features()} == able
+    assert host_cpu.cpu_name() == host_cpu.told_by_compiler("name") != ""
+    assert host_cpu.told_by_compiler("age") == ""

@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 
 import wrt
-from wrt.kernels.shading.bsdf import material_table
+from wrt.kernels.images import image_footprint
 from wrt.materials.material import WRAPS
 from wrt.scenes.shapes import boxes, plane
 
@@ -119,7 +119,7 @@ def test_coordinates_beyond_an_image():
         "mirror": [0.75, 0.25, 0.0, 0.25, 1.0, 0.75, 0.75],
     }
     for number, wrap in enumerate(WRAPS):
-        found = [material_table.folded.func(coordinate, number) for coordinate in coordinates]
+        found = [image_footprint.folded.func(coordinate, number) for coordinate in coordinates]
         assert found == pytest.approx(expected[wrap]), wrap
 
 
@@ -134,7 +134,12 @@ def test_materials_of_a_gltf_file(tmp_path):
     image = Image.fromarray(np.uint8([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]]))
     quad = plane((-1, -1), (1, 1))
     material = trimesh.visual.material.PBRMaterial(
-        baseColorFactor=[255, 128, 255, 255], baseColorTexture=image, roughnessFactor=0.25, metallicFactor=0.5
+        baseColorFactor=[255, 128, 255, 255],
+        baseColorTexture=image,
+        roughnessFactor=0.25,
+        metallicFactor=0.5,
+        alphaMode="MASK",
+        alphaCutoff=0.4,
     )
     visual = trimesh.visual.TextureVisuals(uv=(quad.vertices[:, :2] + 1) / 2, material=material)
     textured = trimesh.Trimesh(quad.vertices, quad.faces, visual=visual, process=False)
@@ -157,6 +162,8 @@ def test_materials_of_a_gltf_file(tmp_path):
     np.testing.assert_allclose(found[1, 0], (0.0, 0.0, 1.0), atol=0.01)
     assert wrt.TriangleMesh.load(tmp_path / "model.glb", materials=False).materials is None
     parts = wrt.Scene(trimesh.load(tmp_path / "model.glb"))  # each node an instance
+    for meshes in ([mesh], parts.meshes):
+        assert 0.4 in [one.alpha_cutoff for each in meshes for one in each.materials.materials]
     np.testing.assert_allclose(albedo(parts, 2.0, 2), found, atol=1e-5)
 
 

@@ -153,7 +153,7 @@ MUTATIONS = [
         promise="Long chains of nodes of a trimesh.Scene are multiplied.",
     ),
     Mutation(
-        path="kernels/shading/bsdf/material_table.py",
+        path="kernels/images/image_footprint.py",
         old="        found = wp.clamp(coordinate, 0.0, 1.0)",
         new="        found = wp.clamp(coordinate, -1.0, 1.0)",
         tests="tests/imaging/test_materials.py::test_coordinates_beyond_an_image",

@@ -119,8 +119,42 @@ def test_forms():
     np.testing.assert_allclose(middle.distance, brute_force(corners, np.zeros((1, 3))).min(), rtol=1e-15)
 
 
-@pytest.mark.parametrize("options", [{"k": 2}, {"counters": True}])
-def test_refused(options):
+@pytest.mark.parametrize(("tree", "placed"), [("bvh", False), ("kdtree", True)])
+def test_some_nearest(tree, placed, device):
+    """The k nearest triangles are the first of brute force, sorted; the first is that without k; missing ones are none."""
+    mesh = SCENES["random_triangles"]()
+    few = wrt.TriangleMesh(mesh.vertices.astype(np.float64) * np.pi, mesh.faces[:80])
+    size = float(np.ptp(few.bounds, axis=0).max())
+    given = [wrt.Instance(few, matrix) for matrix in maps(size)] if placed else few
+    scene, k = wrt.Scene(given, tree, device=device), 7
+    flat = scene.flattened() if placed else few
+    points = points_around(flat, 300).astype(np.float64)
+    found, one = scene.closest_point(points, k=k, precise=True), scene.closest_point(points, precise=True)
+    assert found.shape == (300, k)
+    for name in ("distance", "primitive_id", "instance_id", "uv", "position", "normal", "feature"):
+        np.testing.assert_array_equal(getattr(found, name)[:, 0], getattr(one, name))
+    corners = flat.vertices[flat.faces].astype(np.float64)
+    distance, number = brute_force(corners, points), found.batch.primitive.numpy().reshape(-1, k)
+    slack = 1e-13 * size
+    np.testing.assert_allclose(found.distance, np.sort(distance, axis=1)[:, :k], rtol=0, atol=slack)
+    np.testing.assert_allclose(np.take_along_axis(distance, number, axis=1), found.distance, rtol=0, atol=slack)
+    assert all(len(set(row)) == k for row in number)
+    assert (np.diff(found.distance, axis=1) >= 0.0).all()
+    tied = np.diff(found.distance, axis=1) == 0.0
+    assert (np.diff(number, axis=1)[tied] > 0).all()
+    np.testing.assert_allclose(np.linalg.norm(found.position - points[:, None], axis=2), found.distance, atol=slack)
+    near = np.median(found.distance[:, 2])
+    limited = scene.closest_point(points, k=k, max_distance=near, precise=True)
+    kept = found.distance <= near
+    np.testing.assert_array_equal(limited.primitive_id, np.where(kept, found.primitive_id, -1))
+    np.testing.assert_array_equal(limited.distance, np.where(kept, found.distance, np.inf))
+    assert not limited.uv[~kept].any()
+    assert (limited.feature[~kept] == -1).all()
+    with pytest.raises(ValueError, match="k is 0; it must be from 1 to 1024"):
+        scene.closest_point(points, k=0, precise=True)
+
+
+def test_refused():
     scene = wrt.Scene(trimesh.creation.box((1, 1, 1)), device="cpu")
-    with pytest.raises(ValueError, match="precise=True takes no k or counters"):
-        scene.closest_point(np.zeros((2, 3)), precise=True, **options)
+    with pytest.raises(ValueError, match="precise=True takes no counters"):
+        scene.closest_point(np.zeros((2, 3)), precise=True, counters=True)

@@ -299,6 +299,17 @@ def test_wrapping_and_transform_of_images(tmp_path):
     u, v = plain.corner_uv[..., 0], 1.0 - plain.corner_uv[..., 1]
     expected = np.stack([3 * v + 0.25, 1.0 - (-2 * u + 0.5)], axis=-1)  # a quarter turn takes u to -v
     np.testing.assert_allclose(found.corner_uv, expected, atol=1e-5)
+    assert found.materials[0].alpha_cutoff is None
+    for values, factor, cutoff in (({}, 1.0, 0.5), ({"alphaCutoff": 0.3}, 0.6, 0.5), ({"alphaCutoff": 0.8}, 0.4, 2.0)):
+        document["materials"][0] |= {"alphaMode": "MASK"} | values
+        document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = [1, 1, 1, factor]
+        path.write_text(json.dumps(document))
+        assert TriangleMesh.load(path).materials.materials[0].alpha_cutoff == pytest.approx(cutoff)
+    assert found.materials[0].color_texture.alpha is None
+    Image.new("RGBA", (2, 2), (9, 8, 7, 128)).save(tmp_path / "a.png")
+    texture = TriangleMesh.load(path).materials.materials[0].color_texture
+    assert (texture.alpha == 128).all()
+    assert (texture.pixels == (9, 8, 7)).all()
     document["samplers"] = [{"wrapS": 4711}]
     path.write_text(json.dumps(document))
     with pytest.raises(ValueError, match="material 'wood' has wrapS, wrapT = 4711"):

@@ -13,10 +13,12 @@ from wrt.scene.archives import read_archive, write_archive
 
 def test_materials_are_kept(tmp_path):
     """They were lost: a saved scene came back grey."""
-    grid = np.random.default_rng(0).random((4, 5, 3))
+    grid = np.random.default_rng(0).random((4, 5, 4))
     image = wrt.Texture(grid, wrap=("mirror", "clamp"))
     listed = [
-        wrt.Material("glossy", color=(0.2, 0.4, 0.6), roughness=0.3, color_texture=image, surface_texture=image),
+        wrt.Material(
+            "glossy", color=(0.2, 0.4, 0.6), roughness=0.3, color_texture=image, surface_texture=image, alpha_cutoff=0.7
+        ),
         wrt.Material("dielectric", index=1.3, absorption=(1, 2, 3), priority=2, color=1.0),
         wrt.Material(emission=(4, 5, 6), two_sided=False, translucency=0.25),
     ]
@@ -34,6 +36,8 @@ def test_materials_are_kept(tmp_path):
     assert (two, three) == (listed[1], listed[2])
     assert one.color_texture is one.surface_texture
     np.testing.assert_array_equal(one.color_texture.pixels, image.pixels)
+    np.testing.assert_array_equal(one.color_texture.alpha, image.alpha)
+    assert (one.alpha_cutoff, two.alpha_cutoff) == (0.7, None)
     assert one.color_texture.wrap == pickle.loads(pickle.dumps(image)).wrap == ("mirror", "clamp")
     assert (one.roughness, one.color) == (0.3, (0.2, 0.4, 0.6))
 

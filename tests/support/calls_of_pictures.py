@@ -47,7 +47,8 @@ def picture_calls() -> Iterator[Call]:
         {"scale": 2.0, "up": (0.0, 0.0, 1.0), "east": (1.0, 0.0, 0.0)},
     )
     shares = {"color": 0.5, "roughness": 0.5, "metallic": 0.5, "index": 1.5, "absorption": 1.0, "translucency": 0.5}
-    yield Call("Material", wrt.Material, {**shares, "priority": 1, "emission": (2.0, 2.0, 2.0), "two_sided": False})
+    shares |= {"priority": 1, "emission": (2.0, 2.0, 2.0), "two_sided": False, "alpha_cutoff": 0.5}
+    yield Call("Material", wrt.Material, shares)
     numbers = {"samples": 2, "depth": 4, "seed": 1, "wave": 64, "texture_memory": 1 << 17}
     factors = {"lens_radius": 0.5, "focus_distance": 2.0, "threshold": 0.5, "max_radiance": 4.0, "crease_angle": 32.0}
     flags = {"roulette": False, "sample_lights": False, "smooth": False}

@@ -22,6 +22,7 @@ def scene_calls() -> Iterator[Call]:
     yield Call("Scene", threads_of(lambda **o: wrt.Scene(mesh(), **o)), {"num_threads": 2})
     yield Call("Scene.load", threads_of(lambda **o: wrt.Scene.load(folder() / "scene.npz", **o)), {"num_threads": 2})
     yield Call("Scene.handle", lambda **o: instances().handle(**o) is not None, {"mask": 2, "environment": 1})
+    yield Call("Scene.filtered", lambda **o: wrt.Scene(mesh(), device="cpu").filtered(**o).bounds, {"alpha": True})
     yield Call("Scene.update", updated, {"mask": 2, "environment": 1})
     yield Call("Scene.updating", updated_beside, {"threads": 1})
     yield Call("FanScene", threads_of(lambda **o: wrt.classics.FanScene(mesh(), **o)), {"num_threads": 2})

@@ -57,6 +57,14 @@ def sensor_calls() -> Iterator[Call]:
     yield Call("Orthographic", sensors.Orthographic, FOCUS)
     points = np.zeros((2, 3))
     yield Call("deskew", lambda **o: sensors.deskew(points, trajectory=trajectory(), **o), {"times": [0.0, 4.0], "time": 2.0})
+    three = np.eye(3)
+    yield Call("PointCloud", lambda **o: sensors.PointCloud(three, device="cpu", **o).bounds, {"radius": 0.5, "num_threads": 2})
+    cloud, ray = sensors.PointCloud(three, 0.5, device="cpu"), ((-2.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    judge = {"brute_force": False}
+    yield Call("PointCloud.intersect", lambda **o: cloud.intersect(*ray, **o).t, judge)
+    yield Call("PointCloud.occluded", lambda **o: cloud.occluded(*ray, **o), judge)
+    yield Call("PointCloud.count", lambda **o: cloud.count(*ray, **o), judge)
+    yield Call("PointCloud.intersect_all", lambda **o: cloud.intersect_all(*ray, **o).t, judge | {"max_hits": 2})
     yield Call("look_at", sensors.look_at, {"position": (0.0, -9.0, 4.0), "target": (0.0, 0.0, 1.0), "up": (0.0, 0.0, 1.0)})
     yield Call("Trajectory.at", lambda **o: trajectory().at(**o), {"times": [0.0, 4.0]})
     moving = {"times": [0.0, 8.0], "positions": [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]}

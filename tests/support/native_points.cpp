@@ -93,6 +93,7 @@ struct Exact {
     Array<Vec3d> point;
     Array<double> most, t;
     Array<Vec2d> uv;
+    int room;
 };
 struct Work {
     int nodes, leaves, triangles;
@@ -131,4 +132,6 @@ void search_exactly(const WideTree& boxes, const Top& top, const Array<Part<KdTr
     wrt::exact_nearest_of_group<32>(tree, points, mesh, exact, found, 0);
     const auto trees = wrt::instance_trees<wrt::CellTree, WIDTH, 9>(top, cells);
     wrt::exact_nearest_of_group<32>(trees, points, geometries, exact, found, 0);
+    wrt::exact_lists_of_group<32>(tree, points, mesh, exact, found, 0);
+    wrt::exact_lists_of_group<32>(trees, points, geometries, exact, found, 0);
 }

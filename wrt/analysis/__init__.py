@@ -4,7 +4,8 @@
     inside = wrt.analysis.winding_number(scan, points) > 0.5        # generalised winding numbers, also of soups
 
 * Fields around surfaces: `signed_distance`, `sign_rule`, `winding_number`; on grids: `distance_grid`.
-* Surfaces: `sample_surface`, `thickness`, `shape_diameter`; `exposure` to the sun and the sky, and `sky_directions`.
+* Surfaces: `sample_surface`, `thickness`, `shape_diameter`; `exposure` to the sun and the sky, `sky_directions` and
+  `ambient_occlusion`; and `bake`, which keeps such values at vertices or in an image.
 * Bodies in a scene: `closest_pair` of two, `clearance` of many, and the `overlapping_triangles` of two.
 * Sight: `visible_faces` of a camera, `viewshed` of a terrain (`TriangleMesh.from_heightmap`).
 
@@ -16,8 +17,11 @@ from __future__ import annotations
 from wrt.lazy_names import lazy_names
 
 _HOME = {
+    "BakedTexture": "wrt.analysis.baked_values",
     "ClosestPair": "wrt.analysis.mesh_pairs",
     "DistanceGrid": "wrt.analysis.distance_grids",
+    "ambient_occlusion": "wrt.analysis.sky_exposure",
+    "bake": "wrt.analysis.baked_values",
     "clearance": "wrt.analysis.mesh_pairs",
     "closest_pair": "wrt.analysis.mesh_pairs",
     "distance_grid": "wrt.analysis.distance_grids",

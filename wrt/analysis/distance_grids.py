@@ -124,7 +124,7 @@ def distance_grid(
     """
     from wrt.query.batches.block_limits import progress_bar
 
-    state_of(scene)
+    state_of(scene).require_whole("a signed distance")
     resolution, progress = as_int("resolution", resolution, 2, MOST_POINTS), as_bool("progress", progress)
     lookup(SIGNS, sign, "sign")
     if band is not None:

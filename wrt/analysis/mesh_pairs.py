@@ -79,6 +79,7 @@ def closest_pair(scene: Scene, first: int, second: int, *, max_distance: float =
         RuntimeError: a graph is being captured.
     """
     state, most = state_of(scene), as_most(max_distance)
+    state.require_whole("a distance of meshes")
     ids = as_pair(state, "closest_pair", first, second)
     with use_threads(state.num_threads):
         a, b = (body_of(state, number) for number in sorted(ids))
@@ -105,6 +106,7 @@ def clearance(scene: Scene, instances: Any = None, *, max_distance: float = np.i
         TypeError, ValueError, RuntimeError: as `closest_pair`; fewer than two ids.
     """
     state, most = state_of(scene), as_most(max_distance)
+    state.require_whole("a distance of meshes")
     chosen = as_bodies(state, instances)
     with use_threads(state.num_threads):
         bodies = {number: body_of(state, number) for number in chosen}
@@ -139,6 +141,7 @@ def overlapping_triangles(scene: Scene, first: int, second: int) -> np.ndarray:
         TypeError, ValueError, RuntimeError: as `closest_pair`; more than 2^31 - 1 pairs.
     """
     state = state_of(scene)
+    state.require_whole("a test of overlap")
     ids = as_pair(state, "overlapping_triangles", first, second)
     with use_threads(state.num_threads):
         pairs = meeting_of(*(body_of(state, number) for number in sorted(ids)))

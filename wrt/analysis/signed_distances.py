@@ -81,6 +81,7 @@ def signed_distance(
         RuntimeError: a graph is being captured.
     """
     state = state_of(scene)
+    state.require_whole("a signed distance")
     rule = lookup(SIGNS, sign, "sign")
     refuse_capture("signed_distance", state.device)
     given = as_vectors(points, "points", state.device)
@@ -104,6 +105,7 @@ def sign_rule(scene: Scene) -> str:
     otherwise they are sums of solid angles (`winding_number`).
     """
     state = state_of(scene)
+    state.require_whole("a signed distance")
     return "parity" if state.is_closed and not is_oriented(state) else "winding"
 
 

@@ -1,6 +1,6 @@
 """What surfaces see of the sun and of the sky.
 
-References: gonzalez-2010 (a lattice on the sphere).
+References: gonzalez-2010 (a lattice on the sphere); zhukov-1998.
 """
 
 from __future__ import annotations
@@ -8,14 +8,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from wrt.analysis.analysis_arguments import check_surface, host
 from wrt.analysis.wall_thickness import BLOCK, frame_of
-from wrt.kernels.validation import as_bool, as_direction, as_int, as_numbers
+from wrt.engine.facts.query_kinds import AUTO
+from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.shading.surface import Surface
+from wrt.kernels.validation import as_bool, as_direction, as_float, as_int, as_numbers
 
 if TYPE_CHECKING:
     from wrt.query.hits import Hits
     from wrt.scene.scene import Scene
+
+POINTS = 1 << 16
+"""Points whose ambient rays are traced at a time."""
 
 
 def sky_directions(count: int, *, up: Any = (0, 0, 1)) -> np.ndarray:
@@ -82,3 +89,51 @@ def exposure(scene: Scene, surface: Hits, directions: Any, *, weights: Any = Non
         share = shares[begin : begin + step].reshape(-1, *(1,) * len(surface.shape))
         found += (seen * share * (np.maximum((part * normal).sum(axis=-1), 0.0) if cosine else 1.0)).sum(axis=0)
     return found
+
+
+def ambient_occlusion(
+    scene: Scene, surface: Hits, *, rays: int = 64, max_distance: float = float("inf"), seed: int = 0
+) -> np.ndarray:
+    """The share of an even light from all sides that reaches the front of a surface: 1 where nothing hides it, 0 inside a body.
+
+    The share of the rays of each point that hit nothing. Their directions are drawn with a density proportional to the cosine
+    to the normal (Zhukov et al. 1998), by a sequence of low discrepancy.
+
+        light = wrt.analysis.ambient_occlusion(scene, scene.points_on(np.arange(mesh.triangle_count)))
+
+    Args:
+        scene: a `wrt.Scene` whose triangles have their fronts where light comes from.
+        surface: points on its triangles: `scene.points_on`, `wrt.analysis.sample_surface`, or hits of rays.
+        rays: of each point, at least 1.
+        max_distance: length of the rays, in the scene's units, at least 0.
+        seed: of the directions, from 0 to 2^32 - 1.
+
+    Returns:
+        (...) float32; NaN for a miss and for a point on a triangle without area.
+
+    Raises:
+        TypeError: an argument has a wrong type.
+        ValueError: a number out of range.
+    """
+    from wrt.imaging.ambient_rays import AmbientRays
+
+    check_surface(scene, surface)
+    rays, seed = as_int("rays", rays, 1), as_int("seed", seed, 0, (1 << 32) - 1)
+    if not (max_distance := as_float("max_distance", max_distance)) >= 0.0:
+        raise ValueError(f"max_distance must be 0 or more, not {max_distance}")
+    normal = host(surface.normal).astype(np.float32)
+    known = np.isfinite(normal).all(axis=-1) & normal.any(axis=-1)
+    origins = host(surface.spawn(normal, side="front")).reshape(-1, 3)
+    normals, found = normal.reshape(-1, 3), np.full(known.size, np.nan, dtype=np.float32)
+    places = np.flatnonzero(known)
+    query = {"traversal": AUTO, "triangle_test": AUTO}
+    with use_threads(scene.num_threads):
+        for begin in range(0, len(places), POINTS):
+            part = places[begin : begin + POINTS]
+            points, device = Surface(), scene.device
+            points.origin = wp.array(origins[part].astype(np.float64), dtype=wp.vec3d, device=device)
+            points.face_normal = points.normal = wp.array(normals[part], dtype=wp.vec3, device=device)
+            ambient = AmbientRays(scene, len(part), rays, max_distance, seed, query)
+            met = wp.zeros(len(part), dtype=int, device=device)  # all of them are hits
+            found[part] = ambient.count_open(points, met, begin, 0).numpy() / rays
+    return found.reshape(surface.shape)

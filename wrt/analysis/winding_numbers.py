@@ -68,6 +68,7 @@ def winding_number(scene: Scene, points: ArrayLike, *, accuracy: float = ACCURAC
         RuntimeError: a graph is being captured.
     """
     state, accuracy = state_of(scene), as_float("accuracy", accuracy, finite=True)
+    state.require_whole("a winding number")
     if accuracy < 0.0:
         raise ValueError(f"accuracy must be 0 for exact sums, or more, not {accuracy}")
     refuse_capture("winding_number", state.device)

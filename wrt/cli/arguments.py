@@ -68,7 +68,7 @@ def target_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Options for the target of CPU kernels (`wrt.kernels.compilation.target`); set while arguments are parsed, before Warp
     starts."""
     shared: dict[str, Any] = {"expose_value": False, "is_eager": True, "callback": _set_target}
-    name = "native, x86-64-v3 (AVX2) or x86-64-v4 (AVX-512). [WRT_TARGET, or native]"
+    name = "native, x86-64-v3 (AVX2), x86-64-v4 (AVX-512), neoverse-n1 or neoverse-v2 (ARM). [WRT_TARGET, or native]"
     lanes = "Lanes of CPU kernels: 4, 8 or 16. [WRT_WIDTH, or the target's]"
     command = click.option("--lanes", type=Whole(), help=lanes, **shared)(command)
     return click.option("--target", help=f"CPU to compile for: {name}", **shared)(command)

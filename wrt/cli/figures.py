@@ -35,7 +35,8 @@ def info(as_json: bool, **given: Any) -> None:
 def _cpu() -> dict[str, Any]:
     """This CPU, and the target of its kernels."""
     from wrt.kernels.compilation.cores import available_cores
-    from wrt.kernels.compilation.target import cpu_name, lane_width, simd_bits, target_name
+    from wrt.kernels.compilation.host_cpu import cpu_name
+    from wrt.kernels.compilation.target import lane_width, simd_bits, target_name
     from wrt.kernels.runtime import pool
 
     helpers = "native" if pool.is_available() else "Python (native ones need Linux)"

@@ -64,8 +64,8 @@ def warm(jobs: int | None, export: Path | None, first_hit: bool, features: tuple
 
     With --feature, what the first calls of these features compile, by small calls of them; several are separated by commas.
 
-    What the kernel cache has already is left alone. With --export, kernels for --target (x86-64-v3 or x86-64-v4) are also
-    copied to a folder, which wrt uses in place of compiling (WRT_COMPILED_KERNELS).
+    What the kernel cache has already is left alone. With --export, kernels for a --target other than native are
+    also copied to a folder, which wrt uses in place of compiling (WRT_COMPILED_KERNELS).
     """
     from wrt.kernels.compilation import compile_progress, kernel_cache, module_compiler, shipped_kernels
     from wrt.kernels.compilation.target import target_name
@@ -78,7 +78,7 @@ def warm(jobs: int | None, export: Path | None, first_hit: bool, features: tuple
     if names and first_hit:
         raise click.UsageError("--first-hit and --feature choose different kernels: leave one of them out")
     if export is not None and target_name() == "native":
-        raise click.BadParameter("needs --target x86-64-v3 or x86-64-v4", param_hint="--export")
+        raise click.BadParameter("needs a --target other than native, such as x86-64-v3", param_hint="--export")
     if jobs is not None:
         os.environ[module_compiler.VARIABLE] = str(jobs)
     if export is not None:

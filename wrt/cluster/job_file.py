@@ -1,7 +1,7 @@
 """Job files: a job as a TOML text, for `wrt job run job.toml`. Paths in it are relative to the file.
 
     folder = "sun_hours"                # the job's folder
-    query = "occluded"                  # or "intersect", "count"
+    query = "occluded"                  # or "intersect", "count", "closest_point"
     memory = "256 MB"                   # of a block
 
     [scene]
@@ -14,8 +14,11 @@
     # function = "rays.py:rays"         # in place of the three: a function(first, count) of a Python file,
     # shape = [1_000_000_000]           # and the shape of the batch
 
+    # [points]                          # of "closest_point", in place of rays
+    # positions = "points.npy"          # as origins; max_distance = 2.0
+
     [reduce]
-    by = "sum"                          # of closest hits: by = {t = "min"}
+    by = "sum"                          # of closest hits and points: by = {t = "min"}
     axis = 1
 
     [executor]
@@ -24,7 +27,7 @@
     # address = "tcp://node17:8786"     # of Dask's scheduler; or scheduler_file = "scheduler.json"
 
     [output]
-    file = "shaded.npy"                 # of closest hits a folder, with a file for each attribute
+    file = "shaded.npy"                 # of closest hits and points a folder, with a file for each attribute
 
 A job file with a function runs its code, as importing a module does, and one with Dask's scheduler speaks to it by pickles. Any
 other job file reads the files that it names, wherever they are, and writes below its own folder, unless `wrt job run` is told
@@ -51,6 +54,7 @@ from wrt.kernels.compilation.cores import available_cores
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.batches.block_outputs import ATTRIBUTES
 from wrt.query.batches.block_rows import GeneratedRays
+from wrt.query.batches.block_work import HIT_QUERIES
 from wrt.query.batches.workers import ProcessPool, Workers
 from wrt.scene.scene import Scene
 
@@ -74,16 +78,17 @@ def run_job_file(path: Path, progress: bool, outside: bool = False) -> Job:
     places = {key: place_below(base, *key, given, outside) for key in (("", "folder"), ("executor", "folder"))}
     output = place_below(base, "output", "file", given, outside)
     if output is not None:
-        check_output(output, is_folder=query == "intersect")
+        check_output(output, is_folder=query in HIT_QUERIES)
     scene, reduce = load_scene(given["scene"], base), given["reduce"]
-    origins, directions = load_rays(given["rays"], base)
-    bounds = {name: float(given["rays"][name]) for name in ("t_min", "t_max") if name in given["rays"]}
+    arrays = load_points(given["points"], base) if query == "closest_point" else load_rays(given["rays"], base)
+    limits = {**given["rays"], **given["points"]}
+    bounds = {name: float(limits[name]) for name in ("t_min", "t_max", "max_distance") if name in limits}
     options = {"reduce": reduce.get("by"), "axis": as_axis(reduce.get("axis")), **given["options"]}
     if "memory" in given:
         options["memory"] = given["memory"]
     with executor_of(given["executor"], base, places["executor", "folder"]) as executor:
         method = getattr(scene, QUERIES[query])
-        blocks = method(origins, directions, **bounds, **options, executor=executor, progress=progress)
+        blocks = method(*arrays, **bounds, **options, executor=executor, progress=progress)
         job = Job(places["", "folder"], blocks, attributes=given.get("attributes")).run()
         if output is not None:
             write_output(job, output)
@@ -117,7 +122,7 @@ def check_output(path: Path, is_folder: bool) -> None:
     """
     if is_folder:
         if path.exists() and not path.is_dir():
-            raise ValueError(f"[output] file is '{path}', a file; closest hits need a folder, with a file for each attribute")
+            raise ValueError(f"[output] file is '{path}', a file; this query needs a folder, with a file for each attribute")
         for name in ATTRIBUTES:
             check_output(path / f"{name}.npy", is_folder=False)
         return
@@ -175,10 +180,15 @@ def load_rays(given: Mapping[str, Any], base: Path) -> tuple[Any, Any]:
         if "shape" not in given:
             raise ValueError("[rays] has a function and no shape; give the shape of the batch, such as shape = [1_000_000, 60]")
         return GeneratedRays(function, given["shape"]), None
-    origins, directions = (load_array(given[name], name, base) for name in ("origins", "directions"))
+    origins, directions = (load_array(given[name], f"[rays] {name}", base) for name in ("origins", "directions"))
     if given.get("outer"):
         origins = np.asarray(origins)[:, None]
     return origins, directions
+
+
+def load_points(given: Mapping[str, Any], base: Path) -> tuple[Any]:
+    """Points of a job file."""
+    return (load_array(given["positions"], "[points] positions", base),)
 
 
 def load_array(given: Any, name: str, base: Path) -> Any:
@@ -194,19 +204,17 @@ def load_array(given: Any, name: str, base: Path) -> Any:
         return as_vectors(given, name)
     path = base / given
     if not path.exists():
-        raise FileNotFoundError(f"[rays] {name}: there is no file '{path}'")
+        raise FileNotFoundError(f"{name}: there is no file '{path}'")
     if path.suffix == ".zarr" and path.is_dir():
         return open_zarr(path, name)
     if path.suffix != ".npy" or not path.is_file():  # a pipe would be waited for
-        raise ValueError(
-            f"[rays] {name}: '{path}' must be a .npy file, a .zarr folder, or a table {{parquet = ..., columns = ...}}"
-        )
+        raise ValueError(f"{name}: '{path}' must be a .npy file, a .zarr folder, or a table {{parquet = ..., columns = ...}}")
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, EOFError) as error:
-        raise ValueError(f"[rays] {name}: '{path}' is not an array of NumPy, or is damaged ({error})") from error
+        raise ValueError(f"{name}: '{path}' is not an array of NumPy, or is damaged ({error})") from error
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
-        raise ValueError(f"[rays] {name}: '{path}' does not hold an array of real numbers")
+        raise ValueError(f"{name}: '{path}' does not hold an array of real numbers")
     return array
 
 
@@ -219,7 +227,7 @@ def as_vectors(given: Any, name: str) -> np.ndarray:
     try:
         return np.asarray(given, dtype=np.float64)
     except (ValueError, OverflowError) as error:
-        raise ValueError(f"[rays] {name}: lists of vectors must have the same length ({error})") from error
+        raise ValueError(f"{name}: lists of vectors must have the same length ({error})") from error
 
 
 def open_zarr(path: Path, name: str) -> Any:
@@ -236,7 +244,7 @@ def open_zarr(path: Path, name: str) -> Any:
     try:
         return zarr.open_array(path, mode="r")
     except Exception as error:  # zarr raises many kinds
-        raise ValueError(f"[rays] {name}: '{path}' is not an array of zarr ({type(error).__name__}: {error})") from error
+        raise ValueError(f"{name}: '{path}' is not an array of zarr ({type(error).__name__}: {error})") from error
 
 
 def as_axis(axis: Any) -> Any:

@@ -10,9 +10,10 @@ from typing import Any
 from wrt.kernels.runtime.launch import check_num_threads
 from wrt.query.batches.block_limits import parse_memory
 from wrt.query.batches.block_outputs import ATTRIBUTES
+from wrt.query.batches.block_work import HIT_QUERIES
 from wrt.query.batches.reductions import REDUCTIONS
 
-QUERIES = {"intersect": "intersect_blocks", "occluded": "occluded_blocks", "count": "count_blocks"}
+QUERIES = {name: f"{name}_blocks" for name in ("intersect", "occluded", "count", "closest_point")}
 """Queries, and the methods of a scene that answer them."""
 
 KINDS = ("none", "threads", "processes", "dask")
@@ -135,7 +136,7 @@ def reduction(value: Any) -> str:
     return next((message for one in value.values() if (message := name(one))), "")
 
 
-TABLES = ("options", "scene", "rays", "reduce", "executor", "output")
+TABLES = ("options", "scene", "rays", "points", "reduce", "executor", "output")
 """Names of the tables."""
 
 KEYS: Mapping[str, Mapping[str, Check]] = {
@@ -163,6 +164,7 @@ KEYS: Mapping[str, Mapping[str, Check]] = {
         "function": text,
         "shape": shape,
     },
+    "points": {"positions": vectors, "max_distance": farthest},
     "reduce": {"by": reduction, "axis": axis},
     "executor": {
         "kind": one_of(KINDS),
@@ -226,6 +228,31 @@ def check_keys(given: dict[str, Any], path: Path) -> None:
                 raise ValueError(f"{shown} in '{path}' {message}{f': [{key}]' if key in TABLES and not name else ''}")
     if "file" not in given["scene"] or "folder" not in given:
         raise ValueError(f"'{path}' needs folder and [scene] file")
+    (check_points if given.get("query") == "closest_point" else check_rays)(given, path)
+    if "axis" in given["reduce"] and "by" not in given["reduce"]:
+        raise ValueError(f"[reduce] in '{path}' has an axis and no by; name what to do along it, such as by = 'sum'")
+    of_hits = given.get("query") in HIT_QUERIES
+    if isinstance(given["reduce"].get("by", ""), dict) != of_hits and "by" in given["reduce"]:
+        kind = "a table such as {t = 'min'}" if of_hits else "one name, such as 'sum'"
+        raise ValueError(f"[reduce] by in '{path}' must be {kind} for this query")
+    if "precise" in given["options"] and not of_hits:
+        raise ValueError(f"[options] precise in '{path}' is for query = 'intersect' or 'closest_point'; leave it out")
+
+
+def check_points(given: dict[str, Any], path: Path) -> None:
+    """Checks the points of a job file, and that it has no rays; errors as `check_keys`."""
+    if "positions" not in given["points"]:
+        raise ValueError(f"'{path}' needs [points] positions for query = 'closest_point'")
+    wrong = [f"[rays] {key}" for key in given["rays"]]
+    wrong += [f"[options] {key}" for key in ("traversal", "triangle_test") if key in given["options"]]
+    if wrong:
+        raise ValueError(f"{wrong[0]} in '{path}' is for rays, and query = 'closest_point' has points; leave it out")
+
+
+def check_rays(given: dict[str, Any], path: Path) -> None:
+    """Checks the rays of a job file, and that it has no points; errors as `check_keys`."""
+    for key in given["points"]:
+        raise ValueError(f"[points] {key} in '{path}' is for query = 'closest_point'; leave it out")
     rays = given["rays"]
     if "function" in rays and ("origins" in rays or "directions" in rays or "outer" in rays):
         raise ValueError(f"[rays] in '{path}' has a function and arrays; leave one of them out")
@@ -235,10 +262,3 @@ def check_keys(given: dict[str, Any], path: Path) -> None:
         raise ValueError(f"[rays] in '{path}' has a shape and no function; arrays have their own shapes: leave it out")
     if rays.get("t_min", 0.0) > rays.get("t_max", math.inf):
         raise ValueError(f"[rays] t_min in '{path}' is above t_max; no ray can hit anything")
-    if "axis" in given["reduce"] and "by" not in given["reduce"]:
-        raise ValueError(f"[reduce] in '{path}' has an axis and no by; name what to do along it, such as by = 'sum'")
-    if isinstance(given["reduce"].get("by", ""), dict) != (given.get("query") == "intersect") and "by" in given["reduce"]:
-        kind = "a table such as {t = 'min'}" if given.get("query") == "intersect" else "one name, such as 'sum'"
-        raise ValueError(f"[reduce] by in '{path}' must be {kind} for this query")
-    if "precise" in given["options"] and given.get("query") != "intersect":
-        raise ValueError(f"[options] precise in '{path}' is for query = 'intersect'; leave it out")

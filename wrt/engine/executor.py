@@ -92,7 +92,7 @@ def closest_of_relative(scene: SceneState, rays: DeviceRays) -> DeviceHits:
 def may_stage(scene: SceneState, query: Query) -> bool:
     """Whether few rays need not be brought to the device: the query will be prepared, and its rays go one by one."""
     chosen_by_scene = query.traversal == query.triangle_test == AUTO == scene.triangle_test
-    return chosen_by_scene and scene.is_cpu and not query.counters and scene.lazy_tree is None
+    return chosen_by_scene and scene.is_cpu and not query.counters and scene.lazy_tree is None and scene.alpha_masks is None
 
 
 @overload

@@ -72,6 +72,7 @@ def vertex_parts(scene: SceneState) -> wp.array:
     """The trees of a scene's meshes and the vertices of their triangles, for searches of points; cached."""
     from wrt.kernels.traversal.two_level.instance_single import PARTS
 
+    scene.require_opaque("a query of points")
     key, tables = (scene.accelerator.kind, "points"), scene.cache.tables
     if key not in tables:
         kind: Any = PARTS["kdtree" if scene.accelerator.kind == "kdtree" else "bvh"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.kernels.validation import as_numbers, convert_fields, host_array
+from wrt.kernels.validation import as_float, as_numbers, convert_fields, host_array
 
 __all__ = ["KINDS", "Material", "Texture"]
 
@@ -18,6 +18,9 @@ KINDS = ("diffuse", "mirror", "dielectric", "glossy")
 WRAPS = ("repeat", "clamp", "mirror")
 """How images go on beyond their edges, in the order of their numbers there."""
 
+NOWHERE = 2.0
+"""An alpha that no pixel has."""
+
 Color = tuple[float, float, float]
 
 
@@ -26,12 +29,13 @@ class Texture:
 
     Args:
         image: (H, W), (H, W, 3) or (H, W, 4), uint8 or floats in [0, 1]; or an image of Pillow. Row 0 is at the top, where v
-            is 1. Stored with 8 bits a channel. Alpha is ignored.
+            is 1. Stored with 8 bits a channel.
         wrap: how it goes on outside [0, 1]: "repeat", "clamp" (its edge) or "mirror" (repeated, every other time mirrored); one
             for both directions, or a pair for u and v.
 
     Attributes:
         pixels: (H, W, 3) uint8.
+        alpha: (H, W) uint8, which `Material.alpha_cutoff` cuts; None for an image without, or that is opaque.
         wrap: (2,) str, of u and of v.
 
     Raises:
@@ -42,7 +46,7 @@ class Texture:
     def __init__(self, image: Any, *, wrap: str | tuple[str, str] = "repeat") -> None:
         self.wrap = _wrap(wrap)
         if hasattr(image, "convert"):
-            image = image.convert("RGB")
+            image = image.convert("RGBA" if has_alpha(image) else "RGB")
         array = host_array("image", image)
         if array.dtype.kind not in "fu" or (array.dtype.kind == "u" and array.dtype != np.uint8):
             raise TypeError(f"image must hold uint8, or floats in [0, 1], not {array.dtype}")
@@ -50,12 +54,13 @@ class Texture:
             array = np.repeat(array[..., None], 3, axis=2)
         if array.ndim != 3 or array.shape[2] not in (3, 4) or array.size == 0:
             raise ValueError(f"image must have shape (H, W), (H, W, 3) or (H, W, 4), not {array.shape}")
-        array = array[..., :3]
         if array.dtype.kind == "f":
             if not (np.isfinite(array).all() and array.min() >= 0.0 and array.max() <= 1.0):
                 raise ValueError(f"image must be in [0, 1], but ranges from {array.min()} to {array.max()}")
             array = np.rint(array * 255.0)
-        self.pixels = np.ascontiguousarray(array, dtype=np.uint8)
+        self.pixels = np.ascontiguousarray(array[..., :3], dtype=np.uint8)
+        alpha = array[..., 3].astype(np.uint8) if array.shape[2] == 4 else np.array(255)
+        self.alpha = None if alpha.min() == 255 else alpha
         self.pixels.flags.writeable = False
 
     def __repr__(self) -> str:
@@ -63,8 +68,8 @@ class Texture:
         return f"Texture({self.pixels.shape[1]} x {self.pixels.shape[0]}{wrap})"
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Pickles of earlier versions have no `wrap`."""
-        self.__dict__.update({"wrap": ("repeat", "repeat")} | state)
+        """Pickles of earlier versions have neither `wrap` nor `alpha`."""
+        self.__dict__.update({"wrap": ("repeat", "repeat"), "alpha": None} | state)
 
 
 @dataclass(frozen=True)
@@ -96,6 +101,8 @@ class Material:
         emission: radiance that the surface emits: a number or (3,), each >= 0.
         two_sided: whether the back emits, too.
         color_texture: multiplied with `color`; its values are sRGB. Needs texture coordinates.
+        alpha_cutoff: of leaves and lattices: least alpha of `color_texture`, from 0 to 1, where a surface is, in scenes that
+            ask for it (`wrt.Scene.filtered`); above 1 there is none. None: alpha is ignored. Is glTF's mode MASK.
         surface_texture: its green multiplies the roughness, its blue the metallic share, both linear.
 
     Raises:
@@ -115,6 +122,7 @@ class Material:
     two_sided: bool = True
     color_texture: Texture | None = None
     surface_texture: Texture | None = None
+    alpha_cutoff: float | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -128,6 +136,10 @@ class Material:
             "metallic": _share("metallic", self.metallic),
             "translucency": _share("translucency", self.translucency),
         }
+        if self.alpha_cutoff is not None:
+            kept["alpha_cutoff"] = as_float("alpha_cutoff", self.alpha_cutoff, finite=True)
+            if kept["alpha_cutoff"] < 0.0:
+                raise ValueError(f"alpha_cutoff is {self.alpha_cutoff!r}; it must be 0 or more, or None to ignore alpha")
         if not 0.0 < self.index < np.inf:
             raise ValueError(f"index is {self.index!r}; an index of refraction is a number above 0, such as 1.5 for glass")
         for name in ("color_texture", "surface_texture"):
@@ -140,6 +152,18 @@ class Material:
     def emits(self) -> bool:
         """Whether the surface emits light."""
         return any(self.emission)
+
+
+def has_alpha(image: Any) -> bool:
+    """Whether an image of Pillow has transparent pixels, or may have."""
+    return "A" in image.getbands() or "transparency" in image.info
+
+
+def cutoff_of_image(cutoff: float, factor: float) -> float:
+    """The cutoff for an image's own alpha, of one for alpha times a factor from 0 to 1, as in glTF."""
+    if cutoff <= 0.0:
+        return 0.0
+    return cutoff / factor if cutoff <= factor else NOWHERE
 
 
 def as_color(name: str, value: Any, maximum: float = np.inf) -> Color:

@@ -26,10 +26,16 @@ def pack_materials(mesh: MeshMaterials) -> tuple[list[dict[str, Any]], dict[str,
                 if isinstance(value, Texture)
                 else value
                 for name, value in values.items()
+                if name != "alpha_cutoff" or value is not None  # without, files are as those of earlier versions
             }
         )
-    arrays = {f"texture.{number}": texture.pixels for texture, number in textures.items()}
+    arrays = {f"texture.{number}": with_alpha(texture) for texture, number in textures.items()}
     return listed, arrays | {name: getattr(mesh, name) for name in AT_TRIANGLES if getattr(mesh, name) is not None}
+
+
+def with_alpha(texture: Texture) -> np.ndarray:
+    """(H, W, 3) uint8, or (H, W, 4)."""
+    return texture.pixels if texture.alpha is None else np.dstack([texture.pixels, texture.alpha])
 
 
 def unpack_materials(listed: list[dict[str, Any]], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:

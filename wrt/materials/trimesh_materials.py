@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.materials.material import Material, Texture
+from wrt.materials.material import Material, Texture, cutoff_of_image
 from wrt.materials.mesh_materials import MeshMaterials
 
 __all__ = ["read_materials"]
@@ -18,8 +18,8 @@ def read_materials(source: Any) -> MeshMaterials | None:
 
     A glTF material becomes "glossy", with base colour, metallic share, roughness and emission, and the images of the first
     three; an OBJ material "diffuse", with its colour and image. Colours of vertices and triangles become colours of a diffuse
-    surface. Colours are taken as sRGB, but glTF's factors and vertex colours as linear. Alpha, normal maps and other images
-    are not read.
+    surface. Colours are taken as sRGB, but glTF's factors and vertex colours as linear. Of alpha, glTF's mode MASK is read;
+    normal maps and other images are not.
     """
     visual = getattr(source, "visual", None)
     kind = getattr(visual, "kind", None)
@@ -65,7 +65,17 @@ def as_material(source: Any, has_uv: bool) -> Material:
         emission=np.zeros(3) if source.emissiveTexture is not None else np.maximum(emission, 0.0),
         color_texture=None if base is None else Texture(base),
         surface_texture=None if surface is None else Texture(surface),
+        alpha_cutoff=alpha_cutoff(source),
     )
+
+
+def alpha_cutoff(source: Any) -> float | None:
+    """Of a glTF material of trimesh; None if its alpha is no mask."""
+    if getattr(source, "alphaMode", None) != "MASK":
+        return None
+    factor = np.asarray(1.0 if source.baseColorFactor is None else source.baseColorFactor)
+    alpha = float(factor[3]) / (255.0 if factor.dtype.kind in "iu" else 1.0) if factor.shape == (4,) else 1.0
+    return cutoff_of_image(0.5 if source.alphaCutoff is None else float(source.alphaCutoff), alpha)
 
 
 def to_linear(color: np.ndarray) -> np.ndarray:

@@ -87,6 +87,7 @@ def find_precisely(scene: SceneState, given: GivenRays, query: Query) -> Precise
 
     if (query.traversal, query.triangle_test, query.counters, query.cull_backfaces) != (AUTO, AUTO, False, False):
         raise ValueError("precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out")
+    scene.require_opaque("precise=True")
     with use_threads(scene.num_threads):
         rays, device = one_object(given), scene.device
         buffers = on_device(scene, rays, query)
@@ -131,11 +132,17 @@ def exact_geometries(scene: SceneState) -> wp.array:
 
 
 def exact_mesh(scene: SceneState) -> ExactMesh:
-    """The scene's triangles in float64 on its device."""
+    """The scene's triangles in float64 on its device, as rays meet them (`SceneState.shown`)."""
     from wrt.kernels.query.exact_closest import ExactMesh
 
-    mesh = ExactMesh()
-    mesh.vertices, mesh.faces = scene.exact_vertices, scene.device_mesh.faces
+    mesh, key, tables = ExactMesh(), ("float64", "shown"), scene.cache.tables
+    mesh.vertices, mesh.faces = scene.exact_vertices, scene.shown[1]
+    if scene.leaves_out:
+        if key not in tables:
+            vertices = np.concatenate([mesh.vertices.numpy(), np.full((1, 3), np.nan)])
+            with kept(scene.device):
+                tables[key] = wp.array(vertices, dtype=wp.vec3d, device=scene.device)
+        mesh.vertices = tables[key]
     return mesh
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from wrt.engine.plan.plan import Plan
     from wrt.engine.rays.rays import ResultForm
     from wrt.kernels.query.hit_attributes import SceneMesh
+    from wrt.meshes.mesh import TriangleMesh
 
 Side: TypeAlias = Literal["direction", "front", "back"]
 
@@ -70,6 +71,9 @@ class Hits(Generic[ArrayT]):
             ray. Streams also count vector lanes and active lanes (`wrt.kernels.traversal.stream.stream_kernel.StreamCounters`).
     """
 
+    _tangents: Any = None
+    """`SceneState.tangents` of the scene."""
+
     def __init__(
         self,
         batch: DeviceHits,
@@ -82,6 +86,7 @@ class Hits(Generic[ArrayT]):
         """What the traversal stored, flat and on the device; triangles are numbered through all meshes of the scene."""
         self.plan = plan
         self._mesh = scene.device_mesh
+        self._tangents = scene.tangents
         self._meshes = scene.meshes
         self._scenes = {scene.mark}
         self._counters = counters
@@ -159,7 +164,7 @@ class Hits(Generic[ArrayT]):
         from wrt.kernels.query.hit_attributes import hit_positions
 
         out = self._empty(wp.vec3d)
-        self._launch(hit_positions, self._mesh, self._triangles, self.batch.uv, out)
+        self._launch(hit_positions, *self._surface, out)
         return self._out(out) if self.is_far else self._as_dtype(out)
 
     @cached_property
@@ -167,7 +172,7 @@ class Hits(Generic[ArrayT]):
         from wrt.kernels.query.hit_attributes import hit_normals
 
         out = self._empty(wp.vec3)
-        self._launch(hit_normals, self._mesh, self._triangles, out)
+        self._launch(hit_normals, *self._surface[:2], out)
         return self._as_dtype(out)
 
     @overload
@@ -209,7 +214,7 @@ class Hits(Generic[ArrayT]):
         sided = lookup(SIDES, side, "side")
         rays, form = self._leaving(directions)
         out = empty(math.prod(form.shape), wp.vec3d, self._device)
-        inputs = [self._mesh, self._triangles, self.batch.uv, rays.batch.directions, rays.batch.direction_stride, sided, out]
+        inputs = [*self._surface, rays.batch.directions, rays.batch.direction_stride, sided, out]
         with use_threads(self._num_threads):
             launch(spawn_origins, len(out), inputs, device=self._device, chunk=4096)
         return shaped(out, form._replace(dtype=np.float64))
@@ -238,7 +243,7 @@ class Hits(Generic[ArrayT]):
 
         rays, form = self._leaving(directions)
         out = empty(math.prod(form.shape), wp.bool, self._device)
-        inputs = [self._mesh, self._triangles, rays.batch.directions, rays.batch.direction_stride, out]
+        inputs = [*self._surface[:2], rays.batch.directions, rays.batch.direction_stride, out]
         with use_threads(self._num_threads):
             launch(mark_facing, len(out), inputs, device=self._device, chunk=4096)
         return shaped(out, form)
@@ -280,7 +285,7 @@ class Hits(Generic[ArrayT]):
             raise ValueError(f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees")
         out = self._empty(wp.vec3)
         with use_threads(self._num_threads):
-            corners = corner_normals_of(self._meshes, crease_angle, self._device)
+            corners = corner_normals_of(self._with_vertices(), crease_angle, self._device)
         self._launch(smooth_normals_at_hits, self._mesh, self.batch.primitive, self.batch.uv, corners, out)
         return self._out(out)
 
@@ -303,7 +308,7 @@ class Hits(Generic[ArrayT]):
         """
         from wrt.meshes.vertex_values import corner_table
 
-        values, corners = corner_table(self._meshes, vertex_values)
+        values, corners = corner_table(self._with_vertices(), vertex_values)
         return self._interpolated(values, corners)
 
     def uv_at(self) -> ArrayT:
@@ -314,7 +319,7 @@ class Hits(Generic[ArrayT]):
         """
         from wrt.meshes.vertex_values import corner_coordinates
 
-        values = corner_coordinates(self._meshes).reshape(-1, 2)
+        values = corner_coordinates(self._with_vertices()).reshape(-1, 2)
         return self._interpolated(values, np.arange(len(values), dtype=np.int32).reshape(-1, 3))
 
     def _interpolated(self, values: np.ndarray, corners: np.ndarray) -> Any:
@@ -328,6 +333,12 @@ class Hits(Generic[ArrayT]):
         self._launch(interpolate_at_hits, self._mesh, self.batch.primitive, self.batch.uv, rows, table, out)
         shape = (*self.shape, *row)
         return out.reshape(shape or (1,)) if self._form.is_warp else out.numpy().reshape(shape)
+
+    def _with_vertices(self) -> tuple[TriangleMesh, ...]:
+        """The meshes, between whose vertices something is interpolated."""
+        if self._tangents is not None:
+            raise ValueError("points have no vertices between which values are interpolated; look values up by primitive_id")
+        return self._meshes
 
     @property
     def has_counters(self) -> bool:
@@ -354,6 +365,11 @@ class Hits(Generic[ArrayT]):
     def _triangles(self) -> wp.array:
         """(N,) number of each hit's triangle among those of `_mesh`; -1 for a miss."""
         return self.batch.primitive
+
+    @cached_property
+    def _surface(self) -> tuple[SceneMesh, wp.array, wp.array]:
+        """The triangles in which the hits are, which of them, and the weights of its vertices."""
+        return (self._mesh, self._triangles, self.batch.uv) if self._tangents is None else self._tangents(self.batch)
 
     @property
     def _device(self) -> wp.Device:

@@ -17,11 +17,13 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.executor import Answer, on_device
 from wrt.engine.facts.query_kinds import AUTO, Query
+from wrt.engine.launch.traversal_launch import counter_rows, no_work
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.plan.plan import kernel_factory, plan_for_query, stack_levels, traversal_config
 from wrt.engine.plan.planner import find_plan
 from wrt.engine.rays.ray_integers import as_integers
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
+from wrt.kernels.traversal.leaf import Counters
 from wrt.query.hits import Hits
 
 if TYPE_CHECKING:
@@ -67,7 +69,8 @@ def answer_skipping(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
         else:
             triangles = [scene.tree.struct(), records_of(scene, carried_out, buffers.batch)]
             kernel = specialise(kernel_factory(carried_out, scene), config)
-        inputs = [*triangles, buffers.batch, skipped, hits.struct()]
+        counters = counter_rows(no_work(Counters, scene.device.alias))
+        inputs = [*triangles, buffers.batch, hits.struct(), counters, skipped]
         launch(kernel, buffers.count, inputs, device=scene.device, chunk=1024)
     return Answer(hits, buffers.form, plan)
 
@@ -76,19 +79,20 @@ def check_skip(scene: SceneState, others: dict[str, Any]) -> None:
     """Refuses arguments and scenes that `skip` does not support.
 
     Raises:
-        ValueError: a `wrt.moving.FuzzyScene`, or an argument in `others` that is neither "auto" nor False.
+        ValueError: a `wrt.moving.FuzzyScene`, alpha masks, or an argument in `others` that is neither "auto" nor False.
     """
     if scene.only_single:
         raise ValueError(
             "skip needs a scene with one tree; start rays at hits.spawn(directions) instead, or use wrt.Scene(scene.meshes)"
         )
+    scene.require_opaque("skip")
     if given := [name for name, value in others.items() if value not in (AUTO, False)]:
         raise ValueError(f"skip cannot be combined with {', '.join(given)}; leave one or the other out")
 
 
 def skipped_triangles(skip: Any, scene: SceneState, buffers: DeviceRays) -> wp.array:
     """The triangle that each ray ignores, numbered through all meshes, for
-    `wrt.kernels.traversal.single.single_kernel.make_skipping_kernel`.
+    `wrt.kernels.traversal.single.single_kernel.make_variant_kernel`.
 
     Raises:
         TypeError: neither hits nor integers.

@@ -175,6 +175,7 @@ def verify(scene: SceneState, samples: int, seed: int) -> Verification:
     """Verifies a scene; see `wrt.Scene.verify`."""
     refuse_capture("verify", scene.device)
     samples, seed = as_int("samples", samples, len(KINDS)), as_int("seed", seed, 0)
+    scene.require_whole("verify")
     joined = scene.flattened()
     vertices, faces = joined.vertices.astype(np.float64) - scene.center, joined.faces
     sizes = [samples // len(KINDS) + (number < samples % len(KINDS)) for number in range(len(KINDS))]

@@ -199,7 +199,7 @@ class InstancedState(SceneState):
         )
         check_extent(instances, self.geometry_ids, [part.meshes[0] for part in states])
         placed = place_instances(instances, self.geometry_ids, states, covers, self.settings, self.mark)
-        placed = replace(placed, graph=self.graph)
+        placed = replace(placed, graph=self.graph, hit_filter=self.hit_filter)
         given = (*self.given[:number], part.meshes[0], *self.given[number + 1 :])
         return replace(placed, given=given, last_update=part.last_update)
 
@@ -238,7 +238,8 @@ class InstancedState(SceneState):
         known = {}
         for given, state, points in zip(self.given, self.mesh_states, self.covers.each, strict=True):
             known[id(given)] = known[id(state.meshes[0])] = state, points
-        return replace(place_members(instances, self.settings, None, self.mark, known), graph=graph)
+        placed = place_members(instances, self.settings, None, self.mark, known)
+        return replace(placed, graph=graph, hit_filter=self.hit_filter)
 
     def with_nodes(self, nodes: Mapping[str, Any]) -> InstancedState:
         """The state after nodes of the graph have moved, and with them what hangs on them; as `wrt.Scene.move`."""

@@ -92,7 +92,7 @@ class MeshState(SceneState):
         with use_threads(self.num_threads):
             if not can_move(self.accelerator):
                 state = build_state(meshes, self.settings, None, self.lazy_tree, self.hierarchy)
-                return replace(state, mark=self.mark)
+                return replace(state, mark=self.mark, hit_filter=self.hit_filter)
             with memory_for_tree(meshes):
                 placed = place_meshes(meshes, self.device)
                 shift = self.center - placed.center + typical_motion(self.meshes, meshes)

@@ -296,6 +296,10 @@ class Scene(Queries, Members):
         from wrt.scene.storage import pack_scene
 
         self.state.require("pickle")
+        if self.state.hit_filter is not None:
+            from wrt.scene.filtered_scene import given_filter
+
+            return unpickle_filtered, (self.filtered(), *given_filter(self.state))
         return unpickle_scene, pack_scene(self.state)
 
     def __copy__(self) -> Scene:
@@ -303,6 +307,35 @@ class Scene(Queries, Members):
         other = object.__new__(type(self))
         other.__dict__ |= self.__dict__
         return other
+
+    def filtered(self, *, ignore: Any = None, alpha: bool = False) -> Scene:
+        """A scene of the same tree whose rays pass through chosen triangles, or through the holes of alpha masks.
+
+            glassless = scene.filtered(ignore=is_glass)       # (T,) bool
+            seen = scene.filtered(alpha=True).intersect(origins, directions)
+
+        Answers are those of brute force over what is left, to the bit: nothing starts again behind a hit. Numbers of
+        triangles and the scene's bounds stay. Triangles that are left out cost nothing a ray, whatever the traversal; with
+        alpha masks, rays go one by one (`explain`). Updates of the new scene keep its filter; those of this one do not
+        reach it. Nearest points are those of what is left, too; with alpha masks they are refused. Questions about the
+        whole surface (`contains`, `verify`, `save`) are refused.
+
+        Args:
+            ignore: (T,) bool, NumPy, Warp or a list: the triangles of the mesh that rays do not see, in all its
+                instances. For some of several meshes, a mapping from their index (`meshes`) to such arrays. None: none.
+            alpha: whether a triangle is hit only where the alpha of its material is at least `Material.alpha_cutoff`.
+
+        Returns:
+            A new `Scene`; without arguments, one whose rays see everything. A filter that this scene has does not count.
+
+        Raises:
+            TypeError: `ignore` holds no bools, or `alpha` is no bool.
+            ValueError: wrong lengths, no such mesh, or an array in a scene of several; a scene with influence areas, or a
+                `wrt.moving.FuzzyScene`.
+        """
+        from wrt.scene.filtered_scene import filtered
+
+        return scene_of_state(filtered(self.state, ignore, alpha))
 
     def flattened(self) -> TriangleMesh:
         """All meshes as one, with triangles in the order in which the scene numbers them.
@@ -351,3 +384,8 @@ def unpickle_scene(geometry: Any, options: dict[str, Any], mark: str, cache: Any
     scene = Scene(geometry, **options, cache=cache)
     scene.state = replace(scene.state, mark=mark, **({} if graph is None else {"graph": graph}))
     return scene
+
+
+def unpickle_filtered(scene: Scene, ignore: Any, alpha: bool) -> Scene:
+    """The filtered scene of a pickle."""
+    return scene.filtered(ignore=ignore, alpha=alpha)

@@ -242,6 +242,7 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
 def save_scene(scene: SceneState, path: str | Path) -> None:
     """Writes a scene to a file; see `wrt.Scene.save`."""
     scene.require("save")
+    scene.require_whole("a file")
     if not is_storable(scene.accelerator):
         kept = "a wrt.Bvh or a wrt.KdTree that is not lazy"
         raise ValueError(

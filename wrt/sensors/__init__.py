@@ -32,6 +32,7 @@ _HOME = {
     "LidarPattern": "wrt.sensors.lidar_pattern",
     "LidarScan": "wrt.sensors.lidar_scan",
     "Orthographic": "wrt.sensors.lens_models",
+    "PointCloud": "wrt.clouds.point_cloud",
     "POINT_TYPE": "wrt.sensors.lidar_scan",
     "Trajectory": "wrt.sensors.trajectory",
     "deskew": "wrt.sensors.trajectory",

@@ -1,4 +1,5 @@
 # Written by `python -m tests.typed.stubs` from the table of names in wrt/sensors/__init__.py.
+from wrt.clouds.point_cloud import PointCloud as PointCloud
 from wrt.sensors.camera_poses import look_at as look_at
 from wrt.sensors.camera_poses import pose_from_extrinsics as pose_from_extrinsics
 from wrt.sensors.camera_poses import pose_from_opengl as pose_from_opengl
@@ -36,6 +37,7 @@ __all__ = [
     "LidarPattern",
     "LidarScan",
     "Orthographic",
+    "PointCloud",
     "Trajectory",
     "deskew",
     "look_at",

@@ -46,6 +46,8 @@ def extra_images(
     count = camera.width * camera.height * math.prod(getattr(path, "shape", ()))
     found: dict[str, Any] = {}
     if albedo:
+        if scene.state.tangents is not None:
+            raise ValueError("albedo needs materials, and points have none; leave it out, and look colours up by primitive_id")
         found["albedo"] = Albedo(scene, materials, count)
     if flow is not None:
         found["flow"] = Flow(camera, path, motions, flow, times, len(scene.instances), count, scene.device)

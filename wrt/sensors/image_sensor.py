@@ -36,6 +36,7 @@ from wrt.sensors.time_slices import (
 from wrt.sensors.trajectory import Trajectory, as_poses, as_trajectory
 
 if TYPE_CHECKING:
+    from wrt.clouds.point_cloud import PointCloud
     from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
     from wrt.imaging.integrators.rendering_job import Rendering
     from wrt.kernels.sensors.lidar_beams import Beams
@@ -121,7 +122,7 @@ class Camera:
 
     def capture(
         self,
-        scene: Scene,
+        scene: Scene | PointCloud,
         pose: Any,
         *,
         time: float = 0.0,
@@ -141,7 +142,7 @@ class Camera:
         """Traces one image.
 
         Args:
-            scene: a `wrt.Scene`. It is not changed, whatever moves.
+            scene: a `wrt.Scene`, or a `PointCloud`, which counts as one mesh. It is not changed, whatever moves.
             pose: (4, 4) from the optical frame (x right, y down, z forward) to the world, or a `Trajectory`: with a rolling
                 shutter, each row is seen from the pose at its own time. Or (..., 4, 4) of many cameras at rest, which see in
                 one call.
@@ -162,8 +163,8 @@ class Camera:
 
         Raises:
             TypeError: an argument of a wrong type.
-            ValueError: an argument out of range, a trajectory that does not cover the exposure, or motions in a scene without
-                instances.
+            ValueError: an argument out of range, a trajectory that does not cover the exposure, motions in a scene without
+                instances, or `albedo` of a `PointCloud`.
             RuntimeError: a graph is being captured.
         """
         refuse_capture("capture", scene.device)

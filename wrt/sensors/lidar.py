@@ -27,6 +27,7 @@ from wrt.sensors.time_slices import (
     as_motions,
     check_slices,
     for_each_ray,
+    labelled,
     labels_on,
     no_order,
     slice_error,
@@ -36,6 +37,7 @@ from wrt.sensors.trajectory import Trajectory, as_poses
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.clouds.point_cloud import PointCloud
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.kernels.sensors.lidar_returns import Detector, Noise
     from wrt.scene.scene import Scene
@@ -150,7 +152,7 @@ class Lidar:
 
     def scan(
         self,
-        scene: Scene,
+        scene: Scene | PointCloud,
         pose: Any,
         *,
         time: float = 0.0,
@@ -166,7 +168,7 @@ class Lidar:
         """Traces one scan. Every beam starts at the pose of the sensor at its own firing time.
 
         Args:
-            scene: a `wrt.Scene`. It is not changed, whatever moves.
+            scene: a `wrt.Scene`, or a `PointCloud`, which counts as one mesh. It is not changed, whatever moves.
             pose: (4, 4) from the sensor's frame to the world, or a `Trajectory` over the time of the scan; or (..., 4, 4) of
                 many sensors at rest, which measure in one call.
             time: start of the scan, on the clock of the trajectories.
@@ -278,7 +280,7 @@ def one_reflectance(value: float, device: str) -> wp.array:
         return wp.array([value], dtype=float, device=device)
 
 
-def as_reflectance(reflectance: Any, scene: Scene) -> np.ndarray:
+def as_reflectance(reflectance: Any, scene: Scene | PointCloud) -> np.ndarray:
     """(1,) or (I,) float64.
 
     Raises:
@@ -288,7 +290,7 @@ def as_reflectance(reflectance: Any, scene: Scene) -> np.ndarray:
     if type(reflectance) is float and reflectance == 1.0:  # the default, and every scan asks
         return WHITE
     values = np.atleast_1d(check_real("reflectance", reflectance))
-    count = len(scene.instances) or len(scene.meshes)
+    count = labelled(scene)
     if values.shape not in ((1,), (count,)):
         raise ValueError(
             f"reflectance has the shape {np.shape(reflectance)}; pass one number, or one for each of {count} instances"

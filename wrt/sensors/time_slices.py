@@ -30,6 +30,7 @@ from wrt.meshes.placement import check_index
 from wrt.sensors.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from wrt.clouds.point_cloud import PointCloud
     from wrt.engine.device_hits import DeviceHits
     from wrt.kernels.query.hit_attributes import SceneMesh
     from wrt.kernels.sensors.lidar_returns import Motions, Traced
@@ -147,6 +148,7 @@ class TracedSlice(NamedTuple):
         uvs: makes the weights of the second and third vertex of the triangles that were hit; only some sensors need them.
         origins: of the rays, (1,) if all share it.
         mesh: the triangles as they were for these beams.
+        surface: the hits and the triangles by which normals are known; of a cloud's points others than `traced` and `mesh`.
         motions: velocities of instances.
     """
 
@@ -155,6 +157,7 @@ class TracedSlice(NamedTuple):
     uvs: Callable[[], wp.array]
     origins: wp.array
     mesh: SceneMesh
+    surface: tuple[Traced, SceneMesh]
     motions: Motions
 
 
@@ -170,10 +173,15 @@ def trace_slices(scene: Scene, rays: SensorRays, bodies: Bodies, parts: Sequence
         rays: all rays.
         bodies: the instances that move.
         parts: the slices.
+
+    Raises:
+        ValueError: options that a point cloud does not have.
     """
     from wrt.kernels.sensors.lidar_returns import Traced
     from wrt.scene.sliced_state import slice_mesh, sliced
 
+    if scene.state.tangents is not None and (rays.each or rays.traversal != AUTO):
+        raise ValueError("mask, environment and traversal are for a wrt.Scene; of a point cloud, leave them out")
     count, device, together, found = len(scene.instances), scene.device, False, None
     few = len(parts) * count <= MAX_TOGETHER
     if bodies.chosen and len(parts) > 1 and few and all(one.environment < 0 for one in scene.instances):
@@ -203,7 +211,18 @@ def trace_slices(scene: Scene, rays: SensorRays, bodies: Bodies, parts: Sequence
             traced.t, traced.primitive = part_of(hits.t, *within), part_of(hits.primitive, *within)
         origins = rays.origins if rays.origins.size == 1 else part_of(rays.origins, *own)
         uvs = partial(uvs_of, hits, *within)
-        yield TracedSlice(part, traced, uvs, origins, mesh, bodies.motions(number, count, device))
+        surface = (traced, mesh) if scene.state.tangents is None else tangent_hits(traced, hits, scene.state.tangents)
+        yield TracedSlice(part, traced, uvs, origins, mesh, surface, bodies.motions(number, count, device))
+
+
+def tangent_hits(traced: Traced, hits: DeviceHits, tangents: Callable[[DeviceHits], Any]) -> tuple[Traced, SceneMesh]:
+    """All hits of a cloud, as those of triangles (`SceneState.tangents`)."""
+    from wrt.kernels.sensors.lidar_returns import Traced
+
+    mesh, number, _ = tangents(hits)
+    other = Traced()
+    other.place, other.directions, other.t, other.primitive = traced.place, traced.directions, hits.t, number
+    return other, mesh
 
 
 def uvs_of(hits: DeviceHits, begin: int, end: int) -> wp.array:
@@ -276,6 +295,11 @@ def for_each_ray(
     return found
 
 
+def labelled(scene: Scene | PointCloud) -> int:
+    """Number of instances, or of meshes in a scene without instances; 1 for a cloud."""
+    return max(len(scene.instances) or len(scene.meshes), 1)
+
+
 def labels_on(labels: Any, scene: Scene) -> wp.array:
     """(I,) int32 on the scene's device, or (0,) for none.
 
@@ -285,7 +309,7 @@ def labels_on(labels: Any, scene: Scene) -> wp.array:
     """
     if labels is None:
         return no_order(scene.device.alias)
-    values, count = as_real_array("labels", labels), len(scene.instances) or len(scene.meshes)
+    values, count = as_real_array("labels", labels), labelled(scene)
     if values.dtype.kind not in "iu":
         raise TypeError(f"labels must hold integers, not {values.dtype}")
     if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:

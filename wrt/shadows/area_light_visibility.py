@@ -191,7 +191,7 @@ class AreaLightVisibility:
     def _in_frusta(self) -> bool:
         """Whether the scene's tree and device suit multi-frusta."""
         state = self.scene.state
-        one_tree = not (state.instances or state.only_single or state.area_trees is not None)
+        one_tree = not (state.instances or state.only_single or state.area_trees is not None or state.facts.has_masks)
         return state.device.is_cpu and one_tree and state.accelerator.kind == "bvh"
 
     def _traced(self, rays: DeviceRays, points: Any, t_min: Any, t_max: Any, each: bool) -> Any:

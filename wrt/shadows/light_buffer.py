@@ -264,9 +264,8 @@ def pack_triangles(state: Any) -> wp.array:
     """The triangles as the kernel for lanes reads them, a cache line each."""
     from wrt.kernels.traversal.shadows.light_buffer_lanes import RECORD_FLOATS, pack_lines
 
-    mesh = state.device_mesh
     records = empty(state.triangle_count * RECORD_FLOATS, wp.float32, state.device)
-    launch(pack_lines, state.triangle_count, [mesh.vertices, mesh.faces, records], device=state.device, chunk=CHUNK)
+    launch(pack_lines, state.triangle_count, [*state.shown, records], device=state.device, chunk=CHUNK)
     return records
 
 
@@ -283,6 +282,7 @@ def check_scene(state: Any) -> None:
         raise ValueError("a light buffer needs a scene without instances; use wrt.Scene(scene.flattened())")
     if state.only_single:
         raise ValueError("a light buffer needs a scene with one tree; use wrt.Scene(scene.meshes)")
+    state.require_opaque("a light buffer")
 
 
 def check_resolution(resolution: Any) -> int | None:

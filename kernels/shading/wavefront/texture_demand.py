@@ -8,10 +8,11 @@ References: pharr-1997.
 
 import warp as wp
 
+from wrt.kernels.images.image_footprint import footprint
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.hit_attributes import triangle_of
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.shading.bsdf.material_table import Materials, corner_uv_at, footprint, tile_of
+from wrt.kernels.shading.bsdf.material_table import Materials, corner_uv_at, tile_of
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 
 exact_module(__name__)

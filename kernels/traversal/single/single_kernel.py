@@ -5,7 +5,6 @@ from typing import Any
 import warp as wp
 
 from wrt.kernels.answers.best_hit import start
-from wrt.kernels.answers.skipped_triangle import skip_for
 from wrt.kernels.layout.instance_maps import scene_ray
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import specialised_kernel
@@ -17,7 +16,7 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 def make_ray_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Parts: Any = None) -> wp.Kernel:
     """A kernel for one specialisation that traces one ray per item.
 
-    With `skipping`, it is that of `make_skipping_kernel`. Through instances, lists of all hits are written from
+    Of a variant, it is that of `make_variant_kernel`. Through instances, lists of all hits are written from
     `HitBatch.begins` on, so the hits of each ray must be counted first.
 
     Args:
@@ -27,8 +26,8 @@ def make_ray_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Part
             instances (`wrt.kernels.traversal.two_level.instance_single.make_instance_walk`).
         Parts: type of the array of geometries that instances place; None for a walk on one level.
     """
-    if config.skipping:
-        return make_skipping_kernel(config, Tree, walk, Parts)
+    if config.answer.Given is not None:
+        return make_variant_kernel(config, Tree, walk, Parts)
     store, counting, two_level = config.answer.store, config.counters, Parts is not None
     lists, Triangles = two_level and bool(config.answer.listed), Parts if two_level else TriangleBlocks
 
@@ -58,33 +57,39 @@ def make_ray_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Part
     return specialised_kernel(single_ray)
 
 
-def make_skipping_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Parts: Any = None) -> wp.Kernel:
-    """The same for a config with `skipping` set: each ray ignores one triangle (`wrt.kernels.answers.skipped_triangle`).
+def make_variant_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Parts: Any = None) -> wp.Kernel:
+    """The same for a variant of a kind of query (`AnswerKind.Given`): each ray ignores one triangle, or passes through holes.
 
-    In place of counters it gets `skipped`: (N,) the ignored triangle of each ray, or (n,) for rays in rows of n that share them
-    by column; -1 ignores nothing. Triangles are numbered through all instances.
+    After the counters it gets what the variant needs: `skipped`, (N,) the ignored triangle of each ray, or (n,) for rays in
+    rows of n that share them by column, -1 for none, numbered through all instances; or `AlphaMasks`.
     """
-    store, two_level = config.answer.store, Parts is not None
-    Triangles = Parts if two_level else TriangleBlocks
+    answer, counting, two_level = config.answer, config.counters, Parts is not None
+    store, begin, Given = answer.store, answer.begin, answer.Given
+    lists, Triangles = two_level and bool(answer.listed), Parts if two_level else TriangleBlocks
 
-    def skipping_ray(
+    def variant_ray(
         first: int,
         tree: Tree,
         triangles: Triangles,
         rays: RayBatch,
-        skipped: wp.array(dtype=int),
         hits: HitBatch,
+        counters: CounterRows,
+        given: Given,
     ):
         i = first + wp.tid()
         ray = load_ray(rays, i)
         best = start(ray.t_max)
+        work = Counters()
         if ray.valid:
-            search = skip_for(skipped, i, ray.t_min)
-            work = Counters()
+            search = begin(given, hits, i, ray.t_min)
             if wp.static(two_level):
                 best = walk(tree, triangles, scene_ray(rays, i, ray), search, i, work)
             else:
                 best = walk(tree, triangles, ray, search, i, work)
+            if wp.static(lists):
+                hits.begins[i] = hits.begins[i] - (best.primitive + 1)
         store(hits, i, best)
+        if wp.static(counting):
+            counters.rows[i] = work
 
-    return specialised_kernel(skipping_ray)
+    return specialised_kernel(variant_ray)

@@ -16,7 +16,8 @@ import warp as wp
 from wrt.bench.core.agreement import Agreement
 from wrt.bench.core.paired_timing import Timing
 from wrt.kernels.compilation.cores import available_cores
-from wrt.kernels.compilation.target import cpu_name, lane_width, simd_bits, target_name
+from wrt.kernels.compilation.host_cpu import cpu_name
+from wrt.kernels.compilation.target import lane_width, simd_bits, target_name
 
 EMBREE, FLAT = "Embree ", " flat"
 """How names of the contenders that are versions of Embree's C library begin; and end, if they are asked with flat arrays."""

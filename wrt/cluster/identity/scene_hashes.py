@@ -32,6 +32,10 @@ def state_hash(state: Any) -> str:
     if state.instances:
         whole.update(array_hash(np.array([instance.transform for instance in state.instances])).encode())
         whole.update(json.dumps([[instance.mask, instance.environment] for instance in state.instances]).encode())
+    for part in (state, *state.parts):
+        if part.hit_filter is not None:
+            whole.update(json.dumps(["filtered", part.hit_filter.alpha]).encode())
+            whole.update(b"" if part.hit_filter.ignored is None else array_hash(part.hit_filter.ignored).encode())
     return whole.hexdigest()
 
 

@@ -44,6 +44,7 @@ class SceneFacts:
         by_area: whether its trees are those of influence areas.
         triangle_test: of queries that name no other, or "auto".
         few_rays: number of rays up to which each is traced on its own on the CPU.
+        has_masks: whether hits are decided one by one, by alpha masks.
     """
 
     tree: str
@@ -57,8 +58,9 @@ class SceneFacts:
     by_area: bool = False
     triangle_test: str = AUTO
     few_rays: int = FEW_RAYS
+    has_masks: bool = False
 
     @property
     def can_be_wide(self) -> bool:
         """Whether the scene has a single, complete kd-tree (`wrt.engine.facts.wide_trees`)."""
-        return self.tree == "kdtree" and not (self.is_lazy or self.instances or self.own_spaces)
+        return self.tree == "kdtree" and not (self.is_lazy or self.instances or self.own_spaces or self.has_masks)

@@ -16,6 +16,7 @@ import numpy as np
 import warp as wp
 
 from wrt.engine.facts.facts import SceneFacts
+from wrt.engine.facts.hit_filter import HitFilter, alpha_masks, has_masks, shown_triangles
 from wrt.engine.facts.query_cache import QueryCache
 from wrt.engine.facts.query_kinds import few_rays
 from wrt.engine.facts.scene_settings import Settings
@@ -51,6 +52,7 @@ class SceneState:
         area_trees: the trees of influence areas; None if there are none (`wrt.engine.launch.area_trees`).
         instances: what a scene of two levels is made of; none in others.
         only_single: whether rays go one by one, whatever traversal "auto" would choose.
+        hit_filter: what rays pass through; None for nothing.
         mark: by which hits know their scene.
         cache: what queries learn about this state.
     """
@@ -61,6 +63,10 @@ class SceneState:
     is_plain: ClassVar[bool] = False
     """Whether rays meet the triangles of the meshes in one tree, and nothing else."""
 
+    tangents: ClassVar[Any] = None
+    """Makes the triangles in which hits are, if what rays meet are no triangles of `device_mesh`: (hits) -> (mesh, the triangle
+    of each hit, -1 for a miss, and its weights)."""
+
     settings: Settings
     meshes: tuple[TriangleMesh, ...]
     center: np.ndarray
@@ -70,6 +76,7 @@ class SceneState:
     area_trees: Any = None
     instances: tuple[Instance, ...] = ()
     only_single: bool = False
+    hit_filter: HitFilter | None = None
     mark: str = field(default_factory=new_mark)
     cache: QueryCache = field(default_factory=QueryCache)
 
@@ -131,6 +138,11 @@ class SceneState:
         return self.device_mesh.faces.shape[0]
 
     @property
+    def slots(self) -> int:
+        """Lanes of all blocks of the tree's leaves, in use or not."""
+        return len(self.tree.primitive)
+
+    @property
     def parts(self) -> tuple[SceneState, ...]:
         """The states of one level that this one is made of."""
         return (self,)
@@ -170,6 +182,7 @@ class SceneState:
             by_area=self.area_trees is not None,
             triangle_test=self.triangle_test,
             few_rays=self.few_rays,
+            has_masks=self.alpha_masks is not None,
         )
 
     @cached_property
@@ -182,7 +195,8 @@ class SceneState:
     def shares_few_rays(self) -> bool:
         """Whether few rays are answered as in all other scenes of the kind: then they share plans and prepared queries."""
         alone = self.is_plain and self.accelerator.kind == "bvh" and self.lazy_tree is None and self.area_trees is None
-        return alone and not self.only_single and not self.shares_leaves and self.device.is_cpu
+        plain = not (self.only_single or self.shares_leaves) and self.alpha_masks is None
+        return alone and plain and self.device.is_cpu
 
     @cached_property
     def few_rays(self) -> int:
@@ -194,6 +208,26 @@ class SceneState:
     def is_closed(self) -> bool:
         """Whether every mesh is closed."""
         return all(mesh.is_closed for mesh in self.meshes)
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether rays pass through some of the triangles as a whole."""
+        return self.hit_filter is not None and self.hit_filter.ignored is not None
+
+    @cached_property
+    def shown(self) -> tuple[wp.array, wp.array]:
+        """Vertices and faces on the device as rays meet them: corners of triangles that are left out are NaN."""
+        mesh = self.device_mesh
+        if not self.leaves_out:
+            return mesh.vertices, mesh.faces
+        return shown_triangles(mesh, self.hit_filter.ignored)  # type: ignore[union-attr, arg-type]
+
+    @cached_property
+    def alpha_masks(self) -> Any:
+        """The alpha masks that hits are decided by, as kernels read them; None for none."""
+        if self.hit_filter is None or not self.hit_filter.alpha or not has_masks(self.meshes):
+            return None
+        return alpha_masks(self.hit_filter, self.meshes, getattr(self, "geometry_ids", ()), self.device_mesh.geometry_first)
 
     @cached_property
     def exact_vertices(self) -> wp.array:
@@ -235,6 +269,24 @@ class SceneState:
         if feature in self.refused:
             raise ValueError(self.refused[feature])
 
+    def require_whole(self, call: str) -> None:
+        """Refuses a call that is about the whole surface.
+
+        Raises:
+            ValueError: rays pass through parts of it (`wrt.Scene.filtered`).
+        """
+        if self.hit_filter is not None:
+            raise ValueError(f"{call} needs all triangles, and rays of this scene pass through some; use scene.filtered()")
+
+    def require_opaque(self, call: str) -> None:
+        """Refuses a call that does not decide hits one by one.
+
+        Raises:
+            ValueError: alpha masks count in this scene (`wrt.Scene.filtered`).
+        """
+        if self.alpha_masks is not None:
+            raise ValueError(f"{call} does not look at alpha masks, which count in this scene; leave out alpha=True")
+
     def require_instances(self, call: str) -> None:
         """Refuses a call that needs instances.
 
@@ -253,6 +305,7 @@ class SceneState:
     def distinct(self) -> SceneState:
         """The state without surfaces that repeat another exactly (`wrt.meshes.repeated_surfaces`), for queries that count
         surfaces; this one, if there are none. Found by the first call."""
+        self.require_whole("an inside test")
         with self.cache.lock:
             if self.cache.distinct is None:
                 other = self.find_distinct()

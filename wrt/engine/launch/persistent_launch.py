@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 def binary_tree(scene: SceneState) -> tuple[BinaryNodes, PackedTriangles]:
     """The tree of a scene, of width 2, and its triangles; made by the first query that needs them, on the scene's device."""
-    cache, mesh = scene.cache, scene.device_mesh
+    cache = scene.cache
     if cache.binary is None:
         nodes = pack_tree(scene.tree.struct())
-        cache.binary = nodes, pack_triangles(mesh.vertices, mesh.faces, scene.tree.primitive)
+        cache.binary = nodes, pack_triangles(*scene.shown, scene.tree.primitive)
     return cache.binary
 
 

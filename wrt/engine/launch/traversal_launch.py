@@ -66,7 +66,7 @@ def kernel_and_inputs(
 
     On two levels that is the one for rays that go one by one.
     """
-    counters = counter_rows(work)
+    counters, given = counter_rows(work), [] if scene.alpha_masks is None else [scene.alpha_masks]
     if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
         from wrt.engine.launch.persistent_launch import binary_tree, next_ray
 
@@ -76,7 +76,7 @@ def kernel_and_inputs(
         from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
 
         factory = partial(make_instance_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
-        return specialise(factory, config), [scene.upper(), scene.lower(plan, rays), rays, hits, counters]
+        return specialise(factory, config), [scene.upper(), scene.lower(plan, rays), rays, hits, counters, *given]
     if plan.accelerator == "none":
         from wrt.kernels.traversal.brute_force import AllTriangles
 
@@ -87,7 +87,7 @@ def kernel_and_inputs(
         tree = walked.paired_struct() if config.single.pair_words else walked.struct()
     kernel = specialise(kernel_factory(plan, scene), config)
     expect([kernel, record_kernel(plan)], scene.device)
-    return kernel, [tree, records_of(scene, plan, rays), rays, hits, counters]
+    return kernel, [tree, records_of(scene, plan, rays), rays, hits, counters, *given]
 
 
 def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -> tuple[int, int, Chunks]:

@@ -38,7 +38,12 @@ def records_of(scene: SceneState, plan: Plan, rays: RayBatch | None) -> Triangle
 
 
 def vertex_blocks(scene: SceneState) -> TriangleBlocks:
-    """The vertices of the triangles in the order of the leaves of the scene's tree, as tests store them that need no more."""
+    """The vertices of the triangles in the order of the leaves of the scene's tree, as tests store them that need no more.
+
+    Raises:
+        ValueError: alpha masks count in the scene.
+    """
+    scene.require_opaque("a query of points")
     return known_blocks(scene, scene.tree, scene.accelerator.kind, VERTICES, None, scene.cache.records)
 
 
@@ -53,9 +58,9 @@ def known_blocks(
     if blocks is None or (tree != "none" and len(blocks.primitive) < len(primitive)):
         if tree == "none":
             primitive = in_order(scene.triangle_count, width, scene.device)
-        mesh = scene.device_mesh
+        vertices, faces = scene.shown
         point = origin or (0.0, 0.0, 0.0)
-        blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, point, blocks, empty)
+        blocks = pack_blocks(record, vertices, faces, primitive, width, point, blocks, empty)
         known[tree, record] = origin, blocks
     return blocks
 

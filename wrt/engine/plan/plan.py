@@ -133,6 +133,7 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
         counters,
         plan.mailbox,
         plan.cull_backfaces,
+        masked=scene.alpha_masks is not None,
         **families,
     )
 

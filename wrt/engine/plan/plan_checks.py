@@ -51,6 +51,7 @@ def can_answer(
         and (not scene.own_spaces or Capabilities.OWN_SPACES in traversal.capabilities)
         and (Capabilities.WIDE_FORM not in traversal.capabilities or scene.can_be_wide)
         and has_width(scene, traversal)
+        and sees_masks(scene, traversal, query)
         and (Capabilities.SHARED_LEAVES in traversal.capabilities or not ANSWERS[query].once or not scene.shares_leaves)
     )
 
@@ -72,6 +73,27 @@ def check_answer(
     check_wide(scene, traversal)
     check_width(scene, traversal)
     check_leaves(scene, query, traversal)
+    check_masks(scene, query, traversal)
+
+
+def sees_masks(scene: SceneFacts, traversal: Traversal, query: str) -> bool:
+    """Whether a traversal decides hits of a query by the alpha masks of a scene, if it has any."""
+    able = Capabilities.ALPHA_MASKS in traversal.capabilities and not ANSWERS[query].oriented
+    return able or not scene.has_masks
+
+
+def check_masks(scene: SceneFacts, query: str, traversal: Traversal) -> None:
+    """Refuses a traversal that does not look at alpha masks.
+
+    Raises:
+        ValueError: they count in the scene.
+    """
+    if not sees_masks(scene, traversal, query):
+        able = ", ".join(name for name, entry in TRAVERSALS.items() if Capabilities.ALPHA_MASKS in entry.capabilities)
+        raise ValueError(
+            f"traversal {traversal.name!r} does not answer the query {query!r} by alpha masks; choose from auto, {able}, or "
+            "leave out alpha=True"
+        )
 
 
 def check_leaves(scene: SceneFacts, query: str, traversal: Traversal) -> None:

@@ -150,6 +150,7 @@ def choose_for(scene: SceneState, plan: Plan, few: bool, kind: str) -> ChosenPla
     by_origin = TRIANGLE_TESTS[carried_out.triangle_test].record.per_origin
     by_steps = carried_out.reorder == "cells" or Capabilities.QUEUED in traversal_of(carried_out).capabilities
     prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or by_steps)
+    prepares = prepares and not scene.facts.has_masks
     no_savings = carried_out.is_wide or not scene.facts.can_be_wide
     missed_savings = 0.0 if no_savings else wide_form_savings(1, carried_out.coherent)
     return ChosenPlan(plan, carried_out, prepares, missed_savings)
@@ -171,6 +172,7 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
         if situation.needs_sample and sample is not None:
             situation = situation._replace(overlap=measure_overlap(scene, sample(), PACKET_VECTORS * known.width, kind))
         name, reason = choose_traversal(known, situation, test.name)
+        reason = "alpha masks decide hits one by one" if known.has_masks else reason
     else:
         name, reason = given, "as given"
     chosen = lookup(TRAVERSALS, name, "traversal")
@@ -313,4 +315,4 @@ def choose_order(scene: SceneState, rays: RayFacts, traversal: Traversal, test: 
 
 def is_large(scene: SceneState, rays: RayFacts, test: TriangleTest) -> bool:
     """Whether the batch and the triangle records are large enough for sorting the rays to pay."""
-    return rays.count >= MIN_RAYS_TO_REORDER and len(scene.tree.primitive) * 4 * test.record.components >= CACHED_BYTES
+    return rays.count >= MIN_RAYS_TO_REORDER and scene.slots * 4 * test.record.components >= CACHED_BYTES

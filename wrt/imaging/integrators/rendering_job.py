@@ -28,6 +28,7 @@ from wrt.kernels.validation import as_float, as_int
 from wrt.lights.device_lights import check_lights, device_lights
 from wrt.lights.sky_image import Sky
 from wrt.materials.material import Material
+from wrt.scene.filtered_scene import given_filter
 from wrt.scene.scene import Scene
 
 __all__ = ["LAYERS", "Rendering"]
@@ -324,7 +325,7 @@ class Rendering:
         """64 hexadecimal digits: equal for renderings whose samples are equal by the same version of wrt. They follow from
         the scene, the camera, the lights, the motion and the settings."""
         settings = {name: value for name, value in vars(self.settings).items() if name not in NOT_IN_SAMPLES}
-        scene = (*self._shown, self.camera, self._lights, self._motion)
+        scene = (*self._shown, self.camera, self._lights, self._motion, *given_filter(self._scene.state))
         return fingerprint(self.integrator, self.samples, settings, *scene)
 
     def save_samples(self, path: str | Path) -> None:

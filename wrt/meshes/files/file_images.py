@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 
-from wrt.materials.material import Texture
+from wrt.materials.material import Texture, has_alpha
 from wrt.meshes.files.mesh_source import MeshSource
 
 __all__ = ["MAX_PIXELS", "FileImages"]
@@ -65,7 +65,7 @@ class FileImages:
         return self._textures[key, wrap]
 
     def _decoded(self, data: bytes, what: str) -> np.ndarray | None:
-        """(H, W, 3) uint8."""
+        """(H, W, 3) uint8, or (H, W, 4) with alpha."""
         from PIL import Image
 
         size = "more pixels than can be read"
@@ -75,7 +75,7 @@ class FileImages:
                 image = Image.open(io.BytesIO(data))
             with image:
                 if image.width * image.height <= MAX_PIXELS:
-                    return np.array(image.convert("RGB"))
+                    return np.array(image.convert("RGBA" if has_alpha(image) else "RGB"))
                 size = f"{image.width} x {image.height} pixels"
         except Image.DecompressionBombError:
             pass

@@ -64,18 +64,14 @@ def closest_point(
 ) -> ClosestPoints:
     """The closest point on the scene of each point; see `wrt.Scene.closest_point`."""
     check_query(scene, points)
-    k = None if k is None else as_int("k", k)
-    if k is not None and not 1 <= k <= MAX_NEAREST:
-        raise ValueError(
-            f"k is {k}; it must be from 1 to {MAX_NEAREST}, or None for the nearest triangle without an axis for it"
-        )
+    k = as_room(k)
     if as_bool("counters", counters) and k is not None:
         raise ValueError("counters are those of the search for one triangle; leave k out")
     with use_threads(scene.num_threads):
         given = as_points(scene, points, max_distance, "max_distance", mask, environment)
         if k is not None:
-            hits, feature = find_some(scene, given.batch, k)
-            return ClosestPoints(hits, feature, given.form._replace(shape=(*given.shape, k)), scene)
+            hits, feature, form = find_some(scene, given, k)
+            return ClosestPoints(hits, feature, form, scene)
         work = wp.zeros(given.batch.count, dtype=Counters, device=scene.device) if counters else None
         hits, feature = find_nearest(scene, given.batch, work)
     return ClosestPoints(hits, feature, given.form, scene, work)
@@ -94,19 +90,42 @@ def find_nearest(scene: SceneState, points: PointBatch, work: wp.array | None = 
     return hits, feature
 
 
-def find_some(scene: SceneState, points: PointBatch, k: int) -> tuple[DeviceHits, wp.array]:
-    """The k nearest triangles to each point, in rows, and the features.
+def as_room(k: Any) -> int | None:
+    """The number of triangles of each point; None for one without an axis for it.
+
+    Raises:
+        TypeError: not an int.
+        ValueError: out of range.
+    """
+    k = None if k is None else as_int("k", k)
+    if k is not None and not 1 <= k <= MAX_NEAREST:
+        raise ValueError(
+            f"k is {k}; it must be from 1 to {MAX_NEAREST}, or None for the nearest triangle without an axis for it"
+        )
+    return k
+
+
+def rows_of(points: Points, k: int) -> tuple[int, ResultForm]:
+    """The number of triangles of all points, and the form of results in rows of k.
 
     Raises:
         ValueError: more triangles than one result holds.
     """
-    count = points.count * k
+    count = points.batch.count * k
     if count > MAX_RAYS:
-        raise ValueError(f"{points.count:,} points times k={k} are more than the {MAX_RAYS:,} of one call; pass parts of them")
+        raise ValueError(
+            f"{points.batch.count:,} points times k={k} are more than the {MAX_RAYS:,} of one call; pass parts of them"
+        )
+    return count, points.form._replace(shape=(*points.shape, k))
+
+
+def find_some(scene: SceneState, points: Points, k: int) -> tuple[DeviceHits, wp.array, ResultForm]:
+    """The k nearest triangles to each point, in rows, the features, and the form of results; errors as `rows_of`."""
+    count, form = rows_of(points, k)
     hits, feature, lists = DeviceHits.new(CLOSEST, count, scene.device), empty(count, wp.int8, scene.device), NearLists()
     lists.found, lists.room = nearest_batch(hits, feature), k
-    search(scene, points, lists, "some")
-    return hits, feature
+    search(scene, points.batch, lists, "some")
+    return hits, feature, form
 
 
 def check_query(scene: SceneState, points: Any, query: str = "closest_point") -> None:

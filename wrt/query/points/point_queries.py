@@ -168,7 +168,7 @@ class PointQueries:
             counters: whether to count the work for each point (`ClosestPoints.counters`); not together with `k`.
             precise: whether to search in float64: the triangle and the distance are those of brute force in float64 on the
                 points, the vertices and `max_distance` as they were given, and the result is a
-                `wrt.results.PreciseClosestPoints`. Takes neither `k` nor `counters`.
+                `wrt.results.PreciseClosestPoints`. Takes no `counters`.
 
         Raises:
             TypeError: points or distances are not real numbers, `k` is not an int, or masks or environments are not integers.

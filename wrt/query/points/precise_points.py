@@ -18,16 +18,19 @@ from wrt.query.points.closest_point import (
     Points,
     as_distances,
     as_points,
+    as_room,
     check_query,
     launch_groups,
     nearest_batch,
     point_config,
+    rows_of,
     space_of,
 )
 from wrt.query.points.closest_points import ClosestPoints
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.rays import ResultForm
     from wrt.kernels.points.exact_points import ExactPoints
 
 
@@ -45,9 +48,9 @@ class PreciseClosestPoints(PreciseHits, ClosestPoints):
     """
 
     def __init__(
-        self, exact: ExactPoints, found: tuple[DeviceHits, wp.array], triangles: list[Any], given: Points, scene: SceneState
+        self, exact: ExactPoints, found: tuple[DeviceHits, wp.array], triangles: list[Any], form: ResultForm, scene: SceneState
     ) -> None:
-        ClosestPoints.__init__(self, *found, given.form, scene)
+        ClosestPoints.__init__(self, *found, form, scene)
         self._exact, self._exact_triangles = exact, triangles  # type: ignore[assignment]  # the same attributes, of points
 
 
@@ -61,35 +64,41 @@ def closest_point_precisely(
     counters: bool = False,
 ) -> PreciseClosestPoints:
     """The closest points in float64; see `wrt.Scene.closest_point`."""
-    if k is not None or as_bool("counters", counters):
-        raise ValueError("precise=True takes no k or counters; leave them out")
+    if as_bool("counters", counters):
+        raise ValueError("precise=True takes no counters; leave them out")
     check_query(scene, points)
+    k = as_room(k)
     with use_threads(scene.num_threads):
         given = as_points(scene, points, max_distance, mask=mask, environment=environment)
         limits = as_distances(max_distance, given.shape, dtype=np.float64)
-        return find_nearest_precisely(scene, given, limits)
+        return find_nearest_precisely(scene, given, limits, k)
 
 
-def find_nearest_precisely(scene: SceneState, given: Points, limits: np.ndarray) -> PreciseClosestPoints:
+def find_nearest_precisely(scene: SceneState, given: Points, limits: np.ndarray, k: int | None = None) -> PreciseClosestPoints:
     """The closest points in float64; lazy trees are completed.
 
     Args:
         scene: what `check_scene` has seen.
         given: the points.
         limits: (N,) or (1,) float64 greatest distances.
+        k: triangles of each point, in another axis of the results; None for the nearest one without.
+
+    Raises:
+        ValueError: more triangles than one result holds.
     """
     from wrt.kernels.points.exact_points import ExactPoints, make_exact_points_kernel
 
     device, count, flat = scene.device, given.batch.count, given.flat
+    rows, form = (count, given.form) if k is None else rows_of(given, k)
     if flat.dtype is not wp.vec3d:
         narrow, flat = flat, empty(count, wp.vec3d, device)
         launch(specialise(make_widen, wp.vec3), count, [wp.vec3d(), narrow, flat], device=device, chunk=4096)
     exact = ExactPoints()
     exact.point = flat
     exact.most = wp.array(limits, dtype=wp.float64, device=device)
-    exact.t, exact.uv = empty(count, wp.float64, device), empty(count, wp.vec2d, device)
-    hits, feature = DeviceHits.new(EXACT, count, device), empty(count, wp.int8, device)
-    config = point_config(scene, "nearest")
+    exact.t, exact.uv, exact.room = empty(rows, wp.float64, device), empty(rows, wp.vec2d, device), k or 1
+    hits, feature = DeviceHits.new(EXACT, rows, device), empty(rows, wp.int8, device)
+    config = point_config(scene, "nearest" if k is None else "some")
     if scene.instances:
         triangles: Any = exact_geometries(scene)
         all_triangles = [scene.device_mesh, triangles]
@@ -98,4 +107,4 @@ def find_nearest_precisely(scene: SceneState, given: Points, limits: np.ndarray)
         all_triangles = [triangles]
     inputs = [space_of(scene, config), given.batch, triangles, exact, nearest_batch(hits, feature)]
     launch_groups(scene, config, make_exact_points_kernel, count, inputs)
-    return PreciseClosestPoints(exact, (hits, feature), all_triangles, given, scene)
+    return PreciseClosestPoints(exact, (hits, feature), all_triangles, form, scene)

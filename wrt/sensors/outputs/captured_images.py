@@ -85,7 +85,7 @@ class CapturedLayers(TracedLayers):
             kernel, given = {
                 "distance": (fill_depths, [traced, self._miss]),
                 "position": (fill_positions, [traced, found.origins]),
-                "normal": (fill_image_normals, [self._path, traced, mesh]),
+                "normal": (fill_image_normals, [self._path, *found.surface]),
                 "instance": (fill_image_ids, [traced, mesh, self.labels]),
             }[group[0]]
             inputs = [self._beams, *given, struct]
@@ -155,7 +155,7 @@ class CameraImages(HitOutputs):
         super().__init__(layers, shape, to_warp, chosen)
 
     def __getstate__(self) -> dict[str, Any]:
-        """As of all results; the colours and the flow are read before."""
+        """As that of all results; the colours and the flow are read first."""
         _ = self.albedo, self.flow
         return super().__getstate__() | {"_extra": {}}
 

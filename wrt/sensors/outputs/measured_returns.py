@@ -96,8 +96,9 @@ class MeasuredReturns(TracedLayers):
                 inputs = [self._beams, self._path, found.traced, found.mesh, found.motions, *last]
                 launch_blocks(fill_velocities, count, inputs, device)
             else:
-                kernel, labels = (fill_normals, []) if group[0] == "normal" else (fill_ids, [self.labels])
-                launch_blocks(kernel, count, [self._beams, found.traced, found.mesh, *labels, *last], device)
+                normals, hits = group[0] == "normal", (found.traced, found.mesh)
+                kernel, given = (fill_normals, found.surface) if normals else (fill_ids, (*hits, self.labels))
+                launch_blocks(kernel, count, [self._beams, *given, *last], device)
 
     def _measure(self) -> Any:
         """What is measured of all returns, as kernels see it."""
@@ -109,7 +110,7 @@ class MeasuredReturns(TracedLayers):
         returns, single = Returns(), kept == bundle == 1
         arrays = outputs_of(returns, MEASURED if single else GATHERED, self.count, self.device)
         for found in self.found:
-            given, count = [self._beams, found.traced, found.mesh], found.part.end - found.part.begin
+            given, count = [self._beams, *found.surface], found.part.end - found.part.begin
             if single:
                 inputs = [*given, self._noise, self._detector, returns]
                 launch_blocks(measure_single, count, inputs, self.device)

@@ -2,7 +2,8 @@
 
 Read too: how images go on beyond their edges (samplers), and `KHR_texture_transform`, which becomes part of the texture
 coordinates. A mesh has one set of texture coordinates here: an image that uses another set or another transform than that of
-the base colour is left out with a warning. Normal maps, occlusion, images of emission, alpha and filters are not read.
+the base colour is left out with a warning. Of alpha, the mode MASK is read
+(`Material.alpha_cutoff`). Normal maps, occlusion, images of emission, the mode BLEND and filters are not read.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.materials.material import Material, Texture
+from wrt.materials.material import Material, Texture, cutoff_of_image
 from wrt.meshes.files.file_images import FileImages
 from wrt.meshes.files.gltf.document import Document
 
@@ -98,16 +99,21 @@ class GltfMaterials:
         model = item.get("pbrMetallicRoughness") or {}
         base, surface = model.get("baseColorTexture"), model.get("metallicRoughnessTexture")
         values: dict[str, Any] = {
-            "color": self._numbers(model, "baseColorFactor", (1.0, 1.0, 1.0, 1.0), name)[:3],
+            "color": (base_color := self._numbers(model, "baseColorFactor", (1.0, 1.0, 1.0, 1.0), name))[:3],
             "metallic": self._number(model, "metallicFactor", name),
             "roughness": self._number(model, "roughnessFactor", name),
             "emission": self._emission(item, name),
         }
         gloss = (item.get("extensions") or {}).get("KHR_materials_pbrSpecularGlossiness")
         if gloss is not None and "pbrMetallicRoughness" not in item:
-            values["color"] = self._numbers(gloss, "diffuseFactor", (1.0, 1.0, 1.0, 1.0), name)[:3]
+            base_color = self._numbers(gloss, "diffuseFactor", (1.0, 1.0, 1.0, 1.0), name)
+            values["color"] = base_color[:3]
             values["metallic"], values["roughness"] = 0.0, 1.0 - self._number(gloss, "glossinessFactor", name)
             base, surface = gloss.get("diffuseTexture"), None
+        if item.get("alphaMode") == "MASK":
+            given = {"alphaCutoff": [item.get("alphaCutoff", 0.5)]}
+            cutoff = self._numbers(given, "alphaCutoff", (0.5,), name, maximum=1e30)[0]
+            values["alpha_cutoff"] = cutoff_of_image(cutoff, base_color[3])
         plain = Material("glossy", **values)
         places = [self._placement(one, name) for one in (base, surface) if one is not None]
         if len(places) == 2 and places[0] != places[1]:

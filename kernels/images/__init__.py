@@ -1,0 +1,1 @@
+"""Images that kernels read: which texels lie around texture coordinates."""

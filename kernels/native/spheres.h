@@ -1,0 +1,172 @@
+// Points as surfaces for rays: spheres, and discs across a normal (wrt.kernels.clouds).
+#pragma once
+#include "box.h"
+#include "square_root.h"
+
+namespace wrt {
+namespace {
+
+/// Components of a point's record: its centre and radius, and the normal of a disc.
+constexpr int SPHERE = 4, DISC = 7;
+
+/// Writes the record of point `id`, its components `width` apart; NaN for an unused lane, id < 0.
+inline CUDA_CALLABLE void copy_point(const float* points, const float* radii, bool one_radius, const float* normals,
+    int components, int id, int width, float* to)
+{
+    for (int c = 0; c < components; ++c) {
+        const size_t at = 3 * (size_t)id;
+        to[c * width] = id < 0 ? WRT_NAN : c < 3 ? points[at + c] : c > 3 ? normals[at + c - 4] : radii[one_radius ? 0 : id];
+    }
+}
+
+/// The box of a point whose components are `width` apart. That of a disc is enlarged by more than the rounding of its normal.
+inline CUDA_CALLABLE void point_box(const float* record, int components, int width, float* low, float* high)
+{
+    for (int a = 0; a < 3; ++a) {
+        float extent = record[3 * width];
+        if (components == DISC) {
+            const float p = record[(4 + (a + 1) % 3) * width], q = record[(4 + (a + 2) % 3) * width];
+            extent *= square_root(p * p + q * q) * 1.000001f;
+        }
+        low[a] = record[a * width] - extent;
+        high[a] = record[a * width] + extent;
+    }
+}
+
+/// The lanes of a block whose spheres the line of a ray may meet: no sphere that it meets is left out.
+template <int W, int COMPONENTS, class Line>
+inline CUDA_CALLABLE unsigned points_near(const float* records, int block, const Line& line)
+{
+    const float* const record = records + (size_t)block * (COMPONENTS * W);
+    const float *const o = line.origin.c, *const e = line.unit.c;
+    int near[W];
+    WRT_FOR_LANES (i) {
+        const float x = record[i] - o[0], y = record[W + i] - o[1], z = record[2 * W + i] - o[2];
+        const float radius = record[3 * W + i], limit = radius + line.margin;
+        const float along = x * e[0] + y * e[1] + z * e[2];
+        const float p = x - along * e[0], q = y - along * e[1], r = z - along * e[2];
+        near[i] = ((radius > 0.0f) & !(p * p + q * q + r * r > limit * limit)) ? -1 : 0;
+    }
+    return bits<W>(near);
+}
+
+inline CUDA_CALLABLE double dot3(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/// Two unit vectors that make a right-handed frame with a unit vector (Duff et al. 2017).
+inline CUDA_CALLABLE void frame_of(const double* n, double* s, double* t)
+{
+    const double sign = n[2] < 0.0 ? -1.0 : 1.0, a = -1.0 / (sign + n[2]), b = n[0] * n[1] * a;
+    s[0] = 1.0 + sign * n[0] * n[0] * a, s[1] = sign * b, s[2] = -sign * n[0];
+    t[0] = b, t[1] = sign + n[1] * n[1] * a, t[2] = -n[1];
+}
+
+/// The unit vector along v, on an octahedron that is unfolded to a square: u, v from -1 to 1 (Cigolle et al. 2014).
+inline CUDA_CALLABLE void fold(const double* v, float& x, float& y)
+{
+    const auto size = [](double a) { return a < 0.0 ? -a : a; };
+    const double all = size(v[0]) + size(v[1]) + size(v[2]), p = v[0] / all, q = v[1] / all;
+    const bool below = v[2] < 0.0;
+    x = (float)(below ? (p < 0.0 ? size(q) - 1.0 : 1.0 - size(q)) : p);
+    y = (float)(below ? (q < 0.0 ? size(p) - 1.0 : 1.0 - size(p)) : q);
+}
+
+/// The inverse of `fold`.
+inline CUDA_CALLABLE void unfold(double x, double y, double* v)
+{
+    const auto size = [](double a) { return a < 0.0 ? -a : a; };
+    const double z = 1.0 - size(x) - size(y), out = z < 0.0 ? -z : 0.0;
+    v[0] = x < 0.0 ? x + out : x - out;
+    v[1] = y < 0.0 ? y + out : y - out;
+    v[2] = z;
+    const double scale = 1.0 / square_root(dot3(v, v));
+    for (int a = 0; a < 3; ++a) v[a] *= scale;
+}
+
+/// Where a line meets a point: none, one or two t, in order.
+struct Roots {
+    double t[2];
+    int count;
+};
+
+/// The line t d and a sphere.
+inline CUDA_CALLABLE Roots sphere_roots(const double* centre, const double* d, double radius)
+{
+    const double squared = dot3(d, d), middle = dot3(centre, d) / squared;
+    const double beside[3] = {centre[0] - middle * d[0], centre[1] - middle * d[1], centre[2] - middle * d[2]};
+    const double rest = radius * radius - dot3(beside, beside);
+    if (!(rest >= 0.0)) return {{0.0, 0.0}, 0};
+    const double half = square_root(rest / squared);
+    return {{middle - half, middle + half}, 2};
+}
+
+/// The line t d and a disc.
+inline CUDA_CALLABLE Roots disc_root(const double* centre, const double* d, double radius, const double* normal)
+{
+    const double slope = dot3(normal, d), t = dot3(normal, centre) / slope;
+    const double beside[3] = {t * d[0] - centre[0], t * d[1] - centre[1], t * d[2] - centre[2]};
+    const bool met = (slope != 0.0) & (dot3(beside, beside) <= radius * radius);
+    return {{t, t}, met ? 1 : 0};
+}
+
+/// t of a ray's first meeting with the point in a slot from t_min on; NaN for none. Writes the surface coordinates u and v.
+template <int W, int COMPONENTS, class Line>
+inline CUDA_CALLABLE float meet_point(const float* records, int slot, const Line& line, float& u, float& v)
+{
+    const float* const record = records + (size_t)(slot / W) * (COMPONENTS * W) + slot % W;
+    double centre[3], d[3], normal[3];
+    for (int a = 0; a < 3; ++a) {
+        centre[a] = (double)record[a * W] - (double)line.origin.c[a];
+        d[a] = line.direction.c[a];
+        normal[a] = COMPONENTS == DISC ? record[(COMPONENTS - 3 + a) * W] : 0.0f;
+    }
+    const double radius = record[3 * W];
+    const Roots roots = COMPONENTS == DISC ? disc_root(centre, d, radius, normal) : sphere_roots(centre, d, radius);
+    if (roots.count == 0) return WRT_NAN;
+    float low[3], high[3];
+    point_box(record, COMPONENTS, W, low, high);
+    const Interval own = meet_box(low, high, box_ray(line.slabs), -WRT_INFINITY, WRT_INFINITY);
+    if (!(own.enter <= own.leave)) return WRT_NAN;
+    float t = clamped((float)roots.t[0], own);
+    const bool is_inside = (roots.count == 2) & !(t >= line.t_min);
+    if (is_inside) t = clamped((float)roots.t[1], own);
+    const double root = roots.t[is_inside ? 1 : 0];
+    const double from[3] = {root * d[0] - centre[0], root * d[1] - centre[1], root * d[2] - centre[2]};
+    if (COMPONENTS == DISC) {
+        double side[3], other[3];
+        frame_of(normal, side, other);
+        u = (float)(dot3(from, side) / radius);
+        v = (float)(dot3(from, other) / radius);
+    } else fold(from, u, v);
+    return t;
+}
+
+/// The place and the unit normal of a surface point, by its coordinates; normal: that of a disc, null for a sphere.
+inline CUDA_CALLABLE void surface_point(
+    const float* centre, double radius, const float* normal, double u, double v, double* place, double* across)
+{
+    double side[3], other[3];
+    if (normal == nullptr) {
+        unfold(u, v, across);
+    } else {
+        for (int a = 0; a < 3; ++a) across[a] = normal[a];
+        frame_of(across, side, other);
+    }
+    for (int a = 0; a < 3; ++a) place[a] = centre[a] + radius * (normal == nullptr ? across[a] : u * side[a] + v * other[a]);
+}
+
+/// A triangle at a surface point, whose plane touches the surface there: three corners, the first of which is the point.
+inline CUDA_CALLABLE void tangent_triangle(
+    const float* centre, double radius, const float* normal, double u, double v, double size, float* corners)
+{
+    double place[3], across[3], side[3], other[3];
+    surface_point(centre, radius, normal, u, v, place, across);
+    frame_of(across, side, other);
+    for (int a = 0; a < 3; ++a) {
+        corners[a] = (float)place[a];
+        corners[3 + a] = (float)(place[a] + size * side[a]);
+        corners[6 + a] = (float)(place[a] + size * other[a]);
+    }
+}
+
+}  // namespace
+}  // namespace wrt

@@ -1,0 +1,34 @@
+// Instantiates the header of kernels/clouds; see native_headers.cpp.
+#include "spheres.h"
+
+struct Vec3 {
+    float c[3];
+};
+struct Slabs {
+    Vec3 inverse, origin_in, origin_out;
+};
+struct PointLine {
+    Vec3 origin, direction, unit;
+    float margin, t_min;
+    Slabs slabs;
+};
+
+template <int COMPONENTS> float nearest(const float* records, int block, const PointLine& line, float* uv)
+{
+    const unsigned mask = wrt::points_near<WIDTH, COMPONENTS>(records, block, line);
+    return mask == 0 ? 0.0f : wrt::meet_point<WIDTH, COMPONENTS>(records, block * WIDTH, line, uv[0], uv[1]);
+}
+
+template float nearest<wrt::SPHERE>(const float*, int, const PointLine&, float*);
+template float nearest<wrt::DISC>(const float*, int, const PointLine&, float*);
+
+void pack(const float* points, const float* normals, float* record, float* low, float* high)
+{
+    wrt::copy_point(points, points, true, normals, wrt::DISC, 0, WIDTH, record);
+    wrt::point_box(record, wrt::DISC, WIDTH, low, high);
+}
+
+void tangent(const float* centre, const float* normal, float* corners)
+{
+    wrt::tangent_triangle(centre, 1.0, normal, 0.5, 0.5, 1.0, corners);
+}

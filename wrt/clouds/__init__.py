@@ -1,0 +1,1 @@
+"""Point clouds that rays meet: `wrt.sensors.PointCloud`, its tree, and its state."""

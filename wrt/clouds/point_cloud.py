@@ -1,0 +1,297 @@
+"""Point clouds as what rays meet."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.accelerators.tree_descriptions import Bvh
+from wrt.clouds.cloud_state import CloudState, build_cloud, place_cloud
+from wrt.engine.facts.query_cache import QueryCache
+from wrt.engine.facts.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
+from wrt.engine.facts.scene_settings import as_settings
+from wrt.engine.rays.rays import Rays, as_rays
+from wrt.kernels.validation import as_bool, as_numbers
+from wrt.query.answers import closest_hits, ray_values
+from wrt.query.query_options import lists_options
+from wrt.tapes import refuse_tape
+
+if TYPE_CHECKING:
+    from wrt.engine.rays.array_types import ArrayLike, Numbers
+    from wrt.query.all_hits import AllHits
+    from wrt.query.hits import Hits
+
+INF = float("inf")
+
+LEAST_RADIUS = 2.0**-126
+"""Smallest normal float32."""
+
+
+class PointCloud:
+    """Points with a radius, in a tree, that rays meet: spheres, or discs across their normals.
+
+        map = wrt.sensors.PointCloud(points, radius=0.05)
+        hits = map.intersect(origins, directions)       # hits.primitive_id: which point
+        scan = wrt.sensors.Lidar.preset("ouster_os1_64").scan(map, pose)
+
+    Every query answers as brute force over all points would: the decision about a point is made in float64, of positions in
+    float32 relative to the cloud's centre. So coordinates may be large (UTM), and points are moved by at most 3e-8 of the
+    cloud's longest side. Spheres and discs are no closed surface: rays pass between points whose radius is too small.
+
+    A ray meets a sphere where it enters it; a ray that starts in one, or whose range does, meets its far side. Both sides of a
+    disc are met; one that is seen exactly edge-on is not. Of hits at the same t, the one with the smallest number is returned.
+
+    **Results** are those of `wrt.Scene`, with these differences: `primitive_id` numbers the points, `geometry_id` and
+    `instance_id` are 0, -1 for a miss. `normal` points away from the centre of a sphere, whatever side is met, and is that of a
+    disc as given. `position` and `normal` have the precision of float32. `uv` says where on its point a ray has met it
+    (`wrt.kernels.clouds`). `Hits.spawn` and `faces` work as on triangles, `smooth_normal`, `interpolate` and `uv_at` do not. Of
+    `plan`, the triangle test and the reason have no meaning.
+
+    Args:
+        points: (N, 3) real numbers, at least one point, all finite; or a trimesh.PointCloud.
+        radius: of the points, a number or (N,), positive, in units of length. Half the distance between neighbours times 1.5
+            closes a surface that was sampled evenly.
+        normals: (N, 3), of any length but zero: points are discs across these. None: they are spheres.
+        device: a Warp device or its name; None for Warp's default device.
+        num_threads: threads for the build and for queries on the CPU; None for `wrt.get_num_threads()`.
+
+    Attributes:
+        state: what queries read. For code inside wrt; names of its members may change between releases.
+        meshes, instances: empty.
+
+    Raises:
+        TypeError: not real numbers.
+        ValueError: wrong shapes, no point, NaN or infinite values, a radius that is not positive, a normal that is zero, points
+            that spread over more than 6.9e10, or an unknown device.
+        MemoryError: there is too little memory for the tree.
+    """
+
+    state: CloudState
+    meshes: tuple[()] = ()
+    instances: tuple[()] = ()
+
+    def __init__(
+        self,
+        points: Any,
+        radius: Numbers,
+        normals: ArrayLike | None = None,
+        *,
+        device: str | wp.Device | None = None,
+        num_threads: int | None = None,
+    ) -> None:
+        settings = as_settings(Bvh(), AUTO, device, num_threads)
+        given = _as_points(points)
+        radii = _as_radii(radius, len(given))
+        self.state = build_cloud(given, radii, None if normals is None else _as_normals(normals, len(given)), settings)
+
+    def __len__(self) -> int:
+        """Number of points."""
+        return self.state.triangle_count
+
+    def __repr__(self) -> str:
+        return f"PointCloud({self.state.contents()}, device={str(self.device)!r})"
+
+    def __copy__(self) -> PointCloud:
+        """Another cloud with the same state."""
+        return cloud_of_state(self.state)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles hold the points; the tree is built again, and answers have the same bits."""
+        return unpickle_cloud, (self.state.arrays(), str(self.device), self.num_threads, self.state.mark)
+
+    @property
+    def device(self) -> wp.Device:
+        """The device that holds the points."""
+        return self.state.device
+
+    @property
+    def num_threads(self) -> int | None:
+        """Threads on the CPU; None for `wrt.get_num_threads()`."""
+        return self.state.num_threads
+
+    @property
+    def center(self) -> np.ndarray:
+        """(3,) float64; the device holds points in float32, relative to this one."""
+        return self.state.center
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) float64: lower and upper corner of the box of all spheres or discs."""
+        return self.state.bounds
+
+    @property
+    def bytes(self) -> int:
+        """Memory of points and tree."""
+        return self.state.bytes
+
+    @lists_options
+    def intersect(
+        self,
+        origins: Rays | ArrayLike,
+        directions: ArrayLike | None = None,
+        t_min: Numbers = 0.0,
+        t_max: Numbers = INF,
+        *,
+        brute_force: bool = False,
+    ) -> Hits:
+        """Closest hits.
+
+        Args:
+            origins: (..., 3), or a `wrt.Rays`, which replaces the first four arguments.
+            directions: (..., 3), of any length from 2^-126 up; leading shapes broadcast.
+            t_min, t_max: scalars or (...) arrays; hits count if t_min <= t <= t_max (closed interval). 0 <= t_min < inf.
+            brute_force: whether every point is tested, which takes as long as it sounds and gives the same answer.
+
+        Returns:
+            A `wrt.Hits`; the class says what differs.
+
+        Raises:
+            TypeError, ValueError: as `wrt.Scene.intersect`.
+        """
+        return closest_hits(
+            self._state(brute_force), self._rays("intersect", origins, directions, t_min, t_max), QUERIES[CLOSEST]
+        )
+
+    @lists_options
+    def occluded(
+        self,
+        origins: Rays | ArrayLike,
+        directions: ArrayLike | None = None,
+        t_min: Numbers = 0.0,
+        t_max: Numbers = INF,
+        *,
+        brute_force: bool = False,
+    ) -> Any:
+        """Whether each ray hits anything: (...) bool, a NumPy array if the rays were, else a Warp array.
+
+        Args:
+            origins, directions, t_min, t_max, brute_force: as in `intersect`.
+
+        Raises:
+            TypeError, ValueError: as `intersect`.
+        """
+        rays = self._rays("occluded", origins, directions, t_min, t_max)
+        return ray_values(self._state(brute_force), rays, QUERIES[ANY])
+
+    @lists_options
+    def count(
+        self,
+        origins: Rays | ArrayLike,
+        directions: ArrayLike | None = None,
+        t_min: Numbers = 0.0,
+        t_max: Numbers = INF,
+        *,
+        brute_force: bool = False,
+    ) -> Any:
+        """How many points each ray meets: (...) int32, a NumPy array if the rays were, else a Warp array.
+
+        A sphere counts once, though a line through it enters and leaves it.
+
+        Args:
+            origins, directions, t_min, t_max, brute_force: as in `intersect`.
+
+        Raises:
+            TypeError, ValueError: as `intersect`.
+        """
+        rays = self._rays("count", origins, directions, t_min, t_max)
+        return ray_values(self._state(brute_force), rays, QUERIES[COUNT])
+
+    @lists_options
+    def intersect_all(
+        self,
+        origins: Rays | ArrayLike,
+        directions: ArrayLike | None = None,
+        t_min: Numbers = 0.0,
+        t_max: Numbers = INF,
+        *,
+        max_hits: int | None = None,
+        brute_force: bool = False,
+    ) -> AllHits:
+        """All points that each ray meets, each once, where the ray meets it first; sorted by t, then number.
+
+        Args:
+            origins, directions, t_min, t_max, brute_force: as in `intersect`.
+            max_hits: largest number of hits kept for each ray, the nearest ones; at least 1, or None for all.
+
+        Raises:
+            TypeError, ValueError: as `wrt.Scene.intersect_all`.
+        """
+        from wrt.query.all_hits import list_hits
+
+        rays = self._rays("intersect_all", origins, directions, t_min, t_max)
+        return list_hits(self._state(brute_force), rays, Query(ALL, max_hits=max_hits))
+
+    def _state(self, brute_force: bool) -> CloudState:
+        """What answers: the state, or the same without the use of its tree."""
+        if not as_bool("brute_force", brute_force):
+            return self.state
+        tree = replace(self.state.built_tree, brute_force=True)
+        return replace(self.state, built_tree=tree, cache=QueryCache())
+
+    @staticmethod
+    def _rays(query: str, *given: Any) -> Rays:
+        """The rays of a query."""
+        rays = as_rays(*given)
+        refuse_tape(query, (rays.origins, rays.directions))
+        return rays
+
+
+def cloud_of_state(state: CloudState) -> PointCloud:
+    """A cloud with the state of another."""
+    cloud = object.__new__(PointCloud)
+    cloud.state = state
+    return cloud
+
+
+def unpickle_cloud(arrays: tuple[Any, ...], device: str, num_threads: int | None, mark: str) -> PointCloud:
+    """The cloud of a pickle, on its device."""
+    return cloud_of_state(replace(place_cloud(*arrays, as_settings(Bvh(), AUTO, device, num_threads)), mark=mark))
+
+
+def _as_points(points: Any) -> np.ndarray:
+    """(N, 3) float64, finite."""
+    if type(points).__module__.startswith("trimesh.") and type(points).__name__ == "PointCloud":
+        points = points.vertices
+    array = as_numbers("points", points, (None, 3), finite=False)
+    if len(array) == 0:
+        raise ValueError("points is empty; a cloud has at least one point")
+    good = np.isfinite(array).all(axis=1)
+    if not good.all():
+        raise ValueError(
+            f"points has {np.count_nonzero(~good)} points that are not finite, the first of them number {np.argmin(good)}; "
+            "leave them out: points[np.isfinite(points).all(axis=1)]"
+        )
+    return array
+
+
+def _as_radii(radius: Any, count: int) -> np.ndarray:
+    """(1,) or (N,) float32, positive."""
+    array = np.atleast_1d(as_numbers("radius", radius, finite=False))
+    if array.shape not in ((1,), (count,)):
+        raise ValueError(f"radius has the shape {array.shape}; pass one number, or one for each of {count} points")
+    good = (array >= LEAST_RADIUS) & (array < INF)
+    if not good.all():
+        first = int(np.argmin(good))
+        raise ValueError(
+            f"radius must be positive and finite, but that of point {first} is {array[first]}; points without extent are not "
+            "met by rays: give half the distance between neighbours"
+        )
+    return array.astype(np.float32)
+
+
+def _as_normals(normals: Any, count: int) -> np.ndarray:
+    """(N, 3) float64 unit vectors."""
+    array = as_numbers("normals", normals, (count, 3))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        array /= np.abs(array).max(axis=1, keepdims=True)
+        array /= np.linalg.norm(array, axis=1, keepdims=True)
+    good = np.isfinite(array).all(axis=1)
+    if not good.all():
+        raise ValueError(
+            f"normals has {np.count_nonzero(~good)} zero vectors, the first of them number {np.argmin(good)}; leave these "
+            "points out, or leave normals out for spheres"
+        )
+    return array
