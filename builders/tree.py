@@ -13,11 +13,7 @@ import warp as wp
 from wrt.builders.cost import Split, SplitCost, leaf_cost
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH, KdNodes
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
-
 
 MAX_GROWTH = wp.constant(63.0)
 """Largest growth of the references on a path, less 1: a split that would reach it makes a leaf. Without a bound, overlapping

@@ -10,9 +10,6 @@ import warp as wp
 
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 ID_OFFSET = 0x00800000
 """Added to a triangle's id so that its bits are those of a normal float. Denormals would slow down arithmetic on unused

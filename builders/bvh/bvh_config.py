@@ -6,9 +6,6 @@ import warp as wp
 
 from wrt.builders.cost import SplitCost, SurfaceAreaCost
 from wrt.kernels.layout.bvh_nodes import MAX_LEAF_TRIANGLES
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 MAX_BINS = 40
 """Most bins along an axis, as many as Falcone (2024) has; sizes the scratch memory."""

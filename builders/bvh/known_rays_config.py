@@ -13,9 +13,6 @@ from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.influence.projected_cost import Mixture, RayDistribution
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @dataclass(frozen=True)

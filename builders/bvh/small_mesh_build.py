@@ -4,9 +4,13 @@
 the arguments of launches, and to describe every intermediate result (notebooks/records/2026-11-23-small-scenes.md).
 
 **Idea.** A `FewTriangles` has everything for up to `capacity` triangles: work arrays, and the kernels of all phases with packed
-arguments. A build writes what differs, which are numbers and addresses, and calls the kernels one after another, most of them
-from compiled code (`wrt.builders.bvh.phases.native_calls`). They are the kernels of `wrt.builders.bvh.binned_bvh`, and one task
-builds the whole tree, as it does there. So the trees are the same.
+arguments. A build writes what differs, which are numbers and addresses, and calls the kernels one after another. They are the
+kernels of `wrt.builders.bvh.binned_bvh`, and one task builds the whole tree, as it does there. So the trees are the same.
+
+**Steps.** A call from Python takes as long as most of the kernels, so most of them are called from compiled code: one call in
+place of a dozen (`call_steps`). A step is a kernel with packed arguments
+(`wrt.kernels.runtime.argument_packing.PackedKernel`): three words of 64 bits, which are its entry point, and the addresses of
+its launch bounds and of its arguments.
 
 **Limits.** On the CPU, without reinsertion. Up to `MAX_TRIANGLES` triangles, which several threads would not build faster.
 """
@@ -14,6 +18,7 @@ builds the whole tree, as it does there. So the trees are the same.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from struct import Struct
 from time import perf_counter
 
@@ -35,14 +40,67 @@ from wrt.builders.bvh.phases.collapse import (
     scan_level,
     write_nodes,
 )
-from wrt.builders.bvh.phases.native_calls import run_collapse, run_steps, steps_of
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import Boxes, compute_boxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.mesh_placement import make_shift
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.argument_packing import PackedKernel
+from wrt.kernels.runtime.job_queue import BOUNDS, on_cpu
 from wrt.kernels.runtime.launch import load, specialise
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.runtime.workspace import give_back, host_view, take
+
+exact_module(__name__)
+
+STEP_WORDS = 3
+
+CALLS = "(const wrt::Call*)steps.data"
+
+
+@native.func_native("calls.h", on_cpu(f"for (int i = 0; i < (int)steps.shape[0] / {STEP_WORDS}; ++i) ({CALLS})[i].run();"))
+def call_steps(steps: wp.array(dtype=wp.int64)) -> int:
+    """Calls all steps, each for the items in its launch bounds."""
+    ...
+
+
+@native.func_native(
+    "calls.h",
+    on_cpu(
+        f"static_assert(sizeof(wrt::Call) == 8 * {STEP_WORDS});\n"
+        f"return wrt::collapse_steps<{BOUNDS}>({CALLS}, totals.data, level_first.data);"
+    ),
+)
+def collapse_steps(steps: wp.array(dtype=wp.int64), totals: wp.array(dtype=int), level_first: wp.array(dtype=int)) -> int:
+    """The levels of `wrt.builders.bvh.phases.collapse`: solve, and for each level pick, scan and list. Returns their number."""
+    ...
+
+
+@wp.kernel
+def run_steps(first: int, steps: wp.array(dtype=wp.int64)):
+    """One item: calls all steps."""
+    call_steps(steps)
+
+
+@wp.kernel
+def run_collapse(
+    first: int,
+    steps: wp.array(dtype=wp.int64),
+    totals: wp.array(dtype=int),
+    level_first: wp.array(dtype=int),
+    levels: wp.array(dtype=int),
+):
+    """One item: finds the wide nodes.
+
+    totals: (2,) wide nodes and blocks. level_first: first node of each level, and the end. levels: (1,) their number."""
+    levels[0] = collapse_steps(steps, totals, level_first)
+
+
+def steps_of(kernels: Sequence[PackedKernel]) -> wp.array:
+    """The steps of kernels, which the caller keeps alive."""
+    words = [[one.entry, ctypes.addressof(one.bounds), ctypes.addressof(one.arguments)] for one in kernels]
+    return wp.array(np.array(words, dtype=np.int64).ravel(), dtype=wp.int64, device="cpu")
+
 
 MAX_TRIANGLES = MIN_LARGE
 """Most triangles of such a build."""

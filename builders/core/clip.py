@@ -42,14 +42,11 @@ from typing import Any
 
 import warp as wp
 
-from wrt.builders.core.reference_lists import ReferenceLists, Sides, move_range, set_list
-from wrt.builders.core.subtrees import Frame, Task
+from wrt.builders.core.reference_lists import ReferenceLists, Sides, partition_by, set_list
+from wrt.builders.core.subtrees import Frame
 from wrt.builders.cost import Split
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 PAD = 2.0**-14
 """Enlargement of cells and boxes, relative to the scene's largest extent: 1024 units of 2^-24, see the module's docstring."""
@@ -107,29 +104,21 @@ def clip_range(
 
 
 @wp.func
-def clip_list(lists: ReferenceLists, frame: wp.ref[Frame], begin: int, count: int, axis: int, beyond_high: bool):
-    """Clips the straddlers in a child's list to its cell."""
+def clip_list(lists: ReferenceLists, frame: wp.ref[Frame], count: int, axis: int, beyond_high: bool):
+    """Clips the straddlers in a child's list, which has not been set yet, to its cell."""
     low = wp.vec3()
     high = wp.vec3()
+    begin = frame.first[0]
     kept = clip_range(lists, frame, begin, count, axis, beyond_high, low, high)
-    set_list(frame, begin, kept, wp.max(frame.low, low), wp.min(frame.high, high))
+    set_list(frame, begin, kept, low, high)
 
 
 @wp.func
-def partition_clipping(
-    lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]
-):
-    """`reference_lists.partition`, with clipping of the straddlers."""
-    append_left = split.left < split.right
-    begin = frame.first[0]
-    to_left = wp.where(append_left, frame.top, begin)
-    to_right = wp.where(append_left, begin, frame.top)
-    sides = Sides()
-    source = lists.reference
-    count = frame.count[0]
-    move_range(source, begin, count, split, source, to_left, to_right, sides)
-    clip_list(lists, left, to_left, sides.left, split.axis, True)
-    clip_list(lists, right, to_right, sides.right, split.axis, False)
-    top = frame.top + wp.where(append_left, left.triangles, right.triangles)
-    left.top = top
-    right.top = wp.where(append_left, frame.top, top)
+def clip_lists(lists: ReferenceLists, split: Split, sides: Sides, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """Gives the children what was moved, and clips the straddlers among it."""
+    clip_list(lists, left, sides.left, split.axis, True)
+    clip_list(lists, right, sides.right, split.axis, False)
+
+
+partition_clipping = partition_by(clip_lists)
+"""`reference_lists.partition`, with clipping of the straddlers."""

@@ -25,9 +25,6 @@ from wrt.builders.tree import StopLimits, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 CHUNK = 8192
 """Entries of a list in a chunk; the last chunk of a list has fewer."""

@@ -6,6 +6,8 @@ the same pass. The counts of a split may be estimates (bins, samples); those of 
 itself.
 """
 
+from functools import cache
+
 import warp as wp
 
 from wrt.builders.core.subtrees import Frame, Parts, Task
@@ -13,9 +15,6 @@ from wrt.builders.cost import Split
 from wrt.builders.triangle_references import write_order
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -107,32 +106,47 @@ def move_range(
 
 
 @wp.func
-def partition(lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """Phases "classify" and "partition", in one pass over the references: gives the children their lists."""
-    append_left = split.left < split.right
-    begin = frame.first[0]
-    to_left = wp.where(append_left, frame.top, begin)
-    to_right = wp.where(append_left, begin, frame.top)
-    sides = Sides()
-    source = lists.reference
-    count = frame.count[0]
-    move_range(source, begin, count, split, source, to_left, to_right, sides)
-    top = frame.top + wp.where(append_left, sides.left, sides.right)
-    set_list(left, to_left, sides.left, wp.max(left.low, sides.left_low), wp.min(left.high, sides.left_high))
-    set_list(right, to_right, sides.right, wp.max(right.low, sides.right_low), wp.min(right.high, sides.right_high))
-    # no waiting node has lists behind `top`; those of the right child, or of one further up, are in front of it
-    left.top = top
-    right.top = wp.where(append_left, frame.top, top)
-
-
-@wp.func
 def set_list(frame: wp.ref[Frame], first: int, count: int, inner_low: wp.vec3, inner_high: wp.vec3):
     """Sets the list of a node."""
     frame.first[0] = first
     frame.count[0] = count
     frame.triangles = count
-    frame.inner_low = inner_low
-    frame.inner_high = inner_high
+    frame.inner_low = wp.max(frame.low, inner_low)
+    frame.inner_high = wp.min(frame.high, inner_high)
+
+
+@wp.func
+def keep_lists(lists: ReferenceLists, split: Split, sides: Sides, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """Gives the children what was moved."""
+    set_list(left, left.first[0], sides.left, sides.left_low, sides.left_high)
+    set_list(right, right.first[0], sides.right, sides.right_low, sides.right_high)
+
+
+@cache
+def partition_by(finish: wp.Function) -> wp.Function:
+    """The phases "classify" and "partition", in one pass over the references; finish: as `keep_lists`, sets the lists of both
+    children, which begin at their `first`."""
+
+    @wp.func
+    def partition(lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
+        append_left = split.left < split.right
+        begin = frame.first[0]
+        left.first[0] = wp.where(append_left, frame.top, begin)
+        right.first[0] = wp.where(append_left, begin, frame.top)
+        sides = Sides()
+        source = lists.reference
+        move_range(source, begin, frame.count[0], split, source, left.first[0], right.first[0], sides)
+        finish(lists, split, sides, left, right)
+        top = frame.top + wp.where(append_left, left.triangles, right.triangles)
+        # no waiting node has lists behind `top`; those of the right child, or of one further up, are in front of it
+        left.top = top
+        right.top = wp.where(append_left, frame.top, top)
+
+    return partition
+
+
+partition = partition_by(keep_lists)
+"""By the boxes of triangles."""
 
 
 @wp.func

@@ -24,9 +24,7 @@ from wrt.builders.tree import PathState, StopLimits
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime.launch import launch, specialise
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import specialised_kernel
 
 STACK = kdtree.MAX_TREE_DEPTH + 1
 

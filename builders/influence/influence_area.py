@@ -25,8 +25,29 @@ SINE_OF_PARALLEL = 1e-6
 """Least sine of the angle between `up` and the direction."""
 
 
+class _Area:
+    """What both kinds of areas can say."""
+
+    @property
+    def frame(self: "InfluenceArea") -> np.ndarray:
+        """(3, 3) float64: the orthogonal unit vectors right, up, forward."""
+        return frame_of(self.direction, self.up)
+
+    def affine(self: "InfluenceArea", origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
+        """Which rays belong to the area, in either direction: (N,) bool. See `rays_of_area`.
+
+        Args:
+            origins, directions: (N, 3).
+            tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
+
+        Raises:
+            ValueError: as in `rays_of_area`.
+        """
+        return rays_of_area(self, origins, directions, tolerance)
+
+
 @dataclass(frozen=True, kw_only=True)
-class PlaneInfluenceArea:
+class PlaneInfluenceArea(_Area):
     """A cuboid of parallel rays.
 
     Rays leave a rectangle and run along `direction`. The ray at (x, y) leaves position + x right + y up, for |x| <= width / 2
@@ -58,11 +79,6 @@ class PlaneInfluenceArea:
             check_positive(name, getattr(self, name))
         check_positive("depth", self.depth, endless=True)
 
-    @property
-    def frame(self) -> np.ndarray:
-        """(3, 3) float64: the orthogonal unit vectors right, up, forward."""
-        return frame_of(self.direction, self.up)
-
     def view(self, center: np.ndarray) -> AreaView:
         """The area for kernels, relative to `center`, (3,) float64, the centre of a scene."""
         view = _view(self, center)
@@ -71,21 +87,9 @@ class PlaneInfluenceArea:
         view.radial = False
         return view
 
-    def affine(self, origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
-        """Which rays belong to the area, in either direction: (N,) bool. See `rays_of_area`.
-
-        Args:
-            origins, directions: (N, 3).
-            tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
-
-        Raises:
-            ValueError: as in `rays_of_area`.
-        """
-        return rays_of_area(self, origins, directions, tolerance)
-
 
 @dataclass(frozen=True, kw_only=True)
-class PointInfluenceArea:
+class PointInfluenceArea(_Area):
     """A frustum of rays on lines through one point.
 
     The area is the closed set of points that are visible from `position`, at a depth in [near, far] along `direction` and
@@ -122,11 +126,6 @@ class PointInfluenceArea:
             raise ValueError(f"far is {self.far}; it must be above near, which is {self.near}")
 
     @property
-    def frame(self) -> np.ndarray:
-        """(3, 3) float64: the orthogonal unit vectors right, up, forward."""
-        return frame_of(self.direction, self.up)
-
-    @property
     def tangents(self) -> tuple[float, float]:
         """Half the window's width and height at depth 1."""
         return tan(radians(self.fov[0]) / 2), tan(radians(self.fov[1]) / 2)
@@ -138,18 +137,6 @@ class PointInfluenceArea:
         view.half = wp.vec2(*self.tangents)
         view.radial = True
         return view
-
-    def affine(self, origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
-        """Which rays belong to the area, in either direction: (N,) bool. See `rays_of_area`.
-
-        Args:
-            origins, directions: (N, 3).
-            tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
-
-        Raises:
-            ValueError: as in `rays_of_area`.
-        """
-        return rays_of_area(self, origins, directions, tolerance)
 
 
 InfluenceArea = PlaneInfluenceArea | PointInfluenceArea

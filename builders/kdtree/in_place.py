@@ -47,11 +47,10 @@ from wrt.builders.kdtree.events.event_sort import CHUNK, EVENT_CHUNK, Events, em
 from wrt.builders.kdtree.events.sweep_planes import Sweep
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases import in_place_levels as level_phase
-from wrt.builders.kdtree.phases import level_members as members_phase
 from wrt.builders.kdtree.phases import task_fill as fill_phase
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.clipped_levels import ClippedReferences, merge_events, name_triangles
-from wrt.builders.kdtree.phases.membership import Membership
+from wrt.builders.kdtree.phases.membership import Membership, count_shared, refine_members
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import get_num_threads, load, specialise
@@ -80,7 +79,7 @@ EVENTS_PER_NODE = 256
 CHUNKS_PER_THREAD = 4
 """Least number of chunks per thread, over all axes, if there are enough events."""
 
-KERNELS = (emit_events, level_phase.search_planes, members_phase.count_shared, fill_phase.fill_task_events, copy_subtrees)
+KERNELS = (emit_events, level_phase.search_planes, count_shared, fill_phase.fill_task_events, copy_subtrees)
 """One kernel of each module, compiled before the phases of the build are timed."""
 
 
@@ -241,11 +240,11 @@ class InPlaceLevels(Levels):
         refined = Membership()
         refined.node = wp.empty(count, dtype=int, device=device)
         inputs = [count, boxes, self.live, self.membership, refined]
-        self.run(members_phase.count_shared, chunks, *inputs, counts)
+        self.run(count_shared, chunks, *inputs, counts)
         sizes = counts.numpy()
         places = wp.array(starts_of(sizes), dtype=int, device=device)
         refined.shared = wp.empty(max(1, int(sizes.sum())), dtype=int, device=device)
-        self.run(members_phase.refine_members, chunks, *inputs, places)
+        self.run(refine_members, chunks, *inputs, places)
         return refined
 
     def make_tasks(self, spare: float) -> tuple[Reservation, EventLists, wp.array]:

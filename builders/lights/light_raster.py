@@ -44,9 +44,7 @@ import warp as wp
 
 from wrt.kernels.layout.light_cells import CELL_SLACK, DEPTH_SLACK
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import specialised_kernel
 
 COVER, COUNT, FILL = "cover", "count", "fill"
 """The three rasterisations of a build: the depths behind which cells are covered; the lengths of the lists; the lists."""

@@ -6,13 +6,9 @@ and then written one after the other.
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, join_counts
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit, join_counts
 from wrt.kernels.answers.crossing_count import bound_count, copy_count, load_count, store_count
 from wrt.kernels.layout.ray_batch import HitBatch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.func

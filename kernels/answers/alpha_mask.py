@@ -15,13 +15,9 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, improves
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, improves
 from wrt.kernels.images.image_footprint import footprint
 from wrt.kernels.layout.ray_batch import HitBatch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.struct

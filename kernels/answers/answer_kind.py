@@ -1,4 +1,9 @@
-"""What a row of `wrt.kernels.answers.ANSWERS` says."""
+"""What a row of `wrt.kernels.answers.ANSWERS` says, and the state of a search: the best hit so far, or the number of crossings
+so far (`BestHit`).
+
+The state fits in registers. Ties go to the smaller t, then to the smaller primitive id, so that no answer depends on the order
+in which hits are found.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,6 +12,49 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
+
+
+@wp.struct
+class BestHit:
+    """The best hit so far."""
+
+    t: float
+    """t of the hit; before the first hit, the ray's t_max. Nothing beyond it is searched."""
+    primitive: int
+    """-1 before the first hit. In queries about crossings, their number so far minus one; t then stays the ray's t_max."""
+    u: float
+    v: float
+
+
+@wp.func
+def start(t_max: float):
+    """The state before the first hit."""
+    best = BestHit()
+    best.t = t_max
+    best.primitive = -1
+    return best
+
+
+@wp.func
+def improves(t: float, primitive: int, t_min: float, best: BestHit):
+    """Whether a hit at t (NaN for none) replaces the best so far. The range is closed: t_min <= t <= t_max."""
+    return t >= t_min and (t < best.t or (t == best.t and (best.primitive < 0 or primitive < best.primitive)))
+
+
+@wp.func
+def join_nearest(found: BestHit, first: int, t_min: float, best: BestHit):
+    """The nearer of the best hit so far and the one that was found among triangles which are numbered from `first` on."""
+    if found.primitive >= 0 and improves(found.t, first + found.primitive, t_min, best):
+        best = found
+        best.primitive = first + found.primitive
+    return best
+
+
+@wp.func
+def join_counts(found: BestHit, first: int, t_min: float, best: BestHit):
+    """The crossings so far and those that were found among other triangles."""
+    best.primitive += found.primitive + 1
+    return best
 
 
 class Column(NamedTuple):

@@ -2,13 +2,9 @@
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, join_nearest, start
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, join_nearest, start
 from wrt.kernels.layout.ray_batch import HitBatch
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 
 @wp.func

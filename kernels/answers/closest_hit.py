@@ -2,12 +2,8 @@
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, join_nearest, start
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit, join_nearest, start
 from wrt.kernels.layout.ray_batch import HitBatch, store_hit
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.func

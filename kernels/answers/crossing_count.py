@@ -2,12 +2,8 @@
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, join_counts, start
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, join_counts, start
 from wrt.kernels.layout.ray_batch import HitBatch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.func

@@ -39,11 +39,7 @@ References: woop-2013; ize-2013.
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind
-from wrt.kernels.answers.best_hit import BestHit
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit
 
 
 @wp.struct

@@ -6,11 +6,7 @@ same crossing.
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, improves, join_nearest
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, improves, join_nearest
 
 
 @wp.struct

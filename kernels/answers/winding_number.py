@@ -9,13 +9,9 @@ References: jacobson-2013 (the same number for points, as a sum of solid angles)
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind
-from wrt.kernels.answers.best_hit import BestHit, join_counts
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, join_counts
 from wrt.kernels.answers.crossing_count import bound_count, copy_count, load_count, merge_count, store_count
 from wrt.kernels.layout.ray_batch import HitBatch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.func

@@ -1,7 +1,7 @@
 """What the tables list and "auto" never chooses: a published method a file, to be read beside its paper.
 
 These modules import the engine, and no module of the engine imports them: rows of its tables name them
-(`wrt.kernels.on_demand`, `wrt.kernels.triangle.support.triangle_table`), and they are imported when they are asked for. They
+(`wrt.kernels.on_demand`, `wrt.kernels.triangle.support.triangle_contract`), and they are imported when they are asked for. They
 give the same hits as the rest of their tables and pass the same tests, which are marked `classics`.
 
     triangle/    triangle tests besides `woop`, `moeller_trumbore` and `wald`: rows of `wrt.kernels.triangle.TRIANGLE_TESTS`

@@ -4,20 +4,17 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit, improves, start
+from wrt.kernels.answers.answer_kind import BestHit, improves, start
 from wrt.kernels.clouds.cloud_test import PointLine, line_of, meet_point, points_near
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import Ray
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lowest_bit
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 
 @wp.struct

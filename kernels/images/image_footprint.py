@@ -2,10 +2,6 @@
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 REPEAT = wp.constant(0)
 CLAMP = wp.constant(1)
 MIRROR_REPEAT = wp.constant(2)

@@ -3,8 +3,7 @@
 view             `AreaView`: where the rays of an area start and go; the direction at a box; whether a ray belongs to it
 box_projection   projected area of a box that needs no clipping; for one box, or for one box in each vector lane
 box_clipping     projected area of a box that the window or the near plane cuts; of any box
-silhouette       the outline of any box's projection, and the overlap of two projections within the window
-polygons         hull, clipping and area of convex polygons
+silhouette       the outline of any box's projection, the overlap of two projections within the window, and convex polygons
 region_tests     whether points and boxes are in the region of an area
 area_assignment  which area each ray of a batch belongs to, and where it leaves it
 area_lanes       the same for 16 rays at a time

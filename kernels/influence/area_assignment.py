@@ -157,43 +157,6 @@ def find_areas(areas: AreaTree, count: int, lanes: wp.array(dtype=float), marks:
         last = which
 
 
-@wp.kernel
-def assign_rays(
-    first: int,
-    rays: RayBatch,
-    chunk: int,
-    areas: AreaTree,
-    low: wp.vec3,
-    high: wp.vec3,
-    splits: AreaSplits,
-    sums: wp.array(dtype=wp.vec4i),
-):
-    """Finds the area of each ray and the t at which the ray is split. Item: a chunk of rays, a multiple of the lanes.
-
-    Args:
-        first: number of the first item.
-        rays: the batch.
-        chunk: rays of an item.
-        areas: the influence areas.
-        low, high: corners of a box that contains all hits.
-        splits: where the rays are split.
-        sums: (chunks,) per chunk: rays with an area and a second part, greatest number of an area, `areas` less the least
-            number, rays without an area.
-    """
-    item = first + wp.tid()
-    lanes = wp.zeros(shape=(LANE_WORDS,), dtype=float)
-    marks = wp.zeros(shape=(MARK_WORDS,), dtype=int)
-    begin = item * chunk
-    end = wp.min(rays.count, begin + chunk)
-    while begin < end:
-        count = load_block(rays, begin, end - begin, lanes, marks)
-        find_lists(areas, count, lanes, marks)
-        find_areas(areas, count, lanes, marks)
-        store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, splits)
-        begin += count
-    sums[item] = sum_blocks(marks)
-
-
 @wp.func
 def take_areas(
     areas: AreaTree,
@@ -217,7 +180,7 @@ def take_areas(
 
 
 @wp.kernel
-def assign_given_rays(
+def assign_rays(
     first: int,
     rays: RayBatch,
     chunk: int,
@@ -229,9 +192,19 @@ def assign_given_rays(
     splits: AreaSplits,
     sums: wp.array(dtype=wp.vec4i),
 ):
-    """As `assign_rays`, for rays whose areas are known: `given[i * stride]` of ray i, -1 for none.
+    """Finds the area of each ray and the t at which the ray is split. Item: a chunk of rays, a multiple of the lanes.
 
-    A ray that does not start in the region of its area has none, so a wrong area changes no hit.
+    Args:
+        first: number of the first item.
+        rays: the batch.
+        chunk: rays of an item.
+        areas: the influence areas.
+        given, stride: `given[i * stride]` is the area of ray i, -1 for none; (0,) to find areas. A ray that does not start in
+            the region of its area has none, so a wrong area changes no hit.
+        low, high: corners of a box that contains all hits.
+        splits: where the rays are split.
+        sums: (chunks,) per chunk: rays with an area and a second part, greatest number of an area, `areas` less the least
+            number, rays without an area.
     """
     item = first + wp.tid()
     lanes = wp.zeros(shape=(LANE_WORDS,), dtype=float)
@@ -240,7 +213,11 @@ def assign_given_rays(
     end = wp.min(rays.count, begin + chunk)
     while begin < end:
         count = load_block(rays, begin, end - begin, lanes, marks)
-        take_areas(areas, given, stride, begin, count, lanes, marks)
+        if given.shape[0] > 0:
+            take_areas(areas, given, stride, begin, count, lanes, marks)
+        else:
+            find_lists(areas, count, lanes, marks)
+            find_areas(areas, count, lanes, marks)
         store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, splits)
         begin += count
     sums[item] = sum_blocks(marks)

@@ -17,10 +17,7 @@ from wrt.kernels.influence.region_tests import Region
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES
-
-exact_module(__name__)
 
 LANE_WORDS = wp.constant(9 * LIST_LANES + 6)
 """Number of elements of `lanes`."""

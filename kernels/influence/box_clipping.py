@@ -21,9 +21,6 @@ import warp as wp
 from wrt.kernels.influence.box_projection import NEEDS_NEAR, whole_area
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @native.func_native("clipped_areas.h", "return wrt::clipped_area(view, low, high, by_near);")

@@ -27,9 +27,6 @@ import warp as wp
 
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 NEEDS_WINDOW = wp.constant(-1.0)
 """Returned instead of an area: the box must be clipped to the window."""

@@ -24,10 +24,6 @@ References: wald-2008; dammertz-2008.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 MAX_WIDE_DEPTH = 64
 """Greatest number of inner nodes on a path from the root; bounds the stack of every traversal."""
 

@@ -23,9 +23,6 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 HEIGHTS = (2, 3, 4)
 """Levels of planes of a subtree; the axes of more would not fit into a word."""

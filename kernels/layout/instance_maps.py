@@ -16,9 +16,6 @@ hit stores this number, and ties at the same t go to the smaller one: the smalle
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import Ray, RayBatch, is_direction, is_finite, usable_direction
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 ALL_BITS = wp.constant(wp.uint32(0xFFFFFFFF))
 """The mask of a geometry that is visible to every ray."""

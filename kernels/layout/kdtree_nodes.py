@@ -19,10 +19,6 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 MAX_TREE_DEPTH = 64
 """Greatest depth of a tree that a builder makes; bounds the stack of every traversal."""
 

@@ -20,10 +20,6 @@ References: haines-greenberg-1986.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 FACES = 6
 
 CELL_WORDS = 4

@@ -6,10 +6,6 @@ the rays from one point to its samples are one frustum (`wrt.kernels.traversal.s
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 GROUP = 16
 """Samples of a group. In the last one unused places repeat its first sample."""
 

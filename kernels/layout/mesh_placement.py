@@ -7,9 +7,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, launch, specialise
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import specialised_kernel
 
 CHUNK = 4096
 """Vertices that are worth a chunk of their own."""

@@ -6,10 +6,6 @@
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)

@@ -6,10 +6,6 @@ memory. The functions here access the i-th element of a contiguous array, 0 <= i
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 CACHE_LINE = 16
 """Floats or ints per cache line. Vectors that straddle two lines take longer to load and to store."""
 

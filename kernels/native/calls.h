@@ -90,7 +90,7 @@ inline void run_stages(Alternative* stages, int begin, int end, const int* count
 
 // -- steps of a build -----------------------------------------------------------------------------------------------------
 
-/// A kernel with its arguments: a step of `wrt.builders.bvh.phases.native_calls`.
+/// A kernel with its arguments: a step of `wrt.builders.bvh.small_mesh_build`.
 struct Call {
     Entry entry;
     void *bounds, *arguments;

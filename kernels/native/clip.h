@@ -119,7 +119,7 @@ struct SideTargets {
 };
 
 /// Clips the straddlers of a range to the cells on both sides of a plane, counts the references of both, and computes their
-/// boxes; see `wrt.builders.kdtree.scan.clipped_chunks.clip_chunk`.
+/// boxes; see `wrt.builders.kdtree.scan.reference_chunks.clip_chunk`.
 template <class Mesh, class Split, class Sides>
 inline CUDA_CALLABLE void clip_sides(const Mesh& mesh, const ClipCell& left, const ClipCell& right, const float* from,
     int count, const Split& split, SideTargets targets, Sides& sides)
@@ -198,7 +198,7 @@ inline CUDA_CALLABLE int measure_leaf(const Mesh& mesh, const ClipCell& cell, co
     return kept;
 }
 
-// -- spatial splits: `wrt.builders.bvh.spatial.part_bins`, of which `Slabs` is ------------------------------------------------
+// -- spatial splits: `wrt.builders.bvh.spatial.part_splits`, of which `Slabs` is ------------------------------------------------
 
 template <class Slabs> inline CUDA_CALLABLE int slab_of(const Slabs& slabs, float x)
 {

@@ -1,4 +1,4 @@
-// Simultaneous walks through a kd-tree, one in each of W lanes (wrt.kernels.traversal.lockstep.lockstep_lanes, which describes the
+// Simultaneous walks through a kd-tree, one in each of W lanes (wrt.kernels.traversal.lockstep.lockstep_kernel, which describes the
 // struct of the walks and the log).
 #pragma once
 #include "lanes.h"

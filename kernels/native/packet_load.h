@@ -218,7 +218,7 @@ inline CUDA_CALLABLE void bound_run_slopes(Bounds& bounds, const float* lows, co
     }
 }
 
-/// Bounds rays first .. first + count - 1 of a batch, RUN at a time (wrt.kernels.traversal.packet.rays.tile_bounds); low, high:
+/// Bounds rays first .. first + count - 1 of a batch, RUN at a time (wrt.kernels.traversal.packet.rays.packet_load); low, high:
 /// bounds of the scene.
 template <int RUN, class Batch, class Vec3, class Bounds>
 inline CUDA_CALLABLE void bound_rays(

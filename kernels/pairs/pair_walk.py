@@ -6,9 +6,7 @@ import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import MAX_LEAF_TRIANGLES, MAX_WIDE_DEPTH, WideNodes
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import specialised_kernel
 
 
 @wp.struct

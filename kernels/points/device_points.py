@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import start
+from wrt.kernels.answers.answer_kind import start
 from wrt.kernels.points.tree_points import GUARDS, space_code
 from wrt.kernels.query.device_functions import TRIANGLE_TEST, NoScene, QueryFunction, centered, hit_of
 from wrt.kernels.runtime import native

@@ -20,9 +20,7 @@ from wrt.kernels.points.tree_points import GUARDS, PointConfig, space_code, spac
 from wrt.kernels.query.exact_closest import ExactMesh
 from wrt.kernels.query.instance_exact import ExactGeometry
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import specialised_kernel
 
 
 @wp.struct

@@ -5,10 +5,7 @@
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 FLAT = wp.constant(0.0009765625)
 """A triangle whose doubled area squared is less than this part of its edges' product has its weights computed in float64."""

@@ -10,12 +10,10 @@ from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.points.point_batch import NearestBatch, NearLists, PointBatch
 from wrt.kernels.points.point_triangle import FACE_SHARE, FACE_SLACK, FLAT, GREATEST_AREA, LEAST_AREA
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows
 from wrt.kernels.traversal.two_level.instance_single import PARTS, InstanceTree
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, TriangleBlocks
-
-exact_module(__name__)
 
 GROUP = 32
 """Points of an item: each begins with what was nearest to the one before it."""

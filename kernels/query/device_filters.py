@@ -10,9 +10,6 @@ from typing import Any
 import warp as wp
 
 from wrt.kernels.query.device_functions import first_hit, next_hit
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 def hit_where(accept: Callable[..., Any]) -> Callable[..., Any]:

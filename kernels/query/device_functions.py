@@ -27,7 +27,7 @@ import warp as wp
 from wrt.kernels.answers import any_hit as any_kind
 from wrt.kernels.answers import closest_hit as closest_kind
 from wrt.kernels.answers import crossing_count, next_crossing
-from wrt.kernels.answers.best_hit import BestHit, start
+from wrt.kernels.answers.answer_kind import BestHit, start
 from wrt.kernels.answers.next_crossing import PreviousCrossing
 from wrt.kernels.layout.instance_maps import SceneRay
 from wrt.kernels.layout.ray_batch import Ray, checked_ray

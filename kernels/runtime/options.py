@@ -26,7 +26,9 @@ EXACT = {"fuse_fp": False}
 
 
 def exact_module(name: str, gradients: bool = False) -> None:
-    """Sets the options of all kernels of a Python module. Call it at the top of the module.
+    """Sets the options of all kernels of a Python module. Call it at the top of every file with a `@wp.kernel`.
+
+    Other files need no call: functions are compiled with the options of the kernel that calls them.
 
     Args:
         name: name of the module, `__name__`.

@@ -3,9 +3,6 @@
 import warp as wp
 
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -14,10 +14,6 @@ References: sobol-1967; owen-1995; kollig-keller-2002; laine-karras-2011; burley
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 TWO_PI = wp.constant(6.283185307179586)
 UNIT = wp.constant(2.0**-24)
 

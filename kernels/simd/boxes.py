@@ -40,10 +40,6 @@ References: kay-kajiya-1986; williams-2005; ize-2013.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 SLACK = wp.constant(2.0**-20)
 """Widening of boxes as a fraction of the ray's reach: 16 roundings of half a unit in the last place."""
 

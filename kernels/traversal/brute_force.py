@@ -4,16 +4,14 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import improves, start
+from wrt.kernels.answers.answer_kind import improves, start
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.leaf import CounterRows, triangle_step
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 
 @wp.struct

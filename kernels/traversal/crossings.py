@@ -1,9 +1,9 @@
-"""Crossings: how a block of triangles offers its hits one by one, and how a kd-tree offers each crossing once.
+"""Crossings: how a block of triangles offers its hits one by one, and how a crossing is offered once, if its triangle is in
+several leaves. And the block step of kinds of answers that test triangles themselves.
 
 **Problem.** A closest hit may be found twice, and a ray on an edge may hit both triangles there: the result is the same. A
 count would be wrong. The triangle test decides edges and vertices (`TriangleTest.crossing`), and every triangle is in one leaf
-of a BVH, unless it was split (`wrt.kernels.traversal.shared_leaves`); but a kd-tree lists a triangle in each leaf that it
-overlaps.
+of a BVH, unless it was split (see below); but a kd-tree lists a triangle in each leaf that it overlaps.
 
 **Idea.** A mailbox would have to remember every triangle that a ray has crossed. Instead, a crossing is reported only in the
 leaf that owns it. The interval of a leaf on the ray must contain the t of the hit, which excludes nearly all other leaves.
@@ -22,27 +22,76 @@ Kinds of answers to which a hit may be offered twice do not need this (`AnswerKi
 
 **Cost.** A leaf searches only for a hit in the overlap with its neighbours, which is as wide as the slack of the boxes: one hit
 in many thousands.
+
+**In a BVH after spatial splits** (`wrt.builders.bvh.spatial.spatial_build`) a triangle is in several leaves, whose boxes are
+around its parts. The boxes overlap a little, and those of other triangles in the leaves enlarge them, so a ray may find the
+same crossing in two leaves. As in a kd-tree, of the places that list the triangle, the first whose leaf has an interval on the
+ray that contains the t of the hit owns the crossing. All leaves that might be the owner are below boxes that contain t, so a
+search from the root with the range [t, t] finds them. The walk visits all of them: its range contains t. The cost is a search
+around a point of the ray for each crossing (notebooks/records/2026-11-23-spatial-splits-and-compact-subtrees.md).
 """
 
 from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import BestHit
+from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.unchecked import load_int, store_int
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import RaySlabs, cross_plane
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.leaf import Leaf, clamp_block, leaf_search
-from wrt.kernels.traversal.shared_leaves import owns_shared
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-exact_module(__name__)
+
+@cache
+def owns_shared(width: int, levels: int) -> wp.Function:
+    """`wp.func(tree, triangles, slot, slabs, t) -> bool`: whether the place `slot` of a leaf reports the crossing at t of the
+    triangle that it lists.
+
+    Args:
+        width: children of a node and triangles of a block, at least 2.
+        levels: greatest number of inner nodes on a path.
+    """
+    test_boxes, Lanes, room = intersected_boxes(width), lanes(width), levels * (width - 1) + 1
+
+    @wp.func
+    def owns(tree: WideNodes, triangles: TriangleBlocks, slot: int, slabs: wp.ref[RaySlabs], t: float):
+        waiting = wp.zeros(shape=(room,), dtype=int)
+        store_int(waiting, 0, 0)
+        size = int(1)
+        first = bool(True)
+        inside = bool(False)  # a leaf is tested whether or not its own part of the ray contains t
+        primitive = triangles.primitive[slot]
+        while size > 0 and first:
+            size -= 1
+            node = load_int(waiting, size)
+            entry = Lanes()
+            mask = test_boxes(tree.bounds, node, slabs, t, t, entry)
+            while mask != wp.uint32(0):
+                child = load_int(tree.child, node * wp.static(width) + lowest_bit(mask))
+                mask = mask & (mask - wp.uint32(1))
+                if child >= 0:
+                    store_int(waiting, size, child)
+                    size += 1
+                else:
+                    place = bvh.first_block(child) * wp.static(width)
+                    end = place + bvh.leaf_triangles(child)
+                    inside = inside or (place <= slot and slot < end)
+                    end = wp.min(end, slot)
+                    while place < end:
+                        if triangles.primitive[place] == primitive:
+                            first = False
+                        place += 1
+        return first and inside
+
+    return owns
 
 
 @cache
@@ -185,3 +234,39 @@ def owns_crossing(width: int) -> wp.Function:
         return owned
 
     return owns
+
+
+def make_leaf_step(config: TraversalConfig, Tree: type) -> wp.Function:
+    """A block step with the parameters of `wrt.kernels.traversal.crossings.offering_step`."""
+    return (own_test_step if config.answer.own_test is not None else offering_step)(config, Tree)
+
+
+@cache
+def own_test_step(config: TraversalConfig, Tree: type) -> wp.Function:
+    """The step of a kind with a test of its own: it gets the triangles whose boxes the ray meets; `hits` is its search."""
+    test, width, answer = TRIANGLE_TESTS[config.triangle_test], config.width, config.answer
+    Lanes, LeafSearch, meet_boxes = lanes(width), leaf_search(config.triangle_test), clamp_block(test.record, width)
+    lane_mask, Search, test_triangle, best_of = (1 << width) - 1, answer.Search, answer.own_test, answer.best_of
+
+    @wp.func
+    def step(
+        tree: Tree,
+        leaf: Leaf,
+        block: int,
+        search: wp.ref[LeafSearch],
+        cells: wp.ref[RaySlabs],
+        hits: wp.ref[Search],
+        i: int,
+        best: BestHit,
+    ):
+        starts = Lanes(leaf.within[0])
+        mask = wp.uint32(wp.static(lane_mask))
+        mask = meet_boxes(search.triangles.records, block, search.slabs, mask, starts, leaf.within[0], best.t)
+        while mask != wp.uint32(0):
+            primitive = search.triangles.primitive[block * wp.static(width) + lowest_bit(mask)]
+            mask = mask & (mask - wp.uint32(1))
+            if primitive >= 0:
+                test_triangle(hits, primitive)
+        return best_of(hits, best)
+
+    return step

@@ -30,13 +30,11 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit, improves, start
+from wrt.kernels.answers.answer_kind import BestHit, improves, start
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray, store_hit
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, max_of, min_of, ray_slabs, reach
 from wrt.kernels.triangle.support.vectors import cross, dot, miss
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -4,10 +4,9 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit, improves
+from wrt.kernels.answers.answer_kind import BestHit, improves
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, slab_interval
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -20,8 +19,6 @@ from wrt.kernels.triangle.support.record_blocks import (
     corners_low,
     load_corners,
 )
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -17,9 +17,6 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.on_demand import OnDemand
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 RING = 8
 """Number of triangles in an inverse mailbox."""

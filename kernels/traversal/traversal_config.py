@@ -112,7 +112,7 @@ class TraversalConfig:
             the nearest hit or for a count.
         masked: whether rays pass through the holes of alpha masks (`wrt.kernels.answers.alpha_mask`); not together with that.
         shared_leaves: whether a triangle may be in several leaves of a BVH, so that only one of them may report a crossing
-            (`wrt.kernels.traversal.shared_leaves`).
+            (`wrt.kernels.traversal.crossings`).
         stack: for wide trees.
         single: for single rays.
         packet: for packets.

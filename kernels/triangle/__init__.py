@@ -20,8 +20,7 @@ without projection `havel_herout`.
 from typing import Any
 
 from wrt.kernels.triangle import moeller_trumbore, wald
-from wrt.kernels.triangle.support.triangle_contract import TriangleTest
-from wrt.kernels.triangle.support.triangle_table import ClassicTest, TriangleTestTable
+from wrt.kernels.triangle.support.triangle_contract import ClassicTest, TriangleTest, TriangleTestTable
 from wrt.kernels.triangle.watertight import woop
 
 __all__ = ("CLASSIC_TESTS", "TRIANGLE_TESTS", "TriangleTest")

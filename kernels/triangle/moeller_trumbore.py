@@ -18,13 +18,10 @@ References: moeller-trumbore-1997.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, miss, prepare
-
-exact_module(__name__)
 
 
 @wp.func

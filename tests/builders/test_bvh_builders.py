@@ -15,7 +15,7 @@ from wrt.builders.bvh import binned_bvh as binned
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.bvh_statistics import bvh_statistics, unpack
 from wrt.builders.bvh.phases import collapse as collapse_phase
-from wrt.builders.bvh.update.refit import refit
+from wrt.builders.bvh.update.bvh_update import refit
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_WIDE_DEPTH

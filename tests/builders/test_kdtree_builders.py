@@ -15,7 +15,7 @@ from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place
 from wrt.builders.kdtree.events.event_sort import sorted_events
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.scan import scanning
-from wrt.builders.kdtree.update.subtree_exchange import subtree_end
+from wrt.builders.kdtree.update.kdtree_update import subtree_end
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import use_threads

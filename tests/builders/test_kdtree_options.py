@@ -19,7 +19,7 @@ from wrt.builders.core.clip import PAD
 from wrt.builders.cost import Split, SplitCost, SurfaceAreaCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities, binned
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
-from wrt.builders.kdtree.update.subtree_exchange import subtree_end
+from wrt.builders.kdtree.update.kdtree_update import subtree_end
 from wrt.kernels.runtime.launch import use_threads
 
 CLASSIC = {"width": 1, "block_cost": 1.5}

@@ -12,8 +12,7 @@ from wrt.kernels.on_demand import CLASSICS, OnDemand
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.triangle import CLASSIC_TESTS, TRIANGLE_TESTS
-from wrt.kernels.triangle.support.triangle_contract import TriangleTest
-from wrt.kernels.triangle.support.triangle_table import ClassicTest
+from wrt.kernels.triangle.support.triangle_contract import ClassicTest, TriangleTest
 
 READERS = ("wrt.bench.", "wrt.cli.catalogue", f"{CLASSICS}.")
 """Who may import classics by name: benchmarks, the list of all algorithms, and they each other."""

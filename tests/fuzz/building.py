@@ -183,7 +183,7 @@ def measure(tree: Bvh | KdTree, accelerator: Accelerator) -> None:
 
 def move(tree: Bvh | KdTree, vertices: wp.array, faces: wp.array) -> None:
     """The same tree around triangles that are elsewhere."""
-    from wrt.builders.bvh.update.refit import refit
+    from wrt.builders.bvh.update.bvh_update import refit
     from wrt.builders.kdtree.update.refill import refill
 
     if isinstance(tree, Bvh):

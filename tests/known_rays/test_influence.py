@@ -11,8 +11,7 @@ import warp as wp
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
 from wrt.kernels.influence.box_clipping import clipped_areas, projected_area
 from wrt.kernels.influence.box_projection import NEEDS_NEAR, NEEDS_WINDOW, whole_areas
-from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_window, polygon_area
-from wrt.kernels.influence.silhouette import projected_hull
+from wrt.kernels.influence.silhouette import MAX_CORNERS, clip_to_window, polygon_area, projected_hull
 from wrt.kernels.influence.view import AreaView
 
 shapely = pytest.importorskip("shapely", reason="shapely is not installed: pip install 'wrt[test-all]'")

@@ -9,7 +9,7 @@ from packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, loops, make_pa
 
 from wrt.kernels.traversal.packet.core.packet_splitting import DONE, MAX_PARTS, SINGLE_RAY, activate_part, finish_part
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-from wrt.kernels.traversal.packet.rays.tile_bounds import bound_rays
+from wrt.kernels.traversal.packet.rays.packet_load import bound_rays
 
 pytestmark = pytest.mark.width
 

@@ -10,7 +10,7 @@ from packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, bits, loops, m
 
 from wrt.kernels.classics.traversal.omnidirectional import enter_cell, split_cell
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
-from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes
+from wrt.kernels.traversal.packet.leaves.packet_block import active_lanes
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 pytestmark = pytest.mark.width

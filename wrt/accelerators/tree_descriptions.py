@@ -259,7 +259,7 @@ class Bvh:
     def kernels(self, triangles: int, width: int) -> list[wp.Kernel]:
         """One kernel of each module that a build of this many triangles needs; width: as in `config`."""
         from wrt.builders.bvh import BVH_BUILDERS, small_mesh_build
-        from wrt.builders.bvh.phases.native_calls import run_steps
+        from wrt.builders.bvh.small_mesh_build import run_steps
 
         few = [run_steps] if self.may_be_few and triangles <= small_mesh_build.MAX_TRIANGLES else []
         return [*few, *BVH_BUILDERS[self.builder].kernels(self.config(width), triangles)]

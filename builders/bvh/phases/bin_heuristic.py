@@ -14,9 +14,6 @@ import warp as wp
 from wrt.builders.bvh.bvh_config import BuildRules
 from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, half_area_of_both
 from wrt.builders.bvh.phases.bvh_bins import Binning, Scratch, best_plane
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,6 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 LEAF = wp.constant(0)
 """`BinaryTree.pair` of a leaf."""

@@ -22,10 +22,7 @@ from wrt.builders.bvh.bvh_config import MAX_BINS, BuildRules
 from wrt.builders.cost import SplitCost
 from wrt.kernels.layout.unchecked import load_float
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 SLOT_BINS = 4 * MAX_BINS
 """Bins of a slot, at axis * bins + bin; packed densely if fewer bins are in use."""

@@ -27,10 +27,8 @@ from wrt.builders.bvh.phases.bvh_bins import (
 from wrt.builders.bvh.phases.large_boxes import is_small
 from wrt.builders.triangle_references import write_order
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 STACK = MAX_WIDE_DEPTH + 2
 

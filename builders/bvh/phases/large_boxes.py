@@ -22,9 +22,6 @@ import warp as wp
 from wrt.builders.bvh.bvh_config import MAX_WIDTH, BuildRules
 from wrt.builders.bvh.phases.binary_tree import BOTH, LEAF, BinaryTree, half_area
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 THIN = 2.0**-10
 """Ratio of the shortest and the longest side up to which a box is flat."""

@@ -21,10 +21,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.validation import convert_fields
-
-exact_module(__name__)
 
 ALL, LONGEST, FACING, IN_TURN = range(4)
 

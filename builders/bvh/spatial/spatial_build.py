@@ -5,8 +5,8 @@ that meets one meets the other.
 
 **Algorithm.** In each node the best division of its triangles is found as without spatial splits (`projected_binned`). If the
 boxes of its sides overlap, the planes between equal slabs are tried too, on the axes that were tried before: a triangle that
-straddles one is a reference in both children, each time with the box of its part there (`part_bins`). Both kinds have the same
-cost, hit probability times leaf cost, and the lower one wins.
+straddles one is a reference in both children, each time with the box of its part there (`part_splits`). Both kinds have the
+same cost, hit probability times leaf cost, and the lower one wins.
 
 **Bounds.** The root has room for a share of additional references, and each node divides what is left among its children in
 proportion to their references. A node is not cut where its room would not suffice, where a side would have as many references

@@ -1,7 +1,7 @@
 """Expected cost of a ray below each node of a wide BVH that it meets, by the surface area heuristic.
 
-Costs are computed from the deepest level up, in parallel over the nodes of a level, as in `wrt.builders.bvh.update.refit`. The
-root's cost equals the tree's (`wrt.builders.bvh.bvh_statistics`), up to rounding.
+Costs are computed from the deepest level up, in parallel over the nodes of a level, as boxes are in
+`wrt.builders.bvh.update.bvh_update`. The root's cost equals the tree's (`wrt.builders.bvh.bvh_statistics`), up to rounding.
 """
 
 import numpy as np

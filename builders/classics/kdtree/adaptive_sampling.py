@@ -46,10 +46,7 @@ from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, unifo
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 EXACT = wp.constant(36)
 """Triangles of a node up to which every plane is tried."""

@@ -38,9 +38,6 @@ from wrt.builders.kdtree.scan.kdtree_bins import bin_count
 from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, uniform_scan
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 @wp.func

@@ -26,10 +26,7 @@ from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, leaf_cost, n
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.kernels.layout.unchecked import load_pair
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 MIN_SHARE = wp.constant(0.2)
 """Least length of an empty slab, relative to the node's along the same axis."""

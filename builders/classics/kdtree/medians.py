@@ -36,10 +36,7 @@ from wrt.builders.kdtree.scan.scanning import build_scanning, scan_method, unifo
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.unchecked import load_float
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 
 @wp.func

@@ -28,16 +28,12 @@ import warp as wp
 
 from wrt.builders.core.clip import give_mesh
 from wrt.builders.core.subtrees import Frame, Parts, Reservation, Task
-from wrt.builders.cost import Split
-from wrt.builders.kdtree.events.event_lists import EventLists, emit_leaf
+from wrt.builders.kdtree.events.event_lists import EventLists, emit_leaf, partition_by
 from wrt.builders.kdtree.events.event_sort import END
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_int, store_pair
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 LEFT, RIGHT, BOTH = wp.constant(1), wp.constant(2), wp.constant(3)
 """Values of `EventLists.side`."""
@@ -122,9 +118,9 @@ def merge_new_events(lists: EventLists, new_first: int, count: int, begin: int, 
 
 
 @wp.func
-def partition_axis(lists: EventLists, sides_first: int, axis: int, begin: int, count: int, to_left: int, to_right: int):
+def divide_axis(lists: EventLists, sides_first: int, axis: int, begin: int, count: int, to_left: int, to_right: int):
     """Splits one axis' events [begin, begin + count) between the children, except those of straddlers, which are stored.
-    Returns the counts of both children and, on the first axis, the number of straddlers.
+    Returns the counts of both children, the number of events of straddlers and, on the first axis, the number of straddlers.
 
     The first axis numbers the straddlers: a triangle's first event there is its start or its planar event."""
     left = int(to_left)
@@ -145,7 +141,9 @@ def partition_axis(lists: EventLists, sides_first: int, axis: int, begin: int, c
             left += wp.where(side == LEFT, 1, 0)
             store_pair(lists.event, right, event)
             right += wp.where(side == RIGHT, 1, 0)
-    return wp.vec3i(left - to_left, right - to_right, straddlers)
+    lefts = left - to_left
+    rights = right - to_right
+    return wp.vec4i(lefts, rights, count - lefts - rights, straddlers)
 
 
 @wp.func
@@ -163,29 +161,14 @@ def add_straddlers(lists: EventLists, sides_first: int, straddlers: int, child: 
 
 
 @wp.func
-def partition_clipping(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """`event_lists.partition`, with clipping of the straddlers."""
-    append_left = split.left < split.right
-    to = int(frame.top)
-    straddlers = int(0)
-    for axis in range(3):
-        if append_left:
-            left.first[axis] = to
-        else:
-            right.first[axis] = to
-        count = partition_axis(
-            lists, task.triangles_first, axis, frame.first[axis], frame.count[axis], left.first[axis], right.first[axis]
-        )
-        left.count[axis] = count[0]
-        right.count[axis] = count[1]
-        to += frame.count[axis] - wp.where(append_left, count[1], count[0])  # room for all events of straddlers
-        straddlers += count[2]
-    left.top = to
-    right.top = wp.where(append_left, frame.top, to)
-    left.triangles = wp.max(split.left - straddlers, 0)
-    right.triangles = wp.max(split.right - straddlers, 0)
-    add_straddlers(lists, task.triangles_first, straddlers, left)
-    add_straddlers(lists, task.triangles_first, straddlers, right)
+def add_parts(lists: EventLists, sides_first: int, straddlers: int, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """Clips the straddlers to both children; the lists have room for all of their events."""
+    add_straddlers(lists, sides_first, straddlers, left)
+    add_straddlers(lists, sides_first, straddlers, right)
+
+
+partition_clipping = partition_by(divide_axis, add_parts)
+"""`event_lists.partition`, with clipping of the straddlers."""
 
 
 @wp.func

@@ -1,24 +1,22 @@
 """Sorted events as a node's lists: exact planes, divided without sorting (Wald and Havran 2006).
 
-A node has one list per axis. Search sweeps the three lists, 16 events at a time where possible (`least_plane`). Classify marks
-every triangle from the list of the split axis. Partition splits each list between the children in one pass. A part of a sorted
-list is sorted, so nothing is merged or sorted again, unless triangles are clipped to nodes (`clipped_events`).
+A node has one list per axis. Search sweeps the three lists, 16 events at a time where possible (`find_least_plane`). Classify
+marks every triangle from the list of the split axis. Partition splits each list between the children in one pass. A part of a
+sorted list is sorted, so nothing is merged or sorted again, unless triangles are clipped to nodes (`clipped_events`).
 
 References: wald-havran-2006; rahikainen-2013 (algorithms 4.1.4 and 4.1.5).
 """
+
+from functools import cache
 
 import warp as wp
 
 from wrt.builders.core.subtrees import Frame, Parts, Task
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
-from wrt.builders.kdtree.events.least_plane import LeastPlane, find_least_plane
-from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
+from wrt.builders.kdtree.events.sweep_planes import LeastPlane, Sweep, close_planar, find_least_plane, start_sweep, sweep_event
 from wrt.kernels.layout.unchecked import load_byte, load_pair, store_byte, store_pair
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -131,8 +129,9 @@ def classify(lists: EventLists, task: Task, frame: Frame, split: Split):
 
 
 @wp.func
-def partition_axis(lists: EventLists, sides_first: int, begin: int, count: int, to_left: int, to_right: int):
-    """Splits one axis' events [begin, begin + count) between the children. Returns their counts.
+def divide_axis(lists: EventLists, sides_first: int, axis: int, begin: int, count: int, to_left: int, to_right: int):
+    """Splits one axis' events [begin, begin + count) between the children. Returns their counts, and two zeros: as
+    `clipped_events.divide_axis`.
 
     One of `to_left` and `to_right` equals `begin`: that child's events are compacted in place."""
     left = int(to_left)
@@ -145,30 +144,46 @@ def partition_axis(lists: EventLists, sides_first: int, begin: int, count: int, 
         left += side & 1
         store_pair(lists.event, right, event)
         right += side >> 1
-    return wp.vec2i(left - to_left, right - to_right)
+    return wp.vec4i(left - to_left, right - to_right, 0, 0)
 
 
 @wp.func
-def partition(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """Phase "partition": gives the children their lists."""
-    append_left = split.left < split.right
-    to = int(frame.top)
-    for axis in range(3):
-        if append_left:
-            left.first[axis] = to
-        else:
-            right.first[axis] = to
-        count = partition_axis(
-            lists, task.triangles_first, frame.first[axis], frame.count[axis], left.first[axis], right.first[axis]
-        )
-        left.count[axis] = count[0]
-        right.count[axis] = count[1]
-        to += wp.where(append_left, count[0], count[1])
-    # no waiting node has lists behind `top`; those of the right child, or of one further up, are in front of it
-    left.top = to
-    right.top = wp.where(append_left, frame.top, to)
-    left.triangles = split.left
-    right.triangles = split.right
+def keep_events(lists: EventLists, sides_first: int, straddlers: int, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """Leaves the lists as they are: straddlers are in both."""
+
+
+@cache
+def partition_by(divide: wp.Function, finish: wp.Function) -> wp.Function:
+    """The phase "partition": gives the children their lists; divide, finish: as `divide_axis` and `keep_events`."""
+
+    @wp.func
+    def partition(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
+        append_left = split.left < split.right
+        sides_first = task.triangles_first
+        to = int(frame.top)
+        straddlers = int(0)
+        for axis in range(3):
+            if append_left:
+                left.first[axis] = to
+            else:
+                right.first[axis] = to
+            made = divide(lists, sides_first, axis, frame.first[axis], frame.count[axis], left.first[axis], right.first[axis])
+            left.count[axis] = made[0]
+            right.count[axis] = made[1]
+            to += wp.where(append_left, made[0], made[1]) + made[2]
+            straddlers += made[3]
+        # no waiting node has lists behind `top`; those of the right child, or of one further up, are in front of it
+        left.top = to
+        right.top = wp.where(append_left, frame.top, to)
+        left.triangles = wp.max(split.left - straddlers, 0)
+        right.triangles = wp.max(split.right - straddlers, 0)
+        finish(lists, sides_first, straddlers, left, right)
+
+    return partition
+
+
+partition = partition_by(divide_axis, keep_events)
+"""By the boxes of triangles."""
 
 
 @wp.func

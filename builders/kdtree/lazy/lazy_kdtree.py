@@ -59,9 +59,6 @@ from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import KdNodes
 from wrt.kernels.runtime.launch import launch, load
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 LARGE = 1 << 13
 """Triangles of a cell above which it is divided into cells. The subtree of a smaller one is built at once."""

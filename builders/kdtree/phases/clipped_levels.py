@@ -104,6 +104,22 @@ def clip_part(lists: ClippedMesh, boxes: Boxes, triangle: int, low: wp.vec3, hig
     ...
 
 
+@wp.func
+def clip_to_children(mesh: ClippedMesh, boxes: Boxes, node: LiveNode, triangle: int, reference: int, added: int):
+    """Clips a reference to the cells of both children of a node; the part on the right is the reference `added`. Returns where
+    there are parts: 1 left, 2 right, 3 both, 0 nowhere."""
+    left_high = wp.vec3(node.frame.high)
+    right_low = wp.vec3(node.frame.low)
+    left_high[node.split.axis] = node.split.position
+    right_low[node.split.axis] = node.split.position
+    side = int(0)
+    if clip_part(mesh, boxes, triangle, right_low, node.frame.high, reference, added):
+        side = 2
+    if clip_part(mesh, boxes, triangle, node.frame.low, left_high, reference, reference):
+        side += 1
+    return side
+
+
 @wp.kernel
 def clip_straddlers(
     first: int,
@@ -121,17 +137,10 @@ def clip_straddlers(
     reference = straddlers[item]
     added = references + item
     node = nodes[membership.node[reference]]
-    left_high = wp.vec3(node.frame.high)
-    right_low = wp.vec3(node.frame.low)
-    left_high[node.split.axis] = node.split.position
-    right_low[node.split.axis] = node.split.position
     triangle[added] = triangle[reference]
-    refined.node[added] = NOWHERE
-    refined.node[reference] = NOWHERE
-    if clip_part(mesh, boxes, triangle[reference], right_low, node.frame.high, reference, added):
-        refined.node[added] = node.left + 1
-    if clip_part(mesh, boxes, triangle[reference], node.frame.low, left_high, reference, reference):
-        refined.node[reference] = node.left
+    side = clip_to_children(mesh, boxes, node, triangle[reference], reference, added)
+    refined.node[added] = wp.where(side >= 2, node.left + 1, NOWHERE)
+    refined.node[reference] = wp.where((side & 1) != 0, node.left, NOWHERE)
 
 
 @wp.func

@@ -8,7 +8,7 @@
                 chunks gives each chunk the counts before it; every chunk then evaluates its planes; the best of all chunks
                 is the node's split
     stop, emit  NewGen: a node with a split gets two children, the others are finished
-    partition   ClassifyTriangles: every triangle replaces its nodes by their children (`level_members`)
+    partition   ClassifyTriangles: every triangle replaces its nodes by their children (`membership`)
 
 Chunks begin where the position changes, so no plane is shared between chunks. The best plane among chunks is selected in the
 order of the axes and positions.

@@ -14,9 +14,6 @@ from wrt.builders.core.reference_lists import ReferenceLists
 from wrt.builders.core.subtrees import Frame
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, planar_comparison
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 LANES = 16
 """Boxes compared at once. Rows of `ReferenceLists.value` are padded to a multiple of it with NaN, which compares false."""

@@ -19,9 +19,6 @@ import warp as wp
 from wrt.builders.core.subtrees import Frame
 from wrt.builders.cost import SplitCost, axis_frame, no_split, split_comparison
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 
 def counters_for(bins: int) -> int:

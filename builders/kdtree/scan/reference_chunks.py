@@ -14,14 +14,40 @@ from wrt.builders.core.clip import ClippedMesh
 from wrt.builders.core.levels import Chunk, LiveNode, decided
 from wrt.builders.core.reference_lists import Sides, measure_sides, move_range
 from wrt.builders.cost import SplitCost, no_split
-from wrt.builders.kdtree.scan.clipped_chunks import clip_chunk
 from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, make_binning, median_bin_plane, merge_bins
 from wrt.builders.tree import StopLimits
 from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import copy_references, write_references
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 
 exact_module(__name__)
+
+
+@native.func_native(
+    "clip.h",
+    "const auto& split = node.split;\n"
+    "auto left_high = node.frame.high, right_low = node.frame.low;\n"
+    "left_high[split.axis] = right_low[split.axis] = split.position;\n"
+    "const auto left_cell = wrt::cell_of(node.frame.low, left_high, mesh.pad);\n"
+    "const auto right_cell = wrt::cell_of(right_low, node.frame.high, mesh.pad);\n"
+    "const float* from = references.data + (size_t)chunk.begin * 8;\n"
+    "float *left = target.data + (size_t)chunk.to_left * 8, *right = target.data + (size_t)chunk.to_right * 8;\n"
+    "const wrt::SideTargets targets = {moving, left, right, {}};\n"
+    "wrt::clip_sides(mesh, left_cell, right_cell, from, chunk.end - chunk.begin, split, targets, sides);",
+)
+def clip_chunk(
+    mesh: ClippedMesh,
+    references: wp.array(dtype=float),
+    node: LiveNode,
+    chunk: Chunk,
+    moving: bool,
+    target: wp.array(dtype=float),
+    sides: wp.ref[Sides],
+):
+    """Clips a chunk's straddlers to the cells of the children of its node, which is split, counts the references of both sides,
+    and computes their boxes. Writes them to the target if they are `moving`."""
+    ...
 
 
 @wp.func

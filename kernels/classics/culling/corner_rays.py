@@ -36,7 +36,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.classics.culling.stubs import triangles_culled_by
+from wrt.kernels.traversal.packet.culling.culling_hooks import triangles_culled_by
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
 
 MARGIN = 4.0

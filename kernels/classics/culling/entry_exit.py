@@ -19,11 +19,8 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-
-exact_module(__name__)
 
 
 @cache

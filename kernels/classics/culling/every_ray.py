@@ -17,7 +17,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.classics.culling.stubs import boxes_culled_by, triangles_culled_by
+from wrt.kernels.traversal.packet.culling.culling_hooks import boxes_culled_by, triangles_culled_by
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 

@@ -31,7 +31,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.classics.culling.stubs import bounds_set_by
+from wrt.kernels.traversal.packet.culling.culling_hooks import bounds_set_by
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 

@@ -12,11 +12,9 @@ import warp as wp
 
 from wrt.kernels.classics.studies.dammertz_keller import ScalarTest
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.triangle.support.triangle_contract import TestForm, TriangleTest
-
-exact_module(__name__)
 
 
 @cache

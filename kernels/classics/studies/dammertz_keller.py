@@ -19,12 +19,9 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK, ray_slabs, reach, slab_interval
 from wrt.kernels.triangle.support.record_blocks import VERTICES, Corners, Record, corners_high, corners_low
 from wrt.kernels.triangle.support.vectors import PlainRay, dot, miss, prepare
-
-exact_module(__name__)
 
 MOST = 24
 """Levels: each halves the edges, and float32 has 24 digits."""

@@ -14,10 +14,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lanes
-
-exact_module(__name__)
 
 _CHECKS = {
     False: "(t.c[i] > 0.0f) & (t.c[i] < best)",

@@ -11,12 +11,10 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.triangle.support.lane_form import FAR, LaneForm
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS
 from wrt.kernels.triangle.support.triangle_contract import TestForm
-
-exact_module(__name__)
 
 
 @cache

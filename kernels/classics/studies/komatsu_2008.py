@@ -26,14 +26,11 @@ References: komatsu-2008; wald-2004.
 import warp as wp
 
 from wrt.kernels.classics.triangle.published import FINITE, StepText, in_steps
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import ROW_NAMES, derive_rows, permuted_lanes
 from wrt.kernels.triangle.support.lane_form import DIRECTION, FAR, ORIGIN, LaneForm
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TestForm
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, names, prepare
-
-exact_module(__name__)
 
 MoellerValues = wp.types.vector(length=12, dtype=wp.float32)
 PlueckerValues = wp.types.vector(length=13, dtype=wp.float32)

@@ -44,13 +44,10 @@ from wrt.kernels.classics.triangle.ferko.triangle_bounds import CIRCLE, SPHERE_S
 from wrt.kernels.classics.triangle.ferko.unit_triangle import STEPS, UNIT_TRIANGLE
 from wrt.kernels.classics.triangle.ferko.variant import PLANE, POINT
 from wrt.kernels.classics.triangle.published import FINITE, INSIDE, StepText
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import main_axis
 from wrt.kernels.triangle.support.record_blocks import Corners, corners_high, corners_low
 from wrt.kernels.triangle.support.triangle_contract import TestForm
 from wrt.kernels.triangle.support.vectors import cross, dot, dotted, minus
-
-exact_module(__name__)
 
 CANCELLATION = 2e-6
 """Rounding error of l^2 - s^2, relative to l^2: about 32 units in the last place."""

@@ -12,13 +12,11 @@ from wrt.kernels.classics.triangle.ferko.record_part import join, place
 from wrt.kernels.classics.triangle.ferko.similarity import SIMILARITY, in_plane
 from wrt.kernels.classics.triangle.ferko.variant import Variant, point_test, pruning_test
 from wrt.kernels.layout.ray_batch import RayBatch, load_ray
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import clamp_to_box, ray_slabs, reach
 from wrt.kernels.traversal.brute_force import AllTriangles
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks, corners_high, corners_low, load_corners, load_own
 from wrt.kernels.triangle.support.vectors import prepare
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -12,13 +12,11 @@ import warp as wp
 
 from wrt.kernels.classics.studies.exit_counts import exit_of
 from wrt.kernels.layout.ray_batch import RayBatch, load_ray
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import clamp_to_box, ray_slabs, reach
 from wrt.kernels.traversal.brute_force import AllTriangles
 from wrt.kernels.triangle.support.record_blocks import corners_high, corners_low, load_corners
 from wrt.kernels.triangle.support.triangle_contract import TestForm
-
-exact_module(__name__)
 
 
 @cache

@@ -14,12 +14,10 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch, load_ray
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach, slab_interval
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
-
-exact_module(__name__)
 
 ORDERS = ("queue", "stack", "sorted")
 

@@ -29,7 +29,7 @@ of its rays, to the bit: its bounds contain those of the packets, which contain 
 (blocks, Morton order), tiles are compact; if it lists them by rows, they are not, and most searches end at the root.
 
 **Differences from the papers.** Tiles are bounded by intervals of origins and directions
-(`wrt.kernels.traversal.packet.rays.tile_bounds`), so rays need not share an origin or signs. The queues of algorithm 5.1 in
+(`wrt.kernels.traversal.packet.rays.packet_load`), so rays need not share an origin or signs. The queues of algorithm 5.1 in
 Rahikainen (2013) are processed deepest first, so the first success would not be the topmost node; here AEPSA processes the
 frozen stack from its bottom.
 
@@ -43,25 +43,23 @@ from functools import cache, partial
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import start
+from wrt.kernels.answers.answer_kind import start
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_float, load_int
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
 from wrt.kernels.traversal.packet.core.packet_kdtree import MIXED_AXES, make_packet_kdtree_walk, walk_memory
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, packet_step
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
-from wrt.kernels.traversal.packet.rays.tile_bounds import bound_rays
+from wrt.kernels.traversal.packet.rays.packet_load import bound_rays
 from wrt.kernels.traversal.single.single_kdtree import Cell, make_kdtree_walk, pop_cell, step_guessing
 from wrt.kernels.traversal.traversal_config import TileConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 PACKETS = TileConfig.packets
 """Packets in the smallest tile that searches for an entry point, if nothing else is chosen."""

@@ -61,7 +61,7 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import CACHE_LINE, load_int
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.lanes import lowest_bit
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
@@ -75,8 +75,6 @@ from wrt.kernels.traversal.packet.rays.packet_store import clear_packet, store_p
 from wrt.kernels.traversal.packet.rays.ray_numbers import TILE_COLUMNS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 FRUSTA = 16
 """Frusta of a block."""

@@ -27,10 +27,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.mailbox import PLACES, RING, SLOTS
-
-exact_module(__name__)
 
 
 @cache

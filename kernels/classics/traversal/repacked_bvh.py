@@ -37,7 +37,7 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import CACHE_LINE, first_line, load_int, store_int
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
@@ -49,8 +49,6 @@ from wrt.kernels.traversal.packet.rays.packet_load import bounding, load_packet
 from wrt.kernels.traversal.packet.rays.packet_store import store_packet
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 MAX_USE = wp.constant(0.5)
 """Share of active rays below which a packet is made again (Boulos et al. 2008)."""

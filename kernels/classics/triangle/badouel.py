@@ -30,12 +30,9 @@ References: badouel-1990; wald-2004; rahikainen-2013.
 import warp as wp
 
 from wrt.kernels.classics.triangle.published import INSIDE, published
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import main_axis, permuted, permuted_lanes
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss
-
-exact_module(__name__)
 
 
 @wp.func

@@ -31,12 +31,9 @@ References: baldwin-weber-2016.
 import warp as wp
 
 from wrt.kernels.classics.triangle.published import INSIDE, published
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import PLANE_HIT, ROW_NAMES, RowsOfPlane, derive_rows, plane_hit
 from wrt.kernels.triangle.support.record_blocks import Record
 from wrt.kernels.triangle.support.vectors import PlainRay, miss
-
-exact_module(__name__)
 
 
 @wp.func

@@ -39,12 +39,9 @@ import warp as wp
 from wrt.kernels.classics.triangle import komatsu
 from wrt.kernels.classics.triangle.komatsu import OriginPlanes, ScaledRay, along_plane, seen_from
 from wrt.kernels.classics.triangle.published import FINITE, in_steps, same_sign, same_signs
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle import CLASSIC_TESTS
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.vectors import dotted, miss
-
-exact_module(__name__)
 
 
 @wp.func

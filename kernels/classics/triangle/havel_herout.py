@@ -35,11 +35,8 @@ import warp as wp
 
 from wrt.kernels.classics.triangle import shevtsov
 from wrt.kernels.classics.triangle.published import published
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, dotted, largest, names, scale_to_one, three
-
-exact_module(__name__)
 
 ThreePlanes = wp.types.vector(length=12, dtype=wp.float32)
 """Normals and constants of three planes: the triangle's, N . x = n; u = N_u . x + n_u; v = N_v . x + n_v."""

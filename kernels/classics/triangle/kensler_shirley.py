@@ -29,11 +29,8 @@ References: kensler-shirley-2006.
 import warp as wp
 
 from wrt.kernels.classics.triangle.published import FINITE, INSIDE, published
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss
-
-exact_module(__name__)
 
 
 @wp.func

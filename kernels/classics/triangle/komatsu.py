@@ -47,14 +47,11 @@ References: komatsu-2008; benthin-2006.
 import warp as wp
 
 from wrt.kernels.classics.triangle.published import FINITE, in_steps
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle import CLASSIC_TESTS
 from wrt.kernels.triangle.support.lane_form import LaneForm, RayValue
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import cross, dotted, largest, miss, names, scale_to_one
-
-exact_module(__name__)
 
 OriginPlanes = wp.types.vector(length=13, dtype=wp.float32)
 """A triangle relative to an origin: the normals of the planes through the origin and the edges opposite a, b and c, pointing

@@ -28,11 +28,8 @@ References: komatsu-2008 (Section 2.2); moeller-trumbore-1997.
 import warp as wp
 
 from wrt.kernels.classics.triangle.published import FINITE, INSIDE, published
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, three
-
-exact_module(__name__)
 
 Edges = wp.types.vector(length=12, dtype=wp.float32)
 """Vertex a, edges a - b and c - a, and the normal (b - a) x (c - a)."""

@@ -35,11 +35,8 @@ References: shoemake-1998; amanatides-choi-1997; benthin-2006; davidovic-2012; r
 import warp as wp
 
 from wrt.kernels.classics.triangle.published import FINITE, published, same_sign, same_signs
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, plus
-
-exact_module(__name__)
 
 
 @wp.func

@@ -5,14 +5,11 @@ from dataclasses import replace
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle import CLASSIC_TESTS
 from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, RESULT, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import VERTICES, Record
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import PlainRay, prepare
-
-exact_module(__name__)
 
 DECLARED = re.compile(r"([A-Za-z_]\w*)\s*=(?!=)")
 """A name that C++ declares with a value."""

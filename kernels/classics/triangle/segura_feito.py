@@ -34,11 +34,8 @@ References: segura-feito-2001; segura-feito-1998.
 import warp as wp
 
 from wrt.kernels.classics.triangle.published import FINITE, published
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss
-
-exact_module(__name__)
 
 
 @wp.func

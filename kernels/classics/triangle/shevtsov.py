@@ -33,12 +33,9 @@ References: shevtsov-2007-triangle; rahikainen-2013.
 import warp as wp
 
 from wrt.kernels.classics.triangle.published import FINITE, published
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import main_axis, next_axis, permuted, permuted_lanes
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, miss
-
-exact_module(__name__)
 
 FlatTriangle = wp.types.vector(length=10, dtype=wp.float32)
 """k; n_p, n_q, n: the plane x_k + n_p x_p + n_q x_q = n; a_p, a_q of vertex a; b_p, b_q of the edge b - a and c_p, c_q of the

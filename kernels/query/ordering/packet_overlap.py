@@ -21,13 +21,11 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH, WideNodes
 from wrt.kernels.layout.instance_maps import Placement, object_ray, ray_environment
 from wrt.kernels.layout.ray_batch import Ray, RayBatch, load_ray
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
 from wrt.kernels.traversal.two_level.instance_single import InstanceTree, root_of
-
-exact_module(__name__)
 
 SAMPLED_PACKETS, SAMPLED_RAYS = 16, 8
 """Packets of the sample, and rays of each that are traced."""

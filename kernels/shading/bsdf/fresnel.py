@@ -8,10 +8,6 @@ References: fresnel-1823; schlick-1994; veach-1997 (section 5.2, radiance across
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 
 @wp.func
 def mirrored(out: wp.vec3, normal: wp.vec3):

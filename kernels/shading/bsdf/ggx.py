@@ -8,10 +8,7 @@ References: smith-1967; trowbridge-reitz-1975; walter-2007; heitz-2014; dupuy-be
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.sampling import direction_of
-
-exact_module(__name__)
 
 PI = wp.constant(3.141592653589793)
 

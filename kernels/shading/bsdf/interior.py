@@ -13,10 +13,6 @@ References: schmidt-budge-2002.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 PLACES = wp.constant(4)
 PLACE = wp.constant(wp.uint64(0xFFFF))
 

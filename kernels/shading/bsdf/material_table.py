@@ -3,10 +3,7 @@
 import warp as wp
 
 from wrt.kernels.images.image_footprint import footprint
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.ggx import MIN_ALPHA
-
-exact_module(__name__)
 
 DIFFUSE = wp.constant(0)
 MIRROR = wp.constant(1)

@@ -16,13 +16,10 @@ References: ashikhmin-shirley-2000; lambert-1760; walter-2007; khronos-gltf-2021
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.fresnel import dielectric_share, mirrored, refracted, schlick_color
 from wrt.kernels.shading.bsdf.ggx import PI, facet_density, masking, masking_and_shadowing, visible_facet
 from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, DIFFUSE, GLOSSY, MIRROR, MaterialAtHit
 from wrt.kernels.shading.sampling import cosine_direction
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -10,11 +10,8 @@ References: pharr-2016 (section 14.2.4, infinite area lights).
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.ggx import PI
 from wrt.kernels.shading.sampling import TWO_PI, direction_of
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -8,7 +8,6 @@ References: shirley-1996; veach-guibas-1995; turk-1990.
 import warp as wp
 
 from wrt.kernels.query.hit_attributes import triangle_of
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.ggx import tangent_of
 from wrt.kernels.shading.bsdf.material_table import Materials
 from wrt.kernels.shading.bsdf.scattering import luminance
@@ -28,8 +27,6 @@ from wrt.kernels.shading.sampling import TWO_PI, direction_of
 from wrt.kernels.shading.shading_point import FaceRecord, ShadedMesh, record_of
 from wrt.kernels.shading.surface import OFFSET
 from wrt.kernels.simd.boxes import reach
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -7,10 +7,7 @@ pass through them, and collect their radiance on the way.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.emitters.environment import Environment
-
-exact_module(__name__)
 
 POINT = wp.constant(0)
 SPOT = wp.constant(1)

@@ -1,7 +1,7 @@
 """Paths in tiles: path tracing of some thousand samples from the camera to the end.
 
-    path_tiles.py   the kernels of a tile: the step, the order of the rays that follow, light past shadow rays
-    path_tiles_simd.py  the step for W rays in lanes: matte surfaces, mirrors, smooth glass, and rays that end
+    path_tiles.py   the kernels of a tile: the step, the order of the rays that follow, light past shadow rays; the step for W
+                    rays in lanes: matte surfaces, mirrors, smooth glass, and rays that end
     last_rays.py    which rays of the last generation need the closest hit
 
 What a step sends out is appended: paths that go on to a second queue, shadow rays that may bring light to a list. Rays that are

@@ -4,12 +4,9 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples, pixel_hash
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
 from wrt.kernels.shading.wavefront.scene_light import LitScene, absorbed
-
-exact_module(__name__)
 
 
 @wp.struct

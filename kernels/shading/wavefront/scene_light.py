@@ -3,7 +3,6 @@ that may arrive from a light, and the passage through a boundary."""
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.interior import leading_medium, with_medium, without_medium
 from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, MaterialAtHit, Materials, material_at
 from wrt.kernels.shading.bsdf.scattering import base_value, is_single, scattering_value
@@ -16,8 +15,6 @@ from wrt.kernels.shading.emitters.light_sampling import (
 )
 from wrt.kernels.shading.emitters.light_table import Lights, entry_probability
 from wrt.kernels.shading.shading_point import ShadedMesh, ShadingPoint
-
-exact_module(__name__)
 
 AIR_INDEX = wp.constant(1.0)
 

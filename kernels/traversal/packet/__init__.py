@@ -2,7 +2,7 @@
 
 A packet of P rays is one local array, component by component (`packet_layout`), with intervals over its rays (`packet_bounds`).
 `packet_load` and `packet_store` move rays in and hits out. `packet_block` tests the rays against the triangles of a leaf, W
-rays at a time, `packet_pairs` each ray against those that it may meet. A *culling* decides for all rays at once which child
+rays at a time, or each ray against those that it may meet. A *culling* decides for all rays at once which child
 boxes and which triangles no ray can hit. A packet whose rays diverge is split (`packet_splitting`).
 
 **Contract of a culling.** All its functions are made for a `PacketLayout`: `boxes` tests W child boxes, `triangles` tests the W

@@ -7,10 +7,6 @@ that belongs to the graph.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 
 @wp.struct
 class NextRay:

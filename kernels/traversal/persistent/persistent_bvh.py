@@ -28,12 +28,10 @@ import warp as wp
 from wrt.kernels.layout.binary_nodes import BinaryNodes, PackedTriangles
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows
 from wrt.kernels.traversal.persistent.next_ray import NextRay
 from wrt.kernels.traversal.traversal_config import TraversalConfig
-
-exact_module(__name__)
 
 FETCH = 20
 """Threads of a warp without a ray for which new rays are fetched. A fetch stops the whole warp, so few threads do not repay

@@ -19,14 +19,12 @@ import warp as wp
 
 from wrt.kernels.layout.light_cells import CELL_WORDS, LightCells
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.leaf import triangle_step
 from wrt.kernels.traversal.shadows.light_rays import LIT, OCCLUDED, UNDECIDED, find_cell, light_ray
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
-
-exact_module(__name__)
 
 
 @wp.func

@@ -4,9 +4,6 @@ import warp as wp
 
 from wrt.kernels.layout.light_cells import DEPTH_SLACK, LightCells
 from wrt.kernels.layout.ray_batch import Ray, RayBatch, checked_ray
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 LIT = 0
 OCCLUDED = 1

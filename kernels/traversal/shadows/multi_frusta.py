@@ -37,14 +37,12 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.light_samples import GROUP, LightSamples
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.packet.leaves.packet_block import block_code
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 FRUSTA = 16
 """Frusta that walk the tree together."""

@@ -10,16 +10,13 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.unchecked import load_int, store_int
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.traversal_config import TraversalConfig
-
-exact_module(__name__)
 
 
 @cache

@@ -30,23 +30,20 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import start
+from wrt.kernels.answers.answer_kind import start
 from wrt.kernels.layout import compact_nodes as compact
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, cross_plane, ray_slabs, reach
+from wrt.kernels.traversal.crossings import make_leaf_step
 from wrt.kernels.traversal.leaf import Counters, Leaf, begin_search, block_step, enter
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
-from wrt.kernels.traversal.single.leaf_steps import make_leaf_step
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.traversal_config import SingleConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 ALL_LANES = wp.constant(wp.uint32(0xFFFFFFFF))
 """Mask of all triangles of a block."""

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import start
+from wrt.kernels.answers.answer_kind import start
 from wrt.kernels.layout.instance_maps import scene_ray
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import specialised_kernel

@@ -29,7 +29,7 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.scratch import leave_scratch, take_scratch
 from wrt.kernels.layout.unchecked import load_int, store_int
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD
 from wrt.kernels.traversal.stream.stream_candidates import Pairs, StreamHits
 from wrt.kernels.traversal.stream.stream_kernel import (
@@ -49,8 +49,6 @@ from wrt.kernels.traversal.stream.stream_leaves import NodeList, leaf_tester
 from wrt.kernels.traversal.stream.stream_load import load_root
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 BELOW_ALL_KEYS = wp.constant(-0x80000000)
 """Less than every key: the last key visited, before the first child of a node."""

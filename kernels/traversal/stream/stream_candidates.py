@@ -29,12 +29,11 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.traversal.leaf import triangle_step
@@ -42,8 +41,6 @@ from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, StreamCounter
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 PAIRS = 256
 """Greatest number of pairs, and of candidates, before they are tested; the lists also have room for those that one more step

@@ -30,7 +30,7 @@ from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.stream.stream_candidates import PAIRS, Pairs, StreamHits, pair_tester
 from wrt.kernels.traversal.stream.stream_kernel import (
     LIST_LANES,
@@ -44,8 +44,6 @@ from wrt.kernels.traversal.stream.stream_lanes import RayIntervals, filter_hits,
 from wrt.kernels.traversal.stream.stream_load import load_stream
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 STACK_LISTS = 16
 """Size of the stack in rays, as a multiple of the stream."""

@@ -16,11 +16,8 @@ import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.stream.stream_candidates import PAIRS, Pairs
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, stream_ray
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -14,15 +14,12 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import WideNodes, leaf_triangles
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lowest_bit
 from wrt.kernels.traversal.stream.stream_candidates import Pairs, StreamHits, evaluates_in_lanes, lane_form, pair_tester
 from wrt.kernels.traversal.stream.stream_kernel import StreamCounters, round_up, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import collect_words, list_leaves
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 FEW_TRIANGLES = 4
 """Triangles of a leaf that is tested with rays in lanes, at most."""

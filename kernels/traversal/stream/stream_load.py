@@ -55,15 +55,12 @@ from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, WideNodes
 from wrt.kernels.layout.ray_batch import FARTHEST, NEGLIGIBLE, SHORTEST, RayBatch
 from wrt.kernels.layout.unchecked import load_float
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.simd.lanes import count_bits, lowest_bit
 from wrt.kernels.traversal.packet.rays.reversed_bounds import ENDS_ERROR
 from wrt.kernels.traversal.stream.stream_kernel import FAR, LIST_LANES, NEAR, NONE, RAY_BITS, stream_ray
 from wrt.kernels.triangle import TRIANGLE_TESTS
-
-exact_module(__name__)
 
 WAITING_ROWS = 9
 """Numbers of a waiting ray: origin, direction, number, t_min, t."""

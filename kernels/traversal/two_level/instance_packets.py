@@ -21,7 +21,7 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.instance_maps import Placement, object_ray, ray_environment
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.traversal.leaf import Counters
@@ -48,8 +48,6 @@ from wrt.kernels.traversal.two_level.instance_rays import (
     store_rays,
 )
 from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree, root_of
-
-exact_module(__name__)
 
 NO_GROUP = wp.constant(-2)
 """No rays of a packet are left."""

@@ -12,16 +12,13 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
 from wrt.kernels.traversal.packet.rays.packet_load import bounding
-
-exact_module(__name__)
 
 ROWS = ("scene_x", "scene_y", "scene_z", "scene_t_min", "best_t", "best_primitive", "best_u", "best_v")
 """Components of the rays in the scene, P floats each: direction, t_min, and the best hit of all instances so far."""

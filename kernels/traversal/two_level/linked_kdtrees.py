@@ -25,12 +25,11 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit, start
+from wrt.kernels.answers.answer_kind import BestHit, start
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
 from wrt.kernels.layout.unchecked import store_float, store_int
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach, slab_interval
 from wrt.kernels.traversal.leaf import Counters, Leaf, begin_search, enter, leaf_search
 from wrt.kernels.traversal.single.single_bvh import make_leaf_loop
@@ -38,8 +37,6 @@ from wrt.kernels.traversal.single.single_kdtree import Cell, pop_cell, split_cel
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 
 @wp.struct

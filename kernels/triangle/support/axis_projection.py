@@ -12,11 +12,8 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.vectors import cross
-
-exact_module(__name__)
 
 RowsOfPlane = wp.types.vector(length=10, dtype=wp.float32)
 """k (0.0, 1.0 or 2.0); n_p, n_q, n: the plane x_k + n_p x_p + n_q x_q = n; then u_p, u_q, u_0 and v_p, v_q, v_0: a point of the

@@ -10,11 +10,9 @@ import warp as wp
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import kept, launch, load, specialise
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.runtime.workspace import give_back, host_view, set_flat, take
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record, TriangleBlocks, load_corners
-
-exact_module(__name__)
 
 CHUNK = 2048
 """Records that are worth a chunk of their own."""

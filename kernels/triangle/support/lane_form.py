@@ -20,12 +20,9 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.triangle.support.operation_counts import Operations, count_operations
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record
-
-exact_module(__name__)
 
 VERTEX_NAMES = ("ax", "ay", "az", "bx", "by", "bz", "cx", "cy", "cz")
 """Names of a triangle's vertices in the steps of every test."""

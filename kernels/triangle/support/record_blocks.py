@@ -13,10 +13,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import max_of, min_of
-
-exact_module(__name__)
 
 VERTEX_COMPONENTS = 9
 

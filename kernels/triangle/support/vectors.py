@@ -8,10 +8,6 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 
 @wp.struct
 class PlainRay:

@@ -35,16 +35,30 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import lanes
-from wrt.kernels.triangle.support.lane_form import HandWritten
+from wrt.kernels.triangle.support.lane_form import HandWritten, PacketForm
 from wrt.kernels.triangle.support.operation_counts import Operations
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.triangle_contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.watertight.woop_areas import THIN, area64, exact_area, precise_areas
-from wrt.kernels.triangle.watertight.woop_packets import PACKET
 
-exact_module(__name__)
+_RAYS = "const wrt::WoopRays rays_of = {{origin_x, origin_y, origin_z}, origin0, slope_x, slope_y, shear_z, main_axis};"
+
+PACKET = PacketForm(
+    state=("shear_z",),
+    passes=3,
+    prepare="shear_z[k] = wrt::along_main_axis(main_x, main_y, ix, iy, iz);",
+    triangle=f"{_RAYS} wrt::WoopPacket<W, SHARED> woop(rays_of); woop.begin(corner, pass);",
+    inside="alignas(4 * W) int inside[W]; if (!woop.meet(f, inside)) continue;",
+    hit="const auto own_hit = woop.hit(i, k); at = own_hit.t; hit_u = own_hit.u; hit_v = own_hit.v;",
+    ray=f"{_RAYS} wrt::woop_ray<SHARED>(rays_of, k, ray);",
+    rays=_RAYS,
+    pairs="wrt::WoopPairs<W, SHARED>(rays_of)",
+    headers="woop_packets.h",
+    certain=True,
+)
+"""W rays x one triangle: the same arithmetic, with one pass for each main axis that occurs among the rays."""
+
 
 SMALL = wp.constant(1.1754944e-38)
 """Smallest normal float32. An area below it may have lost some or all of its digits."""

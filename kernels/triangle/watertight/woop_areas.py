@@ -48,10 +48,6 @@ notebooks/records/2026-11-22-thin-triangles.md)."""
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 THIN = wp.constant(0.25)
 """Ratio of the summed areas to N below which the sum has lost digits that matter. It enters the bound above as M / S <= 9."""
 

@@ -249,7 +249,8 @@ class Finder:
 
     def find(self) -> np.ndarray:
         """The area of each ray, as tracing finds it."""
-        inputs = [self.rays, CHUNK, self.top.struct, wp.vec3(-0.5), wp.vec3(0.5), self.found, self.sums]
+        none = wp.empty(0, dtype=int, device=self.sums.device)
+        inputs = [self.rays, CHUNK, self.top.struct, none, 0, wp.vec3(-0.5), wp.vec3(0.5), self.found, self.sums]
         launch(assign_rays, len(self.sums), inputs, device=self.sums.device, chunk=1)
         return self.found.area.numpy()
 

@@ -35,7 +35,7 @@ from wrt.engine.device_hits import DeviceHits
 from wrt.engine.launch.batch import trace_batch
 from wrt.engine.memory import empty
 from wrt.engine.plan.plan import Plan, traversal_of
-from wrt.kernels.influence.area_assignment import assign_given_rays, assign_rays, mark_unassigned
+from wrt.kernels.influence.area_assignment import assign_rays, mark_unassigned
 from wrt.kernels.influence.area_lanes import AreaSplits
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.ordering.ray_order import sort_buckets, sort_rays, unsort_hits
@@ -183,9 +183,9 @@ def assign(scene: SceneState, rays: RayBatch, given: GivenAreas | None = None) -
     splits = AreaSplits()
     splits.area, splits.cut, splits.rest = (empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32))
     sums = wp.empty(chunks, dtype=wp.vec4i, device=device)
-    known = [] if given is None else [given.areas, given.stride]
+    known = (wp.empty(0, dtype=int, device=device), 0) if given is None else (given.areas, given.stride)
     inputs = [rays, chunk, local.top.struct, *known, local.low, local.high, splits, sums]
-    launch(assign_rays if given is None else assign_given_rays, chunks, inputs, device=device, chunk=1)
+    launch(assign_rays, chunks, inputs, device=device, chunk=1)
     left, greatest, fewest, unassigned = sums.numpy().reshape(-1, 4).T
     least_area = len(local) - int(fewest.max(initial=0))
     greatest_area = int(greatest.max(initial=0))

@@ -6,7 +6,7 @@ from wrt.builders.classics.kdtree.nested.event_chunks import LevelLists
 from wrt.builders.core.clip import ClippedMesh
 from wrt.builders.core.levels import Chunk, LiveNode
 from wrt.builders.kdtree.events.clipped_events import precedes
-from wrt.builders.kdtree.phases.clipped_levels import clip_part
+from wrt.builders.kdtree.phases.clipped_levels import clip_to_children
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_byte, store_int, store_pair
 from wrt.kernels.runtime.options import exact_module
@@ -54,17 +54,9 @@ def clip_listed(
     node = nodes[straddlers[item][1]]
     reference = lists.triangle[place]
     added = references + item
-    left_high = wp.vec3(node.frame.high)
-    right_low = wp.vec3(node.frame.low)
-    left_high[node.split.axis] = node.split.position
-    right_low[node.split.axis] = node.split.position
     triangle[added] = triangle[reference]
     lists.right[place] = added
-    side = int(0)
-    if clip_part(mesh, boxes, triangle[reference], right_low, node.frame.high, reference, added):
-        side = 2
-    if clip_part(mesh, boxes, triangle[reference], node.frame.low, left_high, reference, reference):
-        side += 1
+    side = clip_to_children(mesh, boxes, node, triangle[reference], reference, added)
     store_byte(lists.side, place, wp.uint8(side << 2))
 
 

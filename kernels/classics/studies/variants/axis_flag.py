@@ -24,12 +24,9 @@ import warp as wp
 from wrt.kernels.classics.triangle import shevtsov
 from wrt.kernels.classics.triangle.published import in_steps
 from wrt.kernels.classics.triangle.shevtsov import FlatTriangle, weigh
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import permuted, permuted_lanes
 from wrt.kernels.triangle.support.lane_form import LaneForm
 from wrt.kernels.triangle.support.vectors import PlainRay
-
-exact_module(__name__)
 
 
 @wp.func

@@ -17,13 +17,10 @@ from dataclasses import replace
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle import wald
 from wrt.kernels.triangle.support.axis_projection import PLANE_HIT, RowsOfPlane, permuted_lanes
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import PlainRay, miss
-
-exact_module(__name__)
 
 AXES = {
     "table": ("constexpr int after[5] = {0, 1, 2, 0, 1};", "after[axis_k + 1]", "after[axis_k + 2]"),

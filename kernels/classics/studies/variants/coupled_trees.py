@@ -24,7 +24,6 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core import packet_bvh, packet_kdtree
@@ -33,8 +32,6 @@ from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.single import single_bvh, single_kdtree
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -46,15 +46,12 @@ from wrt.kernels.classics.triangle.ferko.similarity import IN_PLANE, SIMILARITY,
 from wrt.kernels.classics.triangle.ferko.triangle_bounds import largest_of
 from wrt.kernels.classics.triangle.ferko.variant import PLANE
 from wrt.kernels.classics.triangle.published import in_steps, same_signs
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import permuted_lanes
 from wrt.kernels.triangle.support.lane_form import ORIGIN, LaneForm, RayValue
 from wrt.kernels.triangle.support.record_blocks import VERTICES, Corners
 from wrt.kernels.triangle.support.triangle_contract import TestForm
 from wrt.kernels.triangle.support.vectors import dotted, largest
 from wrt.kernels.triangle.watertight.woop_areas import THIN
-
-exact_module(__name__)
 
 ROUNDINGS = wp.constant(352.0 * 2.0**-24)
 """e, but for K / (L |N|)."""

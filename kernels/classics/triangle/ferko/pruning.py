@@ -47,10 +47,7 @@ from wrt.kernels.classics.triangle.ferko.record_part import Part
 from wrt.kernels.classics.triangle.ferko.similarity import IN_PLANE, Similarity, similarity
 from wrt.kernels.classics.triangle.ferko.triangle_bounds import circle_height
 from wrt.kernels.classics.triangle.published import StepText
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners
-
-exact_module(__name__)
 
 BELOW, ABOVE, LEFT, RIGHT = range(1, 5)
 """Digits of an order, which is an octal number. The first comparison is the lowest digit."""

@@ -5,10 +5,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
-
-exact_module(__name__)
 
 
 @dataclass(frozen=True)

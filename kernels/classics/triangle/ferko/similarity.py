@@ -22,11 +22,8 @@ from typing import Any
 import warp as wp
 
 from wrt.kernels.classics.triangle.ferko.record_part import Part
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.vectors import cross, dot, three
-
-exact_module(__name__)
 
 
 @wp.struct

@@ -27,11 +27,8 @@ import warp as wp
 
 from wrt.kernels.classics.triangle.ferko.record_part import Part
 from wrt.kernels.classics.triangle.ferko.similarity import Similarity, similarity
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners, corners_high, corners_low
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, three
-
-exact_module(__name__)
 
 Circle = wp.types.vector(length=4, dtype=wp.float32)
 Box = wp.types.vector(length=6, dtype=wp.float32)

@@ -14,12 +14,9 @@ from typing import Any
 import warp as wp
 
 from wrt.kernels.classics.triangle.ferko.record_part import Part
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support import axis_projection as projection
 from wrt.kernels.triangle.support.axis_projection import permuted, permuted_lanes
 from wrt.kernels.triangle.support.record_blocks import Corners
-
-exact_module(__name__)
 
 UnitRows = wp.types.vector(length=7, dtype=wp.float32)
 """Number of the omitted axis, and the rows of u and v."""

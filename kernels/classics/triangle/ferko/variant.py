@@ -12,13 +12,10 @@ from wrt.kernels.classics.triangle.ferko.similarity import SIMILARITY, WEIGHTS, 
 from wrt.kernels.classics.triangle.ferko.triangle_bounds import BOX, CIRCLE, in_box, in_circle, meets_sphere
 from wrt.kernels.classics.triangle.ferko.unit_triangle import STEPS, UNIT_TRIANGLE, in_unit_triangle
 from wrt.kernels.classics.triangle.published import FINITE, StepText, published
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import main_axis
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, dotted, miss, three
-
-exact_module(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)

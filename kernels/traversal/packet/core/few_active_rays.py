@@ -13,20 +13,17 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit
+from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import Counters, block_step
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout
-from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes
+from wrt.kernels.traversal.packet.leaves.packet_block import active_lanes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
 from wrt.kernels.traversal.traversal_config import SingleConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 
 @cache

@@ -16,7 +16,6 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import first_line, load_int
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import entry_of
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
@@ -29,8 +28,6 @@ from wrt.kernels.traversal.packet.rays.reversed_bounds import reverse_bounds
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 MISSED = 2
 """Packets in succession that have met no leaf, after which the next ones are tested together."""

@@ -32,7 +32,6 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.unchecked import CACHE_LINE, first_line, load_int, store_int
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD, NO_CHILD_CONSTANT, entry_of, nearest_child
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
@@ -48,8 +47,6 @@ from wrt.kernels.traversal.packet.rays.packet_load import finish_packet
 from wrt.kernels.traversal.single.single_bvh import make_bvh_walk
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 MIXED_AXES = 2
 """Greatest number of axes with both signs for which a packet is traversed as a whole."""

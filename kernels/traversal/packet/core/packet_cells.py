@@ -16,10 +16,7 @@ plane.
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
-
-exact_module(__name__)
 
 
 @native.func_native(

@@ -29,7 +29,6 @@ import warp as wp
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.unchecked import load_float, load_int, store_int
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
@@ -38,8 +37,6 @@ from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.single.single_kdtree import Cell, make_kdtree_walk, step_guessing
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 MAX_STEPS_PER_RAY = 4
 """Steps per ray (nodes and leaves) after which a packet's traversal is abandoned: about the cost of tracing its rays one by

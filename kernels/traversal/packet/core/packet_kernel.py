@@ -11,18 +11,17 @@ from typing import NamedTuple
 
 import warp as wp
 
-from wrt.kernels.answers.best_hit import BestHit, improves, start
+from wrt.kernels.answers.answer_kind import BestHit, improves, start
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.lanes import count_bits
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS, CullingTraits
 from wrt.kernels.traversal.packet.core import packet_splitting
 from wrt.kernels.traversal.packet.culling.back_faces import keep_front_faces
-from wrt.kernels.traversal.packet.leaves.packet_block import test_block
-from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes, lanes_tested
+from wrt.kernels.traversal.packet.leaves.packet_block import active_lanes, lanes_tested, test_block
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import finish_packet, load_packet
@@ -31,8 +30,6 @@ from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
 from wrt.kernels.traversal.packet.rays.reversed_bounds import reverse_bounds
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 
 def packet_layout(config: TraversalConfig) -> PacketLayout:

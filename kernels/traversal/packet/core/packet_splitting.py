@@ -26,12 +26,9 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import bounding
-
-exact_module(__name__)
 
 MAX_PARTS = 7
 """Greatest number of parts of a packet, including parts that are halved again; more are hardly ever needed

@@ -17,38 +17,18 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.culling.culling_hooks import boxes_culled_by, triangles_culled_by
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-
-exact_module(__name__)
 
 
 @cache
 def cull_boxes(layout: PacketLayout) -> wp.Function:
     """`Culling.boxes`: packet x W child boxes; keys as in `wrt.kernels.simd.box_lanes.ray_boxes`."""
-
-    @native.func_native(
-        "packet_culling.h", f"return wrt::interval_keys<{layout.width}>({layout.box}, bounds, keys.data + first);"
-    )
-    def interval_boxes(
-        boxes: wp.array(dtype=float),
-        node: int,
-        packet: wp.array(dtype=float),
-        bounds: wp.ref[PacketBounds],
-        keys: wp.array(dtype=int),
-        first: int,
-    ) -> int: ...
-
-    return interval_boxes
+    code = f"return wrt::interval_keys<{layout.width}>({layout.box}, bounds, keys.data + first);"
+    return boxes_culled_by("packet_culling.h", code)
 
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: packet x the boxes of the W triangles of a block."""
-
-    @native.func_native("packet_culling.h", f"return wrt::interval_mask<{layout.width}>({layout.block}, bounds);")
-    def interval_triangles(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
-
-    return interval_triangles
+    return triangles_culled_by("packet_culling.h", f"return wrt::interval_mask<{layout.width}>({layout.block}, bounds);")

@@ -15,25 +15,15 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
+from wrt.kernels.traversal.packet.culling.culling_hooks import leaves_inspected_by
+from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-
-exact_module(__name__)
 
 
 @cache
 def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: counts the rays that meet a leaf's box."""
-
-    @native.func_native(
-        "packet_culling.h",
-        f"""static_assert(wrt::MAX_FEW_RAYS == {MAX_FEW_RAYS});
-        return wrt::list_meeting({layout.box} + lane, {layout.packet}, bounds);""",
+    check = f"static_assert(wrt::MAX_FEW_RAYS == {MAX_FEW_RAYS});"
+    return leaves_inspected_by(
+        "packet_culling.h", f"{check}\nreturn wrt::list_meeting({layout.box} + lane, {layout.packet}, bounds);"
     )
-    def leaf_rays(
-        boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
-    ) -> int: ...
-
-    return leaf_rays

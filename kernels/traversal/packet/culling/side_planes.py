@@ -13,19 +13,11 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.culling.culling_hooks import triangles_culled_by
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-
-exact_module(__name__)
 
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """`Culling.triangles`: frustum of the packet x the vertices of the W triangles of a block."""
-
-    @native.func_native("packet_frusta.h", f"return wrt::side_mask<{layout.width}>({layout.block}, bounds);")
-    def beyond_a_side(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
-
-    return beyond_a_side
+    return triangles_culled_by("packet_frusta.h", f"return wrt::side_mask<{layout.width}>({layout.block}, bounds);")

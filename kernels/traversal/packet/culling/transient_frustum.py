@@ -22,31 +22,19 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.culling.culling_hooks import bounds_set_by, leaves_inspected_by
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-
-exact_module(__name__)
 
 
 @cache
 def start(layout: PacketLayout) -> wp.Function:
     """`Culling.start`: determines the main axis."""
-
-    @native.func_native("packet_frusta.h", "wrt::find_frame(bounds);")
-    def transient_start(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
-
-    return transient_start
+    return bounds_set_by("packet_frusta.h", "wrt::find_frame(bounds);")
 
 
 @cache
 def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: sets the frustum of the rays that meet a leaf's box; returns 0 if none does."""
-
-    @native.func_native("packet_frusta.h", f"return wrt::set_transient_frustum({layout.box} + lane, {layout.packet}, bounds);")
-    def transient_frustum(
-        boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
-    ) -> int: ...
-
-    return transient_frustum
+    return leaves_inspected_by(
+        "packet_frusta.h", f"return wrt::set_transient_frustum({layout.box} + lane, {layout.packet}, bounds);"
+    )

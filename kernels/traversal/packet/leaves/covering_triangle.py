@@ -29,10 +29,7 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-
-exact_module(__name__)
 
 INSIDE = 2.0**-14
 """Least signed area by which rays must pass inside of an edge, as a fraction of S^2: 32 times the error of a test's area."""

@@ -24,10 +24,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-
-exact_module(__name__)
 
 
 @cache

@@ -2,10 +2,6 @@
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
 MAX_FEW_RAYS = 2
 """Greatest number of rays at a leaf that are tested one by one, each against W triangles at a time
 (`wrt.kernels.traversal.packet.core.few_active_rays`). A larger value favours reflected rays, a smaller one shadow rays

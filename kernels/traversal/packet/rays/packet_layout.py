@@ -17,10 +17,7 @@ kept                 the ray's t while the rays of another part are active; abse
 from dataclasses import dataclass
 
 from wrt.kernels.layout.unchecked import CACHE_LINE
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle import TRIANGLE_TESTS
-
-exact_module(__name__)
 
 COMMON = ("inverse_x", "inverse_y", "inverse_z", "t_min", "t", "primitive", "u", "v", "slope_x", "slope_y", "main_axis")
 """Components of every packet."""

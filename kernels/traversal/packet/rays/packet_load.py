@@ -3,6 +3,11 @@
 Many packets meet no leaf: of views those of the background, of shadow rays those whose light nothing hides. Divisions, slopes
 and what else only tests need are left until the first leaf (`finish_packet`). Bounds take the ends of the directions, as
 division is monotone.
+
+**Tiles** are tested only as a whole, so their rays, of any number, are not loaded into a packet (`bound_rays`). A packet takes
+the interval of 1 / direction over its rays. A tile takes the intervals of directions and origins and derives the rest from
+their ends. Quotients, products and differences round monotonically, so the ends still bound the values that each ray computes.
+This costs a minimum and a maximum per component and ray, and no division.
 """
 
 from functools import cache
@@ -11,12 +16,9 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import FARTHEST, NEGLIGIBLE, SHORTEST, RayBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
-
-exact_module(__name__)
 
 GUARDS = f"""
 static_assert(wrt::SLACK == {SLACK!r}f && wrt::NEGLIGIBLE == {NEGLIGIBLE!r}f);
@@ -73,3 +75,16 @@ def finish_packet(layout: PacketLayout) -> wp.Function:
     def finish_packet_native(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
 
     return finish_packet_native
+
+
+RUN = 64
+"""Rays that are loaded at a time."""
+
+
+@native.func_native("packet_load.h", f"wrt::bound_rays<{RUN}>(rays, first, count, low, high, bounds);")
+def bound_rays(rays: RayBatch, first: int, count: int, low: wp.vec3, high: wp.vec3, bounds: wp.ref[PacketBounds]):
+    """Bounds of the rays first .. first + count - 1 of a batch, clipped to its end; low, high: bounds of the scene.
+
+    If no ray is active, only `bounds.active` is set.
+    """
+    ...

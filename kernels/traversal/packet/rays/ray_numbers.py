@@ -9,9 +9,6 @@ of 8. The rays of a packet are those at the places first .. first + P - 1 of thi
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
 
 TILE_COLUMNS = wp.constant(8)
 """Columns of a tile, in pixels; a compact tile of 32 rays has 8 x 4 (notebooks/records/2026-11-21-packets.md)."""
