@@ -7,6 +7,7 @@ import gc
 import os
 import random
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,9 @@ CLASSICS = {
 SLOW = frozenset((Path(__file__).with_name("slow.txt")).read_text().split())
 """Files whose tests take more than some 6 s of a core even when all kernels are compiled."""
 
+LONGEST = "tests/pages/test_notebooks.py::test_notebook["
+"""How the names of the tests that take longest begin."""
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     text = "of the chosen cases of each test one in N, but at least one"
@@ -89,16 +93,20 @@ def as_sample(text: str) -> tuple[int, str]:
 @pytest.hookimpl(wrapper=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Iterator[None]:
     """Marks the tests that have a classic as a parameter, those of studies, and those of slow files; files about classics alone
-    mark themselves. Leaves out what is marked `exhaustive`, unless `-m` names that, and what is not in the sample."""
-    for item in items:
-        if item.nodeid.partition("::")[0] in SLOW:
-            item.add_marker("slow")
-        if hasattr(item, "callspec") and any(isinstance(one, str) and one in CLASSICS for one in item.callspec.params.values()):
-            item.add_marker("classics")
-        if item.path.parent.name == "studies":
-            item.add_marker("studies")
+    mark themselves. Leaves out what is marked `exhaustive`, unless `-m` names that, and what is not in the sample. Where
+    several processes run tests, notebooks come first: the last, of a minute, would keep one busy when the others have ended."""
+    for file, own in groupby(items, lambda item: item.nodeid.partition("::")[0]):
+        names = ["slow"] * (file in SLOW) + ["studies"] * file.startswith("tests/studies/")
+        for item in own:
+            for name in names:
+                item.add_marker(name)
+            given = item.callspec.params.values() if hasattr(item, "callspec") else ()
+            if any(isinstance(one, str) and one in CLASSICS for one in given):
+                item.add_marker("classics")
     if "exhaustive" not in config.option.markexpr:
-        items[:] = [item for item in items if not item.get_closest_marker("exhaustive")]
+        items[:] = [item for item in items if "exhaustive" not in item.keywords]
+    if workers:
+        items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
     yield
     if config.option.sample:
         chosen = sample(items, *config.option.sample)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import re
+from collections.abc import Iterable
+from functools import partial
 
 import pytest
 import warp as wp
@@ -42,6 +44,7 @@ from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.exact_points import make_exact_points_kernel
 from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
 from wrt.kernels.query import instance_exact, instance_gradients
+from wrt.kernels.runtime import options
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
@@ -68,15 +71,18 @@ SCANNING_METHODS = (
 KDTREE_METHODS = (event_method(WHOLE), event_method(CLIPPED), *SCANNING_METHODS, binned.binned_method(CLIPPED), SAMPLED_AGAIN)
 
 
-def modules_with_kernels() -> list[str]:
-    """Python modules that define kernels at their top level."""
-    names = []
+def kernels_of_modules() -> dict[str, dict[str, wp.Kernel]]:
+    """The kernels at the top level of Python modules by name, for each package of kernels or builders, and those with gradients
+    apart."""
+    found: dict[str, dict[str, wp.Kernel]] = {}
     for package in (wrt.kernels, wrt.builders):
         for info in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-            module = importlib.import_module(info.name)
-            if any(isinstance(v, wp.Kernel) and v.module.name == info.name for v in vars(module).values()):
-                names.append(info.name)
-    return names
+            for name, value in vars(importlib.import_module(info.name)).items():
+                if isinstance(value, wp.Kernel) and value.module.name == info.name:
+                    kind = " with gradients" if value.module.options["enable_backward"] else ""
+                    group = found.setdefault(".".join(info.name.split(".")[1:3]) + kind, {})
+                    group[f"{info.name}.{name}"] = value
+    return found
 
 
 FUSIBLE = re.compile(r"\b(?:fma\.rn|mad|mul|add|sub)\.f32")
@@ -111,6 +117,38 @@ def compile_to_ptx(module, folder) -> str:
     return "\n".join(map(bodies.get, found))
 
 
+def together(name: str, kernels: dict[str, wp.Kernel]) -> wp.Module:
+    """A module with all these kernels: most of the time that a small one takes goes into Warp's header."""
+    (gradients,) = {
+        kernel.options.get("enable_backward", kernel.module.options["enable_backward"]) for kernel in kernels.values()
+    }
+    module = wp.get_module("cuda_" + re.sub(r"\W+", "_", name))
+    module.options |= options.EXACT | {"enable_backward": gradients}
+    for label, kernel in zip(names_in_code(kernels), kernels.values(), strict=True):
+        wp.Kernel(kernel.func, key=label, module=module, options=dict(kernel.options))
+    return module
+
+
+def names_in_code(labels: Iterable[str]) -> list[str]:
+    """Different names for labels of kernels."""
+    return [re.sub(r"\W+", "_", f"kernel {number} {label}") for number, label in enumerate(labels)]
+
+
+def assert_compiles(name: str, kernels: dict[str, wp.Kernel], folder) -> str:
+    """All of them; returns their code."""
+    text = compile_to_ptx(together(name, kernels), folder)
+    entries = [head[2] for head in HEAD.finditer(text) if head[1] == "entry"]
+    assert [one for one in names_in_code(kernels) if not any(entry.startswith(f"{one}_") for entry in entries)] == []
+    return text
+
+
+def fusing(text: str) -> list[str]:
+    """The kernels and functions in which an operation may become part of a fused one."""
+    starts = [*HEAD.finditer(text)]
+    ends = [*(start.start() for start in starts[1:]), len(text)]
+    return [start[2] for start, end in zip(starts, ends, strict=True) if FUSIBLE.search(text, start.start(), end)]
+
+
 @pytest.mark.parametrize("may_fuse", [False, True])
 def test_plain_operations_are_found(may_fuse, tmp_path):
     """What the tests below look for, in a function that the kernel calls: not optimised, they have no `.rn` even where Warp
@@ -128,81 +166,50 @@ def test_plain_operations_are_found(may_fuse, tmp_path):
     assert FUSIBLE.search(compile_to_ptx(moved.module, tmp_path))
 
 
-@pytest.mark.parametrize("name", modules_with_kernels())
-def test_module(name, tmp_path):
-    assert ".entry" in compile_to_ptx(importlib.import_module(name), tmp_path)
-
-
-@pytest.mark.parametrize("method", KDTREE_METHODS, ids=lambda method: method.search.key)
-def test_kdtree_subtrees(method, tmp_path):
-    assert ".entry" in compile_to_ptx(make_build_subtrees(method).module, tmp_path)
-
-
-@pytest.mark.parametrize("method", SCANNING_METHODS, ids=lambda method: method.search.key)
-def test_kdtree_levels(method, tmp_path):
-    assert ".entry" in compile_to_ptx(make_decide(method.memory, method.search).module, tmp_path)
-
-
-@pytest.mark.parametrize("dtype", [wp.vec3, wp.vec3d])
-def test_placement(dtype, tmp_path):
-    assert ".entry" in compile_to_ptx(make_shift(dtype).module, tmp_path)
-
+OF_MODULES = kernels_of_modules()
 
 BVH_KERNELS = {
-    "search_planes": make_search_planes(SURFACE),
-    "build_subtrees": make_bvh_subtrees(SURFACE),
-    "solve": make_solve(SURFACE),
-    "pick_children": make_pick_children(SURFACE),
-    "build_subtrees, known rays": make_bvh_subtrees(PROJECTED),
+    "search_planes": lambda: make_search_planes(SURFACE),
+    "build_subtrees": lambda: make_bvh_subtrees(SURFACE),
+    "solve": lambda: make_solve(SURFACE),
+    "pick_children": lambda: make_pick_children(SURFACE),
+    "build_subtrees, known rays": lambda: make_bvh_subtrees(PROJECTED),
 }
 
+RASTERISERS = {
+    f"{name} {stage}": (stage, by_box, fronts)
+    for stage in (COVER, COUNT, FILL)
+    for name, by_box, fronts in (("by triangle", False, True), ("by box", True, False))
+}
 
-@pytest.mark.parametrize("name", BVH_KERNELS)
-def test_bvh_builder(name, tmp_path):
-    assert ".entry" in compile_to_ptx(BVH_KERNELS[name].module, tmp_path)
+OTHERS = {
+    "subtrees of kd-trees": lambda: {f"{i} {m.search.key}": make_build_subtrees(m) for i, m in enumerate(KDTREE_METHODS)},
+    "levels of kd-trees": lambda: {
+        f"{i} {m.search.key}": make_decide(m.memory, m.search) for i, m in enumerate(SCANNING_METHODS)
+    },
+    "placement": lambda: {f"shift {dtype.__name__}": make_shift(dtype) for dtype in (wp.vec3, wp.vec3d)},
+    "builders of BVHs": lambda: {name: make() for name, make in BVH_KERNELS.items()},
+    "builders of light buffers": lambda: {n: make_rasteriser(*given, given[0] == FILL) for n, given in RASTERISERS.items()},
+    "packing": lambda: {f"pack {name}": make_packing_kernel(test.record) for name, test in TRIANGLE_TESTS.items()},
+}
+"""Kernels on which no hit depends to the bit: what builders do may fuse."""
+
+
+@pytest.mark.parametrize("package", OF_MODULES)
+def test_modules(package, tmp_path):
+    assert_compiles(package, OF_MODULES[package], tmp_path)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_builders(name, tmp_path):
+    assert_compiles(name, OTHERS[name](), tmp_path)
 
 
 POINTS = [
     *((tree, "nearest", instances) for tree in TREES for instances in (False, True)),
     *(("bvh", task, False) for task in TASKS if task != "nearest"),
 ]
-
-
-@pytest.mark.parametrize(("tree", "task", "instances"), POINTS)
-def test_points(tree, task, instances, tmp_path):
-    text = compile_to_ptx(make_points_kernel(PointConfig(tree, 2, 1, task, instances)).module, tmp_path)
-    assert ".entry" in text
-    assert not FUSIBLE.search(text)
-
-
-@pytest.mark.parametrize(
-    ("tree", "task", "instances"), [("kdtree", "nearest", False), ("bvh", "nearest", True), ("kdtree", "some", True)]
-)
-def test_exact_points(tree, task, instances, tmp_path):
-    text = compile_to_ptx(make_exact_points_kernel(PointConfig(tree, 2, 1, task, instances)).module, tmp_path)
-    assert ".entry" in text
-    assert not FUSIBLE.search(text)
-
-
-def test_shared_leaves(tmp_path):
-    config = TraversalConfig("woop", 2, "count", shared_leaves=True)
-    text = compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](config).module, tmp_path)
-    assert ".entry" in text
-    assert not FUSIBLE.search(text)
-
-
-@pytest.mark.parametrize("stage", [COVER, COUNT, FILL])
-def test_light_buffer_builder(stage, tmp_path):
-    assert ".entry" in compile_to_ptx(make_rasteriser(stage, False, True, stage == FILL).module, tmp_path)
-    assert ".entry" in compile_to_ptx(make_rasteriser(stage, True, False, stage == FILL).module, tmp_path / "by_box")
-
-
-@pytest.mark.parametrize("make", [make_cloud_kernel, make_brute_cloud_kernel])
-@pytest.mark.parametrize("components", [SPHERE, DISC])
-def test_clouds(make, components, tmp_path):
-    text = compile_to_ptx(make(TraversalConfig("woop", 2), components).module, tmp_path)
-    assert ".entry" in text
-    assert not FUSIBLE.search(text)
+EXACT_POINTS = (("kdtree", "nearest", False), ("bvh", "nearest", True), ("kdtree", "some", True))
 
 
 SHADOW_KERNELS = {
@@ -214,13 +221,6 @@ SHADOW_KERNELS = {
     "multi_frusta": lambda: multi_frusta.make_multi_frusta_kernel(TraversalConfig("woop", 2, "any"), True),
     "multi_frusta, wald": lambda: multi_frusta.make_multi_frusta_kernel(TraversalConfig("wald", 2, "any"), False),
 }
-
-
-@pytest.mark.parametrize("name", SHADOW_KERNELS)
-def test_shadows(name, tmp_path):
-    text = compile_to_ptx(SHADOW_KERNELS[name]().module, tmp_path)
-    assert ".entry" in text
-    assert not FUSIBLE.search(text)
 
 
 ANSWERS = [
@@ -255,16 +255,30 @@ def test_persistent_threads_have_bounded_registers(tmp_path):
     assert re.search(rf"\.minnctapersm {BLOCKS}\b", text)
 
 
-@pytest.mark.parametrize(("traversal", "tree", "triangle_test", "query"), ANSWERS)
-def test_traversal(traversal, tree, triangle_test, query, tmp_path):
-    config = TraversalConfig(triangle_test, 2, query, counters=query == "closest", packet=PacketConfig(4))
-    kernel = TRAVERSALS[traversal].kernels[tree](config)
-    text = compile_to_ptx(kernel.module, tmp_path)
+def answers(traversal: str) -> dict[str, wp.Kernel]:
+    """The kernels of a traversal for `ANSWERS`."""
+    return {
+        f"{tree} {test} {query}": TRAVERSALS[traversal].kernels[tree](
+            TraversalConfig(test, 2, query, counters=query == "closest", packet=PacketConfig(4))
+        )
+        for name, tree, test, query in ANSWERS
+        if name == traversal
+    }
+
+
+FUSING = [name for name, way in TRAVERSALS.items() if Capabilities.PERSISTENT in way.capabilities]
+
+
+@pytest.mark.parametrize("traversal", dict.fromkeys(name for name, *_ in ANSWERS if name not in FUSING))
+def test_traversal(traversal, tmp_path):
+    assert fusing(assert_compiles(traversal, answers(traversal), tmp_path)) == []
+
+
+@pytest.mark.parametrize(("traversal", "case"), [(name, case) for name in FUSING for case in answers(name)])
+def test_persistent_threads(traversal, case, tmp_path):
+    text = compile_to_ptx(answers(traversal)[case].module, tmp_path)
     assert ".entry" in text
-    if Capabilities.PERSISTENT in TRAVERSALS[traversal].capabilities:
-        assert_fuses_boxes_alone(text)
-    else:
-        assert not FUSIBLE.search(text)
+    assert_fuses_boxes_alone(text)
 
 
 SKIPPING = TraversalConfig("woop", 2, "count", skipping=True, stack=StackConfig(8))
@@ -273,15 +287,13 @@ THROUGH_INSTANCES = {
     "closest": lambda: instance_single.make_instance_kernel(TraversalConfig("woop", 2, stack=StackConfig(8)), "bvh", 8),
     "skip": lambda: instance_single.make_instance_kernel(SKIPPING, "bvh", 8),
     "precise": lambda: instance_exact.make_exact_instance_kernel(EXACT, "bvh", 8),
-    "gradients": lambda: instance_gradients.make_instance_gradient_kernel(wp.vec3, wp.vec3, wp.vec3d, wp.transformf, False),
 }
 
 
-@pytest.mark.parametrize("name", THROUGH_INSTANCES)
-def test_instances(name, tmp_path):
-    text = compile_to_ptx(THROUGH_INSTANCES[name]().module, tmp_path)
-    assert ".entry" in text
-    assert name == "gradients" or not FUSIBLE.search(text)  # sums of gradients may fuse: no hit depends on them
+def test_gradients_through_instances(tmp_path):
+    """Sums of gradients may fuse: no hit depends on them."""
+    kernel = instance_gradients.make_instance_gradient_kernel(wp.vec3, wp.vec3, wp.vec3d, wp.transformf, False)
+    assert ".entry" in compile_to_ptx(kernel.module, tmp_path)
 
 
 @pytest.mark.parametrize("query", [CLOSEST, ANY])
@@ -294,55 +306,68 @@ def test_stacks_in_shared_memory(query, tmp_path):
     assert not FUSIBLE.search(text)
 
 
-@pytest.mark.parametrize("shared_origin", [False, True])
-@pytest.mark.parametrize("culling", CULLINGS)
-def test_culling(culling, shared_origin, tmp_path):
-    config = TraversalConfig("woop", 2, packet=PacketConfig(4, shared_origin, culling))
-    text = compile_to_ptx(TRAVERSALS["packet"].kernels["bvh"](config).module, tmp_path)
-    assert ".entry" in text
-    assert not FUSIBLE.search(text)
+def single(config: TraversalConfig, tree: str = "bvh") -> wp.Kernel:
+    """Single rays through a tree."""
+    return TRAVERSALS["single"].kernels[tree](config)
 
 
-@pytest.mark.parametrize("triangle_test", [name for name in TRIANGLE_TESTS if name not in ENGINE_TESTS])
-def test_triangle_test(triangle_test, tmp_path):
-    """The other tests by what CUDA uses: one ray, W triangles."""
-    text = compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](TraversalConfig(triangle_test, 2)).module, tmp_path)
-    assert ".entry" in text
-    assert not FUSIBLE.search(text)
+def points(tree: str, task: str, instances: bool) -> PointConfig:
+    return PointConfig(tree, 2, 1, task, instances)
 
 
-@pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
-def test_packing(triangle_test, tmp_path):
-    assert ".entry" in compile_to_ptx(make_packing_kernel(TRIANGLE_TESTS[triangle_test].record).module, tmp_path)
+def cullings(culling: str) -> dict[str, wp.Kernel]:
+    """Packets with a culling, with an origin that is shared and with origins of their own."""
+    return {
+        f"{culling} {'shared' if shared else 'own'}": TRAVERSALS["packet"].kernels["bvh"](
+            TraversalConfig("woop", 2, packet=PacketConfig(4, shared, culling))
+        )
+        for shared in (False, True)
+    }
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: make_fan_kernel(VERTICES),
-        lambda: make_fan_kernel(NORMALS),
-        lambda: make_counting_kernel(VARIANTS["ferko_prune4_weights"], 1),
-        lambda: TRAVERSALS["single"].kernels["bvh"](
-            TraversalConfig("ferko_utm_bounds", 2, single=SingleConfig(scalar_test=True))
-        ),
-        lambda: make_frusta(PUBLISHED["proposed"], 4, 2),
-        lambda: make_blocks(TRIANGLE_TESTS["woop"], 2),
-        lambda: make_pairs(TRIANGLE_TESTS["komatsu"]),
-        lambda: make_exit_kernel(PUBLISHED["moeller"]),
-        lambda: make_exit_kernel(PUBLISHED["projection"]),
-        lambda: make_scalar(DAMMERTZ_KELLER),
-        lambda: make_blocks(PRUNED, 2),
-        lambda: make_replay_kernel(STUDIED["sphere_parametric"], True),
-        lambda: make_lists(9),
-        lambda: make_walk_kernel("sorted", 2, TRIANGLE_TESTS["woop"], True),
-        lambda: TRAVERSALS["single"].kernels["kdtree"](TraversalConfig("woop", 2, single=SingleConfig(compact=3))),
-    ],
-    ids=[
-        *("fans", "fan_normals", "comparisons", "one_by_one", "frusta", "blocks", "pairs", "exits", "exits_in_range"),
-        *("subdivision", "pruned_blocks", "replay", "lists", "walk", "compact_subtrees"),
-    ],
-)
-def test_for_measurements(make, tmp_path):
-    text = compile_to_ptx(make().module, tmp_path)
-    assert ".entry" in text
-    assert not FUSIBLE.search(text)
+MEASURED = {
+    "fans": lambda: make_fan_kernel(VERTICES),
+    "fan_normals": lambda: make_fan_kernel(NORMALS),
+    "comparisons": lambda: make_counting_kernel(VARIANTS["ferko_prune4_weights"], 1),
+    "one_by_one": lambda: TRAVERSALS["single"].kernels["bvh"](
+        TraversalConfig("ferko_utm_bounds", 2, single=SingleConfig(scalar_test=True))
+    ),
+    "frusta": lambda: make_frusta(PUBLISHED["proposed"], 4, 2),
+    "blocks": lambda: make_blocks(TRIANGLE_TESTS["woop"], 2),
+    "pairs": lambda: make_pairs(TRIANGLE_TESTS["komatsu"]),
+    "exits": lambda: make_exit_kernel(PUBLISHED["moeller"]),
+    "exits_in_range": lambda: make_exit_kernel(PUBLISHED["projection"]),
+    "subdivision": lambda: make_scalar(DAMMERTZ_KELLER),
+    "pruned_blocks": lambda: make_blocks(PRUNED, 2),
+    "replay": lambda: make_replay_kernel(STUDIED["sphere_parametric"], True),
+    "lists": lambda: make_lists(9),
+    "walk": lambda: make_walk_kernel("sorted", 2, TRIANGLE_TESTS["woop"], True),
+    "compact_subtrees": lambda: TRAVERSALS["single"].kernels["kdtree"](
+        TraversalConfig("woop", 2, single=SingleConfig(compact=3))
+    ),
+}
+
+EXACT_KERNELS = {
+    "points": lambda: {f"points {' '.join(map(str, one))}": make_points_kernel(points(*one)) for one in POINTS},
+    "exact points": lambda: {
+        f"exact points {' '.join(map(str, one))}": make_exact_points_kernel(points(*one)) for one in EXACT_POINTS
+    },
+    "clouds": lambda: {
+        f"{make.__name__} {part}": make(TraversalConfig("woop", 2), part)
+        for make in (make_cloud_kernel, make_brute_cloud_kernel)
+        for part in (SPHERE, DISC)
+    },
+    "shared leaves": lambda: {"shared leaves": single(TraversalConfig("woop", 2, "count", shared_leaves=True))},
+    "shadows": lambda: {name: make() for name, make in SHADOW_KERNELS.items()},
+    "instances": lambda: {f"instances, {name}": make() for name, make in THROUGH_INSTANCES.items()},
+    **{f"{culling} culling": partial(cullings, culling) for culling in CULLINGS},
+    # the other triangle tests by what CUDA uses: one ray, W triangles
+    "triangle tests": lambda: {t: single(TraversalConfig(t, 2)) for t in TRIANGLE_TESTS if t not in ENGINE_TESTS},
+    "measurements": lambda: {name: make() for name, make in MEASURED.items()},
+}
+"""Kernels in which nothing may fuse: their answers are the same on all devices."""
+
+
+@pytest.mark.parametrize("name", EXACT_KERNELS)
+def test_nothing_fuses(name, tmp_path):
+    assert fusing(assert_compiles(name, EXACT_KERNELS[name](), tmp_path)) == []

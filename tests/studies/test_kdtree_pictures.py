@@ -23,9 +23,13 @@ from studies.kdtrees.kdtree_pictures import (
 )
 from wrt.builders.kdtree import KDTREE_BUILDERS
 
-figure_of = pytest.importorskip("matplotlib.figure").Figure
 FAR = np.array([100.0, -200.0, 50.0])
 BUILDERS = tuple(KDTREE_BUILDERS)
+
+
+def figure_of(**options: object) -> object:
+    """A figure; matplotlib takes a second to import."""
+    return pytest.importorskip("matplotlib.figure").Figure(**options)
 
 
 @pytest.fixture(scope="module")

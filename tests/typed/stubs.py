@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,15 +22,19 @@ HEAD = "# Written by `python -m tests.typed.stubs` from the table of names in {s
 
 def has_table(path: Path) -> bool:
     """Whether a module assigns the table of names."""
+    text = path.read_text()
+    if TABLE not in text:  # most modules; all of them would take three seconds to parse
+        return False
     targets = (
         target
-        for node in ast.parse(path.read_text()).body
+        for node in ast.parse(text).body
         if isinstance(node, (ast.Assign, ast.AnnAssign))
         for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
     )
     return any(isinstance(target, ast.Name) and target.id == TABLE for target in targets)
 
 
+@cache
 def modules_with_tables() -> list[Path]:
     """Their files."""
     return [path for path in sorted((ROOT / "wrt").rglob("*.py")) if has_table(path)]
