@@ -36,7 +36,7 @@ def groups() -> dict[str, Callable[[], Hashes]]:
     }
 
 
-ALWAYS = ("hits by single", "tree bvh binned", "tree kdtree in_place", "points")
+ALWAYS = ("hits by single", "tree bvh binned", "tree kdtree in_place")
 """Groups of every sample."""
 
 

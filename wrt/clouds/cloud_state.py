@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 import warp as wp
@@ -112,7 +112,7 @@ class CloudTree:
         launch(box_points, count, [alone, components, boxes.low, boxes.high], device=boxes.low.device, chunk=CHUNK)
         del alone
         low, high = boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1)
-        tree = settings.accelerator.build(TriangleBoxes(boxes, count, low, high), width)
+        tree = cast("common.Bvh", settings.accelerator.build(TriangleBoxes(boxes, count, low, high), width))
         records = pack(points, tree.primitive, width, components).to(device)
         return cls(tree.to(device), records, components, wp.array(np.full(width, -1), dtype=int, device=device))
 
