@@ -21,9 +21,7 @@ def known_ray_calls() -> Iterator[Call]:
     yield Call("PointInfluenceArea", wrt.known_rays.PointInfluenceArea, point)
     radial = wrt.known_rays.PointInfluenceArea(**point)
     for one in (area(), radial):
-        yield Call(
-            f"{type(one).__name__}.affine", lambda one=one, **o: one.affine(origins, directions, **o), {"tolerance": 2.0}
-        )
+        yield Call("_Area.affine", lambda one=one, **o: one.affine(origins, directions, **o), {"tolerance": 2.0})
     yield Call("PlaneCaster", wrt.known_rays.PlaneCaster, {**AIM, "width": 4.0, "height": 2.0, "tolerance": 2.0})
     yield Call("PlaneCaster.of", lambda **o: wrt.known_rays.PlaneCaster.of(area(), **o), {"tolerance": 2.0})
     yield Call("CircularCapCaster", wrt.known_rays.CircularCapCaster, {**AIM, "angle": 32.0})

@@ -53,14 +53,15 @@ def picture_calls() -> Iterator[Call]:
     factors = {"lens_radius": 0.5, "focus_distance": 2.0, "threshold": 0.5, "max_radiance": 4.0, "crease_angle": 32.0}
     flags = {"roulette": False, "sample_lights": False, "smooth": False}
     yield Call("RenderSettings", wrt.pictures.RenderSettings, {**numbers, **factors, **flags, "exposure": 2.0, "ambient": 0.5})
-    yield Call("Rendering.advance", lambda **o: rendering().advance(**o).samples, {"samples": 1})
+    yield Call("SampledPicture.advance", lambda **o: rendering().advance(**o).samples, {"samples": 1})
     yield Call("Rendering.image", lambda **o: rendering().image(**o), {"exposure": 2.0})
+    yield Call("Rendering.developed", lambda **o: rendering().developed(**o), {"exposure": 2.0})
     options = {"samples": 1, "ambient_samples": 1, "ambient_distance": 4.0, "crease_angle": 32.0, "seed": 1, "tile_pixels": 12}
     options |= {"light": (0.0, 0.0, 9.0), "shadows": True, "smooth": True, "albedo": 0.5, "ambient_color": 0.5}
     yield Call("render", lambda **o: wrt.render(scene(), pinhole(), **o), options)
     options = options | {"ambient_radius": 1}
     yield Call("AmbientRendering", lambda **o: ambient(**o).advance().image(), options)
-    yield Call("AmbientRendering.advance", lambda **o: ambient().advance(**o).done, {"samples": 1})
+    yield Call("SampledPicture.advance", lambda **o: ambient().advance(**o).done, {"samples": 1})
     options = {"position": (0.0, 1.0, 9.0), "resolution": 4, "cull_backfaces": False, "max_bytes": 1 << 20}
     yield Call("LightBuffer", lambda **o: wrt.lights.LightBuffer(scene(), **o).bytes, options)
     flat = {"corner": (0.0, 0.0, 9.0), "edge_u": (1.0, 0.0, 0.0), "edge_v": (0.0, 1.0, 0.0)}
