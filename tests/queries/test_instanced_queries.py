@@ -53,7 +53,7 @@ def test_masks_in_blocks_broadcast(both):
     pairs = iter([(origins[:9], directions[:9]), (origins[9:], directions[9:])])
     parts = [hits.t for _, hits in scene.intersect_blocks(pairs, mask=6)]
     np.testing.assert_array_equal(np.concatenate(parts), scene.intersect(origins, directions, mask=6).t)
-    with pytest.raises(ValueError, match="one number if the rays come from an iterator"):
+    with pytest.raises(ValueError, match=r"one number, not of shape \(4000,\), if the rays come from an iterator"):
         scene.intersect_blocks(iter([(origins, directions)]), mask=both["masks"])
     with pytest.raises(ValueError, match="mask needs instances"):
         next(iter(both["flat"].intersect_blocks(origins, directions, mask=1)))
