@@ -217,7 +217,7 @@ def test_bad_rays_and_degenerate_triangles_do_no_harm(integrator):
 def test_bad_input(scene):
     camera = wrt.PinholeCamera(8, 8, position=(0, -4, 0), look_at=(0, 0, 0))
     for error, match, options in (
-        (ValueError, "unknown integrator", {"integrator": "photon"}),
+        (ValueError, "integrator .photon. is unknown", {"integrator": "photon"}),
         (TypeError, "no option 'ambient_samples'", {"integrator": "path", "ambient_samples": 4}),
         (TypeError, "no option 'sample_lights'", {"integrator": "whitted", "sample_lights": False}),
         (TypeError, "'ambient' has no lights", {"lights": [wrt.lights.Sky()]}),
@@ -225,7 +225,7 @@ def test_bad_input(scene):
         (ValueError, r"more than one wrt\.lights\.Sky", {"integrator": "path", "lights": [wrt.lights.Sky(), wrt.lights.Sky()]}),
         (ValueError, "materials has 1 entries", {"integrator": "path", "materials": [GLASS]}),
         (TypeError, "materials must be", {"integrator": "path", "materials": "glass"}),
-        (ValueError, "unknown sampler", {"integrator": "path", "sampler": "blue"}),
+        (ValueError, "sampler .blue. is unknown", {"integrator": "path", "sampler": "blue"}),
         (ValueError, "depth is 0", {"integrator": "path", "depth": 0}),
         (TypeError, "samples must be", {"integrator": "path", "samples": 1.5}),
         (ValueError, "focus_distance", {"integrator": "path", "focus_distance": -1.0}),
