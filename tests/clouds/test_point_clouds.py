@@ -315,7 +315,7 @@ def test_clouds_of_trimesh():
         (ValueError, "at least one point", lambda: PointCloud(np.zeros((0, 3)), 1.0)),
         (ValueError, "points", lambda: PointCloud(np.zeros((4, 2)), 1.0)),
         (TypeError, "points", lambda: PointCloud([["a", "b", "c"]], 1.0)),
-        (TypeError, "points", lambda: PointCloud(wrt.scenes.build("teapot", level=2), 1.0)),
+        (TypeError, "not TriangleMesh; pass its vertices", lambda: PointCloud(wrt.scenes.build("teapot", level=2), 1.0)),
         (
             ValueError,
             r"1 points that are not finite, the first of them number 1",

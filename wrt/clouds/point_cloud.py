@@ -255,6 +255,10 @@ def _as_points(points: Any) -> np.ndarray:
     """(N, 3) float64, finite."""
     if type(points).__module__.startswith("trimesh.") and type(points).__name__ == "PointCloud":
         points = points.vertices
+    elif hasattr(points, "vertices"):
+        raise TypeError(
+            f"points must be an array of (N, 3), not {type(points).__name__}; pass its vertices, or points sampled on it"
+        )
     array = as_numbers("points", points, (None, 3), finite=False)
     if len(array) == 0:
         raise ValueError("points is empty; a cloud has at least one point")
