@@ -15,6 +15,7 @@ from conftest import SCENES
 import wrt
 from wrt.imaging.integrators import INTEGRATORS
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.triangle import TRIANGLE_TESTS
 
 Hashes = Iterator[tuple[str, str, str]]
 """(case, engine, hash)."""
@@ -27,7 +28,7 @@ def groups() -> dict[str, Callable[[], Hashes]]:
     names = [name for name, _ in builds(SCENES["grid"]())]
     return {
         **{f"hits by {name}": partial(hit_hashes, ("teapot",), (name,), ("woop",)) for name in TRAVERSALS},
-        "hits by all triangle tests": partial(hit_hashes, ("grid",), ("single",)),
+        **{f"triangle test {name}": partial(hit_hashes, ("grid",), ("single",), (name,)) for name in TRIANGLE_TESTS},
         **{f"tree {name}": partial(tree_hashes, ("grid",), (1, THREADS), (name,)) for name in names},
         **{f"picture {name}": partial(picture, name) for name in INTEGRATORS},
         "points": points,
