@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from wrt.builders.bvh import binned_bvh as binned
+from wrt.builders.bvh import hploc
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.core.late_import import classic
 from wrt.builders.tree import Bvh
@@ -47,6 +48,12 @@ BVH_BUILDERS: dict[str, BvhBuilder] = {
             "Wald: On fast construction of SAH-based bounding volume hierarchies (2007)",
             binned.build,
             binned.kernels,
+        ),
+        BvhBuilder(
+            "hploc",
+            "Benthin, Meister, Barczak, Mehalwal, Tsakok, Kensler: H-PLOC (2024)",
+            hploc.build,
+            hploc.kernels,
         ),
         BvhBuilder(
             "sweep",
