@@ -23,6 +23,11 @@ from wrt.builders.tree import Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
 
 
+def never(config: BvhConfig) -> bool:
+    """`BvhBuilder.on_cuda` of builders with subtrees of one thread each, which suit cores."""
+    return False
+
+
 @dataclass(frozen=True)
 class BvhBuilder:
     """A method of building a bounding volume hierarchy.
@@ -32,12 +37,14 @@ class BvhBuilder:
         paper: authors, title, year.
         build: (boxes, config) -> tree.
         kernels: (config, triangles) -> one kernel of each module that a build needs, for compiling them beforehand.
+        on_cuda: (config) -> whether the tree of a scene on CUDA is built there; if not, it is built on the CPU and copied.
     """
 
     name: str
     paper: str
     build: Callable[[TriangleBoxes, BvhConfig], Bvh]
     kernels: Callable[[BvhConfig, int], list[wp.Kernel]]
+    on_cuda: Callable[[BvhConfig], bool] = never
 
 
 BVH_BUILDERS: dict[str, BvhBuilder] = {
@@ -54,6 +61,7 @@ BVH_BUILDERS: dict[str, BvhBuilder] = {
             "Benthin, Meister, Barczak, Mehalwal, Tsakok, Kensler: H-PLOC (2024)",
             hploc.build,
             hploc.kernels,
+            hploc.needs_no_collapse,
         ),
         BvhBuilder(
             "sweep",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.builders.triangle_boxes import TriangleBoxes, triangle_boxes
 from wrt.kernels.layout.mesh_placement import shifted
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.workspace import host_view, set_flat
@@ -51,6 +52,11 @@ class PlacedMeshes:
     vertices: wp.array
     faces: wp.array
     mesh: SceneMesh
+
+    def boxes(self, device: wp.Device) -> TriangleBoxes:
+        """The bounding boxes of the triangles, on the CPU or on the scene's device."""
+        vertices, faces = (self.vertices, self.faces) if device.is_cpu else (self.mesh.vertices, self.mesh.faces)
+        return triangle_boxes(vertices, faces, self.center, self.bounds)
 
     def fill_in(self, low: wp.vec3, high: wp.vec3) -> SceneMesh:
         """Sets the box of `mesh`, and returns it."""

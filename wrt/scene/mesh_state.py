@@ -13,7 +13,6 @@ from wrt.accelerators.cuda_trees import for_device
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders.bvh import small_mesh_build
-from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.engine.facts.query_cache import QueryCache
 from wrt.engine.facts.scene_settings import Settings
 from wrt.engine.facts.scene_state import SceneState
@@ -129,11 +128,11 @@ def build_state(
         expect_build(settings.accelerator, settings.device, meshes[0].vertices.dtype.type, triangles)
     with memory_for_tree(meshes):
         placed = place_meshes(meshes, settings.device)
-        # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
-        boxes = triangle_boxes(placed.vertices, placed.faces, placed.center, placed.bounds)
+        recipe = recipe_of(settings)
+        boxes = placed.boxes(recipe.build_device)
         clusters = settings.accelerator.kind == "kdtree"  # a BVH needs none, and no module of kd-trees
         own = boxes_of_meshes(meshes, placed, hierarchy) if clusters else None
-        tree, lazy_tree = find_tree(recipe_of(settings), boxes, placed, cache, own, previous)
+        tree, lazy_tree = find_tree(recipe, boxes, placed, cache, own, previous)
     state = MeshState(
         settings=settings,
         meshes=meshes,

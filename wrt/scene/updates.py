@@ -134,10 +134,12 @@ class MovedTriangles:
         mesh = placed.mesh
         return cls(mesh.vertices, mesh.faces[own], placed.vertices, placed.faces[own], placed.center, shift)
 
-    def boxes(self) -> TriangleBoxes:
-        """The bounding boxes of the triangles, on the CPU."""
+    def boxes(self, device: wp.Device | None = None) -> TriangleBoxes:
+        """The bounding boxes of the triangles, on the CPU or on the scene's device."""
         from wrt.builders.triangle_boxes import triangle_boxes
 
+        if device is not None and device == self.vertices.device:
+            return triangle_boxes(self.vertices, self.faces, self.center)
         return triangle_boxes(self.host_vertices, self.host_faces, self.center)
 
 
@@ -186,9 +188,18 @@ class TreeRecipe:
 
         return isinstance(self.accelerator, ProjectedBvh)
 
+    @property
+    def build_device(self) -> wp.Device:
+        """Where the tree is built. Most builders have a thread build each subtree, which suits CPU cores: those trees are built
+        on the CPU and copied."""
+        from wrt.accelerators.tree_descriptions import Bvh
+
+        kept = type(self.accelerator) is Bvh and self.accelerator.is_built_on(self.device, self.width)
+        return self.device if kept else wp.get_device("cpu")
+
     def build(self, triangles: MovedTriangles) -> KdTree | Bvh:
-        """Builds a new tree. One thread builds each subtree, which suits CPU cores: the tree is built on the CPU and copied."""
-        return self.accelerator.build(triangles.boxes(), self.width).to(self.device)
+        """Builds a new tree, on the scene's device."""
+        return self.accelerator.build(triangles.boxes(self.build_device), self.width).to(self.device)
 
     def costs(self, tree: Any) -> np.ndarray:
         """(nodes,) cost of each subtree."""
