@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import warp as wp
 
 from wrt.accelerators.accelerator import resolve_accelerator
 from wrt.accelerators.cuda_trees import for_device
@@ -20,11 +22,21 @@ from wrt.engine.launch.expected_kernels import expect_build
 from wrt.engine.memory import memory_for
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
+from wrt.meshes.device_vertices import move_on_device, vertices_on
 from wrt.meshes.mesh import TriangleMesh
-from wrt.meshes.placement import as_meshes, hierarchy_of, lay_out_few, moved_meshes, nested, place_meshes
+from wrt.meshes.placement import (
+    as_meshes,
+    check_index,
+    find_bounds,
+    hierarchy_of,
+    lay_out_few,
+    moved_meshes,
+    nested,
+    place_meshes,
+)
 from wrt.meshes.repeated_surfaces import without_repeated
 from wrt.scene.storage import find_tree
-from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
+from wrt.scene.updates import NEVER, MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -83,7 +95,36 @@ class MeshState(SceneState):
             raise ValueError(
                 "transform, mask and environment need instances, and this scene has none; make it from wrt.Instance(mesh)"
             )
+        if self.moves_on_device(policy) and not isinstance(index, Mapping):
+            check_index(index, 1, "mesh")
+            points = vertices_on(self.device, vertices, self.meshes[0].vertex_count)
+            if points is not None:
+                return self.moved_on_device(points, policy)
         return self.moved(moved_meshes(self.meshes, index, vertices), policy)
+
+    def moves_on_device(self, policy: UpdatePolicy) -> bool:
+        """Whether vertices that are on the scene's device stay there: of one mesh in a tree that is refitted or built there."""
+        if self.device.is_cpu or len(self.meshes) != 1 or type(self.accelerator) is not Bvh:
+            return False
+        return policy.when == NEVER or recipe_of(self.settings).build_device.is_cuda
+
+    def moved_on_device(self, points: wp.array, policy: UpdatePolicy) -> SceneState:
+        """The state with the mesh's vertices elsewhere; they are not copied to the host."""
+        mesh, center, placed = move_on_device(self.meshes[0], points, self.device_mesh)
+        find_bounds((mesh,))  # raises what a new scene would
+        with memory_for_tree(self.meshes):
+            triangles = MovedTriangles(placed.vertices, placed.faces, None, None, center, np.zeros(3))
+            tree, report = move_tree(recipe_of(self.settings), self.tree, triangles, policy)
+        placed.low, placed.high = wp.vec3(*tree.low), wp.vec3(*tree.high)
+        return replace(
+            self,
+            meshes=(mesh,),
+            center=center,
+            built_tree=tree,
+            device_mesh=placed,
+            last_update=report,
+            cache=QueryCache(),
+        )
 
     def moved(self, changed: dict[int, TriangleMesh], policy: UpdatePolicy) -> SceneState:
         """The state with some meshes elsewhere, by their index."""

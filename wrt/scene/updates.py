@@ -115,15 +115,15 @@ class MovedTriangles:
 
     Attributes:
         vertices, faces: on the scene's device.
-        host_vertices, host_faces: on the CPU.
+        host_vertices, host_faces: on the CPU; None for triangles that stay on the device.
         center: (3,) float64, the point that vertices are relative to.
         shift: (3,) float64, typical motion of the triangles relative to the centre.
     """
 
     vertices: wp.array
     faces: wp.array
-    host_vertices: wp.array
-    host_faces: wp.array
+    host_vertices: wp.array | None
+    host_faces: wp.array | None
     center: np.ndarray
     shift: np.ndarray
 
@@ -140,6 +140,7 @@ class MovedTriangles:
 
         if device is not None and device == self.vertices.device:
             return triangle_boxes(self.vertices, self.faces, self.center)
+        assert self.host_vertices is not None and self.host_faces is not None
         return triangle_boxes(self.host_vertices, self.host_faces, self.center)
 
 
@@ -231,7 +232,9 @@ def move_tree(
 ) -> tuple[KdTree | Bvh, UpdateReport]:
     """A tree of the triangles in their new places, and a report."""
     start = perf_counter()
-    moved = recipe.reuse_nodes(old, triangles) if policy.when != ALWAYS else None
+    # a build on CUDA takes less time than a look at what a refit has made of the tree
+    rebuilds = policy.when == ALWAYS or (policy.when == AUTO and recipe.build_device.is_cuda)
+    moved = None if rebuilds else recipe.reuse_nodes(old, triangles)
     if moved is None or moved.tree is None:
         tree, action, costs, count = recipe.build(triangles), "built", (NAN, NAN, NAN), len(triangles.faces)
     elif policy.when == NEVER or recipe.only_refits:
