@@ -24,6 +24,8 @@ in trees of builders that search planes.
 References: benthin-2024; meister-bittner-2018-ploc; apetrei-2014; karras-2012; morton-1966.
 """
 
+from contextlib import nullcontext
+
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import BvhConfig
@@ -36,6 +38,10 @@ from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import load
+from wrt.kernels.runtime.workspace import Workspace, kept_workspace
+
+MAX_KEPT = 1 << 20
+"""Triangles up to which a build's work space is kept for the next one: some 150 bytes each."""
 
 
 def needs_no_collapse(config: BvhConfig) -> bool:
@@ -56,23 +62,34 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     """Builds the tree on the device that holds the boxes."""
     device, count = triangles.boxes.low.device, triangles.count
     load(kernels(config, count), device)  # compilation is not a phase of the build
-    phase = Phases(device)
     if count == 1:
-        return improved(single_triangle(triangles), triangles, config, phase)
-    merged = empty_merged_tree(count, device)
-    with phase("codes"):
-        sort_by_codes(triangles, merged)
-    for by_area in (True, False):
-        with phase("merging"):
-            merge(triangles, merged, by_area)
-        if needs_no_collapse(config):
-            with phase("layout"):
-                tree = binary_bvh(triangles, merged, config, phase.stats)
-            if tree is not None:
-                return tree
-        else:
-            with phase("layout"):
-                binary, depth = binary_build(triangles, merged)
-            if depth <= MAX_WIDE_DEPTH:
-                return improved(binary, triangles, config, phase)
+        return improved(single_triangle(triangles), triangles, config, Phases(device))
+    if count > MAX_KEPT:
+        return build_in(Workspace(device), triangles, config)
+    stream = device.stream.cuda_stream if device.is_cuda else None  # on another one, kernels may still use the arrays
+    with kept_workspace((build, config, device.alias, stream), device) as work:
+        return build_in(work, triangles, config)
+
+
+def build_in(work: Workspace, triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
+    """Builds the tree of at least two triangles in a work space. On CUDA the build is one phase: the host does not wait."""
+    phase = Phases(work.device)
+    step, whole = (phase, nullcontext()) if work.device.is_cpu else (lambda _: nullcontext(), phase("build"))
+    with whole:
+        merged = work.make("merged", triangles.count, lambda size: empty_merged_tree(size, work.device))
+        with step("codes"):
+            sort_by_codes(triangles, merged)
+        for by_area in (True, False):
+            with step("merging"):
+                merge(triangles, merged, by_area)
+            if needs_no_collapse(config):
+                with step("layout"):
+                    tree = binary_bvh(work, triangles, merged, config, phase.stats)
+                if tree is not None:
+                    return tree
+            else:
+                with step("layout"):
+                    binary, depth = binary_build(triangles, merged)
+                if depth <= MAX_WIDE_DEPTH:
+                    return improved(binary, triangles, config, phase)
     raise AssertionError("a tree of neighbours is not deep")

@@ -24,6 +24,7 @@ from wrt.kernels.layout.unchecked import load_float, store_float
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import get_num_threads, launch
 from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.workspace import Workspace
 
 exact_module(__name__)
 
@@ -149,8 +150,10 @@ class OrderedNodes:
     """(2 n,) numbers of nodes, less n, likewise."""
     rank: wp.array(dtype=int)
     """(n,) place of each node in the order."""
+    leaves: wp.array(dtype=int)
+    """(n,) leaves of a node, by its place."""
     block: wp.array(dtype=int)
-    """(n,) leaves of a node; then the first block of a node, by its place."""
+    """(n,) first block of a node, by its place."""
     level: wp.array(dtype=int)
     """(128,) first node of each depth; -1 if there is none."""
 
@@ -217,7 +220,7 @@ def count_leaves(first: int, count: int, tree: MergedTree, nodes: OrderedNodes):
             leaves += 1
         elif nodes.rank[node - count] < 0:
             leaves += 1
-    nodes.block[i] = leaves
+    nodes.leaves[i] = leaves
 
 
 @wp.kernel
@@ -263,23 +266,32 @@ KERNELS = (write_pairs,)
 """One kernel of each module."""
 
 
-def binary_bvh(triangles: TriangleBoxes, merged: MergedTree, config: BvhConfig, stats: BuildStats) -> Bvh | None:
+def empty_order(count: int, device: wp.Device) -> OrderedNodes:
+    """Allocates the order of the nodes of a number of triangles."""
+    nodes = OrderedNodes()
+    nodes.depth, nodes.inner = (wp.empty(2 * count, dtype=int, device=device) for _ in range(2))
+    nodes.rank, nodes.leaves, nodes.block = (wp.empty(count, dtype=int, device=device) for _ in range(3))
+    nodes.level = wp.empty(NO_NODE + 1, dtype=int, device=device)
+    return nodes
+
+
+def binary_bvh(
+    work: Workspace, triangles: TriangleBoxes, merged: MergedTree, config: BvhConfig, stats: BuildStats
+) -> Bvh | None:
     """The tree of nodes with two children and leaves of at most two triangles, of at least two triangles; None if it would be
     too deep.
 
     Raises:
         ValueError: the tree would have more than MAX_BLOCKS blocks.
     """
-    device, count = triangles.boxes.low.device, triangles.count
-    nodes = OrderedNodes()
-    nodes.depth, nodes.inner = (wp.empty(2 * count, dtype=int, device=device) for _ in range(2))
-    nodes.rank, nodes.block = (wp.empty(count, dtype=int, device=device) for _ in range(2))
-    nodes.level = wp.full(NO_NODE + 1, -1, dtype=int, device=device)
+    device, count = work.device, triangles.count
+    nodes = work.make("order", count, lambda size: empty_order(size, device))
+    nodes.level.fill_(-1)
 
     def run(kernel: wp.Kernel, items: int, *inputs: object) -> None:
-        launch(kernel, items, [count, *inputs], device=device, chunk=CHUNK)
+        work.launch(kernel, items, [count, *inputs], chunk=CHUNK)
 
-    run(place_nodes, count, config.struct(), merged, nodes)
+    run(place_nodes, count, work.make("rules", 1, lambda _: config.struct()), merged, nodes)
     wp.utils.radix_sort_pairs(nodes.depth, nodes.inner, count - 1, 0, DEPTH_BITS)
     run(rank_nodes, count - 1, merged, nodes)
     level = nodes.level.numpy()  # the only round trip to the host
@@ -290,12 +302,10 @@ def binary_bvh(triangles: TriangleBoxes, merged: MergedTree, config: BvhConfig, 
     if end >= MAX_BLOCKS:
         raise ValueError(f"the tree needs {end + 1} blocks of 2 triangles; the layout allows {MAX_BLOCKS}")
     run(count_leaves, end, merged, nodes)
-    first_blocks = wp.empty(end, dtype=int, device=device)
-    wp.utils.array_scan(nodes.block[:end], first_blocks, inclusive=False)
-    nodes.block = first_blocks
+    wp.utils.array_scan(nodes.leaves[:end], nodes.block[:end], inclusive=False)
     bounds = wp.empty(12 * end, dtype=float, device=device)
     child = wp.empty(2 * end, dtype=int, device=device)
-    primitive = wp.empty(2 * (end + 1), dtype=int, device=device)  # of 2 `end` children all but the root are nodes or leaves
+    primitive = wp.empty(2 * (end + 1), dtype=int, device=device)  # of the 2 `end` children, all that are not nodes are leaves
     run(write_binary, end, merged, nodes, bounds, child, primitive)
     stats.reserve(triangles.boxes.low, triangles.boxes.high, *arrays_of(merged), *arrays_of(nodes), bounds, child, primitive)
     low, high = wp.vec3(*map(float, triangles.low)), wp.vec3(*map(float, triangles.high))
