@@ -10,14 +10,14 @@ import warp as wp
 from conftest import SCENES
 
 import wrt
-from wrt.builders.bvh import BVH_BUILDERS
+from wrt.builders.bvh import BVH_BUILDERS, hploc
 from wrt.builders.bvh import binned_bvh as binned
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.bvh_statistics import bvh_statistics, unpack
 from wrt.builders.bvh.phases import collapse as collapse_phase
 from wrt.builders.bvh.update.bvh_update import refit
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.builders.triangle_boxes import corner_bounds, triangle_boxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import use_threads
 
@@ -250,6 +250,61 @@ def test_tiny_and_flat_meshes(builder, count):
             check(tree, mesh.vertices, mesh.faces, config)
     if count == 1:
         assert (tree.level_first, tree.child.numpy()[0]) == ((0, 1), ~1)
+
+
+@pytest.mark.parametrize("leaf", [1, 2])
+def test_clusters_need_no_collapse(scene_mesh, leaf, monkeypatch):
+    """With two children and leaves of at most two triangles, the short way makes the tree that the collapse makes."""
+    tree, _ = build(scene_mesh, "hploc", 2, max_leaf_triangles=leaf)
+    monkeypatch.setattr(hploc, "needs_no_collapse", lambda _: False)
+    collapsed, _ = build(scene_mesh, "hploc", 2, max_leaf_triangles=leaf)
+    assert_same_tree(tree, collapsed)
+
+
+@pytest.mark.parametrize("width", [2, 16])
+def test_threads_do_not_show_in_clusters(width):
+    """Threads meet in the hierarchy in any order. Work spaces of larger meshes are used again."""
+    meshes = [wrt.scenes.build("wood", trees=4), wrt.scenes.build("random_triangles", count=20_000, size=0.1, seed=3)]
+    with use_threads(1):
+        expected = [build(mesh, "hploc", width, max_leaf_triangles=2)[0] for mesh in meshes]
+    for threads in (2, 5, 8) * 3:
+        with use_threads(threads):
+            for mesh, tree in zip(meshes, expected, strict=True):
+                assert_same_tree(build(mesh, "hploc", width, max_leaf_triangles=2)[0], tree)
+
+
+def test_equal_clusters_are_halved():
+    """Of pairs of equal area those that make the tree flat are merged first: by places alone, a chain would come of them."""
+    tree, _ = build(mesh_of(np.repeat(np.random.default_rng(1).random((1, 3, 3)), 1000, axis=0)), "hploc", 2, max_leaf_triangles=1)
+    assert tree.depth == 10
+
+
+def test_clusters_that_would_make_a_tree_too_deep_are_merged_by_place(monkeypatch):
+    small = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 1]], dtype=np.float64)
+    corners = small * 2.0 ** np.arange(-60, 60)[:, None, None]
+    ways, merge = [], hploc.merge
+    monkeypatch.setattr(hploc, "merge", lambda *given: ways.append(given[2]) or merge(*given))
+    for width in (2, 16):
+        tree, config = build(mesh_of(corners), "hploc", width, max_leaf_triangles=2)
+        check(tree, mesh_of(corners).vertices, mesh_of(corners).faces, config)
+    assert ways == [True, False, True, False]
+
+
+def test_corner_bounds():
+    """The box of what triangles use, in float32; zeros are positive; NaN is refused."""
+    vertices = np.random.default_rng(2).normal(size=(400, 3)).astype(np.float32)
+    vertices[7], vertices[8], vertices[399] = -50.0, [0.0, -0.0, 80.0], 1e9
+    faces = np.random.default_rng(3).integers(0, 399, (300, 3)).astype(np.int32)
+    faces[0] = 7, 8, 9
+    low, high = corner_bounds(*(wp.array(a, dtype=t, device="cpu") for a, t in ((vertices, wp.vec3), (faces, wp.vec3i))))
+    np.testing.assert_array_equal([low, high], [vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))])
+    flat = wp.zeros(3, dtype=wp.vec3, device="cpu")
+    flat.assign(np.full((3, 3), -0.0, np.float32))
+    assert not np.signbit(corner_bounds(flat, wp.array([[0, 1, 2]], dtype=wp.vec3i, device="cpu"))).any()
+    for bad in (np.nan, np.inf):
+        vertices[8, 1] = bad
+        with pytest.raises(ValueError, match="NaN or infinite"):
+            corner_bounds(*(wp.array(a, dtype=t, device="cpu") for a, t in ((vertices, wp.vec3), (faces, wp.vec3i))))
 
 
 @pytest.mark.parametrize("builder", BVH_BUILDERS)
