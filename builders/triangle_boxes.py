@@ -50,7 +50,9 @@ CORNERS = 6
 
 
 @native.func_native("corner_bounds.h", "wrt::reduce_corners(vertices.data, faces.data, faces.shape[0], items, i, found.data);")
-def reduce_corners(vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), items: int, i: int, found: wp.array(dtype=int)):
+def reduce_corners(
+    vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), items: int, i: int, found: wp.array(dtype=int)
+):
     """Share i of `items` of the minima of all corners' coordinates and of the negated ones, and of the largest absolute one."""
     ...
 

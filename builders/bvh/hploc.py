@@ -4,12 +4,12 @@
 thread is slow and there are 100,000 of them, that takes longer than many frames may.
 
 **Algorithm** (H-PLOC). Triangles are sorted by the Morton codes of the middles of their boxes. Along the implicit hierarchy of
-the codes, from the bottom up, lists of up to 16 clusters are merged pairwise: two clusters that are each other's nearest, by the
-surface area of their joint box, among 8 neighbours on either side, become one (Meister and Bittner 2018, PLOC). All of it is one
-kernel without levels (`cluster_merging`). Then nodes are put into the order of the layout (`merged_layout`).
+the codes, from the bottom up, lists of up to 16 clusters are merged pairwise: two clusters that are each other's nearest, by
+the surface area of their joint box, among 8 neighbours on either side, become one (PLOC: Meister and Bittner 2018). All of it
+is one kernel without levels (`cluster_merging`). Then nodes are put into the order of the layout (`merged_layout`).
 
-**Phases.** Codes: `write_codes` and a radix sort. Merging: `begin_clusters`, `merge_clusters`. Layout: nodes of two children with
-leaves of at most two triangles, as CUDA has them, by `binary_bvh`; others by the collapse (`collapse`), on the CPU.
+**Phases.** Codes: `write_codes` and a radix sort. Merging: `begin_clusters`, `merge_clusters`. Layout: nodes of two children
+with leaves of at most two triangles, as CUDA has them, by `binary_bvh`; others by the collapse (`collapse`), on the CPU.
 
 **Complexity.** O(N) after the sort.
 

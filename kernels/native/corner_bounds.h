@@ -40,10 +40,8 @@ inline CUDA_CALLABLE void reduce_corners(const Vertex* vertices, const Face* fac
             value = k < 6 ? min(value, other) : max(value, other);
         }
         if ((threadIdx.x & 31) == 0 && value != (k < 6 ? 0x7fffffff : 0)) {
-            if (k < 6)
-                atomicMin(found + k, value);
-            else
-                atomicMax(found + k, value);
+            if (k < 6) atomicMin(found + k, value);
+            else atomicMax(found + k, value);
         }
     }
 #else

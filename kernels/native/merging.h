@@ -118,8 +118,8 @@ inline __device__ float4 joined(float4 a, float4 b, int word)
 
 inline __device__ float4 of_thread(float4 v, int lane)
 {
-    return make_float4(__shfl_sync(ALL_THREADS, v.x, lane), __shfl_sync(ALL_THREADS, v.y, lane),
-        __shfl_sync(ALL_THREADS, v.z, lane), 0.0f);
+    return make_float4(
+        __shfl_sync(ALL_THREADS, v.x, lane), __shfl_sync(ALL_THREADS, v.y, lane), __shfl_sync(ALL_THREADS, v.z, lane), 0.0f);
 }
 
 /// Merges the two lists of a range, by all threads of a warp. places: 32 words of shared memory.
@@ -212,7 +212,8 @@ template <class Tree> inline __device__ void merge_from(const Tree& tree, int i,
         while (todo) {
             const int source = __ffs(todo) - 1;
             todo &= todo - 1;
-            const int left = __shfl_sync(ALL_THREADS, range.left, source), right = __shfl_sync(ALL_THREADS, range.right, source),
+            const int left = __shfl_sync(ALL_THREADS, range.left, source),
+                      right = __shfl_sync(ALL_THREADS, range.right, source),
                       split = __shfl_sync(ALL_THREADS, range.split, source);
             merge_range(all, left, split, right + 1, left == 0 && right == count - 1 ? 1 : KEPT_CLUSTERS, places);
         }

@@ -10,6 +10,7 @@ from conftest import DEVICES, SCENES, assert_same_hits, brute_force, mixed_rays
 import wrt
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.bvh.update.bvh_update import refit
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.tree import Bvh, KdTree
@@ -119,6 +120,23 @@ def test_hits_are_those_of_brute_force(name):
     assert scene.state.tree.child.device == scene.device
     rays = wrt.Rays(*mixed_rays(mesh, 3000, seed=2))
     assert_same_hits(scene.intersect(rays), brute_force(scene, rays))
+
+
+@on_cuda
+@pytest.mark.parametrize("width", [2, 8])
+@pytest.mark.parametrize("name", MESHES)
+def test_refits_give_the_tree_of_the_cpu(name, width):
+    """By one launch, in which threads meet in any order; again and again."""
+    mesh = MESHES[name]()
+    tree = BVH_BUILDERS["binned"].build(boxes_on("cpu", mesh), BvhConfig(cost=SurfaceAreaCost(width=width)))
+    found = tree.to(wp.get_device(CUDA[0]))
+    for step in (0.0, 0.3, 0.5):
+        moved = (mesh.vertices + step * np.sin(7.0 * mesh.vertices[:, ::-1])).astype(np.float32)
+        arrays = [(moved, wp.vec3), (mesh.faces, wp.vec3i)]
+        expected = refit(tree, *(wp.array(a, dtype=kind, device="cpu") for a, kind in arrays))
+        for _ in range(3):
+            found = refit(found, *(wp.array(a, dtype=kind, device=CUDA[0]) for a, kind in arrays))
+            assert_same_tree(found, expected)
 
 
 @on_cuda

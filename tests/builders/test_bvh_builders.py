@@ -15,11 +15,11 @@ from wrt.builders.bvh import binned_bvh as binned
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.bvh_statistics import bvh_statistics, unpack
 from wrt.builders.bvh.phases import collapse as collapse_phase
-from wrt.builders.bvh.update.bvh_update import refit
+from wrt.builders.bvh.update.bvh_update import refit, refit_upward, upward_links
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.triangle_boxes import corner_bounds, triangle_boxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_WIDE_DEPTH
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import launch, use_threads
 
 WIDTHS = (2, 4, 8, 16)
 
@@ -275,7 +275,9 @@ def test_threads_do_not_show_in_clusters(width):
 
 def test_equal_clusters_are_halved():
     """Of pairs of equal area those that make the tree flat are merged first: by places alone, a chain would come of them."""
-    tree, _ = build(mesh_of(np.repeat(np.random.default_rng(1).random((1, 3, 3)), 1000, axis=0)), "hploc", 2, max_leaf_triangles=1)
+    tree, _ = build(
+        mesh_of(np.repeat(np.random.default_rng(1).random((1, 3, 3)), 1000, axis=0)), "hploc", 2, max_leaf_triangles=1
+    )
     assert tree.depth == 10
 
 
@@ -349,6 +351,24 @@ def test_refit(scene_mesh, width):
     other = refit(tree, wp.array(moved.astype(np.float32), dtype=wp.vec3, device="cpu"), faces)
     check(other, moved, scene_mesh.faces, config)
     np.testing.assert_array_equal(tree.bounds.numpy(), before)
+
+
+@pytest.mark.parametrize("width", [2, 16])
+def test_refit_upward(scene_mesh, width):
+    """The kernel for CUDA, on one thread of the CPU: the boxes of the levels, to the bit, again and again."""
+    tree, _ = build(scene_mesh, width=width)
+    vertices, faces = arrays_of(scene_mesh)
+    links = upward_links(tree)
+    for step in (0.0, 0.3, 0.5):
+        moved = (scene_mesh.vertices + step * np.sin(7.0 * scene_mesh.vertices[:, ::-1])).astype(np.float32)
+        vertices.assign(moved)
+        bounds = wp.empty(len(tree.bounds), dtype=float, device="cpu")
+        inputs = [tree.width, vertices, faces, tree.child, tree.primitive, links, bounds]
+        with use_threads(1):
+            launch(refit_upward, tree.level_first[-1], inputs, device=vertices.device)
+        expected = refit(tree, vertices, faces)
+        np.testing.assert_array_equal(bounds.numpy().view(np.int32), expected.bounds.numpy().view(np.int32))
+        assert not links.arrived.numpy().any()
 
 
 def test_refit_knows_one_zero():

@@ -77,9 +77,7 @@ def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device, center: np
     """
     low, high = find_bounds(meshes)
     center = 0.5 * low + 0.5 * high if center is None else center
-    with np.errstate(over="ignore"):
-        # the corners as the vertices below: rounding keeps their order
-        bounds = tuple((corner - center).astype(np.float32) + np.float32(0.0) for corner in (low, high))
+    bounds = relative_bounds(np.array([low, high]), center)
     vertices, faces, first = join_meshes(meshes)
     host_vertices = shifted(center, vertices)
     host_faces = wp.array(faces, dtype=wp.vec3i, device="cpu", copy=False)
@@ -88,6 +86,18 @@ def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device, center: np
     mesh.center = wp.vec3d(*map(float, center))
     mesh.geometry_first = wp.array(first, dtype=int, device=device)
     return PlacedMeshes(first, center, bounds, host_vertices, host_faces, mesh)
+
+
+def relative_bounds(bounds: np.ndarray, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) float32 each: the corners of a box relative to a point, as vertices become: rounding keeps their order.
+
+    Args:
+        bounds: (2, 3) float64.
+        center: (3,) float64.
+    """
+    with np.errstate(over="ignore"):
+        low, high = (bounds - center).astype(np.float32) + np.float32(0.0)
+    return low, high
 
 
 def lay_out_few(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarray, SceneMesh]:

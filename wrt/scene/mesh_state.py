@@ -22,7 +22,6 @@ from wrt.engine.launch.expected_kernels import expect_build
 from wrt.engine.memory import memory_for
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
-from wrt.meshes.device_vertices import move_on_device, vertices_on
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import (
     as_meshes,
@@ -33,8 +32,10 @@ from wrt.meshes.placement import (
     moved_meshes,
     nested,
     place_meshes,
+    relative_bounds,
 )
 from wrt.meshes.repeated_surfaces import without_repeated
+from wrt.scene.device_vertices import move_on_device, vertices_on
 from wrt.scene.storage import find_tree
 from wrt.scene.updates import NEVER, MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
 
@@ -113,7 +114,8 @@ class MeshState(SceneState):
         mesh, center, placed = move_on_device(self.meshes[0], points, self.device_mesh)
         find_bounds((mesh,))  # raises what a new scene would
         with memory_for_tree(self.meshes):
-            triangles = MovedTriangles(placed.vertices, placed.faces, None, None, center, np.zeros(3))
+            bounds = relative_bounds(mesh.bounds, center)
+            triangles = MovedTriangles(placed.vertices, placed.faces, None, None, center, np.zeros(3), bounds)
             tree, report = move_tree(recipe_of(self.settings), self.tree, triangles, policy)
         placed.low, placed.high = wp.vec3(*tree.low), wp.vec3(*tree.high)
         return replace(

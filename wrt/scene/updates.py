@@ -118,6 +118,7 @@ class MovedTriangles:
         host_vertices, host_faces: on the CPU; None for triangles that stay on the device.
         center: (3,) float64, the point that vertices are relative to.
         shift: (3,) float64, typical motion of the triangles relative to the centre.
+        bounds: (3,) float32 each, corners of the box of all triangles, relative to the centre; None if they are not known.
     """
 
     vertices: wp.array
@@ -126,6 +127,7 @@ class MovedTriangles:
     host_faces: wp.array | None
     center: np.ndarray
     shift: np.ndarray
+    bounds: tuple[np.ndarray, np.ndarray] | None = None
 
     @classmethod
     def of(cls, placed: PlacedMeshes, shift: np.ndarray, first: int = 0, end: int | None = None) -> MovedTriangles:
@@ -139,8 +141,9 @@ class MovedTriangles:
         from wrt.builders.triangle_boxes import triangle_boxes
 
         if device is not None and device == self.vertices.device:
-            return triangle_boxes(self.vertices, self.faces, self.center)
-        assert self.host_vertices is not None and self.host_faces is not None
+            return triangle_boxes(self.vertices, self.faces, self.center, self.bounds)
+        assert self.host_vertices is not None
+        assert self.host_faces is not None
         return triangle_boxes(self.host_vertices, self.host_faces, self.center)
 
 

@@ -61,7 +61,7 @@ class MergedTree:
     cluster: wp.array(dtype=wp.vec4i)
     """(n,) lists of clusters: node, first triangle, number of triangles, unused."""
     waiting: wp.array(dtype=int)
-    """(n,) by triangle: the other end of a range that ends at it or before it, whose node waits for its sibling; -1 for none."""
+    """(n,) by triangle: the other end of a range that ends there or begins after it, and waits for its sibling; -1 for none."""
     root: wp.array(dtype=int)
     """(1,) the root."""
 

@@ -1,9 +1,9 @@
 """Phase "layout" of the build by clusters: the nodes of a merged tree in the order of other trees.
 
 From a node, a walk to the root tells its depth, the triangles before it and the inner nodes before it, parents first. That is
-its place in a binary tree of pairs (`wrt.builders.bvh.phases.binary_tree`), for the collapse. Where nodes have two children, and
-leaves at most two triangles, no collapse is needed: nodes in that order, sorted by their depth, are in the order of the wide
-tree. It is the tree that the collapse would make.
+its place in a binary tree of pairs (`wrt.builders.bvh.phases.binary_tree`), for the collapse. Where nodes have two children
+and leaves at most two triangles, no collapse is needed: nodes in that order, sorted by their depth, are in the order of the
+wide tree. It is the tree that the collapse would make.
 """
 
 from typing import Any
@@ -19,7 +19,7 @@ from wrt.builders.bvh.phases.large_boxes import is_flat
 from wrt.builders.cost import leaf_cost
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_BLOCKS, MAX_WIDE_DEPTH, leaf_child
+from wrt.kernels.layout.bvh_nodes import MAX_BLOCKS, MAX_WIDE_DEPTH, leaf_child
 from wrt.kernels.layout.unchecked import load_float, store_float
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import get_num_threads, launch
@@ -216,9 +216,10 @@ def count_leaves(first: int, count: int, tree: MergedTree, nodes: OrderedNodes):
     leaves = int(0)
     for side in range(2):
         node = child[side]
-        if node < count:
-            leaves += 1
-        elif nodes.rank[node - count] < 0:
+        is_leaf = node < count
+        if not is_leaf:
+            is_leaf = nodes.rank[node - count] < 0
+        if is_leaf:
             leaves += 1
     nodes.leaves[i] = leaves
 
@@ -315,5 +316,3 @@ def binary_bvh(
 def arrays_of(struct: Any) -> list[wp.array]:
     """The arrays of a struct."""
     return [value for value in vars(struct).values() if isinstance(value, wp.array)]
-
-
