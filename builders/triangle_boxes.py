@@ -1,6 +1,7 @@
 """Bounding boxes of triangles: the input of every builder."""
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 import warp as wp
@@ -65,6 +66,12 @@ def find_corner_bounds(
     reduce_corners(vertices, faces, items, first + wp.tid(), found)
 
 
+@cache
+def nothing_found(device: wp.Device) -> wp.array:
+    """What `reduce_corners` begins with."""
+    return wp.array([0x7FFFFFFF] * CORNERS + [0], dtype=int, device=device)
+
+
 def corner_bounds(vertices: wp.array, faces: wp.array) -> tuple[np.ndarray, np.ndarray]:
     """(3,) float32 each: lower and upper corner of the box around all triangles, without negative zeros, found where they are.
 
@@ -77,7 +84,7 @@ def corner_bounds(vertices: wp.array, faces: wp.array) -> tuple[np.ndarray, np.n
     """
     device = vertices.device
     items = REDUCING if device.is_cuda else 1
-    found = wp.array([0x7FFFFFFF] * CORNERS + [0], dtype=int, device=device)
+    found = wp.clone(nothing_found(device))
     launch(find_corner_bounds, items, [vertices, faces, items, found], device=device)
     bits = found.numpy()
     if not np.isfinite(bits[CORNERS:].view(np.float32)).all():

@@ -160,11 +160,12 @@ def test_vertices_on_the_device_move_there(name, rebuild):
     scene, other = (wrt.Scene(mesh, tree, device=CUDA[0]) for _ in range(2))
     for step in (0.3, 0.7):
         moved = (mesh.vertices + step * np.sin(5.0 * mesh.vertices[:, ::-1])).astype(np.float32)
-        points = wp.array(moved, dtype=wp.vec3, device=CUDA[0])
+        points, held = wp.array(moved, dtype=wp.vec3, device=CUDA[0]), scene.state.meshes[0]
         scene.update(0, vertices=points, rebuild=rebuild)
         points.zero_()  # the scene has a copy
         other.update(0, vertices=moved, rebuild=rebuild)
         assert "_vertices" not in vars(scene.state.meshes[0])
+        assert held is mesh or "_vertices" not in vars(held)
         assert scene.last_update.action == other.last_update.action == ("kept" if rebuild == "never" else "built")
         assert_same_tree(scene.state.tree, other.state.tree)
         rays = wrt.Rays(*mixed_rays(other.meshes[0], 3000, seed=3))

@@ -113,7 +113,7 @@ class MeshState(SceneState):
         """The state with the mesh's vertices elsewhere; they are not copied to the host."""
         mesh, center, placed = move_on_device(self.meshes[0], points, self.device_mesh)
         find_bounds((mesh,))  # raises what a new scene would
-        with memory_for_tree(self.meshes):
+        with memory_for(f"the tree of {mesh.triangle_count:,} triangles", 24 * len(points)):
             bounds = relative_bounds(mesh.bounds, center)
             triangles = MovedTriangles(placed.vertices, placed.faces, None, None, center, np.zeros(3), bounds)
             tree, report = move_tree(recipe_of(self.settings), self.tree, triangles, policy)
