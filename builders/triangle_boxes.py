@@ -67,7 +67,7 @@ def find_corner_bounds(
 
 
 @cache
-def nothing_found(device: wp.Device) -> wp.array:
+def nothing_found(device: str) -> wp.array:
     """What `reduce_corners` begins with."""
     return wp.array([0x7FFFFFFF] * CORNERS + [0], dtype=int, device=device)
 
@@ -84,7 +84,7 @@ def corner_bounds(vertices: wp.array, faces: wp.array) -> tuple[np.ndarray, np.n
     """
     device = vertices.device
     items = REDUCING if device.is_cuda else 1
-    found = wp.clone(nothing_found(device))
+    found = wp.clone(nothing_found(device.alias))
     launch(find_corner_bounds, items, [vertices, faces, items, found], device=device)
     bits = found.numpy()
     if not np.isfinite(bits[CORNERS:].view(np.float32)).all():
