@@ -149,7 +149,7 @@ class OrderedNodes:
     inner: wp.array(dtype=int)
     """(2 n,) numbers of nodes, less n, likewise."""
     rank: wp.array(dtype=int)
-    """(n,) place of each node in the order."""
+    """(n,) place of each node in the order; -1 for a leaf of two triangles."""
     leaves: wp.array(dtype=int)
     """(n,) leaves of a node, by its place."""
     block: wp.array(dtype=int)
@@ -194,33 +194,27 @@ def place_nodes(first: int, count: int, rules: BuildRules, tree: MergedTree, nod
         depth = NO_NODE
     nodes.depth[place.nodes] = depth
     nodes.inner[place.nodes] = inner
-    nodes.rank[inner] = -1
+    nodes.rank[inner] = wp.where(depth == NO_NODE, -1, 0)
 
 
 @wp.kernel
 def rank_nodes(first: int, count: int, tree: MergedTree, nodes: OrderedNodes):
-    """Item: a place in the order of depths. Ranks its node; finds where levels begin."""
+    """Item: a place in the order of depths. Ranks its node, counts its leaves, and finds where levels begin."""
     i = first + wp.tid()
     depth = nodes.depth[i]
     if i == 0 or nodes.depth[i - 1] != depth:
         nodes.level[depth] = i
-    if depth != NO_NODE:
-        nodes.rank[nodes.inner[i]] = i
-
-
-@wp.kernel
-def count_leaves(first: int, count: int, tree: MergedTree, nodes: OrderedNodes):
-    """Item: a node in order. Counts its leaves."""
-    i = first + wp.tid()
-    child = tree.child[nodes.inner[i]]
     leaves = int(0)
-    for side in range(2):
-        node = child[side]
-        is_leaf = node < count
-        if not is_leaf:
-            is_leaf = nodes.rank[node - count] < 0
-        if is_leaf:
-            leaves += 1
+    if depth != NO_NODE:
+        inner = nodes.inner[i]
+        nodes.rank[inner] = i
+        child = tree.child[inner]
+        for side in range(2):
+            is_leaf = child[side] < count
+            if not is_leaf:  # the sign of a rank is known since nodes were placed
+                is_leaf = nodes.rank[child[side] - count] < 0
+            if is_leaf:
+                leaves += 1
     nodes.leaves[i] = leaves
 
 
@@ -295,6 +289,7 @@ def binary_bvh(
     run(place_nodes, count, work.make("rules", 1, lambda _: config.struct()), merged, nodes)
     wp.utils.radix_sort_pairs(nodes.depth, nodes.inner, count - 1, 0, DEPTH_BITS)
     run(rank_nodes, count - 1, merged, nodes)
+    wp.utils.array_scan(nodes.leaves[: count - 1], nodes.block[: count - 1], inclusive=False)
     level = nodes.level.numpy()  # the only round trip to the host
     depth = int(np.count_nonzero(level[:NO_NODE] >= 0))
     if depth > MAX_WIDE_DEPTH:
@@ -302,8 +297,6 @@ def binary_bvh(
     end = int(level[NO_NODE]) if level[NO_NODE] >= 0 else count - 1
     if end >= MAX_BLOCKS:
         raise ValueError(f"the tree needs {end + 1} blocks of 2 triangles; the layout allows {MAX_BLOCKS}")
-    run(count_leaves, end, merged, nodes)
-    wp.utils.array_scan(nodes.leaves[:end], nodes.block[:end], inclusive=False)
     bounds = wp.empty(12 * end, dtype=float, device=device)
     child = wp.empty(2 * end, dtype=int, device=device)
     primitive = wp.empty(2 * (end + 1), dtype=int, device=device)  # of the 2 `end` children, all that are not nodes are leaves
