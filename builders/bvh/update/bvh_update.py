@@ -2,8 +2,8 @@
 
 **Refit** (`refit`) recomputes the boxes; nodes and leaves stay. Every triangle is read once and every node is written once,
 from the deepest level up, in parallel over the nodes of a level; on CUDA by one launch, whose threads go up from nodes without
-inner children, and of those that meet in a node the last goes on. The tree stays correct for any motion. Traversal slows down as
-triangles that were close when it was built move apart.
+inner children, and of those that meet in a node the last goes on. The tree stays correct for any motion. Traversal slows down
+as triangles that were close when it was built move apart.
 
 References: wald-2007-deformable; lauterbach-2006.
 """
