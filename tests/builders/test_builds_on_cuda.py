@@ -152,6 +152,24 @@ def test_bounds_are_found_on_the_device():
 
 
 @on_cuda
+def test_the_default_tree_gives_way_to_one_that_is_built_on_the_device():
+    """Once vertices come from there, but not if the build is asked for; hits are those of brute force."""
+    mesh = MESHES["teapot"]()
+    moved = (mesh.vertices + 0.3 * np.sin(5.0 * mesh.vertices[:, ::-1])).astype(np.float32)
+    points = wp.array(moved, dtype=wp.vec3, device=CUDA[0])
+    for rebuild, stays in (("auto", True), ("never", True), ("always", False)):
+        scene = wrt.Scene(mesh, device=CUDA[0])
+        scene.update(0, vertices=points, rebuild=rebuild)
+        assert ("_vertices" in vars(scene.state.meshes[0])) != stays
+        assert scene.last_update.action == ("kept" if rebuild == "never" else "built")
+        rays = wrt.Rays(*mixed_rays(scene.meshes[0], 3000, seed=4))
+        assert_same_hits(scene.intersect(rays), brute_force(scene, rays))
+    wide = wrt.Scene(mesh, wrt.Bvh(width=4), device=CUDA[0])
+    wide.update(0, vertices=points)
+    assert wide.state.tree.width == 4
+
+
+@on_cuda
 @pytest.mark.parametrize("rebuild", ["auto", "always", "never"])
 @pytest.mark.parametrize("name", ["teapot", "degenerate", "one triangle", "far away"])
 def test_vertices_on_the_device_move_there(name, rebuild):

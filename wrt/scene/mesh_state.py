@@ -37,7 +37,7 @@ from wrt.meshes.placement import (
 from wrt.meshes.repeated_surfaces import without_repeated
 from wrt.scene.device_vertices import move_on_device, vertices_on
 from wrt.scene.storage import find_tree
-from wrt.scene.updates import NEVER, MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
+from wrt.scene.updates import ALWAYS, NEVER, MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -96,27 +96,37 @@ class MeshState(SceneState):
             raise ValueError(
                 "transform, mask and environment need instances, and this scene has none; make it from wrt.Instance(mesh)"
             )
-        if self.moves_on_device(policy) and not isinstance(index, Mapping):
+        recipe = None if isinstance(index, Mapping) else self.recipe_on_device(policy)
+        if recipe is not None:
             check_index(index, 1, "mesh")
             points = vertices_on(self.device, vertices, self.meshes[0].vertex_count)
             if points is not None:
-                return self.moved_on_device(points, policy)
+                return self.moved_on_device(points, recipe, policy)
         return self.moved(moved_meshes(self.meshes, index, vertices), policy)
 
-    def moves_on_device(self, policy: UpdatePolicy) -> bool:
-        """Whether vertices that are on the scene's device stay there: of one mesh in a tree that is refitted or built there."""
-        if self.device.is_cpu or len(self.meshes) != 1 or type(self.accelerator) is not Bvh:
-            return False
-        return policy.when == NEVER or recipe_of(self.settings).build_device.is_cuda
+    def recipe_on_device(self, policy: UpdatePolicy) -> TreeRecipe | None:
+        """How the tree around vertices that are on the scene's CUDA device is made there; None if they go through the host.
 
-    def moved_on_device(self, points: wp.array, policy: UpdatePolicy) -> SceneState:
+        With "auto" a tree that is built on the CPU gives way to one by "hploc": a build there takes less time than the copies
+        (notebooks/records/2026-11-27-gpu-builds.md)."""
+        if self.device.is_cpu or len(self.meshes) != 1 or type(self.accelerator) is not Bvh:
+            return None
+        recipe = recipe_of(self.settings)
+        if policy.when == NEVER or recipe.build_device.is_cuda:
+            return recipe
+        if policy.when == ALWAYS or self.accelerator.subset != 1.0:
+            return None
+        recipe = replace(recipe, accelerator=replace(recipe.accelerator, builder="hploc"))
+        return recipe if recipe.build_device.is_cuda else None
+
+    def moved_on_device(self, points: wp.array, recipe: TreeRecipe, policy: UpdatePolicy) -> SceneState:
         """The state with the mesh's vertices elsewhere; they are not copied to the host."""
         mesh, center, placed = move_on_device(self.meshes[0], points, self.device_mesh)
         find_bounds((mesh,))  # raises what a new scene would
         with memory_for(f"the tree of {mesh.triangle_count:,} triangles", 24 * len(points)):
             bounds = relative_bounds(mesh.bounds, center)
             triangles = MovedTriangles(placed.vertices, placed.faces, None, None, center, np.zeros(3), bounds)
-            tree, report = move_tree(recipe_of(self.settings), self.tree, triangles, policy)
+            tree, report = move_tree(recipe, self.tree, triangles, policy)
         placed.low, placed.high = wp.vec3(*tree.low), wp.vec3(*tree.high)
         return replace(
             self,
