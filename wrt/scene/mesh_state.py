@@ -112,11 +112,12 @@ class MeshState(SceneState):
         if self.device.is_cpu or len(self.meshes) != 1 or type(self.accelerator) is not Bvh:
             return None
         recipe = recipe_of(self.settings)
+        tree = recipe.accelerator
         if policy.when == NEVER or recipe.build_device.is_cuda:
             return recipe
-        if policy.when == ALWAYS or self.accelerator.subset != 1.0:
+        if policy.when == ALWAYS or not isinstance(tree, Bvh) or tree.subset != 1.0:
             return None
-        recipe = replace(recipe, accelerator=replace(recipe.accelerator, builder="hploc"))
+        recipe = replace(recipe, accelerator=replace(tree, builder="hploc"))
         return recipe if recipe.build_device.is_cuda else None
 
     def moved_on_device(self, points: wp.array, recipe: TreeRecipe, policy: UpdatePolicy) -> SceneState:
