@@ -40,7 +40,7 @@ _makers: dict[str, tuple[Path, threading.Event]] = {}
 """By key, the folder of the thread that is making a header, and what is set when it has compiled its module."""
 
 _without: set[str] = set()
-"""Keys for which a thread has compiled a module and made no header: nobody waits for another."""
+"""Keys for which a thread has compiled a module and made no header: no thread waits for another."""
 
 
 @contextmanager

@@ -179,7 +179,7 @@ def test_a_thread_whose_compiling_fails_lets_others_go_on(own):
     assert (Path(wp.config.kernel_cache_dir, precompiled_header.FOLDER)).is_dir()
 
 
-def test_where_no_header_is_made_nobody_waits_twice(own):
+def test_where_no_header_is_made_threads_wait_once(own):
     """As with a compiler that is not Warp's: a second module need not wait for the end of a first."""
     meet = threading.Barrier(2, timeout=30.0)
 
