@@ -130,4 +130,3 @@ def mounted(path: Trajectory | StillPoses, mount: np.ndarray) -> Any:
     number = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     keys = np.unique(np.append(np.repeat(times[:-1], pieces) + number * steps, times[-1]))
     return Trajectory.from_matrices(keys, path.at(keys) @ mount)
-
