@@ -2,14 +2,14 @@
 
 **Problem.** The sky needs few samples a pixel, the shadow of a leaf needs many.
 
-**Method.** All pixels get a pilot of samples. Then each gets further ones in proportion to the standard deviation of its samples
-over its luminance, both averaged over its neighbours, which is what makes the sum of squared relative errors least for a number of
-samples.
+**Method.** All pixels get a pilot of samples. Then each gets further ones in proportion to the standard deviation of its
+samples over its luminance, both averaged over its neighbours. That makes the sum of squared relative errors least for a number
+of samples.
 
-**Bias.** A pixel whose first samples missed a rare bright one gets fewer afterwards, so that it stays too dark: means of samples
-whose number depends on the samples are biased (Kirk and Arvo 1991). Without bias, there are two halves with random numbers of their
-own. The pilot of each decides how many samples the *other* one gets, once; so no number depends on samples that are averaged with
-it, and the mean of both halves is unbiased.
+**Bias.** A pixel whose first samples missed a rare bright one gets fewer afterwards, and stays too dark: means of samples whose
+number depends on the samples are biased (Kirk and Arvo 1991). Without bias, there are two halves with random numbers of their
+own. The pilot of each decides how many samples the *other* one gets, once. So no number depends on samples that are averaged
+with it, and the mean of both halves is unbiased.
 
 References: kirk-arvo-1991.
 """
@@ -38,7 +38,11 @@ if TYPE_CHECKING:
 SAMPLERS = ("sobol", "halton", "random")
 """Those whose samples do not depend on how many there will be."""
 
-REACH = 2
+FAR = 1 << 31
+"""Between the seeds of two halves. Pixel p of the seed s + 1 has the random numbers of pixel p + 1 of the seed s
+(`wrt.pictures.RenderSettings`), so seeds that are near each other are not independent."""
+
+REACH = 1
 """Neighbours on each side over which spread and luminance are averaged."""
 
 DARK = 0.1
@@ -56,8 +60,8 @@ class AdaptiveRendering:
     Args:
         scene, camera: as in `Rendering`.
         samples: mean number of samples of a pixel, at least 8.
-        unbiased: whether the number of a pixel's samples depends only on samples that are not averaged with them, at the price of
-            one decision in place of several.
+        unbiased: whether the number of a pixel's samples depends only on samples that are not averaged with them, at the price
+            of one decision in place of several.
         pilot: number of samples that each pixel has in any case, at least 4; None for a quarter.
         rounds: number of decisions, at least 1, without `unbiased`.
         most: largest number of samples of a pixel; None for 16 times the mean.
@@ -95,7 +99,7 @@ class AdaptiveRendering:
         self.settings: RenderSettings = one.settings
         self._halves = [one]
         if unbiased:
-            settings = {**options, "seed": one.settings.seed + 1}
+            settings = {**options, "seed": one.settings.seed + FAR}
             self._halves.append(Rendering(scene, camera, samples=self._most, **settings))
         self._scene, self.camera = scene, camera
         self._counts = np.zeros((len(self._halves), one.pixels), dtype=np.int32)
@@ -140,8 +144,7 @@ class AdaptiveRendering:
         share = np.sqrt(averaged(spread.reshape(shape)).ravel()) / (near + DARK * max(float(mean.mean()), 1e-30))
         if not share.sum() > 0.0:
             share = np.ones_like(share)
-        room = np.maximum(self._most / len(self._halves) - count, 0.0)
-        wanted = np.minimum(total * share / share.sum(), room)
+        wanted = shared_out(total, share, np.maximum(self._most / len(self._halves) - count, 0.0))
         return np.floor(wanted / self._unit + self._dither).astype(np.int64)
 
     @property
@@ -177,7 +180,11 @@ class AdaptiveRendering:
 
     @property
     def noise(self) -> np.ndarray:
-        """(height, width) float32: standard error of each pixel's luminance, from the spread of its samples; errors as `linear`."""
+        """(height, width) float32: standard error of each pixel's luminance, from the spread of its samples.
+
+        Raises:
+            ValueError: there are no samples.
+        """
         self._check()
         total = np.zeros(self._counts.shape[1])
         for half, count in zip(self._halves, self._counts, strict=True):
@@ -219,6 +226,18 @@ class AdaptiveRendering:
     def _check(self) -> None:
         if not self._counts.any():
             raise ValueError("the picture has no samples yet; call advance() first")
+
+
+def shared_out(total: float, share: np.ndarray, room: np.ndarray) -> np.ndarray:
+    """(N,) parts of a total in proportion to shares (N,), none above its room (N,); the rest goes to the others."""
+    found = np.zeros_like(share)
+    for _ in range(32):
+        free = (found < room) & (share > 0.0)
+        left = total - found.sum()
+        if left <= 1e-9 * total or not free.any():
+            break
+        found = np.where(free, np.minimum(found + left * share / share[free].sum(), room), found)
+    return found
 
 
 def averaged(values: np.ndarray) -> np.ndarray:
