@@ -32,7 +32,9 @@ def test_noisy_pixels_get_more_samples():
     )
     relative = (whole.noise / (reference.mean(axis=-1) + 0.1 * reference.mean())).ravel().argsort()
     for unbiased in (False, True):
-        made = [AdaptiveRendering(SCENE, CAMERA, samples=32, unbiased=unbiased, seed=s, **OPTIONS).advance() for s in (1000, 2000)]
+        made = [
+            AdaptiveRendering(SCENE, CAMERA, samples=32, unbiased=unbiased, seed=s, **OPTIONS).advance() for s in (1000, 2000)
+        ]
         assert all(abs(one.counts.mean() / 32 - 1.0) < 0.05 for one in made)
         assert np.mean([errors(one.linear, reference) for one in made]) < 0.7 * even
         counts = made[0].counts.ravel()
@@ -79,7 +81,10 @@ def test_adaptive_pictures_repeat():
 
 def test_means_over_squares():
     values = np.random.default_rng(1).random((7, 9))
-    expected = [[values[max(r - REACH, 0) : r + REACH + 1, max(c - REACH, 0) : c + REACH + 1].mean() for c in range(9)] for r in range(7)]
+    expected = [
+        [values[max(r - REACH, 0) : r + REACH + 1, max(c - REACH, 0) : c + REACH + 1].mean() for c in range(9)]
+        for r in range(7)
+    ]
     np.testing.assert_allclose(averaged(values), expected)
 
 

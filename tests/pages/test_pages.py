@@ -223,6 +223,12 @@ def check_rendering(names):
     pictures = [names[key] for key in ("image", "lamplit", "preview", "toned", "blurred", "moving")]
     assert all(picture.shape == (120, 160, 3) and 0.02 < picture.mean() < 0.98 for picture in pictures)
     assert 0.0 < names["last"] < names["first"]
+    np.testing.assert_allclose(names["adaptive"].counts.mean(), 16.0, rtol=0.1)
+    assert np.ptp(names["adaptive"].counts) > 0
+    assert 0.02 < names["inside"].mean() < 0.98
+    if "smooth" in names:
+        assert names["smooth"].shape == names["color"].shape
+        assert np.abs(np.diff(names["smooth"], axis=1)).mean() < np.abs(np.diff(names["color"], axis=1)).mean()
     assert (names["depth"] < np.inf).mean() > 0.3
     hit = names["hits"].is_hit
     np.testing.assert_allclose(names["heights"][hit], names["hits"].position[hit][:, 2], atol=1e-3)
