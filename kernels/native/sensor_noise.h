@@ -60,13 +60,19 @@ struct NoiseWords {
     }
 };
 
+/// Whether a sensor has any noise.
+template <class Noise> inline CUDA_CALLABLE bool is_noisy(const Noise& noise)
+{
+    return noise.range > 0.0 || noise.angle > 0.0 || noise.dropout > 0.0;
+}
+
 /// Ranges with noise of the returns begin .. end - 1, whose ranges without noise are in `range`, inf for none.
 template <class Noise>
-inline CUDA_CALLABLE void write_ranges(const Noise& noise, bool noisy, int begin, int end, float* __restrict range,
-    float* __restrict intensity, double* __restrict distance)
+inline CUDA_CALLABLE void write_ranges(
+    const Noise& noise, int begin, int end, float* __restrict range, float* __restrict intensity, double* __restrict distance)
 {
     const float none = WRT_INFINITY;
-    if (!noisy) {
+    if (!is_noisy(noise)) {
         const int n = end - begin;
         WRT_FOR (n, i) {
             const double far = double(range[begin + i]);

@@ -171,10 +171,10 @@ inline CUDA_CALLABLE void points_of_block(const Vec3* __restrict axes, const dou
 /// Points of the returns begin .. end - 1, one of each beam, of a sensor at rest whose beams start at its origin; NaN for none.
 /// `axes` begins with that of return `begin`.
 template <class Noise, class Vec3, class Vec3d, class Quat>
-inline CUDA_CALLABLE void write_points(const Noise& noise, bool noisy, const Vec3* axes, const double* distance,
-    const PointFrame<Vec3d, Quat>& frame, int begin, int end)
+inline CUDA_CALLABLE void write_points(
+    const Noise& noise, const Vec3* axes, const double* distance, const PointFrame<Vec3d, Quat>& frame, int begin, int end)
 {
-    if (!noisy) {
+    if (!is_noisy(noise)) {
         points_of_block<false>(axes, distance, nullptr, nullptr, frame, begin, end - begin);
         return;
     }
@@ -192,6 +192,16 @@ inline CUDA_CALLABLE void write_points(const Noise& noise, bool noisy, const Vec
         }
         points_of_block<true>(axes + (first - begin), distance, turn_0, turn_1, frame, first, n);
     }
+}
+
+/// Points in the frame of the sensor and in the world; null for those that are not asked for.
+template <class Noise, class Vec3, class Vec3d, class Pose>
+inline CUDA_CALLABLE void write_points(const Noise& noise, const Vec3* axes, const double* distance, const Pose& pose,
+    int begin, int end, Vec3d* point, Vec3d* position)
+{
+    using Frame = PointFrame<Vec3d, decltype(pose.rotation)>;
+    if (point) write_points(noise, axes, distance, Frame {false, pose.position, pose.rotation, point}, begin, end);
+    if (position) write_points(noise, axes, distance, Frame {true, pose.position, pose.rotation, position}, begin, end);
 }
 
 }  // namespace

@@ -236,18 +236,18 @@ def gather_returns(first: int, beams: Beams, traced: Traced, mesh: SceneMesh, de
             ray = following
 
 
-@wp.func
-def is_noisy(noise: Noise):
+@native.func_native("sensor_noise.h", "return wrt::is_noisy(noise);")
+def is_noisy(noise: Noise) -> bool:
     """Whether a sensor has any noise."""
-    return noise.range > wp.float64(0.0) or noise.angle > wp.float64(0.0) or noise.dropout > wp.float64(0.0)
+    ...
 
 
 @native.func_native(
     "sensor_noise.h",
     """wrt::write_ranges(
-        noise, noisy, begin, end, returns.range.data, returns.intensity.data, returns.distance.data);""",
+        noise, begin, end, returns.range.data, returns.intensity.data, returns.distance.data);""",
 )
-def write_ranges(noise: Noise, noisy: bool, begin: int, end: int, returns: Returns):
+def write_ranges(noise: Noise, begin: int, end: int, returns: Returns):
     """Writes the ranges of returns with noise, given those without, and takes out those that are lost."""
     ...
 
@@ -260,7 +260,7 @@ def add_noise(first: int, block: int, count: int, noise: Noise, returns: Returns
     if returns.mean.shape[0] > 0:
         for at in range(begin, end):
             returns.range[at] = returns.mean[at]
-    write_ranges(noise, is_noisy(noise), begin, end, returns)
+    write_ranges(noise, begin, end, returns)
 
 
 @native.func_native("sensor_rays.h", "return wrt::end_of_run(primitive.data, begin, end);")
@@ -323,4 +323,4 @@ def measure_single(
                 returns.intensity[at] = wp.where(detected, power, 0.0)
         i = following
     if beams.order.shape[0] == 0:
-        write_ranges(noise, is_noisy(noise), traced.place + begin, traced.place + end, returns)
+        write_ranges(noise, traced.place + begin, traced.place + end, returns)

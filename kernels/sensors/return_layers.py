@@ -68,24 +68,13 @@ def return_at(beams: Beams, traced: Traced, detector: Detector, returns: Returns
 
 @native.func_native(
     "sensor_rays.h",
-    """const auto write = [&](bool world, wp::vec_t<3, double>* points) {
-        const wrt::PointFrame<wp::vec_t<3, double>, wp::quat_t<double>> frame {world, position, turn, points};
-        wrt::write_points(noise, noisy, beams.directions.data + beam, returns.distance.data, frame, begin, end);
-    };
-    if (begin < layers.point.shape[0]) write(false, layers.point.data);
-    if (begin < layers.position.shape[0]) write(true, layers.position.data);""",
+    """wrt::write_points(
+        noise, beams.directions.data + beam, returns.distance.data, pose, begin, end,
+        begin < layers.point.shape[0] ? layers.point.data : nullptr,
+        begin < layers.position.shape[0] ? layers.position.data : nullptr);""",
 )
 def write_points(
-    beams: Beams,
-    noise: Noise,
-    noisy: bool,
-    position: wp.vec3d,
-    turn: wp.quatd,
-    beam: int,
-    begin: int,
-    end: int,
-    returns: Returns,
-    layers: ReturnLayers,
+    beams: Beams, noise: Noise, pose: Pose, beam: int, begin: int, end: int, returns: Returns, layers: ReturnLayers
 ):
     """Writes the points of returns begin .. end - 1 of one sensor at rest, the first of them that of a beam."""
     ...
@@ -113,8 +102,7 @@ def fill_points(
     plain = kept == 1 and beams.offsets.shape[0] == 0 and path.times.shape[0] <= 1
     if plain and place.beam + end - begin <= beams.directions.shape[0]:
         pose = pose_of(path, place.sensor, beams.start)
-        noisy = is_noisy(noise)
-        write_points(beams, noise, noisy, pose.position, pose.rotation, place.beam, begin, end, returns, layers)
+        write_points(beams, noise, pose, place.beam, begin, end, returns, layers)
         end = begin
     for at in range(begin, end):
         point = wp.vec3d(nan, nan, nan)

@@ -8,7 +8,7 @@ import trimesh
 
 import wrt
 from wrt.sensors import BrownConrady, Camera, Lidar, LidarPattern, Rig, Trajectory
-from wrt.sensors.rig import ARC_ERROR, mounted
+from wrt.sensors.rigs.rig import ARC_ERROR, mounted
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2, 0.5))
 GROUND = wrt.TriangleMesh([[-40, -40, -1], [40, -40, -1], [40, 40, -1], [-40, 40, -1]], [[0, 1, 2], [0, 2, 3]])

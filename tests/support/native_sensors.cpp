@@ -44,14 +44,19 @@ struct Noise {
     } key;
 };
 
+struct Pose {
+    Vec3d position;
+    Quat rotation;
+};
+
 void returns(const Detector& detector, const Noise& noise, const float* t, const int* primitive, const Vec3* directions,
     float* range, float* intensity, double* distance, const Quat& turn, Vec3d* point)
 {
     const int end = wrt::end_of_run(primitive, 0, 8);
     wrt::write_returns(detector, true, t, directions, directions[0], 1.0f, primitive, 0, 0, end, range, intensity);
-    wrt::write_ranges(noise, true, 0, 8, range, intensity, distance);
-    const wrt::PointFrame<Vec3d, Quat> frame {true, point[0], turn, point};
-    wrt::write_points(noise, true, directions, distance, frame, 0, 8);
+    wrt::write_ranges(noise, 0, 8, range, intensity, distance);
+    const Pose pose {point[0], turn};
+    wrt::write_points(noise, directions, distance, pose, 0, 8, point, point);
 }
 
 void table(const Column* columns, const int* order, const int* id, unsigned char* out)

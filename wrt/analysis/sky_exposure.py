@@ -138,7 +138,7 @@ class LitSurface:
 
         self._scene, self._tile, points = scene, int(TILE), LitPoints()
         self._traversal = STREAM if is_stream_able(scene) else AUTO
-        points.mesh, points.primitive, points.uv = surface.on_surface
+        points.mesh, points.primitive, points.uv = surface._surface
         self.device, self.count = points.primitive.device, surface.batch.count
         near = np.nan_to_num(host(surface.position).reshape(-1, 3) - points.mesh.center, copy=False).astype(np.float32)
         places = wp.array(near, dtype=wp.vec3, device=self.device)

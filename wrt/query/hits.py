@@ -164,7 +164,7 @@ class Hits(Generic[ArrayT]):
         from wrt.kernels.query.hit_attributes import hit_positions
 
         out = self._empty(wp.vec3d)
-        self._launch(hit_positions, *self.on_surface, out)
+        self._launch(hit_positions, *self._surface, out)
         return self._out(out) if self.is_far else self._as_dtype(out)
 
     @cached_property
@@ -172,7 +172,7 @@ class Hits(Generic[ArrayT]):
         from wrt.kernels.query.hit_attributes import hit_normals
 
         out = self._empty(wp.vec3)
-        self._launch(hit_normals, *self.on_surface[:2], out)
+        self._launch(hit_normals, *self._surface[:2], out)
         return self._as_dtype(out)
 
     @overload
@@ -214,7 +214,7 @@ class Hits(Generic[ArrayT]):
         sided = lookup(SIDES, side, "side")
         rays, form = self._leaving(directions)
         out = empty(math.prod(form.shape), wp.vec3d, self._device)
-        inputs = [*self.on_surface, rays.batch.directions, rays.batch.direction_stride, sided, out]
+        inputs = [*self._surface, rays.batch.directions, rays.batch.direction_stride, sided, out]
         with use_threads(self._num_threads):
             launch(spawn_origins, len(out), inputs, device=self._device, chunk=4096)
         return shaped(out, form._replace(dtype=np.float64))
@@ -243,7 +243,7 @@ class Hits(Generic[ArrayT]):
 
         rays, form = self._leaving(directions)
         out = empty(math.prod(form.shape), wp.bool, self._device)
-        inputs = [*self.on_surface[:2], rays.batch.directions, rays.batch.direction_stride, out]
+        inputs = [*self._surface[:2], rays.batch.directions, rays.batch.direction_stride, out]
         with use_threads(self._num_threads):
             launch(mark_facing, len(out), inputs, device=self._device, chunk=4096)
         return shaped(out, form)
@@ -367,7 +367,7 @@ class Hits(Generic[ArrayT]):
         return self.batch.primitive
 
     @cached_property
-    def on_surface(self) -> tuple[SceneMesh, wp.array, wp.array]:
+    def _surface(self) -> tuple[SceneMesh, wp.array, wp.array]:
         """The triangles in which the hits are, which of them, and the weights of its vertices."""
         return (self._mesh, self._triangles, self.batch.uv) if self._tangents is None else self._tangents(self.batch)
 

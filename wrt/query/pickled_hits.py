@@ -100,7 +100,7 @@ class PickledHits(Hits):
         )
 
     @property
-    def on_surface(self) -> NoReturn:  # type: ignore[override]
+    def _surface(self) -> NoReturn:  # type: ignore[override]
         """Not available, as `spawn`."""
         self.spawn(None)
 

@@ -121,7 +121,7 @@ class AdaptiveRendering:
         pixels = np.arange(self._counts.shape[1], dtype=np.int32)
         for number, half in enumerate(self._halves):
             own = (self._pilot + number) // halves
-            half.expose_chosen(pixels, 0, own)
+            half._expose_chosen(pixels, 0, own)
             self._counts[number] = own
         first = self._counts.max(axis=1)
         for turn in range(self._rounds):
@@ -136,7 +136,7 @@ class AdaptiveRendering:
     def _wanted(self, number: int, total: float) -> np.ndarray:
         """(pixels,) int: how many units of samples each pixel should get, if there are `total` samples, by what a half has
         found."""
-        sums, squares = self._halves[number].collected()
+        sums, squares = self._halves[number]._collected_sums()
         count, shape = self._counts[number].astype(np.float64), (self.camera.height, self.camera.width)
         mean = sums @ LUMINANCE / count
         spread = np.maximum(squares / count - mean * mean, 0.0)
@@ -157,7 +157,7 @@ class AdaptiveRendering:
         order = np.argsort(-levels, kind="stable").astype(np.int32)
         for level in range(int(levels.max(initial=0))):
             chosen = np.sort(order[: int((levels > level).sum())])
-            self._halves[number].expose_chosen(chosen, first, self._unit)
+            self._halves[number]._expose_chosen(chosen, first, self._unit)
             self._counts[number, chosen] += self._unit
             first += self._unit
         return first
@@ -175,7 +175,7 @@ class AdaptiveRendering:
         """
         self._check()
         halves = zip(self._halves, self._counts, strict=True)
-        mean = sum(half.collected()[0] / np.float64(count)[:, None] for half, count in halves) / len(self._halves)
+        mean = sum(half._collected_sums()[0] / np.float64(count)[:, None] for half, count in halves) / len(self._halves)
         return mean.astype(np.float32).reshape(self.camera.height, self.camera.width, 3)
 
     @property
@@ -188,7 +188,7 @@ class AdaptiveRendering:
         self._check()
         total = np.zeros(self._counts.shape[1])
         for half, count in zip(self._halves, self._counts, strict=True):
-            sums, squares = half.collected()
+            sums, squares = half._collected_sums()
             mean = sums @ LUMINANCE / count
             total += np.maximum(squares / count - mean * mean, 0.0) / np.maximum(count - 1.0, 1.0)
         return np.float32(np.sqrt(total) / len(self._halves)).reshape(self.camera.height, self.camera.width)

@@ -187,7 +187,7 @@ class Rendering(SampledPicture):
         """Adds this many samples to some pixels."""
         self._add(self._samples_of(first, self.done, samples), pixels)
 
-    def expose_chosen(self, chosen: np.ndarray, first: int, samples: int) -> None:
+    def _expose_chosen(self, chosen: np.ndarray, first: int, samples: int) -> None:
         """Adds samples to chosen pixels only, which `done` does not count: `wrt.pictures.AdaptiveRendering` does.
 
         Args:
@@ -205,7 +205,7 @@ class Rendering(SampledPicture):
                     wave.order = order
                     self._add(wave, len(part))
 
-    def collected(self) -> tuple[np.ndarray, np.ndarray]:
+    def _collected_sums(self) -> tuple[np.ndarray, np.ndarray]:
         """(pixels, 3) and (pixels,) float32: the sums of the samples so far, and of the squares of their luminance."""
         return self._sums[0].numpy(), self._sums[1].numpy()
 
