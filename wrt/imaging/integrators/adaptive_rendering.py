@@ -174,9 +174,10 @@ class AdaptiveRendering:
             ValueError: there are no samples.
         """
         self._check()
-        halves = zip(self._halves, self._counts, strict=True)
-        mean = sum(half._collected_sums()[0] / np.float64(count)[:, None] for half, count in halves) / len(self._halves)
-        return mean.astype(np.float32).reshape(self.camera.height, self.camera.width, 3)
+        mean = np.zeros((self._counts.shape[1], 3))
+        for half, count in zip(self._halves, self._counts, strict=True):
+            mean += half._collected_sums()[0] / count.astype(np.float64)[:, None]
+        return np.float32(mean / len(self._halves)).reshape(self.camera.height, self.camera.width, 3)
 
     @property
     def noise(self) -> np.ndarray:
