@@ -55,6 +55,7 @@ _HOME = {
     "compat": "wrt",
     "device": "wrt",
     "disk": "wrt",
+    "get_auto": "wrt.engine.plan.choices",
     "get_num_threads": "wrt.kernels.runtime.launch",
     "known_rays": "wrt",
     "lights": "wrt",
@@ -65,6 +66,7 @@ _HOME = {
     "save_image": "wrt.imaging.image_files",
     "scenes": "wrt",
     "sensors": "wrt",
+    "set_auto": "wrt.engine.plan.choices",
     "set_num_threads": "wrt.kernels.runtime.launch",
     "view": "wrt.viewer.live_view",
 }

@@ -97,6 +97,14 @@ class DeviceHits:
         made.counts, made.room = empty(rays, wp.int32, device), room
         return made
 
+    def part(self, begin: int, count: int) -> DeviceHits:
+        """Some of the answers, in the same memory; of those of `new_on_host`."""
+        part = DeviceHits(count, self.device)
+        for name, values in self._host.items():
+            begins = values.ptr + begin * wp.types.type_size_in_bytes(values.dtype)  # type: ignore[union-attr]
+            part._host[name] = HostArray(begins, count, values.dtype, values)  # type: ignore[arg-type]
+        return part
+
     @cached_property
     def t(self) -> wp.array | None:
         return self._array("t")

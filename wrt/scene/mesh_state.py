@@ -14,7 +14,6 @@ from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders.bvh import small_mesh_build
 from wrt.builders.triangle_boxes import triangle_boxes
-from wrt.engine.facts.query_cache import QueryCache
 from wrt.engine.facts.scene_settings import Settings
 from wrt.engine.facts.scene_state import SceneState
 from wrt.engine.launch.expected_kernels import expect_build
@@ -104,7 +103,7 @@ class MeshState(SceneState):
             built_tree=tree,
             device_mesh=placed.fill_in(tree.low, tree.high),
             last_update=report,
-            cache=QueryCache(),
+            cache=self.cache.of_updated(),
         )
 
 

@@ -46,8 +46,8 @@ class DeviceRays:
 
     origins: wp.array | HostArray
     directions: wp.array | HostArray
-    t_min: wp.array
-    t_max: wp.array
+    t_min: wp.array | HostArray
+    t_max: wp.array | HostArray
     layout: Layout
     center: np.ndarray
     facts: RayFacts
@@ -90,8 +90,33 @@ class DeviceRays:
         batch = empty_batch(self.layout, self.center)
         batch.count = self.count
         batch.origins, batch.directions = as_array(self.origins), as_array(self.directions)
-        batch.t_min, batch.t_max = self.t_min, self.t_max
+        batch.t_min, batch.t_max = as_array(self.t_min), as_array(self.t_max)
         return batch
+
+    def part(self, begin: int, count: int) -> DeviceRays:
+        """Some of the rays, which lie in no `batch`: of a picture, whole rows. The arrays stay where they are."""
+        arrays = (
+            HostArray(
+                (values.ptr or 0) + stride * begin * wp.types.type_size_in_bytes(dtype),
+                count if stride else 1,
+                dtype,
+                values,
+            )
+            for values, stride, dtype in zip(
+                (self.origins, self.directions, self.t_min, self.t_max), self.layout[:4], ARRAYS.values(), strict=True
+            )
+        )
+        facts, form = self.facts._replace(count=count, shape=(count,)), self.form._replace(shape=(count,))
+        return DeviceRays(*arrays, self.layout, self.center, facts, form, self.keep, self.in_place)  # type: ignore[arg-type]
+
+    def copied(self, count: int) -> DeviceRays:
+        """A copy of the first rays, which lie in no `batch`, as a flat list."""
+        part = self.part(0, min(count, self.count))
+        for name, dtype in ARRAYS.items():
+            values = np.array(getattr(part, name).numpy())
+            setattr(part, name, HostArray(address_of(values), len(values), dtype, values))
+        part.facts, part.keep = part.facts._replace(columns=0), ()
+        return part
 
     def sample(self) -> RayBatch:
         """The rays as kernels read them, for a look at some of them: the arrays stay what they are."""
