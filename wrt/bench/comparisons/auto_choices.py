@@ -82,6 +82,7 @@ def compare_choices(
     rounds: int = 5,
     peer: Any = None,
     on_turn: Callable[[str], None] = lambda name: None,
+    on_case: Callable[[Case], None] = lambda case: None,
 ) -> Iterator[Choice]:
     """The cases of a scene, one after the other.
 
@@ -93,9 +94,11 @@ def compare_choices(
         rounds: number of rounds per engine.
         peer: a `wrt.bench.peers.peer.Peer` that has built the mesh, timed beside; None for none.
         on_turn: told the name of each turn.
+        on_case: told each case before it is timed.
     """
     expect_engines(scene, mesh, kinds, sizes)
     for case in cases(mesh, kinds, sizes):
+        on_case(case)
         begin = f"{name}, {case.kind}, {case.rays_count:,} rays"
         yield compare(name, scene, case, rounds, peer, lambda engine, begin=begin: on_turn(f"{begin}: {engine}"))  # type: ignore[misc]
 

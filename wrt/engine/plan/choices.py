@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from wrt.engine.facts.query_kinds import AUTO, Query
-from wrt.engine.plan.contest import Contest, class_of, learner_of
+from wrt.engine.plan.contest import Contest, learner_of
 from wrt.engine.plan.plan import ChosenPlan, Plan
 from wrt.engine.plan.plan_checks import check_plan
 from wrt.engine.plan.planner import choose_plan, chosen_plan
@@ -151,7 +151,7 @@ def find_contest(scene: SceneState, rays: RayFacts, query: Query, chosen: Chosen
     measured = scene.is_cpu and query.traversal == AUTO and rays.count >= FEWEST_MEASURED and get_auto() == MEASURED
     if not measured or scene.facts.tree != "bvh" or scene.area_trees is not None or scene.facts.has_masks:
         return None
-    contest = known or Contest(rays, query, chosen, learner_of(scene, class_of(rays, query), chosen.name))
+    contest = known or Contest(rays, query, chosen, learner_of(scene, rays, query, chosen.name))
     contest.renew(chosen)
     return contest
 

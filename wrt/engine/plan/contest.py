@@ -3,7 +3,8 @@
 What is learned belongs to a class of rays (`class_of`), and lies in the scene's cache; the plans of a contest, to a shape.
 
 A plan takes part once its kernels are loaded. A thread of the pool loads those that the kernel cache has, by tracing copies of
-a few rays, when the calls have taken `LOAD_SECONDS`. Nothing is compiled for a contest (`wrt tune` and `wrt warm` compile).
+a few rays, when the calls have taken `LOAD_SECONDS`, or at once if `wrt tune` has found another engine than the rules. Nothing
+is compiled for a contest; `wrt tune` and `wrt warm` compile.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from wrt.engine.plan.learner import Learner
 from wrt.engine.plan.planner import chosen_plan, rival_plans
+from wrt.engine.plan.tuned_choices import tuned_engine
 from wrt.kernels.runtime.launch import get_num_threads
 
 if TYPE_CHECKING:
@@ -103,7 +105,8 @@ class Contest:
         learner = self.learner
         chosen.ready = True
         learner.tell(chosen.name, rays, seconds, 1 + self._untimed)
-        is_quick = seconds < QUICK_SECONDS and not learner.is_trying and learner.best == chosen.name
+        least = seconds if learner.usual is None else learner.usual * rays
+        is_quick = least < QUICK_SECONDS and not learner.is_trying and learner.best == chosen.name
         self.left = self._untimed = QUICK_CALLS if is_quick else 0
         self.show(chosen)
 
@@ -134,7 +137,8 @@ class Contest:
 
     def wants_loading(self) -> bool:
         """Whether the kernels of rivals are to be loaded now; True once."""
-        if self.has_asked or self.learner.spent < LOAD_SECONDS:
+        is_tuned = not self.learner.trials and self.learner.best != self.learner.guess
+        if self.has_asked or (self.learner.spent < LOAD_SECONDS and not is_tuned):
             return False
         self.has_asked = True
         return True
@@ -145,6 +149,7 @@ class Contest:
             plans = rival_plans(scene, self._rays, self._query, self._guess.plan)
             some = [chosen_plan(scene, plan, self._rays.count, self._query.kind) for plan in plans]
             self.chosen = {self._guess.name: self._guess, **{one.name: one for one in some if one.name != self._guess.name}}
+            self.learner.keep_to(self.chosen)
         return [one for one in self.chosen.values() if not one.ready and one is not self._guess]
 
     def _reason(self, reason: str, missing: tuple[str, ...]) -> str:
@@ -160,10 +165,11 @@ def class_of(rays: RayFacts, query: Query) -> Hashable:
     return query.kind, query.triangle_test, query.cull_backfaces, rays.count.bit_length(), *about, get_num_threads()
 
 
-def learner_of(scene: SceneState, key: Hashable, guess: str) -> Learner:
-    """What is learned of a class in a scene."""
-    learned = scene.cache.learned
+def learner_of(scene: SceneState, rays: RayFacts, query: Query, guess: str) -> Learner:
+    """What is learned of a class in a scene; at first, what `wrt tune` has stored."""
+    learned, key = scene.cache.learned, class_of(rays, query)
     with scene.cache.lock:
         if key not in learned:
             learned[key] = Learner(guess)
+            learned[key].best = tuned_engine(scene.facts, rays, query.kind, get_num_threads()) or guess
         return learned[key]

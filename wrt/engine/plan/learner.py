@@ -16,7 +16,7 @@ times as long in its first turn has no other.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 
 FIRST_SECONDS = 0.005
 """Seconds of calls before the first trial: other calls take less than a trial can save."""
@@ -150,6 +150,12 @@ class Learner:
                 self.guess = self.best = guess
                 self.usual = self.rates.get(guess)
                 self._change()
+
+    def keep_to(self, ways: Container[str]) -> None:
+        """Returns to the guess if the best way is none of these."""
+        with self._lock:
+            if self.best not in ways:
+                self.best, self.usual = self.guess, None
 
     def takes_change(self) -> bool:
         """Whether the rate has changed since this was asked before."""

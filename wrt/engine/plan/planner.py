@@ -166,7 +166,7 @@ def rival_plans(scene: SceneState, rays: RayFacts, query: Query, plan: Plan) -> 
         return [plan]
     together, parted = told._replace(overlap=Overlap(0.0, 0.0)), told._replace(overlap=Overlap(1.0, 0.0))
     others = [together] if told.coherent else []
-    others += [parted, parted._replace(triangles=1), parted._replace(triangles=1 << 30)]
+    others += [parted, parted._replace(triangles=1, lanes=16), parted._replace(triangles=1 << 30)]
     if told.instances:
         others += [parted._replace(instances=1), parted._replace(instances=1 << 30)]
     test = plan.triangle_test

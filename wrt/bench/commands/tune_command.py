@@ -1,0 +1,96 @@
+"""`wrt tune`: finds out which engines are the fastest on this machine, and stores it for later processes."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from math import log
+from pathlib import Path
+
+import click
+
+from wrt.bench.commands.command_options import load_model, progress, threads_option, usage_errors
+from wrt.bench.comparisons.auto_cases import KINDS, Case, scene_of
+from wrt.bench.comparisons.auto_choices import Choice, compare_choices
+from wrt.cli.arguments import target_options
+from wrt.cli.number_types import Whole
+from wrt.engine.facts.query_kinds import ANY, CLOSEST
+from wrt.engine.plan.tuned_choices import class_name, tuned_file, write
+from wrt.engine.rays.device_rays import to_device
+from wrt.kernels.runtime.launch import get_num_threads
+from wrt.scene.scene import Scene
+
+SIZES = (64, 256, 1024)
+
+WORTH = 1.05
+"""Time of what the rules choose over that of the best engine from which the latter is stored."""
+
+
+@click.command("tune")
+@click.argument("models", nargs=-1)
+@target_options
+@click.option("--kind", "kinds", multiple=True, type=click.Choice(KINDS), help="Kind of rays; may be repeated. [all]")
+@click.option("--size", "sizes", multiple=True, type=Whole(8), help="Views have SIZE x SIZE pixels. [64 256 1024]")
+@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per engine.")
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="File to write. [what WRT_TUNED names]")
+@threads_option
+def tune(
+    models: tuple[str, ...],
+    kinds: tuple[str, ...],
+    sizes: tuple[int, ...],
+    rounds: int,
+    output: Path | None,
+    threads: int | None,
+) -> None:
+    """Finds out which engines are the fastest on this machine for MODELS, and stores it: "auto" then begins with them.
+
+    All engines give the same hits. What was stored for the same number of threads is replaced.
+    """
+    if any(size % 4 for size in sizes):
+        raise click.BadParameter("must be a multiple of 4", param_hint="--size")
+    count, path = threads or get_num_threads(), output or tuned_file()
+    seen: list[tuple[str, Choice]] = []
+    with progress() as on_turn, usage_errors():
+        for model in models or ("teapot",):
+            scene, mesh = scene_of("model", load_model(model), count)
+            names: list[str] = []
+            chosen = compare_choices(
+                model,
+                scene,
+                mesh,
+                kinds=kinds or KINDS,
+                sizes=sizes or SIZES,
+                rounds=rounds,
+                on_turn=on_turn,
+                on_case=lambda case, names=names, scene=scene: names.append(class_of_case(scene, case)),
+            )
+            seen += [(names[-1], choice) for choice in chosen]
+    found = fastest(seen)
+    write({str(count): found}, path)
+    click.echo(
+        f"{len(seen)} cases on {count} threads: other engines than those of the rules in {len(found)} classes, in '{path}'"
+    )
+
+
+def class_of_case(scene: Scene, case: Case) -> str:
+    """The class of the rays of a case."""
+    rays = to_device(case.rays, scene.state.device, scene.state.center)
+    return class_name(scene.state.facts, rays.facts, ANY if case.is_occlusion else CLOSEST)
+
+
+def fastest(seen: Iterable[tuple[str, Choice]]) -> dict[str, str]:
+    """The engine of each class that takes least in the mean of the ratios, if that of the rules takes `WORTH` times as long."""
+    classes: dict[str, list[Choice]] = defaultdict(list)
+    for name, choice in seen:
+        classes[name].append(choice)
+    found = {}
+    for name, choices in classes.items():
+        common = set.intersection(*({*choice.milliseconds} for choice in choices))
+        means = {
+            engine: sum(log(choice.milliseconds[engine] / choice.milliseconds[choice.rules]) for choice in choices)
+            for engine in sorted(common)
+        }
+        best = min(means, key=means.__getitem__, default="")
+        if best and means[best] <= -log(WORTH) * len(choices):
+            found[name] = best
+    return found
