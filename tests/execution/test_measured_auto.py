@@ -148,7 +148,7 @@ def test_updates_keep_what_was_learned(scene, mesh, monkeypatch):
     for _ in range(30):
         scene.intersect(rays)
     before = learned(scene)
-    scene.update(0, mesh.vertices * np.float32(1.01))
+    scene.update(0, vertices=mesh.vertices * np.float32(1.01))
     assert learned(scene) is before
     assert scene.explain(rays).reason.count("measured") == 1
 

@@ -67,9 +67,8 @@ def tune(
             seen += [(names[-1], choice) for choice in chosen]
     found = fastest(seen)
     write({str(count): found}, path)
-    click.echo(
-        f"{len(seen)} cases on {count} threads: other engines than those of the rules in {len(found)} classes, in '{path}'"
-    )
+    found_in = f"{len(seen)} cases on {count} threads; other engines than the rules choose for {len(found)} classes"
+    click.echo(f"{found_in}: '{path}'")
 
 
 def class_of_case(scene: Scene, case: Case) -> str:
