@@ -100,9 +100,10 @@ class DeviceHits:
     def part(self, begin: int, count: int) -> DeviceHits:
         """Some of the answers, in the same memory; of those of `new_on_host`."""
         part = DeviceHits(count, self.device)
-        for name, values in self._host.items():
-            begins = values.ptr + begin * wp.types.type_size_in_bytes(values.dtype)  # type: ignore[union-attr]
-            part._host[name] = HostArray(begins, count, values.dtype, values)  # type: ignore[arg-type]
+        for name in self._host:
+            values: Any = self._host[name]
+            begins = values.ptr + begin * wp.types.type_size_in_bytes(values.dtype)
+            part._host[name] = HostArray(begins, count, values.dtype, values)
         return part
 
     @cached_property

@@ -53,7 +53,7 @@ def tune(
     with progress() as on_turn, usage_errors():
         for model in models or ("teapot",):
             scene, mesh = scene_of("model", load_model(model), count)
-            names: list[str] = []
+            cases: list[Case] = []
             chosen = compare_choices(
                 model,
                 scene,
@@ -62,9 +62,9 @@ def tune(
                 sizes=sizes or SIZES,
                 rounds=rounds,
                 on_turn=on_turn,
-                on_case=lambda case, names=names, scene=scene: names.append(class_of_case(scene, case)),
+                on_case=cases.append,
             )
-            seen += [(names[-1], choice) for choice in chosen]
+            seen += [(class_of_case(scene, cases[-1]), choice) for choice in chosen]
     found = fastest(seen)
     write({str(count): found}, path)
     found_in = f"{len(seen)} cases on {count} threads; other engines than the rules choose for {len(found)} classes"

@@ -142,7 +142,7 @@ def find_choice(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
             _few_ray_plans[shared] = plan
     uses = float("inf") if each_alone else CHOICE_USES
     chosen = chosen_plan(scene, plan, count, kind)
-    contest = None if each_alone else find_contest(scene, rays, query, chosen, kept and kept[0].contest)
+    contest = None if each_alone else find_contest(scene, rays, query, chosen, kept[0].contest if kept else None)
     return scene.cache.keep_choice(key, Choice(chosen, contest), uses)
 
 

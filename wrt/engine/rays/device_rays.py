@@ -28,6 +28,9 @@ FLOATS = FLOAT32, FLOAT64
 ARRAYS = {"origins": wp.vec3, "directions": wp.vec3, "t_min": wp.float32, "t_max": wp.float32}
 """The arrays of rays."""
 
+BYTES: dict[type, int] = {dtype: wp.types.type_size_in_bytes(dtype) for dtype in ARRAYS.values()}
+"""Bytes of their elements."""
+
 
 @dataclass(eq=False)
 class DeviceRays:
@@ -46,8 +49,8 @@ class DeviceRays:
 
     origins: wp.array | HostArray
     directions: wp.array | HostArray
-    t_min: wp.array | HostArray
-    t_max: wp.array | HostArray
+    t_min: wp.array
+    t_max: wp.array
     layout: Layout
     center: np.ndarray
     facts: RayFacts
@@ -95,19 +98,14 @@ class DeviceRays:
 
     def part(self, begin: int, count: int) -> DeviceRays:
         """Some of the rays, which lie in no `batch`: of a picture, whole rows. The arrays stay where they are."""
-        arrays = (
-            HostArray(
-                (values.ptr or 0) + stride * begin * wp.types.type_size_in_bytes(dtype),
-                count if stride else 1,
-                dtype,
-                values,
-            )
-            for values, stride, dtype in zip(
-                (self.origins, self.directions, self.t_min, self.t_max), self.layout[:4], ARRAYS.values(), strict=True
-            )
+        given, strides = (self.origins, self.directions, self.t_min, self.t_max), self.layout[:4]
+        origins, directions, t_min, t_max = (
+            HostArray((values.ptr or 0) + stride * begin * BYTES[dtype], count if stride else 1, dtype, values)
+            for values, stride, dtype in zip(given, strides, ARRAYS.values(), strict=True)
         )
         facts, form = self.facts._replace(count=count, shape=(count,)), self.form._replace(shape=(count,))
-        return DeviceRays(*arrays, self.layout, self.center, facts, form, self.keep, self.in_place)  # type: ignore[arg-type]
+        bounds: Any = t_min, t_max  # a prepared query asks for no more than addresses
+        return DeviceRays(origins, directions, *bounds, self.layout, self.center, facts, form, self.keep, self.in_place)
 
     def copied(self, count: int) -> DeviceRays:
         """A copy of the first rays, which lie in no `batch`, as a flat list."""
