@@ -55,7 +55,6 @@ _HOME = {
     "compat": "wrt",
     "device": "wrt",
     "disk": "wrt",
-    "get_auto": "wrt.engine.plan.choices",
     "get_num_threads": "wrt.kernels.runtime.launch",
     "known_rays": "wrt",
     "lights": "wrt",
@@ -66,7 +65,6 @@ _HOME = {
     "save_image": "wrt.imaging.image_files",
     "scenes": "wrt",
     "sensors": "wrt",
-    "set_auto": "wrt.engine.plan.choices",
     "set_num_threads": "wrt.kernels.runtime.launch",
     "view": "wrt.viewer.live_view",
 }

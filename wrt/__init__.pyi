@@ -15,8 +15,6 @@ from wrt import scenes as scenes
 from wrt import sensors as sensors
 from wrt.accelerators.tree_descriptions import Bvh as Bvh
 from wrt.accelerators.tree_descriptions import KdTree as KdTree
-from wrt.engine.plan.choices import get_auto as get_auto
-from wrt.engine.plan.choices import set_auto as set_auto
 from wrt.engine.rays.rays import Rays as Rays
 from wrt.imaging.cameras import OrthographicCamera as OrthographicCamera
 from wrt.imaging.cameras import PinholeCamera as PinholeCamera
@@ -55,7 +53,6 @@ __all__ = [
     "compat",
     "device",
     "disk",
-    "get_auto",
     "get_num_threads",
     "known_rays",
     "lights",
@@ -66,7 +63,6 @@ __all__ = [
     "save_image",
     "scenes",
     "sensors",
-    "set_auto",
     "set_num_threads",
     "view",
 ]

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import wrt
+import wrt.device
 from wrt.engine import executor
 from wrt.engine.launch import parts
 from wrt.engine.plan import choices, contest
@@ -40,7 +41,7 @@ def scene(mesh, monkeypatch) -> wrt.Scene:
 def measured(monkeypatch):
     monkeypatch.delenv(choices.VARIABLE, raising=False)
     yield
-    wrt.set_auto(None)
+    wrt.device.set_auto(None)
 
 
 def random_rays(mesh: wrt.TriangleMesh, count: int = COUNT) -> wrt.Rays:
@@ -76,9 +77,9 @@ def learned(scene: wrt.Scene) -> Learner:
 @pytest.mark.parametrize("fastest", ["stream", "interleaved"])
 def test_the_fastest_engine_is_used(scene, mesh, monkeypatch, fastest):
     rays = random_rays(mesh)
-    wrt.set_auto("rules")
+    wrt.device.set_auto("rules")
     expected = scene.intersect(rays)
-    wrt.set_auto(None)
+    wrt.device.set_auto(None)
     clock = Clock(monkeypatch, {"stream": 2e-6, "interleaved": 2e-6} | {fastest: 1e-6})
     assert all(same(scene.intersect(rays), expected) for _ in range(30))
     assert {"stream", "interleaved"} <= {*clock.engines}
@@ -102,7 +103,7 @@ def test_few_rays_and_given_plans_are_not_compared(scene, mesh, monkeypatch):
 
 def test_the_rules_alone(scene, mesh, monkeypatch):
     """The same calls always use the same engine."""
-    wrt.set_auto("rules")
+    wrt.device.set_auto("rules")
     rays = random_rays(mesh)
     plan = scene.explain(rays)
     clock = Clock(monkeypatch, {"stream": 1.0, "interleaved": 2.0})
@@ -112,22 +113,22 @@ def test_the_rules_alone(scene, mesh, monkeypatch):
 
 
 def test_the_rules_alone_by_the_environment(monkeypatch):
-    assert wrt.get_auto() == "measured"
+    assert wrt.device.get_auto() == "measured"
     monkeypatch.setenv(choices.VARIABLE, "rules")
-    assert wrt.get_auto() == "rules"
-    wrt.set_auto("measured")
-    assert wrt.get_auto() == "measured"
-    wrt.set_auto(None)
+    assert wrt.device.get_auto() == "rules"
+    wrt.device.set_auto("measured")
+    assert wrt.device.get_auto() == "measured"
+    wrt.device.set_auto(None)
     monkeypatch.setenv(choices.VARIABLE, "guess")
     with pytest.raises(ValueError, match="WRT_AUTO 'guess' is unknown; choose from measured, rules"):
-        wrt.get_auto()
+        wrt.device.get_auto()
 
 
 def test_bad_settings():
     with pytest.raises(ValueError, match="how 'best' is unknown"):
-        wrt.set_auto("best")
+        wrt.device.set_auto("best")
     with pytest.raises(TypeError, match="how must be a name"):
-        wrt.set_auto(3)  # type: ignore[arg-type]
+        wrt.device.set_auto(3)  # type: ignore[arg-type]
 
 
 def test_rays_that_start_elsewhere_are_looked_at(scene, mesh, monkeypatch):

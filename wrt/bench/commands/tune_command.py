@@ -10,15 +10,12 @@ from pathlib import Path
 import click
 
 from wrt.bench.commands.command_options import load_model, progress, threads_option, usage_errors
-from wrt.bench.comparisons.auto_cases import KINDS, Case, scene_of
+from wrt.bench.comparisons.auto_cases import KINDS, scene_of
 from wrt.bench.comparisons.auto_choices import Choice, compare_choices
 from wrt.cli.arguments import target_options
 from wrt.cli.number_types import Whole
-from wrt.engine.facts.query_kinds import ANY, CLOSEST
-from wrt.engine.plan.tuned_choices import class_name, tuned_file, write
-from wrt.engine.rays.device_rays import to_device
+from wrt.engine.plan.tuned_choices import tuned_file, write
 from wrt.kernels.runtime.launch import get_num_threads
-from wrt.scene.scene import Scene
 
 SIZES = (64, 256, 1024)
 
@@ -49,39 +46,25 @@ def tune(
     if any(size % 4 for size in sizes):
         raise click.BadParameter("must be a multiple of 4", param_hint="--size")
     count, path = threads or get_num_threads(), output or tuned_file()
-    seen: list[tuple[str, Choice]] = []
+    seen: list[Choice] = []
     with progress() as on_turn, usage_errors():
         for model in models or ("teapot",):
             scene, mesh = scene_of("model", load_model(model), count)
-            cases: list[Case] = []
-            chosen = compare_choices(
-                model,
-                scene,
-                mesh,
-                kinds=kinds or KINDS,
-                sizes=sizes or SIZES,
-                rounds=rounds,
-                on_turn=on_turn,
-                on_case=cases.append,
+            some = compare_choices(
+                model, scene, mesh, kinds=kinds or KINDS, sizes=sizes or SIZES, rounds=rounds, on_turn=on_turn
             )
-            seen += [(class_of_case(scene, cases[-1]), choice) for choice in chosen]
+            seen += some
     found = fastest(seen)
     write({str(count): found}, path)
     found_in = f"{len(seen)} cases on {count} threads; other engines than the rules choose for {len(found)} classes"
     click.echo(f"{found_in}: '{path}'")
 
 
-def class_of_case(scene: Scene, case: Case) -> str:
-    """The class of the rays of a case."""
-    rays = to_device(case.rays, scene.state.device, scene.state.center)
-    return class_name(scene.state.facts, rays.facts, ANY if case.is_occlusion else CLOSEST)
-
-
-def fastest(seen: Iterable[tuple[str, Choice]]) -> dict[str, str]:
+def fastest(seen: Iterable[Choice]) -> dict[str, str]:
     """The engine of each class that takes least in the mean of the ratios, if that of the rules takes `WORTH` times as long."""
     classes: dict[str, list[Choice]] = defaultdict(list)
-    for name, choice in seen:
-        classes[name].append(choice)
+    for choice in seen:
+        classes[choice.rays_class].append(choice)
     found = {}
     for name, choices in classes.items():
         common = set.intersection(*({*choice.milliseconds} for choice in choices))

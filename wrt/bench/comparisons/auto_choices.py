@@ -20,6 +20,7 @@ from wrt.engine.plan.choices import make_plan
 from wrt.engine.plan.plan import Plan, config_for_layout, kernel_factory, plan_for_query, traversal_config
 from wrt.engine.plan.plan_checks import can_answer, fits
 from wrt.engine.plan.planner import choose_plan, default_test
+from wrt.engine.plan.tuned_choices import class_name
 from wrt.engine.rays.device_rays import to_device
 from wrt.kernels.runtime.launch import expect, specialise, use_threads
 from wrt.kernels.traversal import TRAVERSALS
@@ -47,6 +48,7 @@ class Choice:
     Attributes:
         scene, kind: the scene's name and the kind of rays.
         triangles, rays: how many.
+        rays_class: class of the rays and the scene (`wrt.engine.plan.tuned_choices.class_name`).
         auto: the engine that "auto" uses at the end, and why.
         rules: the engine that its rules choose.
         reason: as in the plan.
@@ -61,6 +63,7 @@ class Choice:
     kind: str
     triangles: int
     rays: int
+    rays_class: str
     auto: str
     rules: str
     reason: str
@@ -82,7 +85,6 @@ def compare_choices(
     rounds: int = 5,
     peer: Any = None,
     on_turn: Callable[[str], None] = lambda name: None,
-    on_case: Callable[[Case], None] = lambda case: None,
 ) -> Iterator[Choice]:
     """The cases of a scene, one after the other.
 
@@ -94,11 +96,9 @@ def compare_choices(
         rounds: number of rounds per engine.
         peer: a `wrt.bench.peers.peer.Peer` that has built the mesh, timed beside; None for none.
         on_turn: told the name of each turn.
-        on_case: told each case before it is timed.
     """
     expect_engines(scene, mesh, kinds, sizes)
     for case in cases(mesh, kinds, sizes):
-        on_case(case)
         begin = f"{name}, {case.kind}, {case.rays_count:,} rays"
         yield compare(name, scene, case, rounds, peer, lambda engine, begin=begin: on_turn(f"{begin}: {engine}"))  # type: ignore[misc]
 
@@ -134,6 +134,7 @@ def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn
         kind=case.kind,
         triangles=scene.triangle_count,
         rays=case.rays_count,
+        rays_class=class_of_case(scene, case),
         auto=plan.engine,
         rules=chosen,
         reason=plan.reason,
@@ -144,6 +145,12 @@ def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn
         milliseconds=times,
         open3d=None if beside is None else 1e3 * beside.spread[0],
     )
+
+
+def class_of_case(scene: Scene, case: Case) -> str:
+    """The class of the rays of a case."""
+    rays = to_device(case.rays, scene.state.device, scene.state.center)
+    return class_name(scene.state.facts, rays.facts, ANY if case.is_occlusion else CLOSEST)
 
 
 def settle(run: Callable[[], Any]) -> None:

@@ -73,6 +73,7 @@ def compare_journeys(
             kind=f"journey, {stay}",
             triangles=scene.triangle_count,
             rays=cases[0].rays_count,
+            rays_class="",
             auto=AUTO,
             rules=RULES,
             reason="",

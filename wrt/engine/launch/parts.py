@@ -106,7 +106,7 @@ def compare_parts(
         count: rays of the batch.
         size: rays of a part, a multiple of `unit`.
         trace: traces a part, (plan, first ray, rays) -> seconds.
-        unit: parts begin at a multiple of so many rays.
+        unit: parts begin at a multiple of this number of rays.
 
     Returns:
         Seconds a ray of each plan; seconds that were lost; the ranges of rays that are left.
