@@ -129,6 +129,35 @@ def test_a_jump_that_the_caller_tells_is_noticed_at_once():
     assert calls.learner.best == "b"
 
 
+def test_a_trial_that_was_left_is_made_anew():
+    """Its turns had other rays: none of them counts."""
+    calls = Calls(Learner("a"), fixed(a=0.01, b=0.012, c=0.02))
+    calls.make(3)
+    assert calls.learner.is_trying
+    calls.learner.leave_trial()
+    assert not calls.learner.is_trying
+    assert calls.make(3) == ["a", "b", "c"]
+    assert calls.learner.trials == 0
+
+
+def test_looks_have_a_share():
+    """A look at other rays is worth its time once calls have taken much longer."""
+    learner = Learner("a")
+    assert learner.may_look()
+    learner.changed(0.001)
+    assert not learner.may_look()
+    learner.tell("a", RAYS, 0.1)
+    assert learner.may_look()
+
+
+def test_a_forked_child_has_a_new_lock():
+    learner = Learner("a")
+    learner._lock.acquire()
+    learner.renew_lock()
+    learner.tell("a", RAYS, 0.1)
+    assert learner.spent == 0.1
+
+
 def test_another_guess_is_followed_at_once():
     calls = Calls(Learner("a"), fixed(a=0.01, b=0.02, c=0.02))
     calls.make(100)

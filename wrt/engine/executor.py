@@ -101,7 +101,7 @@ def closest_of_relative(scene: SceneState, rays: DeviceRays) -> DeviceHits:
     with use_threads(scene.num_threads):
         rays, query = examine(rays, scene.device), QUERIES[CLOSEST]
         chosen, contest = find_choice(scene, rays.facts, query, rays.sample)
-        if contest is not None:
+        if contest is not None and not scene.device.is_capturing:
             return trace_measured(scene, contest, rays, query)
         return trace_chosen(scene, chosen, rays, query.kind)[0]
 
@@ -167,8 +167,10 @@ def trace_measured(scene: SceneState, contest: Contest, rays: DeviceRays, query:
         x, y, z = Point.from_address(rays.origins.ptr)
         known = contest.origin
         is_elsewhere = known is None or (x - known[0]) ** 2 + (y - known[1]) ** 2 + (z - known[2]) ** 2 > contest.reach
-        if is_elsewhere and contest.learner.may_look() and contest.place(scene, (x, y, z)):
-            renew(scene, contest, rays, query)
+        if is_elsewhere:
+            contest.learner.leave_trial()
+            if contest.learner.may_look() and contest.place(scene, (x, y, z)):
+                renew(scene, contest, rays, query)
     if contest.left > 0:
         contest.left -= 1
         return trace_chosen(scene, contest.current, rays, kind)[0]

@@ -120,6 +120,8 @@ def _renew_locks() -> None:
     """A lock that another thread held while the process was forked would never be released in the child."""
     for cache in _caches:
         cache.lock = threading.RLock()
+        for learner in cache.learned.values():
+            learner.renew_lock()
 
 
 if hasattr(os, "register_at_fork"):

@@ -137,6 +137,15 @@ class Learner:
         """Whether a look at rays that are others than before is worth its time."""
         return self.looked <= LOOKS_SHARE * self.spent
 
+    def leave_trial(self) -> None:
+        """Ends a trial without a result: the next call has other rays than those before."""
+        with self._lock:
+            self._queue, self._seen = [], {}
+
+    def renew_lock(self) -> None:
+        """Makes a new lock, in a forked child: a thread that it does not have may hold the old one."""
+        self._lock = threading.Lock()
+
     def changed(self, looked: float = 0.0) -> None:
         """The next calls may be others than those before, in spite of their kind; to look at them took some seconds."""
         with self._lock:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +35,6 @@ MOST_BYTES = 1 << 20
 Engines = dict[str, dict[str, str]]
 """Name of an engine by number of threads and class."""
 
-_lock = threading.Lock()
 _engines: Engines | None = None
 
 
@@ -68,9 +66,7 @@ def engines() -> Engines:
     """What the file has; nothing if it is not used."""
     global _engines
     if _engines is None:
-        with _lock:
-            if _engines is None:
-                _engines = read(tuned_file())
+        _engines = read(tuned_file())
     return _engines
 
 
