@@ -99,13 +99,14 @@ class DeviceRays:
     def part(self, begin: int, count: int) -> DeviceRays:
         """Some of the rays, which lie in no `batch`: of a picture, whole rows. The arrays stay where they are."""
         given, strides = (self.origins, self.directions, self.t_min, self.t_max), self.layout[:4]
-        origins, directions, t_min, t_max = (
+        arrays: list[Any] = [  # a prepared query asks for no more than addresses
             HostArray((values.ptr or 0) + stride * begin * BYTES[dtype], count if stride else 1, dtype, values)
             for values, stride, dtype in zip(given, strides, ARRAYS.values(), strict=True)
-        )
+        ]
+        origins, directions, t_min, t_max = arrays
         facts, form = self.facts._replace(count=count, shape=(count,)), self.form._replace(shape=(count,))
-        bounds: Any = t_min, t_max  # a prepared query asks for no more than addresses
-        return DeviceRays(origins, directions, *bounds, self.layout, self.center, facts, form, self.keep, self.in_place)
+        layout, center = self.layout, self.center
+        return DeviceRays(origins, directions, t_min, t_max, layout, center, facts, form, self.keep, self.in_place)
 
     def copied(self, count: int) -> DeviceRays:
         """A copy of the first rays, which lie in no `batch`, as a flat list."""
