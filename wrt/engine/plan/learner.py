@@ -10,7 +10,7 @@ best way takes all calls, and its rate is followed. A trial is made
   that the rays start elsewhere.
 
 A way replaces the best one if it is faster by `MARGIN`, also after both had as many turns again. One that takes `HOPELESS`
-times as long in its first turn has no other.
+times as long in its first turn has no other. What that costs and saves: notebooks/records/2026-11-27-measured-auto.md.
 """
 
 from __future__ import annotations
