@@ -98,6 +98,30 @@ def gather_hits(first: int, found: HitBatch, order: wp.array(dtype=int), offsets
 
 
 @wp.kernel
+def sort_lists(first: int, found: HitBatch):
+    """Sorts the hits of a ray, from `begins` on. Item: a ray."""
+    i = first + wp.tid()
+    sort_hits(found, found.begins[i], found.counts[i])
+
+
+@wp.kernel
+def lengths_of_lists(first: int, counts: wp.array(dtype=int), most: int, lengths: wp.array(dtype=wp.int64)):
+    """Writes the length of a ray's list, at most `most`, and 0 after the last one. Item: an element of `lengths`."""
+    i = first + wp.tid()
+    length = int(0)
+    if i < counts.shape[0]:
+        length = wp.min(counts[i], most)
+    lengths[i] = wp.int64(length)
+
+
+@wp.kernel
+def narrow_offsets(first: int, offsets: wp.array(dtype=wp.int64), begins: wp.array(dtype=int)):
+    """Copies the first index of a list; only sums below 2^31 are of use. Item: a list."""
+    i = first + wp.tid()
+    begins[i] = int(offsets[i])
+
+
+@wp.kernel
 def number_rays(first: int, offsets: wp.array(dtype=wp.int64), ray_id: wp.array(dtype=int)):
     """Writes the number of a ray to each of its hits. Item: a ray."""
     i = first + wp.tid()
