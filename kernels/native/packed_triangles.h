@@ -28,35 +28,114 @@ template <class Tree> inline CUDA_CALLABLE GivenRay given_in(const Tree& tree, f
     return {{px, py, pz}, {x, y, z}, reach(tree.low, tree.high, px, py, pz)};
 }
 
+/// Where a ray of a batch is given.
+struct RayPlace {
+    const float *from, *along;
+};
+
+template <class Batch> inline CUDA_CALLABLE RayPlace place_of(const Batch& rays, int i)
+{
+    return {(const float*)(rays.origins.data + (size_t)i * rays.origin_stride),
+        (const float*)(rays.directions.data + (size_t)i * rays.direction_stride)};
+}
+
 /// Ray i of a batch, relative to the centre of the scene whose bounds are those of `tree`.
 template <class Tree, class Batch> inline CUDA_CALLABLE GivenRay given_ray(const Tree& tree, const Batch& rays, int i)
 {
-    const float* const from = (const float*)(rays.origins.data + (size_t)i * rays.origin_stride);
-    const float* const along = (const float*)(rays.directions.data + (size_t)i * rays.direction_stride);
+    const RayPlace at = place_of(rays, i);
     const auto& c = rays.center.c;
-    return given_in(
-        tree, relative(from[0], c[0]), relative(from[1], c[1]), relative(from[2], c[2]), along[0], along[1], along[2]);
+    return given_in(tree, relative(at.from[0], c[0]), relative(at.from[1], c[1]), relative(at.from[2], c[2]), at.along[0],
+        at.along[1], at.along[2]);
 }
 
-/// The same ray in the space of an instance at `place`, whose tree has the bounds of `tree` (`object_ray` of
-/// wrt.kernels.layout.instance_maps).
-template <class Tree, class Place, class Batch>
-inline CUDA_CALLABLE GivenRay given_within(const Tree& tree, const Place& place, const Batch& rays, int i)
+/// A ray in the space of an instance at `place`, whose tree has the bounds of `tree` (`object_ray` of
+/// wrt.kernels.layout.instance_maps). px, py, pz: its origin relative to the scene's centre.
+template <class Tree, class Place>
+inline CUDA_CALLABLE GivenRay mapped(
+    const Tree& tree, const Place& place, double px, double py, double pz, float x, float y, float z)
 {
-    const float* const from = (const float*)(rays.origins.data + (size_t)i * rays.origin_stride);
-    const float* const along = (const float*)(rays.directions.data + (size_t)i * rays.direction_stride);
-    float direction[3] = {along[0], along[1], along[2]}, to[6];
-    drop_negligible(direction[0], direction[1], direction[2]);
-    double offset[3];
-    WRT_UNROLLED
-    for (int a = 0; a < 3; ++a) offset[a] = ((double)from[a] - rays.center.c[a]) - place.origin.c[a];
+    drop_negligible(x, y, z);
+    const double qx = px - place.origin.c[0], qy = py - place.origin.c[1], qz = pz - place.origin.c[2];
+    float to[6];
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {
         const auto& m = place.to_object.data[a];
-        to[a] = (float)((m[0] * offset[0] + m[1] * offset[1]) + m[2] * offset[2]);
-        to[3 + a] = (float)((m[0] * (double)direction[0] + m[1] * (double)direction[1]) + m[2] * (double)direction[2]);
+        to[a] = (float)((m[0] * qx + m[1] * qy) + m[2] * qz);
+        to[3 + a] = (float)((m[0] * (double)x + m[1] * (double)y) + m[2] * (double)z);
     }
     return given_in(tree, to[0], to[1], to[2], to[3], to[4], to[5]);
+}
+
+/// Ray i of a batch there.
+template <class Tree, class Place, class Batch>
+inline CUDA_CALLABLE GivenRay given_within(const Tree& tree, const Place& place, const Batch& rays, int i)
+{
+    const RayPlace at = place_of(rays, i);
+    const auto& c = rays.center.c;
+    return mapped(tree, place, (double)at.from[0] - c[0], (double)at.from[1] - c[1], (double)at.from[2] - c[2], at.along[0],
+        at.along[1], at.along[2]);
+}
+
+/// The range of ray i of a batch, what it sees of instances, and its environment (`ray_mask`, `ray_environment`).
+template <class Batch> inline CUDA_CALLABLE float first_t(const Batch& rays, int i)
+{
+    return rays.t_min.data[(size_t)i * rays.t_min_stride];
+}
+
+template <class Batch> inline CUDA_CALLABLE float last_t(const Batch& rays, int i)
+{
+    const float last = rays.t_max.data[(size_t)i * rays.t_max_stride];
+    return last > FARTHEST ? FARTHEST : last;
+}
+
+template <class Batch> inline CUDA_CALLABLE unsigned mask_of(const Batch& rays, int i)
+{
+    return rays.mask.shape[0] > 0 ? rays.mask.data[(size_t)i * rays.mask_stride] : ~0u;
+}
+
+template <class Batch> inline CUDA_CALLABLE int environment_of(const Batch& rays, int i)
+{
+    return rays.environment.shape[0] > 0 ? rays.environment.data[(size_t)i * rays.environment_stride] : -1;
+}
+
+/// In place of a batch, the ray of a thread: a checked `Ray`, its origin in float64, and what it sees.
+template <class Ray, class Origin> struct OneRay {
+    const Ray& ray;
+    const Origin& origin;
+    unsigned mask;
+    int environment;
+};
+
+template <class Tree, class Ray, class Origin>
+inline CUDA_CALLABLE GivenRay given_ray(const Tree& tree, const OneRay<Ray, Origin>& own, int)
+{
+    const auto &from = own.ray.origin.c, &along = own.ray.direction.c;
+    return given_in(tree, from[0], from[1], from[2], along[0], along[1], along[2]);
+}
+
+template <class Tree, class Place, class Ray, class Origin>
+inline CUDA_CALLABLE GivenRay given_within(const Tree& tree, const Place& place, const OneRay<Ray, Origin>& own, int)
+{
+    const auto &from = own.origin.c;
+    const auto &along = own.ray.direction.c;
+    return mapped(tree, place, from[0], from[1], from[2], along[0], along[1], along[2]);
+}
+
+template <class Ray, class Origin> inline CUDA_CALLABLE float first_t(const OneRay<Ray, Origin>& own, int)
+{
+    return own.ray.t_min;
+}
+
+template <class Ray, class Origin> inline CUDA_CALLABLE float last_t(const OneRay<Ray, Origin>& own, int)
+{
+    return own.ray.t_max;
+}
+
+template <class Ray, class Origin> inline CUDA_CALLABLE unsigned mask_of(const OneRay<Ray, Origin>& own, int) { return own.mask; }
+
+template <class Ray, class Origin> inline CUDA_CALLABLE int environment_of(const OneRay<Ray, Origin>& own, int)
+{
+    return own.environment;
 }
 
 /// A vector in the order of axes in which the main axis is last.

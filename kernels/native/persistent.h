@@ -111,9 +111,8 @@ template <class All, bool FROM_ZERO> struct Walk {
 
     CUDA_CALLABLE void begin(const All& all, int i, int* stack)
     {
-        const float last = all.rays.t_max.data[(size_t)i * all.rays.t_max_stride];
-        own_t_min = all.rays.t_min.data[(size_t)i * all.rays.t_min_stride];
-        best = {last > FARTHEST ? FARTHEST : last, 0.0f, 0.0f, -1};
+        own_t_min = first_t(all.rays, i);
+        best = {last_t(all.rays, i), 0.0f, 0.0f, -1};
         number = i, instance = -1, top = 1, stack[0] = DONE;
         work = {0, 0, 0};
         int root = 0;
@@ -121,9 +120,7 @@ template <class All, bool FROM_ZERO> struct Walk {
             const auto& upper = all.space.top;
             const GivenRay given = given_ray(upper.tree, all.rays, i);
             aim(given, upper.slack_scale);
-            const auto& environments = all.rays.environment;
-            const bool one = environments.shape[0] > 0;
-            root = root_of(upper, one ? environments.data[(size_t)i * all.rays.environment_stride] : -1);
+            root = root_of(upper, environment_of(all.rays, i));
             node = root >= 0 && is_valid(given, t_min(), best.t) ? root : DONE;
         } else {
             const GivenRay given = given_ray(all.space.tree, all.rays, i);
@@ -161,8 +158,7 @@ template <class All, bool FROM_ZERO> struct Walk {
         const auto& upper = all.space.top;
         const int found = upper.order.data[2 * (size_t)(word >> LEAF_BITS)];
         const auto& place = upper.placements.data[found];
-        const auto& masks = all.rays.mask;
-        if (masks.shape[0] > 0 && !(place.mask & masks.data[(size_t)number * all.rays.mask_stride])) return;
+        if (!(place.mask & mask_of(all.rays, number))) return;
         const auto& part = all.space.parts.data[place.geometry];
         const GivenRay given = given_within(part.tree, place, all.rays, number);
         if (!is_valid(given, 0.0f, 0.0f)) return;
@@ -208,7 +204,9 @@ template <class All, bool FROM_ZERO> struct Walk {
         for (int slot = begin; slot < begin + count; ++slot) {
             const auto take = [&](PackedHit hit, const GivenRay& ray) {
                 hit.id += first;
-                if (All::SKIPPING && all.skipped.data[number % all.skipped.shape[0]] == hit.id) return false;
+                if constexpr (All::SKIPPING) {
+                    if (all.skipped.data[number % all.skipped.shape[0]] == hit.id) return false;
+                }
                 if (!Answer::take(all.hits, number, hit, best)) return false;
                 if (Answer::SHORTENS)
                     filter.t_max = bound_of(best.t, scale_of(ray.direction[0], ray.direction[1], ray.direction[2]));
@@ -280,20 +278,16 @@ __device__ void walk_all(const All& all, int* next, int threads)
 }
 #endif
 
-#if !defined(__CUDA_ARCH__)
-/// The ray of an item on the CPU.
-template <bool FROM_ZERO, class All> inline void walk_alone(const All& all, int i)
+/// The walk of a ray by a thread that does nothing else.
+template <class All, bool FROM_ZERO> inline CUDA_CALLABLE void walk_alone(const All& all, Walk<All, FROM_ZERO>& walk, int i)
 {
     int stack[All::LEVELS];
-    Walk<All, FROM_ZERO> walk;
     walk.begin(all, i, stack);
     while (walk.node != DONE) {
         while (walk.is_inner()) walk.step(all, stack);
         if (walk.is_leaf()) walk.leaf(all, stack);
     }
-    walk.store(all);
 }
-#endif
 
 /// On CUDA the rays of a launch, by all of its threads; else ray i.
 template <int FETCH, int KEEP, int STEPS, bool FROM_ZERO, class All>
@@ -304,8 +298,27 @@ inline CUDA_CALLABLE void walk_rays(const All& all, int* next, int threads, int 
     walk_all<FETCH, KEEP, STEPS, FROM_ZERO>(all, next, threads);
 #else
     (void)next, (void)threads;
-    walk_alone<FROM_ZERO>(all, i);
+    Walk<All, FROM_ZERO> walk;
+    walk_alone(all, walk, i);
+    walk.store(all);
 #endif
+}
+
+template <class All, class Best> inline CUDA_CALLABLE void answer_alone(const All& all, Best& best)
+{
+    Walk<All, false> walk;
+    walk_alone(all, walk, 0);
+    best.t = walk.best.t, best.primitive = walk.best.id, best.u = walk.best.u, best.v = walk.best.v;
+}
+
+/// The answer to a ray of a user's kernel, a checked `Ray`, becomes `best`, a `BestHit`. hits: what the answer's `take` gets;
+/// origin: of the ray, in float64; mask, environment: what it sees of instances.
+template <int LEVELS, class Answer, class Space, class Ray, class Hits, class Origin, class Best>
+inline CUDA_CALLABLE void walk_one(
+    const Space& space, const Ray& ray, const Hits& hits, const Origin& origin, unsigned mask, int environment, Best& best)
+{
+    const OneRay<Ray, Origin> own = {ray, origin, mask, environment};
+    answer_alone(walks_of<LEVELS, Answer, false, false, false>(space, own, hits, hits, hits), best);
 }
 
 }  // namespace

@@ -32,7 +32,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers import all_crossings, any_hit, closest_hit, crossing_count, winding_number
+from wrt.kernels.answers import all_crossings, any_hit, closest_hit, crossing_count, next_crossing, winding_number
 from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTriangles
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime import native
@@ -68,6 +68,7 @@ ANSWER_CLASSES = {
     crossing_count.KIND.name: "CountAnswer",
     all_crossings.KIND.name: "ListAnswer",
     winding_number.KIND.name: "WindingAnswer",
+    next_crossing.KIND.name: "NextAnswer",
 }
 """What `packed_answers.h` calls the kinds of answers."""
 
