@@ -50,7 +50,7 @@ from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.fan_brute_force import NORMALS, VERTICES, make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK, BLOCKS
+from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK, BLOCKS, make_persistent_instance_kernel
 from wrt.kernels.traversal.shadows import light_buffer_lanes, light_buffer_query, multi_frusta
 from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level import instance_single
@@ -240,11 +240,11 @@ BOX_PLANES = 12
 """Fused multiply-adds in a node's step: a plane each of the boxes of two children; one, where their function is not inlined."""
 
 
-def assert_fuses_boxes_alone(text: str) -> None:
-    """Of persistent threads: the step of a node fuses, and nothing else does."""
+def assert_fuses_boxes_alone(text: str, walks: int = 1) -> None:
+    """Of persistent threads: the steps of nodes in so many walks fuse, and nothing else does."""
     fused = FUSIBLE.findall(text)
     assert set(fused) == {"fma.rn.f32"}
-    assert len(fused) in (1, BOX_PLANES)
+    assert len(fused) in (1, walks * BOX_PLANES)
 
 
 def test_persistent_threads_have_bounded_registers(tmp_path):
@@ -277,6 +277,16 @@ def test_traversal(traversal, tmp_path):
 @pytest.mark.parametrize(("traversal", "case"), [(name, case) for name in FUSING for case in answers(name)])
 def test_persistent_threads(traversal, case, tmp_path):
     text = compile_to_ptx(answers(traversal)[case].module, tmp_path)
+    assert ".entry" in text
+    assert_fuses_boxes_alone(text)
+
+
+@pytest.mark.parametrize("query", QUERIES)
+def test_persistent_threads_through_instances(query, tmp_path):
+    """Answers are those of one level; rays that skip a triangle, and culling, are compiled with some of them."""
+    nearest = query in (CLOSEST, ANY)
+    config = TraversalConfig("woop", 2, query, cull_backfaces=nearest, skipping=nearest, stack=StackConfig(24))
+    text = compile_to_ptx(make_persistent_instance_kernel(config, 8).module, tmp_path)
     assert ".entry" in text
     assert_fuses_boxes_alone(text)
 
