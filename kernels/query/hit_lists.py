@@ -153,6 +153,21 @@ def decide_inside(first: int, counts: wp.array(dtype=int), rule: int, inside: wp
 
 
 @wp.kernel
+def find_unequal(first: int, one: wp.array(dtype=wp.bool), other: wp.array(dtype=wp.bool), unequal: wp.array(dtype=int)):
+    """Writes whether two answers differ, as 0 or 1. Item: a ray."""
+    i = first + wp.tid()
+    unequal[i] = wp.where(one[i] == other[i], 0, 1)
+
+
+@wp.kernel
+def list_marked(first: int, marked: wp.array(dtype=int), places: wp.array(dtype=int), numbers: wp.array(dtype=int)):
+    """Writes the number of an item that is marked by 1, at its place. Item: an element."""
+    i = first + wp.tid()
+    if marked[i] != 0:
+        numbers[places[i] - 1] = i
+
+
+@wp.kernel
 def aim_outwards(first: int, rays: RayBatch, direction: wp.vec3, directions: wp.array(dtype=wp.vec3)):
     """Writes `direction` or its opposite, whichever points away from the scene's centre at the ray's origin. Item: a ray."""
     i = first + wp.tid()

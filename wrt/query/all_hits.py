@@ -12,6 +12,7 @@ host reads their sum alone, to know how much memory to take.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Generic
 
@@ -22,14 +23,15 @@ from wrt.engine.device_hits import DeviceHits, shaped
 from wrt.engine.executor import on_device
 from wrt.engine.facts.query_kinds import ALL, COUNT, Query
 from wrt.engine.launch.batch import run
-from wrt.engine.launch.traversal_launch import no_work, run_kernel
+from wrt.engine.launch.traversal_launch import divide, kernel_and_inputs, no_work
 from wrt.engine.memory import empty
-from wrt.engine.plan.plan import Plan, traversal_of
+from wrt.engine.plan.plan import Plan, traversal_config, traversal_of
 from wrt.engine.plan.planner import find_plan
 from wrt.engine.rays.array_types import ArrayT
-from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.traversal.capabilities import Capabilities
+from wrt.kernels.traversal.traversal_config import PersistentConfig
 from wrt.kernels.validation import as_int
 from wrt.query.hits import Hits
 
@@ -196,21 +198,24 @@ def find_counted(scene: SceneState, plan: Plan, rays: DeviceRays, max_hits: int)
     from wrt.kernels.query.hit_lists import gather_hits, sort_lists
 
     device, batch, count = scene.device, rays.batch, rays.facts.count
-    idle = no_work(traversal_of(plan).counters, device.alias)
-    counted = DeviceHits.new(COUNT, count, device)
-    run_kernel(scene, plan, batch, counted, COUNT, idle, False, rays.layout.from_zero)
+    idle, counted, lists = no_work(traversal_of(plan).counters, device.alias), DeviceHits.new(COUNT, count, device), HitBatch()
+    from_zero = PersistentConfig(rays.layout.from_zero)
+    configs = [replace(traversal_config(plan, scene, query, False), persistent=from_zero) for query in (COUNT, ALL)]
+    items = divide(scene, plan, configs[0], count)[1]
+    kernel, inputs = kernel_and_inputs(scene, plan, configs[0], batch, counted.struct(), idle)
+    launch(kernel, items, inputs, device=device, chunk=1024)
+    kernel, inputs = kernel_and_inputs(scene, plan, configs[1], batch, lists, idle)  # while the first pass runs
     offsets, begins, total = sum_on_device(counted.counts, MAX_TOTAL)
-    found = DeviceHits.lists(0, total, 0, device)
-    found.counts, found.begins = counted.counts, begins
-    run_kernel(scene, plan, batch, found, ALL, idle, False, rays.layout.from_zero)
-    if max_hits == MAX_TOTAL:
-        launch(sort_lists, count, [found.struct()], device=device, chunk=1024)
-        return found, offsets
-    offsets, _, total = sum_on_device(counted.counts, max_hits)
     hits = DeviceHits.lists(0, total, 0, device)
-    order = wp.empty(0, dtype=int, device=device)
-    launch(gather_hits, count, [found.struct(), order, offsets, hits.struct()], device=device, chunk=1024)
-    return hits, offsets
+    lists.t, lists.primitive, lists.uv, lists.counts, lists.begins = hits.t, hits.primitive, hits.uv, counted.counts, begins
+    launch(kernel, items, inputs, device=device, chunk=1024)
+    if max_hits == MAX_TOTAL:
+        launch(sort_lists, count, [lists], device=device, chunk=1024)
+        return hits, offsets
+    offsets, _, total = sum_on_device(counted.counts, max_hits)
+    nearest, order = DeviceHits.lists(0, total, 0, device), wp.empty(0, dtype=int, device=device)
+    launch(gather_hits, count, [lists, order, offsets, nearest.struct()], device=device, chunk=1024)
+    return nearest, offsets
 
 
 def sum_on_device(counts: wp.array, most: int) -> tuple[wp.array, wp.array, int]:

@@ -35,7 +35,15 @@ from wrt.engine.rays.coherence import detect_coherence
 from wrt.engine.rays.device_rays import DeviceRays, to_device
 from wrt.engine.rays.rays import Rays, as_vectors
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.query.hit_lists import NONZERO, ODD, POSITIVE, aim_outwards, decide_inside
+from wrt.kernels.query.hit_lists import (
+    NONZERO,
+    ODD,
+    POSITIVE,
+    aim_outwards,
+    decide_inside,
+    find_unequal,
+    list_marked,
+)
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.tables import lookup
 
@@ -83,13 +91,26 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO, rule:
         if not scene.is_closed:
             aim(buffers.batch, DIRECTIONS[1], scene.device)
             other = decide(scene, plan, buffers, chosen)
-            undecided = np.flatnonzero(inside.occluded.numpy() != other.occluded.numpy()).astype(np.int32)
-            if len(undecided):
-                order = wp.array(undecided, dtype=int, device=scene.device)
+            order = find_undecided(inside, other)
+            if order is not None:
                 few = DeviceRays.of_batch(sort_rays(buffers.batch, order, empty), buffers.facts.coherent, found.scattered)
                 aim(few.batch, DIRECTIONS[2], scene.device)
                 unsort_hits(order, decide(scene, plan, few, chosen).struct(), inside.struct(), ANY)
     return inside.values(ANY, buffers.form)
+
+
+def find_undecided(one: DeviceHits, other: DeviceHits) -> wp.array | None:
+    """The numbers of the rays for which two answers differ, ascending; None if there are none. The host reads how many."""
+    count, device = one.count, one.device
+    unequal, places = empty(count, wp.int32, device), empty(count, wp.int32, device)
+    launch(find_unequal, count, [one.occluded, other.occluded, unequal], device=device, chunk=4096)
+    wp.utils.array_scan(unequal, places, inclusive=True)
+    found = int(places[count - 1 :].numpy()[0]) if count else 0
+    if not found:
+        return None
+    numbers = empty(found, wp.int32, device)
+    launch(list_marked, count, [unequal, places, numbers], device=device, chunk=4096)
+    return numbers
 
 
 def aim(points: RayBatch, direction: tuple[float, ...], device: wp.Device) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,6 @@ from wrt.engine.plan.plan import (
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime.launch import CHUNKS_PER_THREAD, MAX_CHUNK, Chunks, expect, get_num_threads, kept, launch, specialise
 from wrt.kernels.traversal.capabilities import Capabilities
-from wrt.kernels.traversal.traversal_config import PersistentConfig
 
 if TYPE_CHECKING:
     from wrt.engine.device_hits import DeviceHits
@@ -51,20 +50,10 @@ TREE, RECORDS, RAYS, HITS, NEXT = 1, 2, 3, 4, 6
 
 
 def run_kernel(
-    scene: SceneState,
-    plan: Plan,
-    rays: RayBatch,
-    hits: DeviceHits,
-    query: str,
-    work: wp.array,
-    counters: bool,
-    from_zero: bool = False,
+    scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str, work: wp.array, counters: bool
 ) -> None:
-    """Traces rays through a scene's tree, or ray by ray through its two levels; `work` as in `counter_rows`, `from_zero` as in
-    `PersistentConfig`."""
+    """Traces rays through a scene's tree, or ray by ray through its two levels; `work` as in `counter_rows`."""
     config = config_for_layout(traversal_config(plan, scene, query, counters), plan, scene)
-    if from_zero:
-        config = replace(config, persistent=PersistentConfig(from_zero=True))
     kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits.struct(), work)
     rays.run, items, chunks = divide(scene, plan, config, rays.count)
     launch(kernel, items, inputs, device=scene.device, **asdict(chunks))
