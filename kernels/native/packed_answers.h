@@ -1,15 +1,21 @@
 // What is asked of a ray, for walks that test triangles of 48 bytes one by one: the kinds of wrt.kernels.answers.
 //
 // Each says by which rule a line meets a triangle, whether hits shorten the ray (SHORTENS) or end it (ENDS), what it does with a
-// hit in the ray's range, take(hits, i, hit, best) -> whether it is kept, and what it stores.
+// hit in the ray's range, take(hits, i, hit, best) -> whether it is kept, and what it stores. WIDE: whether triangles are tested in
+// float64 instead (packed_exact.h).
 #pragma once
 #include "packed_triangles.h"
 
 namespace wrt {
 namespace {
 
+/// What walks keep besides their best hit: nothing.
+struct NoState { };
+
 struct ClosestAnswer {
     using Rule = Inclusive;
+    using State = NoState;
+    static constexpr bool WIDE = false;
     static constexpr bool SHORTENS = true, ENDS = false;
 
     template <class Hits> static CUDA_CALLABLE bool take(const Hits&, int, const PackedHit& hit, PackedHit& best)
@@ -30,6 +36,8 @@ struct ClosestAnswer {
 
 struct AnyAnswer {
     using Rule = Inclusive;
+    using State = NoState;
+    static constexpr bool WIDE = false;
     static constexpr bool SHORTENS = false, ENDS = true;
 
     template <class Hits> static CUDA_CALLABLE bool take(const Hits&, int, const PackedHit& hit, PackedHit& best)
@@ -47,6 +55,8 @@ struct AnyAnswer {
 /// Of crossings, best.id is their number, or the sum of their signs, minus one.
 struct CountAnswer {
     using Rule = Crossing;
+    using State = NoState;
+    static constexpr bool WIDE = false;
     static constexpr bool SHORTENS = false, ENDS = false;
 
     template <class Hits> static CUDA_CALLABLE bool take(const Hits&, int, const PackedHit&, PackedHit& best)

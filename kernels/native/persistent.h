@@ -1,7 +1,7 @@
 // One ray a thread through trees of 64-byte nodes, by persistent threads (wrt.kernels.traversal.persistent): one tree, or those
 // of instances below a tree of their boxes. On the CPU an item traces one ray, by the same steps.
 #pragma once
-#include "packed_answers.h"
+#include "packed_exact.h"
 
 namespace wrt {
 namespace {
@@ -29,6 +29,34 @@ template <class Top, class Parts> struct InstanceTrees {
     const Top& top;
     const Parts& parts;
 };
+
+/// The same with the vertices of triangles in float64, by which they are tested: of the mesh, or of those that instances share.
+template <class Tree, class Triangles, class Mesh> struct WideTree : OneTree<Tree, Triangles> {
+    const Mesh& mesh;
+};
+
+template <class Top, class Parts, class Geometries> struct WideInstances : InstanceTrees<Top, Parts> {
+    const Geometries& geometries;
+};
+
+template <class Tree, class Triangles, class Mesh>
+inline CUDA_CALLABLE WideTree<Tree, Triangles, Mesh> wide_tree(const Tree& tree, const Triangles& triangles, const Mesh& mesh)
+{
+    return {{tree, triangles}, mesh};
+}
+
+template <class Top, class Parts, class Geometries>
+inline CUDA_CALLABLE WideInstances<Top, Parts, Geometries> wide_instances(
+    const Top& top, const Parts& parts, const Geometries& geometries)
+{
+    return {{top, parts}, geometries};
+}
+
+template <class Exact, class Batch, class Vec>
+inline CUDA_CALLABLE WideRays<Exact, Batch, Vec> wide_rays(const Exact& rays, const Batch& seen, const Vec& center)
+{
+    return {rays, seen, center, seen.count};
+}
 
 template <class Tree, class Triangles>
 inline CUDA_CALLABLE OneTree<Tree, Triangles> one_tree(const Tree& tree, const Triangles& triangles)
@@ -88,6 +116,7 @@ template <class All, bool FROM_ZERO> struct Walk {
     FilterRay filter;
     TurnedRay turned_ray;
     PackedHit best;
+    typename All::Answer::State wide;
     WalkWork work;
 
     CUDA_CALLABLE float t_min() const { return FROM_ZERO ? 0.0f : own_t_min; }
@@ -115,6 +144,7 @@ template <class All, bool FROM_ZERO> struct Walk {
         best = {last_t(all.rays, i), 0.0f, 0.0f, -1};
         number = i, instance = -1, top = 1, stack[0] = DONE;
         work = {0, 0, 0};
+        if constexpr (All::Answer::WIDE) wide = {end_of(all.rays, i), 0.0, 0.0};
         int root = 0;
         if constexpr (All::NESTED) {
             const auto& upper = all.space.top;
@@ -186,11 +216,20 @@ template <class All, bool FROM_ZERO> struct Walk {
             } else {
                 const auto& place = all.space.top.placements.data[instance];
                 const auto& part = all.space.parts.data[place.geometry];
-                test(all, word, part.triangles, place.first,
-                    [&]() { return given_within(part.tree, place, all.rays, number); });
+                const auto given = [&]() { return given_within(part.tree, place, all.rays, number); };
+                if constexpr (All::Answer::WIDE) {
+                    const auto& geometry = all.space.geometries.data[place.geometry];
+                    const WideRay ray = wide_within(place, geometry.center, all.rays, number);
+                    test_wide(all, word, part.triangles, place.first, given(), ray, geometry.mesh);
+                } else {
+                    test(all, word, part.triangles, place.first, given);
+                }
             }
         } else {
-            test(all, word, all.space.triangles, 0, [&]() { return given_ray(all.space.tree, all.rays, number); });
+            const auto given = [&]() { return given_ray(all.space.tree, all.rays, number); };
+            if constexpr (All::Answer::WIDE)
+                test_wide(all, word, all.space.triangles, 0, given(), wide_ray(all.rays, number), all.space.mesh);
+            else test(all, word, all.space.triangles, 0, given);
         }
     }
 
@@ -221,9 +260,39 @@ template <class All, bool FROM_ZERO> struct Walk {
         }
     }
 
+    /// The same in float64: those of the triangles whose boxes the rounded ray meets.
+    template <class Triangles, class Mesh>
+    CUDA_CALLABLE void test_wide(const All& all, int word, const Triangles& triangles, int first, const GivenRay& given,
+        const WideRay& ray, const Mesh& mesh)
+    {
+        const int count = word & ((1 << LEAF_BITS) - 1), begin = 2 * (word >> LEAF_BITS);
+        const BoxRay boxes = given.boxes();
+        const double from = all.rays.rays.t_min.data[(size_t)number * all.rays.rays.t_min_stride];
+        if (All::COUNTING) ++work.leaves, work.triangles += count;
+        for (int slot = begin; slot < begin + count; ++slot) {
+            const float* const at = (const float*)triangles.corners.data + TRIANGLE_WORDS * (size_t)slot;
+            const Quad a = load_quad(at), b = load_quad(at + 4), c = load_quad(at + 8);
+            const float corners[9] = {a.x, a.y, a.z, b.x, b.y, b.z, c.x, c.y, c.z};
+            float low[3], high[3];
+            vertex_box<1>(corners, low, high);
+            const Interval own = meet_box(low, high, boxes, -WRT_INFINITY, WRT_INFINITY);
+            const float t = clamped(t_min(), own);
+            if (!((own.enter <= own.leave) & (t >= t_min()) & (t <= best.t))) continue;
+            WideHit hit;
+            const int id = first + int_of(a.w);
+            if (!meet_exactly(mesh, int_of(a.w), ray, from, hit)) continue;
+            if (!(hit.t < wide.t || (hit.t == wide.t && (best.id < 0 || id < best.id)))) continue;
+            wide = hit;
+            best.id = id;
+            best.t = smaller(best.t, (float)hit.t);
+            filter.t_max = bound_of(best.t, scale_of(given.direction[0], given.direction[1], given.direction[2]));
+        }
+    }
+
     CUDA_CALLABLE void store(const All& all) const
     {
-        All::Answer::store(all.hits, number, best);
+        if constexpr (All::Answer::WIDE) All::Answer::store(all.hits, number, best, wide);
+        else All::Answer::store(all.hits, number, best);
         if constexpr (All::COUNTING) {
             auto& row = all.rows.rows.data[number];
             row.nodes = work.nodes, row.leaves = work.leaves, row.triangles = work.triangles;
