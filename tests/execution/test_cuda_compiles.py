@@ -44,6 +44,7 @@ from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.exact_points import make_exact_points_kernel
 from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
 from wrt.kernels.query import instance_exact, instance_gradients
+from wrt.kernels.query.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
 from wrt.kernels.runtime import options
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS
@@ -289,6 +290,14 @@ def test_persistent_threads_through_instances(query, tmp_path):
     text = compile_to_ptx(make_persistent_instance_kernel(config, 8).module, tmp_path)
     assert ".entry" in text
     assert_fuses_boxes_alone(text)
+
+
+@pytest.mark.parametrize("make", [make_binary_exact_kernel, make_binary_exact_instance_kernel])
+def test_persistent_threads_in_float64(make, tmp_path):
+    text = compile_to_ptx(make(24).module, tmp_path)
+    assert ".entry" in text
+    assert_fuses_boxes_alone(text)
+    assert not re.search(r"\b(?:fma\.rn|mad|mul|add|sub)\.f64", text)
 
 
 SKIPPING = TraversalConfig("woop", 2, "count", skipping=True, stack=StackConfig(8))

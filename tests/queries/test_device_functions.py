@@ -106,9 +106,7 @@ def outputs(count: int, device: str) -> dict[str, wp.array]:
     return arrays | {"lists": wp.zeros((count, ROOM), dtype=wrt.device.Hit, device=device)}
 
 
-def answers(
-    scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray, t_max: np.ndarray, **sight: int
-) -> SimpleNamespace:
+def answers(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray, t_max: np.ndarray, **sight: int) -> SimpleNamespace:
     """What the kernel finds, as NumPy arrays."""
     arrays = outputs(len(origins), str(scene.device))
     for name, values in (("origins", origins), ("directions", directions), ("t_max", t_max)):

@@ -3,7 +3,10 @@ same, with one ray an item; on CUDA the launch, its counter and its votes are te
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import hostile_rays
 import numpy as np
@@ -22,6 +25,7 @@ from wrt.kernels.layout import binary_nodes
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK
 from wrt.kernels.traversal.traversal_scores import Situation
+from wrt.query import exact_hits
 from wrt.query.inside import RULES
 from wrt.query.skip import skipped_triangles, trace_skipping
 
@@ -179,6 +183,43 @@ def test_through_instances(count, device):
     lists = scene.intersect_all(rays, traversal="single")
     assert lists.count.max() > 2
     assert_same_lists(scene.intersect_all(rays, traversal=NAME), lists)
+
+
+def plan_of(find: Callable, traversal: str, scene: Any, rays: Any, query: Query) -> Any:
+    """What `find` finds for a traversal."""
+    return find(scene, rays, query._replace(traversal=traversal))
+
+
+@pytest.mark.parametrize("name", [*MESHES, "instances"])
+def test_hits_in_float64(name, device, monkeypatch):
+    """Those of single rays, to the bit."""
+    if name == "instances":
+        scene, rays = instances_of(7, device)
+    else:
+        scene = scene_of(name, device)
+        parts = [kind(HostileRays(scene.meshes[0], 200)) for kind in KINDS.values()]
+        rays = wrt.Rays(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    ends = np.where(np.arange(len(rays.origins)) % 5, np.inf, 0.7)
+    given = wrt.Rays(np.float64(rays.origins) + 1e-9, np.float64(rays.directions), 0.0, ends)
+    find, found = exact_hits.find_plan, []
+    for way in (NAME, "single"):
+        monkeypatch.setattr(exact_hits, "find_plan", partial(plan_of, find, way))
+        hits = scene.intersect(given, precise=True)
+        assert hits.is_hit.mean() > 0.1
+        found.append([hits.t, hits.uv, hits.primitive_id, hits.instance_id])
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_no_t_is_negative_zero(device):
+    """Rays that start on the surface hit it at 0."""
+    scene = scene_of("hills", device)
+    rays = wrt.Rays(*HostileRays(scene.meshes[0], 1000).from_vertices())
+    for traversal in (NAME, "single", "brute"):
+        t = scene.intersect(rays, traversal=traversal).t
+        assert (t == 0).sum() > 50
+        assert not np.signbit(t).any()
+    assert not np.signbit(scene.intersect(rays, precise=True).t).any()
 
 
 def test_instances_move(device):

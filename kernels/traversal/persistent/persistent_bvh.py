@@ -18,10 +18,10 @@ are counted, the counts are summed up on the device, and a second walk writes ea
 
 **Instances.** At a leaf of the tree of instances the ray is mapped to the geometry's space as in
 `wrt.kernels.traversal.two_level.instance_single`, and goes on at the root of its tree. A mark on the stack says where it goes
-back. Threads of a warp may be on different levels: the step of a node is the same. The ray is read and mapped again at each hit.
+back. Threads of a warp may be on different levels: the step of a node is the same. The ray is read and mapped again at each
+hit.
 
-**Limits.** The watertight test, and trees whose leaves share no triangle. Alpha masks and hits in float64 take
-`wrt.kernels.traversal.single`.
+**Limits.** The watertight test, and trees whose leaves share no triangle. Alpha masks take `wrt.kernels.traversal.single`.
 
 On the CPU an item traces one ray, by the same steps; that serves tests.
 
@@ -74,7 +74,13 @@ ANSWER_CLASSES = {
 
 
 def walk_snippet(config: TraversalConfig, space: str, places: int) -> str:
-    """The walk of all rays of a batch on CUDA, and of ray i on the CPU, through a space of `persistent.h`; places: of the stack."""
+    """The walk of all rays of a batch on CUDA, and of ray i on the CPU, through a space of `persistent.h`.
+
+    Args:
+        config: the specialisation.
+        space: the space, by the names of the arguments.
+        places: of the stack.
+    """
     flags = f"{int(config.cull_backfaces)}, {int(config.skipping)}, {int(config.counters)}"
     options = f"{places}, wrt::{ANSWER_CLASSES[config.query]}, {flags}"
     form = f"{FETCH}, {KEEP}, {STEPS}, {int(config.persistent.from_zero)}"
@@ -85,9 +91,7 @@ def walk_snippet(config: TraversalConfig, space: str, places: int) -> str:
 def make_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, rays, hits, counters, next, i)`: traces all rays of a batch on CUDA, and ray i on the CPU."""
 
-    @native.func_native(
-        "persistent.h", walk_snippet(config, "wrt::one_tree(tree, triangles)", config.stack.levels + 1)
-    )
+    @native.func_native("persistent.h", walk_snippet(config, "wrt::one_tree(tree, triangles)", config.stack.levels + 1))
     def walk(
         tree: BinaryNodes,
         triangles: PackedTriangles,
