@@ -56,6 +56,9 @@ BLOCK, BLOCKS = 64, 16
 """Threads of a block and blocks of a multiprocessor. They bound a thread to 64 registers: with more, fewer threads hide the
 latency of memory, and with fewer, registers spill."""
 
+INSTANCE_BLOCKS = 12
+"""The same through instances, whose walks need more registers: 80 a thread."""
+
 
 def launch_threads(device: wp.Device, rays: int) -> int:
     """Threads of a launch for this many rays: at most all that a CUDA device runs at a time."""
@@ -156,4 +159,4 @@ def make_persistent_instance_kernel(config: TraversalConfig, levels: int) -> wp.
     ):
         walk(top, parts, rays, hits, counters, next, first + wp.tid())
 
-    return specialised_kernel(persistent_instance_rays, bounds=(BLOCK, BLOCKS))
+    return specialised_kernel(persistent_instance_rays, bounds=(BLOCK, INSTANCE_BLOCKS))
