@@ -15,7 +15,7 @@ from wrt.kernels.traversal.persistent.next_ray import NextRay
 from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK, FETCH, KEEP, STEPS
 from wrt.kernels.traversal.two_level.instance_single import InstanceTree
 
-BLOCKS = 8
+BLOCKS = 10
 """Blocks of a multiprocessor: arithmetic in float64 takes twice the registers of other queries."""
 
 

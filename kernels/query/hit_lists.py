@@ -7,7 +7,7 @@ their final positions.
 
 import warp as wp
 
-from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -168,8 +168,18 @@ def list_marked(first: int, marked: wp.array(dtype=int), places: wp.array(dtype=
 
 
 @wp.kernel
-def aim_outwards(first: int, rays: RayBatch, direction: wp.vec3, directions: wp.array(dtype=wp.vec3)):
-    """Writes `direction` or its opposite, whichever points away from the scene's centre at the ray's origin. Item: a ray."""
+def aim_outwards(
+    first: int,
+    origins: wp.array(dtype=wp.vec3),
+    stride: int,
+    center: wp.vec3d,
+    direction: wp.vec3,
+    directions: wp.array(dtype=wp.vec3),
+):
+    """Writes `direction` or its opposite, whichever points away from the scene's centre at the ray's origin. Item: a ray.
+
+    origins: (N,), or (1,) with a stride of 0; center: subtracted from them.
+    """
     i = first + wp.tid()
-    offset = wp.vec3(wp.vec3d(rays.origins[i * rays.origin_stride]) - rays.center)
+    offset = wp.vec3(wp.vec3d(origins[i * stride]) - center)
     directions[i] = wp.where(wp.dot(offset, direction) < 0.0, -direction, direction)
