@@ -95,7 +95,7 @@ def test_lists_ends_and_float64(device):
     ignored = np.random.default_rng(1).random(TEAPOT.triangle_count) < 0.5
     rays = mixed_rays(TEAPOT, 800, 7)
     scene = wrt.Scene(TEAPOT, device=device)
-    filtered = scene.filtered(ignore=wp.array(ignored, dtype=wp.bool, device="cpu"))
+    filtered = scene.filtered(ignore=wp.array(ignored, dtype=wp.bool))
     every, left = scene.intersect_all(*rays), filtered.intersect_all(*rays)
     kept = ~ignored[every.primitive_id]
     np.testing.assert_array_equal(left.t, every.t[kept])
