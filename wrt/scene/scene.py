@@ -321,7 +321,7 @@ class Scene(Queries, Members):
         whole surface (`contains`, `verify`, `save`) are refused.
 
         Args:
-            ignore: (T,) bool, NumPy, Warp or a list: the triangles of the mesh that rays do not see, in all its
+            ignore: (T,) bool, NumPy, a list, or Warp on any device: the triangles of the mesh that rays do not see, in all its
                 instances. For some of several meshes, a mapping from their index (`meshes`) to such arrays. None: none.
             alpha: whether a triangle is hit only where the alpha of its material is at least `Material.alpha_cutoff`.
 
