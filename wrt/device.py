@@ -54,7 +54,7 @@ from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.plan.plan import Plan, stack_levels
 from wrt.kernels.layout.binary_nodes import WIDTH
 from wrt.kernels.points.device_points import add_point_search, closest_point
-from wrt.kernels.query.binary_handles import binary_handle_type, binary_instances_handle_type
+from wrt.kernels.query.binary.binary_handles import binary_handle_type, binary_instances_handle_type
 from wrt.kernels.query.device_filters import hit_where
 from wrt.kernels.query.device_functions import (
     TRIANGLE_TEST,

@@ -44,7 +44,7 @@ from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.exact_points import make_exact_points_kernel
 from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
 from wrt.kernels.query import instance_exact, instance_gradients
-from wrt.kernels.query.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
+from wrt.kernels.query.binary.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
 from wrt.kernels.runtime import options
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS

@@ -13,7 +13,7 @@ from conftest import DEVICES, degenerate_soup, mixed_rays
 from test_cuda_compiles import assert_fuses_boxes_alone, compile_to_ptx
 
 import wrt
-from wrt.kernels.query.binary_handles import binary_handle_type, binary_instances_handle_type
+from wrt.kernels.query.binary.binary_handles import binary_handle_type, binary_instances_handle_type
 from wrt.kernels.query.device_functions import handle_type
 
 TREES = {"keys": wrt.Bvh(), "stack": wrt.Bvh(width=4), "kdtree": wrt.KdTree()}

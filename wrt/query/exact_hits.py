@@ -127,7 +127,7 @@ def trace_exactly(
     config, device, count = traversal_config(plan, scene, EXACT, False), scene.device, seen.count
     if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
         from wrt.engine.launch.persistent_launch import binary_parts, binary_tree, next_ray
-        from wrt.kernels.query.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
+        from wrt.kernels.query.binary.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
 
         trees = [scene.upper(), binary_parts(scene)] if scene.instances else [*binary_tree(scene)]
         make = make_binary_exact_instance_kernel if scene.instances else make_binary_exact_kernel
