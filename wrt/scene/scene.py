@@ -125,7 +125,8 @@ class Scene(Queries, Members):
         Args:
             index: index of the mesh (`Hits.geometry_id`), or a mapping from such indices to their vertices; in a scene of
                 instances, index of the instance, or several indices for `transform`, `mask` and `environment`.
-            vertices: (V, 3), as many as the mesh has; for an instance, in the mesh's own space.
+            vertices: (V, 3), as many as the mesh has; for an instance, in the mesh's own space. float32 on the scene's CUDA
+                device stays there if the scene has one mesh and the tree is refitted ("never"), or built by "hploc".
             transform: transform of the instance, (4, 4), or (N, 4, 4) for N instances, as in `wrt.Instance`; or a Warp array of
                 such matrices, or of (N,) `wp.transform`.
             mask, environment: of the instance, or of all instances in `index`.
