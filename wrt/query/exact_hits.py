@@ -127,11 +127,19 @@ def trace_exactly(
     config, device, count = traversal_config(plan, scene, EXACT, False), scene.device, seen.count
     if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
         from wrt.engine.launch.persistent_launch import binary_parts, binary_tree, next_ray
-        from wrt.kernels.query.binary.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
+        from wrt.kernels.query.binary import binary_exact
+        from wrt.kernels.query.instance_exact import ExactGeometry
 
-        trees = [scene.upper(), binary_parts(scene)] if scene.instances else [*binary_tree(scene)]
-        make = make_binary_exact_instance_kernel if scene.instances else make_binary_exact_kernel
-        inputs = [*trees, triangles, center, seen, rays, hits, next_ray(device, count)]
+        exact: Any
+        if scene.instances:
+            trees, make = [scene.upper(), binary_parts(scene)], binary_exact.make_binary_exact_instance_kernel
+            exact = binary_exact.ExactInstances()
+            exact.geometries = triangles
+        else:
+            trees, make, exact = [*binary_tree(scene)], binary_exact.make_binary_exact_kernel, ExactGeometry()
+            exact.mesh = triangles
+        exact.center = center
+        inputs = [*trees, exact, seen, rays, hits, next_ray(device, count)]
         launch(specialise(make, config.stack.levels), divide(scene, plan, config, count)[1], inputs, device=device)
         return
     factory: Any

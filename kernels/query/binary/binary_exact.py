@@ -7,7 +7,7 @@ import warp as wp
 
 from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTriangles
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays
+from wrt.kernels.query.exact_closest import ExactHits, ExactRays
 from wrt.kernels.query.instance_exact import ExactGeometry
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import specialised_kernel
@@ -19,10 +19,19 @@ BLOCKS = 10
 """Blocks of a multiprocessor: arithmetic in float64 takes twice the registers of other queries."""
 
 
+@wp.struct
+class ExactInstances:
+    """What instances are tested with in float64."""
+
+    geometries: wp.array(dtype=ExactGeometry)
+    center: wp.vec3d
+    """Of the scene."""
+
+
 def walk_snippet(space: str, places: int) -> str:
     """The walk of all rays on CUDA, and of ray i on the CPU, through a space of `persistent.h`; places: of the stack."""
     return f"""
-        const auto own = wrt::wide_rays(rays, seen, center);
+        const auto own = wrt::wide_rays(rays, seen, exact.center);
         const auto walks = wrt::walks_of<{places}, wrt::WideAnswer, false, false, false>({space}, own, hits, hits, hits);
         wrt::walk_rays<{FETCH}, {KEEP}, {STEPS}, false>(walks, next.number.data, next.threads, i);
     """
@@ -32,12 +41,11 @@ def walk_snippet(space: str, places: int) -> str:
 def make_binary_exact_kernel(levels: int) -> wp.Kernel:
     """The kernel for a tree of two children a node; levels: greatest number of inner nodes on a path."""
 
-    @native.func_native("persistent.h", walk_snippet("wrt::wide_tree(tree, triangles, mesh)", levels + 1))
+    @native.func_native("persistent.h", walk_snippet("wrt::wide_tree(tree, triangles, exact.mesh)", levels + 1))
     def walk(
         tree: BinaryNodes,
         triangles: PackedTriangles,
-        mesh: ExactMesh,
-        center: wp.vec3d,
+        exact: ExactGeometry,
         seen: RayBatch,
         rays: ExactRays,
         hits: ExactHits,
@@ -49,14 +57,13 @@ def make_binary_exact_kernel(levels: int) -> wp.Kernel:
         first: int,
         tree: BinaryNodes,
         triangles: PackedTriangles,
-        mesh: ExactMesh,
-        center: wp.vec3d,
+        exact: ExactGeometry,
         seen: RayBatch,
         rays: ExactRays,
         hits: ExactHits,
         next: NextRay,
     ):
-        walk(tree, triangles, mesh, center, seen, rays, hits, next, first + wp.tid())
+        walk(tree, triangles, exact, seen, rays, hits, next, first + wp.tid())
 
     return specialised_kernel(binary_exact_hits, bounds=(BLOCK, BLOCKS))
 
@@ -64,14 +71,13 @@ def make_binary_exact_kernel(levels: int) -> wp.Kernel:
 @cache
 def make_binary_exact_instance_kernel(levels: int) -> wp.Kernel:
     """The same through instances; levels: of both levels."""
-    space, places = "wrt::wide_instances(top, parts, geometries)", 2 * levels + 2
+    space, places = "wrt::wide_instances(top, parts, exact.geometries)", 2 * levels + 2
 
     @native.func_native("persistent.h", walk_snippet(space, places))
     def walk(
         top: InstanceTree,
         parts: wp.array(dtype=BinaryPart),
-        geometries: wp.array(dtype=ExactGeometry),
-        center: wp.vec3d,
+        exact: ExactInstances,
         seen: RayBatch,
         rays: ExactRays,
         hits: ExactHits,
@@ -83,13 +89,12 @@ def make_binary_exact_instance_kernel(levels: int) -> wp.Kernel:
         first: int,
         top: InstanceTree,
         parts: wp.array(dtype=BinaryPart),
-        geometries: wp.array(dtype=ExactGeometry),
-        center: wp.vec3d,
+        exact: ExactInstances,
         seen: RayBatch,
         rays: ExactRays,
         hits: ExactHits,
         next: NextRay,
     ):
-        walk(top, parts, geometries, center, seen, rays, hits, next, first + wp.tid())
+        walk(top, parts, exact, seen, rays, hits, next, first + wp.tid())
 
     return specialised_kernel(binary_exact_instances, bounds=(BLOCK, BLOCKS))
