@@ -221,20 +221,19 @@ def handle_of(scene: SceneState, mask: int | None = None, environment: int | Non
         reason="inside a kernel",
     )
     levels = stack_levels(scene.tree.depth) if plan.accelerator == "bvh" or scene.instances else 0
-    binary, make = walks_binary(scene), binary_handle_type if not scene.instances else binary_instances_handle_type
+    binary = walks_binary(scene)
+    make: Any
     if scene.instances:
-        if not binary:
-            make = partial(instances_handle_type, plan.accelerator, plan.width)
-        kind = launching.specialise(make, levels)  # type: ignore[arg-type]
+        make = partial(instances_handle_type, plan.accelerator, plan.width)
+        kind = launching.specialise(binary_instances_handle_type if binary else make, levels)
         handle = kind()
         handle.top, handle.parts = scene.upper(), scene.lower(plan, None)
         handle.mask, handle.environment = wp.uint32(mask), environment
         if binary:
             handle.binary = binary_parts(scene)
     else:
-        if not binary:
-            make = partial(handle_type, plan.accelerator, plan.width, shared_leaves=scene.shares_leaves)
-        kind = launching.specialise(make, levels)  # type: ignore[arg-type]
+        make = partial(handle_type, plan.accelerator, plan.width, shared_leaves=scene.shares_leaves)
+        kind = launching.specialise(binary_handle_type if binary else make, levels)
         handle = kind()
         handle.tree, handle.triangles = scene.tree.struct(), records_of(scene, plan, None)
         if binary:

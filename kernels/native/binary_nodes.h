@@ -167,7 +167,8 @@ inline CUDA_CALLABLE TwoBoxes load_wide_boxes(const float* bounds, const int* ch
 {
     const float* const at = bounds + 12 * (size_t)node;
     const Quad p = load_quad(at), q = load_quad(at + 4), r = load_quad(at + 8);
-    return {{p.x, q.z, p.z, r.x}, {p.y, q.w, p.w, r.y}, {q.x, r.z, q.y, r.w}, child[2 * (size_t)node], child[2 * (size_t)node + 1]};
+    return {
+        {p.x, q.z, p.z, r.x}, {p.y, q.w, p.w, r.y}, {q.x, r.z, q.y, r.w}, child[2 * (size_t)node], child[2 * (size_t)node + 1]};
 }
 
 template <bool FROM_ZERO> inline CUDA_CALLABLE NearAndFar meet_children(const TwoBoxes& at, const FilterRay& ray)

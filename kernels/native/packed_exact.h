@@ -55,8 +55,7 @@ template <class Place> inline CUDA_CALLABLE void map_vector(const Place& place, 
 
 /// A ray in the space of an instance's vertices; shift: what the tree there is relative to.
 template <class Place, class Exact, class Batch, class Vec>
-inline CUDA_CALLABLE WideRay wide_within(
-    const Place& place, const Vec& shift, const WideRays<Exact, Batch, Vec>& own, int i)
+inline CUDA_CALLABLE WideRay wide_within(const Place& place, const Vec& shift, const WideRays<Exact, Batch, Vec>& own, int i)
 {
     const WideRay ray = wide_ray(own, i);
     const auto &c = own.center.c, &o = place.origin.c;
@@ -98,7 +97,8 @@ template <class Exact, class Batch, class Vec> inline CUDA_CALLABLE float last_t
     return (float)end_of(own, i);
 }
 
-template <class Exact, class Batch, class Vec> inline CUDA_CALLABLE unsigned mask_of(const WideRays<Exact, Batch, Vec>& own, int i)
+template <class Exact, class Batch, class Vec>
+inline CUDA_CALLABLE unsigned mask_of(const WideRays<Exact, Batch, Vec>& own, int i)
 {
     return mask_of(own.seen, i);
 }

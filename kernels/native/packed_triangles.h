@@ -22,7 +22,8 @@ struct GivenRay {
 };
 
 /// The ray from an origin in the space of a tree, whose bounds are those of `tree`.
-template <class Tree> inline CUDA_CALLABLE GivenRay given_in(const Tree& tree, float px, float py, float pz, float x, float y, float z)
+template <class Tree>
+inline CUDA_CALLABLE GivenRay given_in(const Tree& tree, float px, float py, float pz, float x, float y, float z)
 {
     drop_negligible(x, y, z);
     return {{px, py, pz}, {x, y, z}, reach(tree.low, tree.high, px, py, pz)};
@@ -116,8 +117,8 @@ inline CUDA_CALLABLE GivenRay given_ray(const Tree& tree, const OneRay<Ray, Orig
 template <class Tree, class Place, class Ray, class Origin>
 inline CUDA_CALLABLE GivenRay given_within(const Tree& tree, const Place& place, const OneRay<Ray, Origin>& own, int)
 {
-    const auto &from = own.origin.c;
-    const auto &along = own.ray.direction.c;
+    const auto& from = own.origin.c;
+    const auto& along = own.ray.direction.c;
     return mapped(tree, place, from[0], from[1], from[2], along[0], along[1], along[2]);
 }
 
@@ -131,7 +132,10 @@ template <class Ray, class Origin> inline CUDA_CALLABLE float last_t(const OneRa
     return own.ray.t_max;
 }
 
-template <class Ray, class Origin> inline CUDA_CALLABLE unsigned mask_of(const OneRay<Ray, Origin>& own, int) { return own.mask; }
+template <class Ray, class Origin> inline CUDA_CALLABLE unsigned mask_of(const OneRay<Ray, Origin>& own, int)
+{
+    return own.mask;
+}
 
 template <class Ray, class Origin> inline CUDA_CALLABLE int environment_of(const OneRay<Ray, Origin>& own, int)
 {
@@ -187,8 +191,8 @@ template <class Rule> inline CUDA_CALLABLE bool meet_line(const Sheared<float>& 
 /// Tests a triangle; returns whether its hit, from t_min to t_max, is taken: take(hit, given) -> bool. CULLING: only from its
 /// front. given() -> `GivenRay`.
 template <class Rule, bool CULLING, class Given, class Take>
-inline CUDA_CALLABLE bool meet_triangle(const float* triangles, int slot, const TurnedRay& ray, float t_min, float t_max,
-    const Given& given, const Take& take)
+inline CUDA_CALLABLE bool meet_triangle(
+    const float* triangles, int slot, const TurnedRay& ray, float t_min, float t_max, const Given& given, const Take& take)
 {
     const float* const at = triangles + TRIANGLE_WORDS * (size_t)slot;
     const Quad a = load_quad(at), b = load_quad(at + 4), c = load_quad(at + 8);

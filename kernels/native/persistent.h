@@ -98,8 +98,8 @@ struct Walks {
 };
 
 /// The arguments of a kernel with its options.
-template <int LEVELS, class Answer, bool CULLING, bool SKIPPING, bool COUNTING, class Space, class Rays, class Hits,
-    class Rows, class Skipped>
+template <int LEVELS, class Answer, bool CULLING, bool SKIPPING, bool COUNTING, class Space, class Rays, class Hits, class Rows,
+    class Skipped>
 inline CUDA_CALLABLE Walks<LEVELS, Answer, CULLING, SKIPPING, COUNTING, Space, Rays, Hits, Rows, Skipped> walks_of(
     const Space& space, const Rays& rays, const Hits& hits, const Rows& rows, const Skipped& skipped)
 {
@@ -134,8 +134,8 @@ template <class All, bool FROM_ZERO> struct Walk {
 
     static CUDA_CALLABLE bool is_valid(const GivenRay& ray, float t_min, float t_max)
     {
-        return is_ray(ray.direction[0], ray.direction[1], ray.direction[2], ray.origin[0], ray.origin[1], ray.origin[2], t_min,
-            t_max);
+        return is_ray(
+            ray.direction[0], ray.direction[1], ray.direction[2], ray.origin[0], ray.origin[1], ray.origin[2], t_min, t_max);
     }
 
     CUDA_CALLABLE void begin(const All& all, int i, int* stack)
