@@ -4,8 +4,9 @@ Warp compiles a module on the thread that first needs it, one after the other, a
 without the interpreter lock. Here a call says beforehand which kernels it is about to need (`expect`); what the kernel cache
 does not have is compiled on all cores, while the caller goes on to the first kernel that it must wait for (`load_modules`).
 
-Each thread parses Warp's header before its first module (1.5 to 5 s) and keeps the result, so modules are never compiled on
-the caller's thread. On CUDA they are, one after the other, as Warp does it.
+Clang parses Warp's header before a first module (1.5 to 5 s). Threads and later processes share the result
+(`wrt.kernels.compilation.precompiled_header`) where threads of this file compile, so modules are never compiled on the caller's
+thread. On CUDA they are, one after the other, as Warp does it.
 
 **Interrupts.** A Ctrl-C drops the modules that no thread has begun. Those under way are completed, so that the cache never has
 half a module: Warp renames a finished folder into place, which also lets several processes share one cache.
@@ -14,9 +15,10 @@ half a module: Warp renames a finished folder into place, which also lets severa
 import atexit
 import os
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, wait
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from queue import SimpleQueue
 from weakref import finalize
 
@@ -25,6 +27,7 @@ import warp as wp
 from wrt.kernels.compilation import compile_progress, shipped_kernels
 from wrt.kernels.compilation.cores import available_cores
 from wrt.kernels.compilation.kernel_cache import is_compiled, load_compiled, load_module
+from wrt.kernels.compilation.precompiled_header import shared_header
 
 VARIABLE = "WRT_COMPILE_JOBS"
 
@@ -43,6 +46,21 @@ _queue: SimpleQueue[tuple[Key, Future[None]] | None] = SimpleQueue()
 _pending: dict[Key, Future[None]] = {}
 _is_exiting = False
 _loaded: dict[tuple[wp.Module, str], None] = {}
+_compiles: ContextVar[bool] = ContextVar("wrt_compiles", default=True)
+
+
+class NotCompiledError(RuntimeError):
+    """A kernel is not compiled, and `without_compiling` forbids it."""
+
+
+@contextmanager
+def without_compiling() -> Iterator[None]:
+    """Inside the `with` block, the calling thread gets a `NotCompiledError` from what would compile a kernel for the CPU."""
+    token = _compiles.set(False)
+    try:
+        yield
+    finally:
+        _compiles.reset(token)
 
 
 def compile_jobs() -> int:
@@ -64,6 +82,9 @@ def expect(modules: Iterable[wp.Module], device: wp.Device, block_dim: int) -> l
 
     Returns:
         What is still to be compiled of them.
+
+    Raises:
+        NotCompiledError: inside `without_compiling`, something is.
     """
     if not device.is_cpu:
         return []
@@ -74,6 +95,8 @@ def expect(modules: Iterable[wp.Module], device: wp.Device, block_dim: int) -> l
             if key not in _pending:
                 if is_compiled(module, device, block_dim) or shipped_kernels.find(module, device, block_dim):
                     continue
+                if not _compiles.get():
+                    raise NotCompiledError(f"a module of kernels is not compiled: {module.name}")
                 begun.append(key)
                 _pending[key] = Future()
             found.append(_pending[key])
@@ -143,7 +166,8 @@ def _serve(queue: SimpleQueue[tuple[Key, Future[None]] | None]) -> None:
         # An error is left to the caller, who loads the module afterwards and meets the same one.
         with suppress(BaseException):
             if job.set_running_or_notify_cancel():
-                module.load(wp.get_device(alias), block_dim=block_dim)
+                with shared_header(module):
+                    module.load(wp.get_device(alias), block_dim=block_dim)
         _end(work[0], job)
         del work, module, job  # a module lives no longer for having been compiled
 

@@ -19,7 +19,7 @@ import wrt
 from wrt.accelerators.cuda_trees import LEAF_TRIANGLES, for_device
 from wrt.engine.executor import on_device
 from wrt.engine.facts.query_kinds import Query
-from wrt.engine.plan.planner import find_plan
+from wrt.engine.plan.choices import find_plan
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout import binary_nodes
 from wrt.kernels.traversal import TRAVERSALS
