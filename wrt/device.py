@@ -230,7 +230,7 @@ def handle_of(scene: SceneState, mask: int | None = None, environment: int | Non
     make: Any
     if scene.instances:
         make = partial(instances_handle_type, plan.accelerator, plan.width)
-        kind = launching.specialise(binary_instances_handle_type if binary else make, levels)
+        kind = launching.specialise(binary_instances_handle_type if binary else make, levels)  # type: ignore[arg-type]
         handle = kind()
         handle.top, handle.parts = scene.upper(), scene.lower(plan, None)
         handle.mask, handle.environment = wp.uint32(mask), environment
@@ -238,7 +238,7 @@ def handle_of(scene: SceneState, mask: int | None = None, environment: int | Non
             handle.binary = binary_parts(scene)
     else:
         make = partial(handle_type, plan.accelerator, plan.width, shared_leaves=scene.shares_leaves)
-        kind = launching.specialise(binary_handle_type if binary else make, levels)
+        kind = launching.specialise(binary_handle_type if binary else make, levels)  # type: ignore[arg-type]
         handle = kind()
         handle.tree, handle.triangles = scene.tree.struct(), records_of(scene, plan, None)
         if binary:
