@@ -130,24 +130,6 @@ template <int W> inline unsigned near_triangles(const float* record, const Searc
     const Floats<W> aa = a_dot(0), least = smaller(smaller(aa, a_dot(1)), a_dot(2));
     return near & ~bits_of((least > LEAST_DOT) & (least * least > aa * limit));
 }
-#else
-/// Whether blocks are tested by the boxes of their triangles first, where there are no vectors.
-constexpr bool BOXES_FIRST = false;
-
-/// Whether the box of one of the W triangles of a record is within the limit.
-template <int W> inline CUDA_CALLABLE bool has_near_box(const float* record, const SearchPoint& point, float limit)
-{
-    bool near = false;
-    for (int i = 0; i < W; ++i) {
-        const Offset a = vertex_at<W>(record + i, 0, point), b = vertex_at<W>(record + i, 1, point);
-        const Offset c = vertex_at<W>(record + i, 2, point);
-        const float x = larger(larger(smaller(smaller(a.x, b.x), c.x), -larger(larger(a.x, b.x), c.x)), 0.0f);
-        const float y = larger(larger(smaller(smaller(a.y, b.y), c.y), -larger(larger(a.y, b.y), c.y)), 0.0f);
-        const float z = larger(larger(smaller(smaller(a.z, b.z), c.z), -larger(larger(a.z, b.z), c.z)), 0.0f);
-        near |= (x * x + y * y) + z * z <= limit;
-    }
-    return near;
-}
 #endif
 
 /// The search of the leaves of a tree. Triangles whose boxes are near wait until there are W of them.
@@ -183,9 +165,6 @@ template <int W, int ROWS, class Triangles, class Kept> struct LeafSearch {
             if (!near) continue;
             if constexpr (can_pack<W>()) add(near, from, block * W);
             else
-#else
-            if (BOXES_FIRST && !has_near_box<W>(triangles.records.data + (size_t)block * (ROWS * W), point, kept.limit))
-                continue;
 #endif
                 search_block<W, ROWS>(triangles.records.data, triangles.primitive.data, block, point, kept);
         }
