@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import log2
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -235,6 +236,7 @@ class Bvh:
         stats: time and memory of the build.
         built_costs: as in `KdTree`.
         shared: whether a triangle may be in several leaves, each of which has a box around the part of it there.
+        upward: what a refit on CUDA keeps for the next one (`wrt.builders.bvh.update.bvh_update`); None before the first.
     """
 
     bounds: wp.array
@@ -247,6 +249,7 @@ class Bvh:
     stats: BuildStats
     built_costs: np.ndarray | None = None
     shared: bool = False
+    upward: Any = None
 
     @property
     def bytes(self) -> int:
@@ -276,4 +279,4 @@ class Bvh:
         if device == self.bounds.device:
             return self
         arrays = {name: getattr(self, name).to(device) for name in ("bounds", "child", "primitive")}
-        return replace(self, **arrays)
+        return replace(self, **arrays, upward=None)

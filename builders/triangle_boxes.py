@@ -1,6 +1,7 @@
 """Bounding boxes of triangles: the input of every builder."""
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 import warp as wp
@@ -40,6 +41,56 @@ def store_box(vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i)
 def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes):
     """Item: a triangle. Writes its box."""
     store_box(vertices, faces, boxes, first + wp.tid())
+
+
+REDUCING = 1 << 14
+"""Threads that find the bounds of triangles on CUDA."""
+
+CORNERS = 6
+"""Words of `reduce_corners` for the box; one more is for the largest coordinate."""
+
+
+@native.func_native("corner_bounds.h", "wrt::reduce_corners(vertices.data, faces.data, faces.shape[0], items, i, found.data);")
+def reduce_corners(
+    vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), items: int, i: int, found: wp.array(dtype=int)
+):
+    """Share i of `items` of the minima of all corners' coordinates and of the negated ones, and of the largest absolute one."""
+    ...
+
+
+@wp.kernel
+def find_corner_bounds(
+    first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), items: int, found: wp.array(dtype=int)
+):
+    """Item: a share of the triangles; on CUDA, items fill whole warps."""
+    reduce_corners(vertices, faces, items, first + wp.tid(), found)
+
+
+@cache
+def nothing_found(device: str) -> wp.array:
+    """What `reduce_corners` begins with."""
+    return wp.array([0x7FFFFFFF] * CORNERS + [0], dtype=int, device=device)
+
+
+def corner_bounds(vertices: wp.array, faces: wp.array) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) float32 each: lower and upper corner of the box around all triangles, without negative zeros, found where they are.
+
+    Args:
+        vertices: (V,) vec3.
+        faces: (F,) vec3i.
+
+    Raises:
+        ValueError: a vertex of a triangle is NaN or infinite.
+    """
+    device = vertices.device
+    items = REDUCING if device.is_cuda else 1
+    found = wp.clone(nothing_found(device.alias))
+    launch(find_corner_bounds, items, [vertices, faces, items, found], device=device)
+    bits = found.numpy()
+    if not np.isfinite(bits[CORNERS:].view(np.float32)).all():
+        raise ValueError("vertices holds NaN or infinite numbers; repair or remove them")
+    ends = (bits[:CORNERS] ^ ((bits[:CORNERS] >> 31) & 0x7FFFFFFF)).view(np.float32)
+    return ends[:3] + np.float32(0.0), np.float32(0.0) - ends[3:]
 
 
 @dataclass
@@ -116,6 +167,8 @@ def triangle_boxes(
     boxes.low = wp.empty((3, count), dtype=float, device=device)
     boxes.high = wp.empty((3, count), dtype=float, device=device)
     launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=CHUNK)
+    if bounds is None and device.is_cuda:
+        bounds = corner_bounds(vertices, faces)
     low, high = bounds or (boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1))
     return TriangleBoxes(boxes, count, low, high, np.zeros(3) if center is None else center, vertices, faces)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import gc
 import os
-import random
+from collections import defaultdict
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
@@ -69,32 +69,35 @@ CLASSICS = {
 SLOW = frozenset((Path(__file__).with_name("slow.txt")).read_text().split())
 """Files whose tests take more than some 6 s of a core even when all kernels are compiled."""
 
+ASKED_FOR = ("exhaustive", "notebooks")
+"""Markers of tests that run only where `-m` names them."""
+
 LONGEST = "tests/pages/test_notebooks.py::test_notebook["
 """How the names of the tests that take longest begin."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    text = "of the chosen cases of each test one in N, but at least one"
-    parser.addoption("--sample", metavar="N:SEED", type=as_sample, help=text)
+    text = "of the chosen cases of each test one in N, but at least one; N turns that follow each other draw all"
+    parser.addoption("--sample", metavar="N:TURN", type=as_sample, help=text)
 
 
-def as_sample(text: str) -> tuple[int, str]:
-    """The number and the seed of `--sample`.
+def as_sample(text: str) -> tuple[int, int]:
+    """The number and the turn of `--sample`.
 
     Raises:
-        ArgumentTypeError: no whole number of at least 1 before the colon.
+        ArgumentTypeError: not two whole numbers, or the first is none of at least 1.
     """
-    number, _, seed = text.partition(":")
-    if not number.isdecimal() or int(number) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not N:SEED, as 3:some-text; N is at least 1")
-    return int(number), seed
+    number, _, turn = text.partition(":")
+    if not number.isdecimal() or int(number) < 1 or not turn.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not N:TURN, as 3:1042; N is at least 1")
+    return int(number), int(turn)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Iterator[None]:
     """Marks the tests that have a classic as a parameter, those of studies, and those of slow files; files about classics alone
-    mark themselves. Leaves out what is marked `exhaustive`, unless `-m` names that, and what is not in the sample. Where
-    several processes run tests, notebooks come first: the last, of a minute, would keep one busy when the others have ended."""
+    mark themselves. Leaves out what is marked with a name of `ASKED_FOR`, unless `-m` has that, and what is not in the sample.
+    Where several processes run tests, notebooks come first: the last, of a minute, would keep one busy after all others."""
     for file, own in groupby(items, lambda item: item.nodeid.partition("::")[0]):
         names = ["slow"] * (file in SLOW) + ["studies"] * file.startswith("tests/studies/")
         for item in own:
@@ -103,8 +106,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             given = item.callspec.params.values() if hasattr(item, "callspec") else ()
             if any(isinstance(one, str) and one in CLASSICS for one in given):
                 item.add_marker("classics")
-    if "exhaustive" not in config.option.markexpr:
-        items[:] = [item for item in items if "exhaustive" not in item.keywords]
+    left_out = [name for name in ASKED_FOR if name not in config.option.markexpr]
+    items[:] = [item for item in items if not any(name in item.keywords for name in left_out)]
     if workers:
         items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
     yield
@@ -115,14 +118,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = chosen
 
 
-def sample(items: list[pytest.Item], number: int, seed: str) -> list[pytest.Item]:
-    """One in `number` of the cases of each test, drawn by the seed, and at least one."""
-    names = [item.nodeid.partition("[")[0] for item in items]
-    drawn = [random.Random(f"{seed} {item.nodeid}").random() for item in items]
-    least: dict[str, float] = {}
-    for name, value in zip(names, drawn, strict=True):
-        least[name] = min(least.get(name, 1.0), value)
-    return [item for item, name, value in zip(items, names, drawn, strict=True) if value < 1 / number or value == least[name]]
+def sample(items: list[pytest.Item], number: int, turn: int) -> list[pytest.Item]:
+    """One in `number` of the cases of each test, and at least one: others in each of `number` turns, all in all of these."""
+    cases = defaultdict(list)
+    for item in items:
+        cases[item.nodeid.partition("[")[0]].append(item)
+    kept = {one for own in cases.values() for one in (own[turn % number :: number] or [own[turn % len(own)]])}
+    return [item for item in items if item in kept]
 
 
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]

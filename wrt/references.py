@@ -17,6 +17,9 @@ REFERENCES = {
         "9(5), 1979."
     ),
     "appleby-2011": "A. Appleby: MurmurHash3, 2011.",
+    "apetrei-2014": (
+        "C. Apetrei: Fast and simple agglomerative LBVH construction. Computer Graphics and Visual Computing (EG UK) 2014."
+    ),
     "arnaldi-1987": (
         "B. Arnaldi, T. Priol, K. Bouatouch: A new space subdivision method for ray tracing CSG modelled scenes. The "
         "Visual Computer 3, 1987."
@@ -46,6 +49,11 @@ REFERENCES = {
     "benthin-2006": "C. Benthin: Realtime ray tracing on current CPU architectures. PhD thesis, Saarland University, 2006.",
     "benthin-2018": (
         "C. Benthin, I. Wald, S. Woop, A. T. Áfra: Compressed-leaf bounding volume hierarchies. High Performance Graphics 2018."
+    ),
+    "benthin-2024": (
+        "C. Benthin, D. Meister, J. Barczak, R. Mehalwal, J. Tsakok, A. Kensler: H-PLOC: hierarchical parallel "
+        "locally-ordered clustering for bounding volume hierarchy construction. Proceedings of the ACM on Computer Graphics "
+        "and Interactive Techniques 7(3), 2024."
     ),
     "benthin-wald-2009": (
         "C. Benthin, I. Wald: Efficient ray traced soft shadows using multi-frusta tracing. High Performance Graphics 2009."
@@ -275,6 +283,9 @@ REFERENCES = {
         "eye lenses. IEEE Transactions on Pattern Analysis and Machine Intelligence 28(8), 2006."
     ),
     "kay-kajiya-1986": "T. L. Kay, J. T. Kajiya: Ray tracing complex scenes. SIGGRAPH 1986.",
+    "karras-2012": (
+        "T. Karras: Maximizing parallelism in the construction of BVHs, octrees, and k-d trees. High Performance Graphics 2012."
+    ),
     "kensler-2013": "A. Kensler: Correlated multi-jittered sampling. Pixar technical memo 13-01, 2013.",
     "kensler-shirley-2006": (
         "A. Kensler, P. Shirley: Optimizing ray-triangle intersection via automated search. IEEE Symposium on Interactive "
@@ -319,6 +330,10 @@ REFERENCES = {
     "meister-bittner-2018": (
         "D. Meister, J. Bittner: Parallel reinsertion for bounding volume hierarchy optimization. Computer Graphics Forum "
         "37(2), 2018."
+    ),
+    "meister-bittner-2018-ploc": (
+        "D. Meister, J. Bittner: Parallel locally-ordered clustering for bounding volume hierarchy construction. IEEE "
+        "Transactions on Visualization and Computer Graphics 24(3), 2018."
     ),
     "meisters-1975": "G. H. Meisters: Polygons have ears. The American Mathematical Monthly 82(6), 1975.",
     "moeller-trumbore-1997": (

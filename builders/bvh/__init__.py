@@ -16,10 +16,16 @@ from dataclasses import dataclass
 import warp as wp
 
 from wrt.builders.bvh import binned_bvh as binned
+from wrt.builders.bvh import hploc
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.core.late_import import classic
 from wrt.builders.tree import Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
+
+
+def never(config: BvhConfig) -> bool:
+    """`BvhBuilder.on_cuda` of builders with subtrees of one thread each, which suit cores."""
+    return False
 
 
 @dataclass(frozen=True)
@@ -31,12 +37,14 @@ class BvhBuilder:
         paper: authors, title, year.
         build: (boxes, config) -> tree.
         kernels: (config, triangles) -> one kernel of each module that a build needs, for compiling them beforehand.
+        on_cuda: (config) -> whether the tree of a scene on CUDA is built there; if not, it is built on the CPU and copied.
     """
 
     name: str
     paper: str
     build: Callable[[TriangleBoxes, BvhConfig], Bvh]
     kernels: Callable[[BvhConfig, int], list[wp.Kernel]]
+    on_cuda: Callable[[BvhConfig], bool] = never
 
 
 BVH_BUILDERS: dict[str, BvhBuilder] = {
@@ -47,6 +55,13 @@ BVH_BUILDERS: dict[str, BvhBuilder] = {
             "Wald: On fast construction of SAH-based bounding volume hierarchies (2007)",
             binned.build,
             binned.kernels,
+        ),
+        BvhBuilder(
+            "hploc",
+            "Benthin, Meister, Barczak, Mehalwal, Tsakok, Kensler: H-PLOC (2024)",
+            hploc.build,
+            hploc.kernels,
+            hploc.needs_no_collapse,
         ),
         BvhBuilder(
             "sweep",

@@ -4,8 +4,9 @@ Warp compiles a module on the thread that first needs it, one after the other, a
 without the interpreter lock. Here a call says beforehand which kernels it is about to need (`expect`); what the kernel cache
 does not have is compiled on all cores, while the caller goes on to the first kernel that it must wait for (`load_modules`).
 
-Each thread parses Warp's header before its first module (1.5 to 5 s) and keeps the result, so modules are never compiled on
-the caller's thread. On CUDA they are, one after the other, as Warp does it.
+Clang parses Warp's header before a first module (1.5 to 5 s). Threads and later processes share the result
+(`wrt.kernels.compilation.precompiled_header`) where threads of this file compile, so modules are never compiled on the caller's
+thread. On CUDA they are, one after the other, as Warp does it.
 
 **Interrupts.** A Ctrl-C drops the modules that no thread has begun. Those under way are completed, so that the cache never has
 half a module: Warp renames a finished folder into place, which also lets several processes share one cache.
@@ -25,6 +26,7 @@ import warp as wp
 from wrt.kernels.compilation import compile_progress, shipped_kernels
 from wrt.kernels.compilation.cores import available_cores
 from wrt.kernels.compilation.kernel_cache import is_compiled, load_compiled, load_module
+from wrt.kernels.compilation.precompiled_header import shared_header
 
 VARIABLE = "WRT_COMPILE_JOBS"
 
@@ -143,7 +145,8 @@ def _serve(queue: SimpleQueue[tuple[Key, Future[None]] | None]) -> None:
         # An error is left to the caller, who loads the module afterwards and meets the same one.
         with suppress(BaseException):
             if job.set_running_or_notify_cancel():
-                module.load(wp.get_device(alias), block_dim=block_dim)
+                with shared_header(module):
+                    module.load(wp.get_device(alias), block_dim=block_dim)
         _end(work[0], job)
         del work, module, job  # a module lives no longer for having been compiled
 

@@ -41,6 +41,7 @@ ROW_STUDIES = {
     "octree-top-levels": ("known_rays.ray_distribution", "top_levels"),
     "packet-widths": ("kdtrees.packet_widths", "compare_widths"),
     "plane-places": ("kdtrees.plane_places", "compare_places"),
+    "thread-growth": ("kdtrees.thread_growth", "thread_growth"),
     "tree-coupling": ("kdtrees.tree_coupling", "compare_coupling"),
     "volume-search": ("triangles.volume_search", "compare_forms"),
 }

@@ -1,4 +1,4 @@
-"""`python -m tests.arm64 [--sample N:SEED] [--folder FOLDER]`: see the package."""
+"""`python -m tests.arm64 [--sample N:TURN] [--folder FOLDER]`: see the package."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def expected_hashes(names: list[str]) -> dict[str, str]:
 
 
 @click.command()
-@click.option("--sample", metavar="N:SEED", default="1:", help="One group of cases in N, drawn by the seed.  [all]")
+@click.option("--sample", metavar="N:TURN", default="1:0", help="One group of cases in N; N turns draw all.  [all]")
 @click.option("--folder", type=click.Path(path_type=Path), help="Where packages for ARM are kept.  [a temporary one]")
 def main(sample: str, folder: Path | None) -> None:
     """Compares hits, trees and pictures on an emulated ARM processor with those of this CPU."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -41,10 +40,10 @@ ALWAYS = ("hits by single", "tree bvh binned", "tree kdtree in_place")
 """Groups of every sample."""
 
 
-def chosen(number: int, seed: str) -> dict[str, Callable[[], Hashes]]:
-    """One group in `number`, drawn by the seed, and those of every sample."""
-    drawn = {name: int(hashlib.sha256(f"{seed} {name}".encode()).hexdigest(), 16) % number == 0 for name in groups()}
-    return {name: compute for name, compute in groups().items() if name in ALWAYS or drawn[name]}
+def chosen(number: int, turn: int) -> dict[str, Callable[[], Hashes]]:
+    """One group in `number`, others in each of `number` turns, and those of every sample."""
+    drawn = [*groups()][turn % number :: number]
+    return {name: compute for name, compute in groups().items() if name in ALWAYS or name in drawn}
 
 
 def picture(integrator: str) -> Hashes:

@@ -10,16 +10,16 @@ import warp as wp
 from conftest import SCENES
 
 import wrt
-from wrt.builders.bvh import BVH_BUILDERS
+from wrt.builders.bvh import BVH_BUILDERS, hploc
 from wrt.builders.bvh import binned_bvh as binned
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.bvh_statistics import bvh_statistics, unpack
 from wrt.builders.bvh.phases import collapse as collapse_phase
-from wrt.builders.bvh.update.bvh_update import refit
+from wrt.builders.bvh.update.bvh_update import refit, refit_upward, upward_links
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.builders.triangle_boxes import corner_bounds, triangle_boxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_WIDE_DEPTH
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import launch, use_threads
 
 WIDTHS = (2, 4, 8, 16)
 
@@ -252,6 +252,63 @@ def test_tiny_and_flat_meshes(builder, count):
         assert (tree.level_first, tree.child.numpy()[0]) == ((0, 1), ~1)
 
 
+@pytest.mark.parametrize("leaf", [1, 2])
+def test_clusters_need_no_collapse(scene_mesh, leaf, monkeypatch):
+    """With two children and leaves of at most two triangles, the short way makes the tree that the collapse makes."""
+    tree, _ = build(scene_mesh, "hploc", 2, max_leaf_triangles=leaf)
+    monkeypatch.setattr(hploc, "needs_no_collapse", lambda _: False)
+    collapsed, _ = build(scene_mesh, "hploc", 2, max_leaf_triangles=leaf)
+    assert_same_tree(tree, collapsed)
+
+
+@pytest.mark.parametrize("width", [2, 16])
+def test_threads_do_not_show_in_clusters(width):
+    """Threads meet in the hierarchy in any order. Work spaces of larger meshes are used again."""
+    meshes = [wrt.scenes.build("wood", trees=4), wrt.scenes.build("random_triangles", count=20_000, size=0.1, seed=3)]
+    with use_threads(1):
+        expected = [build(mesh, "hploc", width, max_leaf_triangles=2)[0] for mesh in meshes]
+    for threads in (2, 5, 8) * 3:
+        with use_threads(threads):
+            for mesh, tree in zip(meshes, expected, strict=True):
+                assert_same_tree(build(mesh, "hploc", width, max_leaf_triangles=2)[0], tree)
+
+
+def test_equal_clusters_are_halved():
+    """Of pairs of equal area those that make the tree flat are merged first: by places alone, a chain would come of them."""
+    tree, _ = build(
+        mesh_of(np.repeat(np.random.default_rng(1).random((1, 3, 3)), 1000, axis=0)), "hploc", 2, max_leaf_triangles=1
+    )
+    assert tree.depth == 10
+
+
+def test_clusters_that_would_make_a_tree_too_deep_are_merged_by_place(monkeypatch):
+    small = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 1]], dtype=np.float64)
+    corners = small * 2.0 ** np.arange(-60, 60)[:, None, None]
+    ways, merge = [], hploc.merge
+    monkeypatch.setattr(hploc, "merge", lambda *given: ways.append(given[2]) or merge(*given))
+    for width in (2, 16):
+        tree, config = build(mesh_of(corners), "hploc", width, max_leaf_triangles=2)
+        check(tree, mesh_of(corners).vertices, mesh_of(corners).faces, config)
+    assert ways == [True, False, True, False]
+
+
+def test_corner_bounds():
+    """The box of what triangles use, in float32; zeros are positive; NaN is refused."""
+    vertices = np.random.default_rng(2).normal(size=(400, 3)).astype(np.float32)
+    vertices[7], vertices[8], vertices[399] = -50.0, [0.0, -0.0, 80.0], 1e9
+    faces = np.random.default_rng(3).integers(0, 399, (300, 3)).astype(np.int32)
+    faces[0] = 7, 8, 9
+    low, high = corner_bounds(*(wp.array(a, dtype=t, device="cpu") for a, t in ((vertices, wp.vec3), (faces, wp.vec3i))))
+    np.testing.assert_array_equal([low, high], [vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))])
+    flat = wp.zeros(3, dtype=wp.vec3, device="cpu")
+    flat.assign(np.full((3, 3), -0.0, np.float32))
+    assert not np.signbit(corner_bounds(flat, wp.array([[0, 1, 2]], dtype=wp.vec3i, device="cpu"))).any()
+    for bad in (np.nan, np.inf):
+        vertices[8, 1] = bad
+        with pytest.raises(ValueError, match="NaN or infinite"):
+            corner_bounds(*(wp.array(a, dtype=t, device="cpu") for a, t in ((vertices, wp.vec3), (faces, wp.vec3i))))
+
+
 @pytest.mark.parametrize("builder", BVH_BUILDERS)
 @pytest.mark.parametrize("width", [2, 16])
 def test_depth_is_bounded(builder, width):
@@ -294,6 +351,24 @@ def test_refit(scene_mesh, width):
     other = refit(tree, wp.array(moved.astype(np.float32), dtype=wp.vec3, device="cpu"), faces)
     check(other, moved, scene_mesh.faces, config)
     np.testing.assert_array_equal(tree.bounds.numpy(), before)
+
+
+@pytest.mark.parametrize("width", [2, 16])
+def test_refit_upward(scene_mesh, width):
+    """The kernel for CUDA, on one thread of the CPU: the boxes of the levels, to the bit, again and again."""
+    tree, _ = build(scene_mesh, width=width)
+    vertices, faces = arrays_of(scene_mesh)
+    links = upward_links(tree)
+    for step in (0.0, 0.3, 0.5):
+        moved = (scene_mesh.vertices + step * np.sin(7.0 * scene_mesh.vertices[:, ::-1])).astype(np.float32)
+        vertices.assign(moved)
+        bounds = wp.empty(len(tree.bounds), dtype=float, device="cpu")
+        inputs = [tree.width, vertices, faces, tree.child, tree.primitive, links, bounds]
+        with use_threads(1):
+            launch(refit_upward, tree.level_first[-1], inputs, device=vertices.device)
+        expected = refit(tree, vertices, faces)
+        np.testing.assert_array_equal(bounds.numpy().view(np.int32), expected.bounds.numpy().view(np.int32))
+        assert not links.arrived.numpy().any()
 
 
 def test_refit_knows_one_zero():

@@ -113,24 +113,26 @@ def test_slow_files_exist():
     assert [name for name in conftest.SLOW if not (ROOT / name).is_file()] == []
 
 
-def test_a_sample_has_every_test():
-    """Cases that a seed leaves out, another draws."""
-    items = [SimpleNamespace(nodeid=f"tests/test_one.py::test_{name}[{case}]") for name in "ab" for case in range(30)]
-    items.append(SimpleNamespace(nodeid="tests/test_one.py::test_c"))
-    drawn = [[item.nodeid for item in conftest.sample(items, 3, str(seed))] for seed in range(40)]
-    for nodes in drawn:
-        assert {node.partition("[")[0][-1] for node in nodes} == {*"abc"}
-        assert 8 <= len(nodes) <= 40
-    assert drawn[0] != drawn[1]
-    assert {node for nodes in drawn for node in nodes} == {item.nodeid for item in items}
-    assert conftest.sample(items, 1, "") == items
-    assert [node[-3:-1].strip("[") for node in drawn[0]][:4] == ["2", "8", "9", "18"], (
-        "the same seed draws the same cases in every process"
-    )
+class Item(SimpleNamespace):
+    __hash__ = object.__hash__
 
 
-@pytest.mark.parametrize("text", ["", "0:seed", "-1:seed", "some", ":3", "1.5:seed"])
-def test_a_sample_needs_a_number(text):
+def test_samples_of_turns_that_follow_each_other_have_all_cases():
+    """And each sample has every test."""
+    counts = {"a": 30, "b": 31, "c": 2, "d": 1}
+    items = [Item(nodeid=f"tests/test_one.py::test_{name}[{case}]") for name, count in counts.items() for case in range(count)]
+    items.append(Item(nodeid="tests/test_one.py::test_e"))
+    for first in (0, 7, 1042):
+        drawn = [[item.nodeid for item in conftest.sample(items, 3, first + turn)] for turn in range(3)]
+        for nodes in drawn:
+            assert {node.partition("[")[0][-1] for node in nodes} == {*"abcde"}
+            assert 23 <= len(nodes) <= 24
+        assert {node for nodes in drawn for node in nodes} == {item.nodeid for item in items}
+    assert conftest.sample(items, 1, 5) == items
+
+
+@pytest.mark.parametrize("text", ["", "0:1", "-1:1", "some", ":3", "1.5:1", "3", "3:some", "3:-1"])
+def test_a_sample_needs_two_numbers(text):
     with pytest.raises(argparse.ArgumentTypeError, match="N is at least 1"):
         conftest.as_sample(text)
-    assert conftest.as_sample("3:a:b") == (3, "a:b")
+    assert conftest.as_sample("3:1042") == (3, 1042)

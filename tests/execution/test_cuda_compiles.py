@@ -17,6 +17,7 @@ import wrt.kernels
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE
 from wrt.builders.bvh.phases.bvh_levels import make_search_planes
 from wrt.builders.bvh.phases.bvh_subtrees import make_build_subtrees as make_bvh_subtrees
+from wrt.builders.bvh.phases.cluster_merging import make_merge_clusters
 from wrt.builders.bvh.phases.collapse import make_pick_children, make_solve
 from wrt.builders.bvh.projected_binned import PROJECTED
 from wrt.builders.classics.kdtree import adaptive_sampling, between_medians, medians, naive
@@ -364,6 +365,7 @@ EXACT_KERNELS = {
     # the other triangle tests by what CUDA uses: one ray, W triangles
     "triangle tests": lambda: {t: single(TraversalConfig(t, 2)) for t in TRIANGLE_TESTS if t not in ENGINE_TESTS},
     "measurements": lambda: {name: make() for name, make in MEASURED.items()},
+    "clusters": lambda: {"clusters": make_merge_clusters()},
 }
 """Kernels in which nothing may fuse: their answers are the same on all devices."""
 

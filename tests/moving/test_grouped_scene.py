@@ -11,6 +11,7 @@ from conftest import assert_same_hits, mixed_rays, snapped_soup
 
 import wrt
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
+from wrt.moving import grouped_scene
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
 FEW = wrt.TriangleMesh(np.eye(3), [[0, 1, 2]])
@@ -59,6 +60,27 @@ def test_only_what_moved_is_touched():
     assert all(one is not other and one.child is other.child for one, other in zip(scene.state.trees, trees, strict=True))
     assert list(scene.group_updates) == [0]
     assert_as_one_tree(scene)
+
+
+def test_groups_share_the_threads(monkeypatch):
+    """By their triangles; trees are the same with any number of threads."""
+    seen, move = [], grouped_scene.move_tree
+
+    def watched(recipe, tree, group, policy):
+        seen.append(wrt.get_num_threads())
+        return move(recipe, tree, group, policy)
+
+    monkeypatch.setattr(grouped_scene, "move_tree", watched)
+    balls = [BALL.transformed(trimesh.transformations.translation_matrix([3 * k, 0, 0])) for k in range(4)]
+    one, four = (wrt.moving.GroupedScene(balls, device="cpu", num_threads=count) for count in (1, 4))
+    half = [ball.vertices * 0.5 + [1.5 * k, 0, 0] for k, ball in enumerate(balls)]
+    for scene, moving, expected in ((one, (1, 2), {1}), (four, (1, 2), {2}), (four, (1,), {4}), (four, (0, 1, 2, 3), {1})):
+        seen.clear()
+        scene.update({number: half[number] for number in moving}, rebuild="always")
+        assert {*seen} == expected
+        assert len(seen) == len(moving)
+    one.update({0: half[0], 3: half[3]}, rebuild="always")
+    np.testing.assert_array_equal(one.tree.primitive.numpy(), four.tree.primitive.numpy())
 
 
 def test_bad_input():

@@ -17,19 +17,11 @@ import warp as wp
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 
 SETTINGS = f"""
-import gc, os, threading, warp
-from warp._src.context import Runtime
+import gc, sys, warp
 warp.config.cpu_compiler_flags = {wp.config.cpu_compiler_flags!r}
-def headers(runtime):
-    folder = os.path.join(HEADERS, threading.current_thread().name)
-    os.makedirs(folder, exist_ok=True)
-    return folder
-Runtime._get_or_create_pch_dir = headers
-import sys
 sys.path.insert(0, {str(FOLDER)!r})
 """
-"""Kernels as the other tests compile them, which may have done so already; studies are found, as in a notebook's
-folder. Warp's header, precompiled, is kept for the next notebook: each thread of each process would take 3 s for it."""
+"""Kernels as the other tests compile them, which may have done so already; studies are found, as in a notebook's folder."""
 
 FREEZE = "gc.freeze()\n"
 """Studies collect garbage before each round. What earlier cells made need not be scanned for it."""
@@ -133,14 +125,9 @@ def test_names_that_a_notebook_takes_from_modules_exist(path, monkeypatch):
     assert missing == []
 
 
-@pytest.fixture(scope="session")
-def headers(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of precompiled headers, for the notebooks that this process runs one after the other."""
-    return tmp_path_factory.mktemp("headers")
-
-
+@pytest.mark.notebooks
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook(path, tmp_path, headers):
+def test_notebook(path, tmp_path):
     nbformat = pytest.importorskip("nbformat")
     client = pytest.importorskip("nbclient")
     notebook = nbformat.read(path, as_version=4)
@@ -151,7 +138,7 @@ def test_notebook(path, tmp_path, headers):
     assert path.stat().st_size < 1_500_000, "keep the pictures small"
     for cell in code:
         cell.source = FREEZE + reduced(cell.source)
-    notebook.cells.insert(0, nbformat.v4.new_code_cell(f"HEADERS = {str(headers)!r}{SETTINGS}"))
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(SETTINGS))
     os.environ.setdefault("MPLBACKEND", "module://matplotlib_inline.backend_inline")
     client.NotebookClient(notebook, timeout=300, iopub_timeout=60, resources={"metadata": {"path": str(tmp_path)}}).execute()
     pictures = sum(

@@ -2,8 +2,10 @@
 #include "bins.h"
 #include "clip.h"
 #include "clusters.h"
+#include "corner_bounds.h"
 #include "events.h"
 #include "light_raster.h"
+#include "merging.h"
 
 struct Vec2i {
     int c[2];
@@ -36,6 +38,11 @@ struct Mesh {
     Rows<Vec3i> faces;
     float pad;
     bool shrinks;
+};
+struct MergedTree {
+    Rows<float> box;
+    Rows<Vec2i> child;
+    Rows<int> parent, size, code, cluster, waiting, root;
 };
 struct Cost {
     float block, empty_factor;
@@ -149,6 +156,12 @@ int clustered(const Boxes& boxes, int* ids, float* list, const Pair& pair, const
     count_cells(boxes, ids, 0, 3, grid, ids, ids, list, 8);
     box_of_range(boxes, ids, 0, 3, list);
     return choose_triangles(boxes, ids, pair, true, ids);
+}
+
+void merged(const MergedTree& tree, const Mesh& mesh, int* found)
+{
+    merge_from(tree, 0, 3, true);
+    reduce_corners(mesh.vertices.data, mesh.faces.data, 3, 1, 0, found);
 }
 
 void lit(const Vec3d& a, const Vec3d& b, const Vec3d& c, int* words, unsigned long long* entries)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
+from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh
 
 if TYPE_CHECKING:
@@ -23,7 +24,11 @@ WIDTH = 2
 
 def for_device(accelerator: Accelerator, device: wp.Device) -> Accelerator:
     """The description by which a tree for a device is built: smaller leaves on CUDA, where the description leaves them open."""
-    return _for_cuda(accelerator) if device.is_cuda and type(accelerator) is Bvh else accelerator
+    if device.is_cuda and type(accelerator) is Bvh:
+        return _for_cuda(accelerator)
+    if device.is_cuda and isinstance(accelerator, RayAwareBvh):
+        return replace(accelerator, whole=_for_cuda(accelerator.whole))
+    return accelerator
 
 
 @cache

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.builders.triangle_boxes import TriangleBoxes, triangle_boxes
 from wrt.kernels.layout.mesh_placement import shifted
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.workspace import host_view, set_flat
@@ -52,6 +53,11 @@ class PlacedMeshes:
     faces: wp.array
     mesh: SceneMesh
 
+    def boxes(self, device: wp.Device) -> TriangleBoxes:
+        """The bounding boxes of the triangles, on the CPU or on the scene's device."""
+        vertices, faces = (self.vertices, self.faces) if device.is_cpu else (self.mesh.vertices, self.mesh.faces)
+        return triangle_boxes(vertices, faces, self.center, self.bounds)
+
     def fill_in(self, low: wp.vec3, high: wp.vec3) -> SceneMesh:
         """Sets the box of `mesh`, and returns it."""
         self.mesh.low, self.mesh.high = wp.vec3(*low), wp.vec3(*high)
@@ -71,9 +77,7 @@ def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device, center: np
     """
     low, high = find_bounds(meshes)
     center = 0.5 * low + 0.5 * high if center is None else center
-    with np.errstate(over="ignore"):
-        # the corners as the vertices below: rounding keeps their order
-        bounds = tuple((corner - center).astype(np.float32) + np.float32(0.0) for corner in (low, high))
+    bounds = relative_bounds(np.array([low, high]), center)
     vertices, faces, first = join_meshes(meshes)
     host_vertices = shifted(center, vertices)
     host_faces = wp.array(faces, dtype=wp.vec3i, device="cpu", copy=False)
@@ -82,6 +86,18 @@ def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device, center: np
     mesh.center = wp.vec3d(*map(float, center))
     mesh.geometry_first = wp.array(first, dtype=int, device=device)
     return PlacedMeshes(first, center, bounds, host_vertices, host_faces, mesh)
+
+
+def relative_bounds(bounds: np.ndarray, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) float32 each: the corners of a box relative to a point, as vertices become: rounding keeps their order.
+
+    Args:
+        bounds: (2, 3) float64.
+        center: (3,) float64.
+    """
+    with np.errstate(over="ignore"):
+        low, high = (bounds - center).astype(np.float32) + np.float32(0.0)
+    return low, high
 
 
 def lay_out_few(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarray, SceneMesh]:

@@ -22,7 +22,7 @@ References: kang-2013; bikker-2007; parker-1999; rahikainen-2013 (an overview of
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -33,7 +33,7 @@ import warp as wp
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.engine.facts.scene_settings import as_settings
 from wrt.engine.facts.scene_state import Settings, new_mark
-from wrt.kernels.runtime.launch import run_tasks, use_threads
+from wrt.kernels.runtime.launch import get_num_threads, run_tasks, use_threads
 from wrt.meshes.placement import as_meshes, nested, place_meshes
 from wrt.moving.group_trees import TREE, GroupLayout
 from wrt.scene.mesh_state import MeshState
@@ -178,7 +178,8 @@ class GroupedState(MeshState):
                     own = AT_REST if can_move(recipe.accelerator) else ALWAYS
                     trees[number], _ = move_tree(recipe, trees[number], group, own)
 
-            run_tasks(work, len(meshes))
+            busy = [len(mesh.faces) if number in changed or shift.any() else 0 for number, mesh in enumerate(meshes)]
+            run_shared(work, busy)
             return state_of_groups(meshes, placed, self.settings, self.layout, trees, reports, self.mark)
 
 
@@ -197,6 +198,20 @@ class LinkedState(GroupedState):
     }
 
 
+def run_shared(work: Callable[[int], None], triangles: Sequence[int]) -> None:
+    """Calls `work` for each group, on several threads, which share the CPU threads by the triangles that they have to do with.
+
+    Without that, the tree of every group would be built with all threads, and these would wait for each other.
+    """
+    threads, total = get_num_threads(), max(1, sum(triangles))
+
+    def task(number: int) -> None:
+        with use_threads(max(1, threads * triangles[number] // total)):
+            work(number)
+
+    run_tasks(task, len(triangles))
+
+
 def build_groups(meshes: tuple[TriangleMesh, ...], settings: Settings, layout: GroupLayout) -> GroupedState:
     """The state of a scene of groups: a tree for each, and those above."""
     placed = place_meshes(meshes, settings.device)
@@ -206,7 +221,7 @@ def build_groups(meshes: tuple[TriangleMesh, ...], settings: Settings, layout: G
     def work(number: int) -> None:
         trees[number] = layout.recipes[number].build(groups[number])
 
-    run_tasks(work, len(groups))
+    run_shared(work, [len(mesh.faces) for mesh in meshes])
     return state_of_groups(meshes, placed, settings, layout, trees, {}, new_mark())
 
 

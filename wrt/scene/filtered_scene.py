@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from wrt.engine.facts.hit_filter import HitFilter
 from wrt.engine.facts.query_cache import QueryCache
@@ -53,7 +54,8 @@ def ignored_triangles(state: SceneState, ignore: Any) -> dict[int, np.ndarray]:
     found = {}
     for key, values in ignore.items():
         number = as_int("a key of ignore", key, 0, len(meshes) - 1)
-        array, count = host_array("ignore", values), meshes[number].triangle_count
+        array = host_array("ignore", values.numpy() if isinstance(values, wp.array) else values)
+        count = meshes[number].triangle_count
         if array.dtype != bool:
             raise TypeError(
                 f"ignore must hold bools, one a triangle, not {array.dtype}; of ids make np.isin(np.arange({count}), ids)"

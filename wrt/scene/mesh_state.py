@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import warp as wp
 
 from wrt.accelerators.accelerator import resolve_accelerator
 from wrt.accelerators.cuda_trees import for_device
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders.bvh import small_mesh_build
-from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.engine.facts.query_cache import QueryCache
 from wrt.engine.facts.scene_settings import Settings
 from wrt.engine.facts.scene_state import SceneState
@@ -22,10 +23,21 @@ from wrt.engine.memory import memory_for
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.meshes.mesh import TriangleMesh
-from wrt.meshes.placement import as_meshes, hierarchy_of, lay_out_few, moved_meshes, nested, place_meshes
+from wrt.meshes.placement import (
+    as_meshes,
+    check_index,
+    find_bounds,
+    hierarchy_of,
+    lay_out_few,
+    moved_meshes,
+    nested,
+    place_meshes,
+    relative_bounds,
+)
 from wrt.meshes.repeated_surfaces import without_repeated
+from wrt.scene.device_vertices import move_on_device, vertices_on
 from wrt.scene.storage import find_tree
-from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
+from wrt.scene.updates import NEVER, MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,7 +96,37 @@ class MeshState(SceneState):
             raise ValueError(
                 "transform, mask and environment need instances, and this scene has none; make it from wrt.Instance(mesh)"
             )
+        if self.moves_on_device(policy) and not isinstance(index, Mapping):
+            check_index(index, 1, "mesh")
+            points = vertices_on(self.device, vertices, self.meshes[0].vertex_count)
+            if points is not None:
+                return self.moved_on_device(points, policy)
         return self.moved(moved_meshes(self.meshes, index, vertices), policy)
+
+    def moves_on_device(self, policy: UpdatePolicy) -> bool:
+        """Whether vertices that are on the scene's device stay there: of one mesh in a tree that is refitted or built there."""
+        if self.device.is_cpu or len(self.meshes) != 1 or type(self.accelerator) is not Bvh:
+            return False
+        return policy.when == NEVER or recipe_of(self.settings).build_device.is_cuda
+
+    def moved_on_device(self, points: wp.array, policy: UpdatePolicy) -> SceneState:
+        """The state with the mesh's vertices elsewhere; they are not copied to the host."""
+        mesh, center, placed = move_on_device(self.meshes[0], points, self.device_mesh)
+        find_bounds((mesh,))  # raises what a new scene would
+        with memory_for(f"the tree of {mesh.triangle_count:,} triangles", 24 * len(points)):
+            bounds = relative_bounds(mesh.bounds, center)
+            triangles = MovedTriangles(placed.vertices, placed.faces, None, None, center, np.zeros(3), bounds)
+            tree, report = move_tree(recipe_of(self.settings), self.tree, triangles, policy)
+        placed.low, placed.high = wp.vec3(*tree.low), wp.vec3(*tree.high)
+        return replace(
+            self,
+            meshes=(mesh,),
+            center=center,
+            built_tree=tree,
+            device_mesh=placed,
+            last_update=report,
+            cache=QueryCache(),
+        )
 
     def moved(self, changed: dict[int, TriangleMesh], policy: UpdatePolicy) -> SceneState:
         """The state with some meshes elsewhere, by their index."""
@@ -129,11 +171,11 @@ def build_state(
         expect_build(settings.accelerator, settings.device, meshes[0].vertices.dtype.type, triangles)
     with memory_for_tree(meshes):
         placed = place_meshes(meshes, settings.device)
-        # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
-        boxes = triangle_boxes(placed.vertices, placed.faces, placed.center, placed.bounds)
+        recipe = recipe_of(settings)
+        boxes = placed.boxes(recipe.build_device)
         clusters = settings.accelerator.kind == "kdtree"  # a BVH needs none, and no module of kd-trees
         own = boxes_of_meshes(meshes, placed, hierarchy) if clusters else None
-        tree, lazy_tree = find_tree(recipe_of(settings), boxes, placed, cache, own, previous)
+        tree, lazy_tree = find_tree(recipe, boxes, placed, cache, own, previous)
     state = MeshState(
         settings=settings,
         meshes=meshes,

@@ -125,7 +125,8 @@ class Scene(Queries, Members):
         Args:
             index: index of the mesh (`Hits.geometry_id`), or a mapping from such indices to their vertices; in a scene of
                 instances, index of the instance, or several indices for `transform`, `mask` and `environment`.
-            vertices: (V, 3), as many as the mesh has; for an instance, in the mesh's own space.
+            vertices: (V, 3), as many as the mesh has; for an instance, in the mesh's own space. float32 on the scene's CUDA
+                device stays there if the scene has one mesh and the tree is refitted ("never"), or built by "hploc".
             transform: transform of the instance, (4, 4), or (N, 4, 4) for N instances, as in `wrt.Instance`; or a Warp array of
                 such matrices, or of (N,) `wp.transform`.
             mask, environment: of the instance, or of all instances in `index`.
@@ -321,7 +322,7 @@ class Scene(Queries, Members):
         whole surface (`contains`, `verify`, `save`) are refused.
 
         Args:
-            ignore: (T,) bool, NumPy, Warp or a list: the triangles of the mesh that rays do not see, in all its
+            ignore: (T,) bool, NumPy, a list, or Warp on any device: the triangles of the mesh that rays do not see, in all its
                 instances. For some of several meshes, a mapping from their index (`meshes`) to such arrays. None: none.
             alpha: whether a triangle is hit only where the alpha of its material is at least `Material.alpha_cutoff`.
 

@@ -184,8 +184,8 @@ def find_tree(
 
 def stored_fields(cls: type) -> list[str]:
     """Names of the stored fields of a tree: not the costs that updates keep, which can be computed again, nor whether leaves
-    share triangles, as in trees for known rays, which are not stored."""
-    return [field.name for field in fields(cls) if field.name not in ("built_costs", "shared")]
+    share triangles, as in trees for known rays, which are not stored, nor what a refit keeps."""
+    return [field.name for field in fields(cls) if field.name not in ("built_costs", "shared", "upward")]
 
 
 def pack_tree(tree: Bvh | KdTree) -> dict[str, np.ndarray]:

@@ -115,17 +115,19 @@ class MovedTriangles:
 
     Attributes:
         vertices, faces: on the scene's device.
-        host_vertices, host_faces: on the CPU.
+        host_vertices, host_faces: on the CPU; None for triangles that stay on the device.
         center: (3,) float64, the point that vertices are relative to.
         shift: (3,) float64, typical motion of the triangles relative to the centre.
+        bounds: (3,) float32 each, corners of the box of all triangles, relative to the centre; None if they are not known.
     """
 
     vertices: wp.array
     faces: wp.array
-    host_vertices: wp.array
-    host_faces: wp.array
+    host_vertices: wp.array | None
+    host_faces: wp.array | None
     center: np.ndarray
     shift: np.ndarray
+    bounds: tuple[np.ndarray, np.ndarray] | None = None
 
     @classmethod
     def of(cls, placed: PlacedMeshes, shift: np.ndarray, first: int = 0, end: int | None = None) -> MovedTriangles:
@@ -134,10 +136,14 @@ class MovedTriangles:
         mesh = placed.mesh
         return cls(mesh.vertices, mesh.faces[own], placed.vertices, placed.faces[own], placed.center, shift)
 
-    def boxes(self) -> TriangleBoxes:
-        """The bounding boxes of the triangles, on the CPU."""
+    def boxes(self, device: wp.Device | None = None) -> TriangleBoxes:
+        """The bounding boxes of the triangles, on the CPU or on the scene's device."""
         from wrt.builders.triangle_boxes import triangle_boxes
 
+        if device is not None and device == self.vertices.device:
+            return triangle_boxes(self.vertices, self.faces, self.center, self.bounds)
+        assert self.host_vertices is not None
+        assert self.host_faces is not None
         return triangle_boxes(self.host_vertices, self.host_faces, self.center)
 
 
@@ -186,9 +192,18 @@ class TreeRecipe:
 
         return isinstance(self.accelerator, ProjectedBvh)
 
+    @property
+    def build_device(self) -> wp.Device:
+        """Where the tree is built. Most builders have a thread build each subtree, which suits CPU cores: those trees are built
+        on the CPU and copied."""
+        from wrt.accelerators.tree_descriptions import Bvh
+
+        kept = type(self.accelerator) is Bvh and self.accelerator.is_built_on(self.device, self.width)
+        return self.device if kept else wp.get_device("cpu")
+
     def build(self, triangles: MovedTriangles) -> KdTree | Bvh:
-        """Builds a new tree. One thread builds each subtree, which suits CPU cores: the tree is built on the CPU and copied."""
-        return self.accelerator.build(triangles.boxes(), self.width).to(self.device)
+        """Builds a new tree, on the scene's device."""
+        return self.accelerator.build(triangles.boxes(self.build_device), self.width).to(self.device)
 
     def costs(self, tree: Any) -> np.ndarray:
         """(nodes,) cost of each subtree."""
@@ -220,7 +235,9 @@ def move_tree(
 ) -> tuple[KdTree | Bvh, UpdateReport]:
     """A tree of the triangles in their new places, and a report."""
     start = perf_counter()
-    moved = recipe.reuse_nodes(old, triangles) if policy.when != ALWAYS else None
+    # a build on CUDA takes less time than a look at what a refit has made of the tree
+    rebuilds = policy.when == ALWAYS or (policy.when == AUTO and recipe.build_device.is_cuda)
+    moved = None if rebuilds else recipe.reuse_nodes(old, triangles)
     if moved is None or moved.tree is None:
         tree, action, costs, count = recipe.build(triangles), "built", (NAN, NAN, NAN), len(triangles.faces)
     elif policy.when == NEVER or recipe.only_refits:

@@ -1,8 +1,9 @@
 """A BVH over moved triangles: refit, measure, and rebuild parts (`wrt.builders.rebuild_heuristic`).
 
 **Refit** (`refit`) recomputes the boxes; nodes and leaves stay. Every triangle is read once and every node is written once,
-from the deepest level up, in parallel over the nodes of a level. The tree stays correct for any motion. Traversal slows down as
-triangles that were close when it was built move apart.
+from the deepest level up, in parallel over the nodes of a level; on CUDA by one launch, whose threads go up from nodes without
+inner children, and of those that meet in a node the last goes on. The tree stays correct for any motion. Traversal slows down
+as triangles that were close when it was built move apart.
 
 References: wald-2007-deformable; lauterbach-2006.
 """
@@ -27,6 +28,27 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY, max_of, min_of
 
 exact_module(__name__)
+
+
+@wp.func
+def leaf_box(
+    word: int,
+    width: int,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    primitive: wp.array(dtype=int),
+):
+    """The corners of the box of a leaf."""
+    low = wp.vec3(INFINITY, INFINITY, INFINITY)
+    high = -low
+    begin = first_block(word) * width
+    for slot in range(begin, begin + leaf_triangles(word)):
+        face = faces[primitive[slot]]
+        for corner in range(3):
+            point = vertices[face[corner]]
+            low = min_of(low, point)
+            high = max_of(high, point)
+    return low, high
 
 
 @wp.kernel
@@ -54,17 +76,122 @@ def refit_nodes(
                     at += 3 * width
                     high[axis] = wp.where(bounds[at] > high[axis], bounds[at], high[axis])
         elif word != EMPTY_LANE:
-            begin = first_block(word) * width
-            for slot in range(begin, begin + leaf_triangles(word)):
-                face = faces[primitive[slot]]
-                for corner in range(3):
-                    point = vertices[face[corner]]
-                    low = min_of(low, point)
-                    high = max_of(high, point)
+            low, high = leaf_box(word, width, vertices, faces, primitive)
         # adding 0 turns -0 into +0, as in `compute_boxes`
         for axis in range(3):
             bounds[(node * 6 + axis) * width + lane] = low[axis] + 0.0
             bounds[(node * 6 + 3 + axis) * width + lane] = high[axis] + 0.0
+
+
+@wp.struct
+class Upward:
+    """How a thread goes up from a node."""
+
+    parent: wp.array(dtype=int)
+    """(nodes,) the lane of a node among all lanes; -1 for the root."""
+    inner: wp.array(dtype=int)
+    """(nodes,) its inner children."""
+    arrived: wp.array(dtype=int)
+    """(nodes,) those that are done; 0 before and after a launch."""
+
+
+@wp.kernel
+def link_upward(first: int, width: int, child: wp.array(dtype=int), links: Upward):
+    """Item: a node."""
+    node = first + wp.tid()
+    inner = int(0)
+    for lane in range(width):
+        word = child[node * width + lane]
+        if word >= 0:
+            links.parent[word] = node * width + lane
+            inner += 1
+    links.inner[node] = inner
+    links.arrived[node] = 0
+    if node == 0:
+        links.parent[0] = -1
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __threadfence();
+#endif
+""")
+def fence():
+    """What this thread wrote is seen before what it writes from here on."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ldcg(values.data + i);
+#else
+    return values.data[i];
+#endif
+""")
+def load_written(values: wp.array(dtype=float), i: int) -> float:
+    """values[i], which another thread of the launch may have written."""
+    ...
+
+
+@wp.kernel
+def refit_upward(
+    first: int,
+    width: int,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    child: wp.array(dtype=int),
+    primitive: wp.array(dtype=int),
+    links: Upward,
+    bounds: wp.array(dtype=float),
+):
+    """Item: a node. One without inner children writes its boxes and goes up; of the children of a node the last goes on."""
+    node = first + wp.tid()
+    going = links.inner[node] == 0
+    while going:
+        whole_low = wp.vec3(INFINITY, INFINITY, INFINITY)
+        whole_high = -whole_low
+        for lane in range(width):
+            word = child[node * width + lane]
+            at = node * 6 * width + lane
+            low = wp.vec3(INFINITY, INFINITY, INFINITY)
+            high = -low
+            if word >= 0:
+                for axis in range(3):
+                    low[axis] = load_written(bounds, at + axis * width)
+                    high[axis] = load_written(bounds, at + (3 + axis) * width)
+            else:
+                if word != EMPTY_LANE:
+                    low, high = leaf_box(word, width, vertices, faces, primitive)
+                for axis in range(3):
+                    bounds[at + axis * width] = low[axis] + 0.0
+                    bounds[at + (3 + axis) * width] = high[axis] + 0.0
+            whole_low = min_of(whole_low, low)
+            whole_high = max_of(whole_high, high)
+        lane_above = links.parent[node]
+        going = lane_above >= 0
+        if going:
+            node = lane_above / width
+            at = node * 6 * width + lane_above % width
+            for axis in range(3):
+                bounds[at + axis * width] = whole_low[axis] + 0.0
+                bounds[at + (3 + axis) * width] = whole_high[axis] + 0.0
+            fence()
+            before = wp.atomic_add(links.arrived, node, 1)
+            fence()
+            going = before + 1 == links.inner[node]
+            if going:
+                links.arrived[node] = 0
+
+
+def upward_links(tree: Bvh) -> Upward:
+    """The links of a tree, made once for all trees with these nodes."""
+    if tree.upward is None:
+        device, nodes = tree.child.device, tree.level_first[-1]
+        links = Upward()
+        links.parent, links.inner, links.arrived = (wp.empty(nodes, dtype=int, device=device) for _ in range(3))
+        launch(link_upward, nodes, [tree.width, tree.child, links], device=device)
+        tree.upward = links
+    return tree.upward
 
 
 def refit(tree: Bvh, vertices: wp.array, faces: wp.array) -> Bvh:
@@ -79,15 +206,19 @@ def refit(tree: Bvh, vertices: wp.array, faces: wp.array) -> Bvh:
     load([refit_nodes], device)
     start = perf_counter()
     bounds = wp.empty(len(tree.bounds), dtype=float, device=device)
-    levels = list(zip(tree.level_first, tree.level_first[1:], strict=False))
-    for first, end in reversed(levels):
-        inputs = [first, tree.width, vertices, faces, tree.child, tree.primitive, bounds]
-        launch(refit_nodes, end - first, inputs, device=device, chunk=64)
+    if device.is_cuda:
+        inputs = [tree.width, vertices, faces, tree.child, tree.primitive, upward_links(tree), bounds]
+        launch(refit_upward, tree.level_first[-1], inputs, device=device)
+    else:
+        levels = list(zip(tree.level_first, tree.level_first[1:], strict=False))
+        for first, end in reversed(levels):
+            inputs = [first, tree.width, vertices, faces, tree.child, tree.primitive, bounds]
+            launch(refit_nodes, end - first, inputs, device=device, chunk=64)
     root = bounds[: 6 * tree.width].numpy().reshape(2, 3, tree.width)
     low, high = (wp.vec3(*map(float, corner)) for corner in (root[0].min(axis=1), root[1].max(axis=1)))
     stats = BuildStats({"refit": perf_counter() - start})
     stats.reserve(bounds)
-    return Bvh(bounds, tree.child, tree.primitive, low, high, tree.width, tree.level_first, stats)
+    return Bvh(bounds, tree.child, tree.primitive, low, high, tree.width, tree.level_first, stats, upward=tree.upward)
 
 
 class RefittedBvh:

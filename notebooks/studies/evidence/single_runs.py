@@ -176,6 +176,16 @@ def dynamic(models: Path | None, effort: Effort) -> Tables:
     return motion_tables(effort.rounds)
 
 
+def thread_growth(models: Path | None, effort: Effort) -> Tables:
+    """Builds, updates of groups and rays by the number of threads, on the second scene of `komatsu_packets`."""
+    from studies.kdtrees.thread_growth import thread_growth as compare
+    from studies.triangles import komatsu_packets
+
+    mesh = [*komatsu_packets.scenes(models).values()][1]
+    rows = compare(mesh, rounds=effort.rounds, size=4 * effort.size)
+    return {"threads": [short(row, "what", "threads", measures=("seconds", "speed")) for row in rows]}
+
+
 def leaf_sizes(models: Path | None, effort: Effort) -> Tables:
     """Tests that cullings avoid in small and in large leaves; counted."""
     from studies.kdtrees.leaf_sizes import compare_leaf_sizes
@@ -245,6 +255,7 @@ STUDIES = {
     "fans": Study(fans, ("studies.triangles.fan_comparison",)),
     "traversal": Study(traversal, ("studies.kdtrees.packet_speeds",)),
     "kdtree_builders": Study(kdtree_builders, ("studies.kdtrees.kdtree_comparison",)),
+    "thread_growth": Study(thread_growth, ("studies.kdtrees.thread_growth",)),
     "leaf_sizes": Study(leaf_sizes, ("studies.kdtrees.leaf_sizes",), is_counted=True),
     "bounces": Study(bounces, ("studies.light.bounce_comparison",), is_counted=True),
     "fuzzy_boxes": Study(fuzzy_boxes, ("studies.moving.motion_run", "studies.moving.motion_costs"), is_counted=True),
