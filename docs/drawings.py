@@ -30,7 +30,7 @@ QUERY = (
 """Modules from `Scene.intersect` to the kernel, what is called there, and what it does."""
 
 ASIDE = {
-    "wrt.engine.executor": ("wrt.engine.rays", "wrt.engine.plan.planner"),
+    "wrt.engine.executor": ("wrt.engine.rays", "wrt.engine.plan.choices"),
     "wrt.engine.launch.prepared": ("wrt.engine.device_hits",),
 }
 """What a module on the way calls beside the next one."""

@@ -38,7 +38,8 @@ refused. A kernel is compiled once for each kind, width and depth (in steps of e
 with. Results are the same on every device.
 
 More functions for programs in Warp: `differentiable_hits` and `differentiable_points` give hits and closest points with
-gradients for a `wp.Tape`, and `show_compiling` shows the progress of compiling.
+gradients for a `wp.Tape`, `show_compiling` shows the progress of compiling, and `set_auto` chooses how "auto" finds the fastest
+engine.
 """
 
 from __future__ import annotations
@@ -77,8 +78,10 @@ from wrt.lazy_names import lazy_names
 from wrt.meshes.instance import EVERY, MAX_MASK, check_environment, check_mask
 from wrt.tapes import takes_gradients, tape_records
 
-if TYPE_CHECKING:  # the first three are the names of `_HOME`, for type checkers
+if TYPE_CHECKING:  # these are the names of `_HOME`, for type checkers
     from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.plan.choices import get_auto as get_auto
+    from wrt.engine.plan.choices import set_auto as set_auto
     from wrt.kernels.compilation.compile_progress import show_compiling as show_compiling
     from wrt.query.gradients import differentiable_hits as differentiable_hits
     from wrt.query.points.differentiable_points import differentiable_points as differentiable_points
@@ -86,6 +89,8 @@ if TYPE_CHECKING:  # the first three are the names of `_HOME`, for type checkers
 _HOME = {
     "differentiable_hits": "wrt.query.gradients",
     "differentiable_points": "wrt.query.points.differentiable_points",
+    "get_auto": "wrt.engine.plan.choices",
+    "set_auto": "wrt.engine.plan.choices",
     "show_compiling": "wrt.kernels.compilation.compile_progress",
 }
 

@@ -17,3 +17,6 @@ ANSWER_REVISION = 1
 SAMPLE_REVISION = 1
 """Raised when an integrator makes other samples. Saved ones (`wrt.pictures.Rendering.save_samples`) of another revision are
 refused."""
+
+TUNING_REVISION = 1
+"""Raised when engines or their classes change so that files of `wrt tune` of another revision mislead."""

@@ -15,9 +15,10 @@ half a module: Warp renames a finished folder into place, which also lets severa
 import atexit
 import os
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, wait
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from queue import SimpleQueue
 from weakref import finalize
 
@@ -45,6 +46,21 @@ _queue: SimpleQueue[tuple[Key, Future[None]] | None] = SimpleQueue()
 _pending: dict[Key, Future[None]] = {}
 _is_exiting = False
 _loaded: dict[tuple[wp.Module, str], None] = {}
+_compiles: ContextVar[bool] = ContextVar("wrt_compiles", default=True)
+
+
+class NotCompiledError(RuntimeError):
+    """A kernel is not compiled, and `without_compiling` forbids it."""
+
+
+@contextmanager
+def without_compiling() -> Iterator[None]:
+    """Inside the `with` block, the calling thread gets a `NotCompiledError` from what would compile a kernel for the CPU."""
+    token = _compiles.set(False)
+    try:
+        yield
+    finally:
+        _compiles.reset(token)
 
 
 def compile_jobs() -> int:
@@ -66,6 +82,9 @@ def expect(modules: Iterable[wp.Module], device: wp.Device, block_dim: int) -> l
 
     Returns:
         What is still to be compiled of them.
+
+    Raises:
+        NotCompiledError: inside `without_compiling`, something is.
     """
     if not device.is_cpu:
         return []
@@ -76,6 +95,8 @@ def expect(modules: Iterable[wp.Module], device: wp.Device, block_dim: int) -> l
             if key not in _pending:
                 if is_compiled(module, device, block_dim) or shipped_kernels.find(module, device, block_dim):
                     continue
+                if not _compiles.get():
+                    raise NotCompiledError(f"a module of kernels is not compiled: {module.name}")
                 begun.append(key)
                 _pending[key] = Future()
             found.append(_pending[key])

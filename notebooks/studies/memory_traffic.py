@@ -23,8 +23,8 @@ from wrt.engine.facts.query_kinds import CLOSEST, QUERIES
 from wrt.engine.launch import queued_tracing
 from wrt.engine.launch.traversal_launch import no_work
 from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.plan.plan import traversal_config, traversal_of
-from wrt.engine.plan.planner import make_plan
 from wrt.engine.rays.rays import as_rays
 from wrt.kernels.classics.studies.cache_model import LINE, count_misses
 from wrt.kernels.classics.studies.visit_log import make_log_kernel

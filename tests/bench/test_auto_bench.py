@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import wrt
 from wrt.bench.commands.benchmark import bench
-from wrt.bench.comparisons import auto_choices
-from wrt.bench.comparisons.auto_cases import BEAMS, KINDS, cases, city, scene_of
+from wrt.bench.comparisons import auto_choices, auto_journeys
+from wrt.bench.comparisons.auto_cases import BEAMS, KINDS, PLACES, SHORT, TURN, cases, city, scene_of
 from wrt.kernels.traversal.packet import CULLINGS
 
 
@@ -21,12 +22,44 @@ def teapot() -> wrt.TriangleMesh:
 
 def test_cases(teapot):
     found = {case.kind: case for case in cases(teapot, sizes=(16,))}
-    assert tuple(found) == KINDS
+    assert tuple(found) == (*(kind for kind in KINDS if kind != "places"), *(f"place {number}" for number in range(PLACES)))
+    assert found["place 7"].rays.directions.shape == (BEAMS, TURN, 3)
+    assert (teapot.bounds[0] <= found["place 7"].rays.origins).all()
+    assert (found["place 7"].rays.origins <= teapot.bounds[1]).all()
     assert found["scan"].rays.directions.shape == (BEAMS, 4, 3)
     assert found["scan"].rays_count == 256
     assert found["view"].rays_count == found["random"].rays_count == 256
-    assert 0 < found["shadow"].rays_count == found["ao"].rays_count < 256
+    assert 0 < found["shadow"].rays_count == found["ao"].rays_count == found["short"].rays_count < 256
     assert [kind for kind, case in found.items() if case.is_occlusion] == ["shadow", "ao"]
+
+
+def test_rays_in_other_orders(teapot):
+    """They are the same rays: those of a view in any order, and random ones by octants."""
+    found = {case.kind: case.workload for case in cases(teapot, ("view", "shuffled", "random", "sorted"), sizes=(16,))}
+    for one, other in (("view", "shuffled"), ("random", "sorted")):
+        before, after = (np.concatenate([found[kind].origins, found[kind].directions], axis=1) for kind in (one, other))
+        assert not np.array_equal(before, after)
+        assert np.array_equal(np.unique(before, axis=0), np.unique(after, axis=0))
+    octants = (found["sorted"].directions < 0.0) @ np.array([4, 2, 1])
+    assert (np.diff(octants) >= 0).all()
+
+
+def test_short_rays_start_outside(teapot):
+    """They leave the surface on the side that the view sees, and end nearby."""
+    (case,) = cases(teapot, ("short",), sizes=(32,))
+    assert case.rays.t_max == pytest.approx(SHORT * teapot.extent)
+    assert np.linalg.norm(case.rays.directions, axis=1) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_journeys(teapot, monkeypatch):
+    """What "auto" loses while it learns counts."""
+    monkeypatch.setattr(auto_journeys, "places", lambda mesh: np.array([mesh.center, mesh.center + 1.0]))
+    monkeypatch.setattr(auto_journeys, "STAYS", (1, 2))
+    monkeypatch.setattr(auto_choices, "CULLINGS", {"interval": CULLINGS["interval"]})
+    scene, mesh = scene_of("model", teapot, 1)
+    rows = [*auto_journeys.compare_journeys("model", scene, mesh)]
+    assert [row.kind for row in rows] == ["journey, 1", "journey, 2"]
+    assert all(row.rays == BEAMS * TURN and row.ratio > 0.5 for row in rows)
 
 
 def test_a_city_is_of_closed_houses_on_a_ground():
@@ -54,9 +87,10 @@ def test_command(tmp_path, monkeypatch):
     assert "1 cases: " in done.output
     (row,) = json.loads(target.read_text())["choices"]
     assert row["rays"] == 4096
-    assert row["ratio"] >= 1.0
+    assert row["ratio"] > 0.0
+    assert row["rules_ratio"] >= 1.0, "the rules choose one of the engines"
     assert row["best"] in row["milliseconds"]
-    assert row["auto"] in row["milliseconds"]
+    assert row["rules"] in row["milliseconds"]
 
 
 def test_sizes_divide_into_tiles():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import wrt
-from wrt.engine.plan import planner
+from wrt.engine.plan import choices, planner
 from wrt.engine.plan.packet_sample import measure_overlap
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
@@ -106,7 +106,7 @@ def test_a_sample_serves_many_queries(monkeypatch):
     samples = []
     monkeypatch.setattr(planner, "measure_overlap", lambda *args: samples.append(args) or Overlap(1.0, 8.0))
     view = wrt.PinholeCamera.framing(mesh, 64, 64).rays()
-    for _ in range(planner.CHOICE_USES + 1):
+    for _ in range(choices.CHOICE_USES + 1):
         assert scene.explain(view).traversal != "packet"
     assert len(samples) == 1
     scene.explain(view)

@@ -14,7 +14,7 @@ from test_cuda_compiles import compile_to_ptx
 
 import wrt
 from wrt.engine.executor import trace
-from wrt.engine.plan.planner import make_plan
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import CUDA_BLOCK, use_threads

@@ -7,6 +7,7 @@
     wrt verify bunny.ply            hits against brute force in float64
     wrt list                        every builder, traversal, triangle test and built-in scene
     wrt warm                        compiles the kernels of the default paths ahead
+    wrt tune model.ply              finds out which engines are the fastest on this machine
     wrt job run job.toml            a resumable batch of rays
     wrt bench bunny.ply             against other ray tracers
 
@@ -116,6 +117,7 @@ for command in (
     LazyCommand("verify", "wrt.cli.verify", "verify", "Checks hits on a mesh against brute force in float64."),
     LazyCommand("list", "wrt.cli.figures", "list_tables", "Lists every algorithm with its paper, and the built-in scenes."),
     LazyCommand("warm", "wrt.cli.warm", "warm", "Compiles the kernels of the default paths ahead."),
+    LazyCommand("tune", "wrt.bench.commands.tune_command", "tune", "Finds out which engines are the fastest on this machine."),
     LazyCommand("job", "wrt.cli.jobs", "job", "Runs resumable batches of rays, and shows their progress."),
     LazyCommand("bench", "wrt.bench.commands.benchmark", "bench", "Compares wrt with other ray tracers, on the same rays."),
 ):

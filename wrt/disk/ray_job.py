@@ -16,8 +16,9 @@ import warp as wp
 from wrt.engine.executor import trace_chosen
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.engine.memory import new_rays
+from wrt.engine.plan.choices import find_plan
 from wrt.engine.plan.plan import stack_levels
-from wrt.engine.plan.planner import default_test, find_plan
+from wrt.engine.plan.planner import default_test
 from wrt.engine.rays.device_rays import DeviceRays
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.query.part_queries import make_gather, make_part_merge

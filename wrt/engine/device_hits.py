@@ -97,6 +97,15 @@ class DeviceHits:
         made.counts, made.room = empty(rays, wp.int32, device), room
         return made
 
+    def part(self, begin: int, count: int) -> DeviceHits:
+        """Some of the answers, in the same memory; of those of `new_on_host`."""
+        part = DeviceHits(count, self.device)
+        for name in self._host:
+            values: Any = self._host[name]
+            begins = values.ptr + begin * wp.types.type_size_in_bytes(values.dtype)
+            part._host[name] = HostArray(begins, count, values.dtype, values)
+        return part
+
     @cached_property
     def t(self) -> wp.array | None:
         return self._array("t")

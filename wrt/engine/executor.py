@@ -8,6 +8,7 @@ whose launches Warp must see with all their arrays.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, overload
 
 import warp as wp
@@ -15,21 +16,32 @@ import warp as wp
 from wrt.engine.facts.query_kinds import AUTO, CLOSEST, QUERIES, Query
 from wrt.engine.launch.batch import trace_batch
 from wrt.engine.launch.device_calls import answer_known, keep_call
+from wrt.engine.launch.parts import trace_in_parts
 from wrt.engine.launch.prepared import prepare
-from wrt.engine.plan.planner import chosen_plan, find_plan
+from wrt.engine.plan.call_clock import call_clock
+from wrt.engine.plan.choices import find_choice
+from wrt.engine.plan.planner import choose_plan, chosen_plan
 from wrt.engine.rays.device_rays import DeviceRays, examine, to_device
+from wrt.engine.rays.host_rays import Point
 from wrt.engine.rays.ray_integers import ENVIRONMENTS, MASKS
 from wrt.engine.rays.rays import as_rays, one_object
 from wrt.engine.rays.staged_rays import StagedRays, stage
 from wrt.kernels.answers import ANSWERS
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.compilation.module_compiler import NotCompiledError, without_compiling
+from wrt.kernels.runtime.launch import run_in_background, use_threads
 
 if TYPE_CHECKING:
     from wrt.engine.device_hits import DeviceHits
     from wrt.engine.facts.scene_state import SceneState
     from wrt.engine.launch.given_areas import GivenAreas
+    from wrt.engine.plan.contest import Contest
     from wrt.engine.plan.plan import ChosenPlan, Plan
     from wrt.engine.rays.rays import GivenRays, ResultForm
+
+INFINITE = float("inf")
+
+LOADED_RAYS = 1024
+"""Rays that are traced to load the kernels of a plan."""
 
 
 class Answer(NamedTuple):
@@ -75,7 +87,9 @@ def _answer(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
 
         scene, given = take_areas(scene, query.areas, one_object(rays).shape)
     brought = on_device(scene, rays, query, may_stage(scene, query))
-    chosen = find_plan(scene, brought.facts, query, brought.sample)
+    chosen, contest = find_choice(scene, brought.facts, query, brought.sample)
+    if contest is not None and not query.counters and not scene.device.is_capturing:
+        return Answer(trace_measured(scene, contest, brought, query), brought.form, contest.shown)  # type: ignore[arg-type]
     hits, work = trace_chosen(scene, chosen, brought, query.kind, query.counters, given)
     if not scene.is_cpu and query is QUERIES.get(query.kind):
         keep_call(scene, rays, query.kind, chosen, brought)  # type: ignore[arg-type]
@@ -86,7 +100,10 @@ def closest_of_relative(scene: SceneState, rays: DeviceRays) -> DeviceHits:
     """Closest hits, by a plan of "auto", of rays that are on the device, relative to the scene's centre."""
     with use_threads(scene.num_threads):
         rays, query = examine(rays, scene.device), QUERIES[CLOSEST]
-        return trace_chosen(scene, find_plan(scene, rays.facts, query, rays.sample), rays, query.kind)[0]
+        chosen, contest = find_choice(scene, rays.facts, query, rays.sample)
+        if contest is not None and not scene.device.is_capturing:
+            return trace_measured(scene, contest, rays, query)
+        return trace_chosen(scene, chosen, rays, query.kind)[0]
 
 
 def may_stage(scene: SceneState, query: Query) -> bool:
@@ -141,6 +158,54 @@ def trace(
         counters: whether work is counted.
     """
     return trace_chosen(scene, chosen_plan(scene, plan, rays.count, kind), rays, kind, counters)
+
+
+def trace_measured(scene: SceneState, contest: Contest, rays: DeviceRays, query: Query) -> DeviceHits:
+    """As `trace_chosen`, by the plan of a contest, which learns what the call takes. `contest.shown` is the plan then."""
+    kind, count = query.kind, rays.facts.count
+    if contest.reach < INFINITE:  # written out: many small calls pass here
+        x, y, z = Point.from_address(rays.origins.ptr)
+        known = contest.origin
+        is_elsewhere = known is None or (x - known[0]) ** 2 + (y - known[1]) ** 2 + (z - known[2]) ** 2 > contest.reach
+        if is_elsewhere:
+            contest.learner.leave_trial()
+            if contest.learner.may_look() and contest.place(scene, (x, y, z)):
+                renew(scene, contest, rays, query)
+    if contest.left > 0:
+        contest.left -= 1
+        return trace_chosen(scene, contest.current, rays, kind)[0]
+    if contest.learner.takes_change():
+        renew(scene, contest, rays, query)
+    if contest.wants_loading():
+        run_in_background(partial(load_rivals, scene, contest, rays.copied(LOADED_RAYS), kind))
+    hits = trace_in_parts(scene, contest, rays, kind)
+    if hits is None:
+        chosen = contest.turn(scene)
+        clock = call_clock()
+        start = clock()
+        hits, _ = trace_chosen(scene, chosen, rays, kind)
+        contest.tell(chosen, count, clock() - start)
+    return hits
+
+
+def renew(scene: SceneState, contest: Contest, rays: DeviceRays, query: Query) -> None:
+    """Lets the rules choose again for rays that are others than before."""
+    clock = call_clock()
+    start = clock()
+    plan = choose_plan(scene, rays.facts, query, rays.sample)
+    contest.renew(chosen_plan(scene, plan, rays.facts.count, query.kind))
+    contest.learner.changed(clock() - start)
+
+
+def load_rivals(scene: SceneState, contest: Contest, rays: DeviceRays, kind: str) -> None:
+    """Loads the kernels of a contest's other plans, as far as they are compiled, by tracing rays."""
+    for chosen in contest.find_rivals(scene):
+        try:
+            with without_compiling(), use_threads(1):
+                trace_chosen(scene, chosen, rays, kind)
+            chosen.ready = True
+        except NotCompiledError:
+            chosen.ready = False
 
 
 def trace_chosen(

@@ -30,8 +30,8 @@ from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST
 from wrt.engine.launch.area_trees import assign, with_range
 from wrt.engine.launch.batch import trace_batch
 from wrt.engine.memory import empty
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.plan.plan import Plan, plan_for_query
-from wrt.engine.plan.planner import make_plan
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import as_rays
 from wrt.kernels.query.ordering.ray_order import sort_rays

@@ -17,7 +17,7 @@ from wrt.atomic_files import write_text
 from wrt.engine.executor import trace
 from wrt.engine.facts.query_kinds import CLOSEST, COUNT
 from wrt.engine.launch.area_trees import assign
-from wrt.engine.plan.planner import make_plan
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import use_threads

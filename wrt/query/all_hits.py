@@ -23,8 +23,8 @@ from wrt.engine.facts.query_kinds import ALL, COUNT, Query
 from wrt.engine.launch.batch import run
 from wrt.engine.launch.traversal_launch import no_work
 from wrt.engine.memory import empty
+from wrt.engine.plan.choices import find_plan
 from wrt.engine.plan.plan import Plan, traversal_of
-from wrt.engine.plan.planner import find_plan
 from wrt.engine.rays.array_types import ArrayT
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads

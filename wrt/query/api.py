@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 from wrt.engine.executor import on_device
 from wrt.engine.facts.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
-from wrt.engine.plan.planner import find_plan
+from wrt.engine.plan.choices import find_choice
 from wrt.engine.rays.rays import Rays, as_rays
 from wrt.kernels.runtime.launch import use_threads
 from wrt.query.answers import closest_hits, ray_values
@@ -402,4 +402,8 @@ class Queries(BlockQueries, PointQueries):
         asked = checked(Query(kind, traversal, triangle_test, cull_backfaces, False, mask, environment))
         with use_threads(scene.num_threads):
             brought = on_device(scene, rays, asked)
-            return find_plan(scene, brought.facts, asked, brought.sample).plan
+            chosen, contest = find_choice(scene, brought.facts, asked, brought.sample)
+            if contest is None:
+                return chosen.plan
+            contest.show(contest.best(scene))
+            return contest.shown

@@ -14,8 +14,9 @@ from wrt.engine.executor import on_device
 from wrt.engine.facts.query_kinds import AUTO, CLOSEST, EXACT, Query
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.memory import empty, keep_alive
+from wrt.engine.plan.choices import find_plan
 from wrt.engine.plan.plan import stack_levels, traversal_config
-from wrt.engine.plan.planner import DEFAULT_TEST, find_plan
+from wrt.engine.plan.planner import DEFAULT_TEST
 from wrt.engine.rays.array_types import ArrayT
 from wrt.engine.rays.device_rays import flatten_shared
 from wrt.engine.rays.rays import as_vectors, one_object

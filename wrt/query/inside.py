@@ -29,8 +29,8 @@ from wrt.engine.device_hits import DeviceHits
 from wrt.engine.executor import trace
 from wrt.engine.facts.query_kinds import ANY, AUTO, COUNT, WINDING
 from wrt.engine.memory import empty
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.plan.plan import Plan
-from wrt.engine.plan.planner import make_plan
 from wrt.engine.rays.coherence import detect_coherence
 from wrt.engine.rays.device_rays import DeviceRays, to_device
 from wrt.engine.rays.rays import Rays, as_vectors

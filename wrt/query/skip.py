@@ -19,8 +19,8 @@ from wrt.engine.executor import Answer, on_device
 from wrt.engine.facts.query_kinds import AUTO, Query
 from wrt.engine.launch.traversal_launch import counter_rows, no_work
 from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.choices import find_plan
 from wrt.engine.plan.plan import kernel_factory, plan_for_query, stack_levels, traversal_config
-from wrt.engine.plan.planner import find_plan
 from wrt.engine.rays.ray_integers import as_integers
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
 from wrt.kernels.traversal.leaf import Counters

@@ -146,7 +146,7 @@ class MeshState(SceneState):
             built_tree=tree,
             device_mesh=placed.fill_in(tree.low, tree.high),
             last_update=report,
-            cache=QueryCache(),
+            cache=self.cache.of_updated(),
         )
 
 

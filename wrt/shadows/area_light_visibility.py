@@ -12,8 +12,8 @@ from wrt.engine.device_hits import shaped
 from wrt.engine.facts.query_kinds import ANY, AUTO, Query
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.memory import empty
+from wrt.engine.plan.choices import find_plan
 from wrt.engine.plan.plan import plan_for_query, traversal_config
-from wrt.engine.plan.planner import find_plan
 from wrt.engine.rays.device_rays import DeviceRays, lay_out
 from wrt.engine.rays.rays import Rays, ResultForm, check_number
 from wrt.kernels.layout.light_samples import GROUP, LightSamples, pattern_of

@@ -19,7 +19,7 @@ from wrt.builders.classics.kdtree.node_layouts import in_records, lay_out
 from wrt.builders.kdtree import LAYOUTS
 from wrt.engine.facts.query_kinds import CLOSEST
 from wrt.engine.launch.triangle_records import records_of
-from wrt.engine.plan.planner import make_plan
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.layout.compact_nodes import HEIGHTS

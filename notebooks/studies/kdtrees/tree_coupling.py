@@ -18,8 +18,8 @@ from wrt.engine.device_hits import DeviceHits
 from wrt.engine.facts.query_kinds import CLOSEST
 from wrt.engine.launch.traversal_launch import counter_rows, divide, no_work
 from wrt.engine.launch.triangle_records import records_of
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.plan.plan import Plan, traversal_config, walked_tree
-from wrt.engine.plan.planner import make_plan
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.classics.studies.variants.coupled_trees import CoupledTrees, make_kernel

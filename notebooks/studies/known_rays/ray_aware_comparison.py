@@ -32,7 +32,7 @@ from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
 from wrt.engine.executor import trace
 from wrt.engine.facts.query_kinds import ANY, CLOSEST
-from wrt.engine.plan.planner import make_plan
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.imaging.cameras import PinholeCamera

@@ -26,8 +26,8 @@ from wrt.classics.fan_scene import FanScene
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.facts.query_kinds import CLOSEST
 from wrt.engine.launch.traversal_launch import kernel_and_inputs, no_work
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.plan.plan import traversal_config
-from wrt.engine.plan.planner import make_plan
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import launch

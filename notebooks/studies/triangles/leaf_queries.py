@@ -10,8 +10,8 @@ from dataclasses import asdict, replace
 
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.launch.traversal_launch import divide, kernel_and_inputs, no_work
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.plan.plan import plan_for_query, traversal_config
-from wrt.engine.plan.planner import make_plan
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.runtime.launch import launch, use_threads

@@ -2,35 +2,48 @@
 
     view     closest hit   a pinhole view that sees all of the scene
     scan     closest hit   a spinning lidar of 64 beams, at the centre of the scene
+    places   closest hit   the same with 65,536 rays at each of 20 places anywhere in the scene, whatever the size
     random   closest hit   rays from anywhere to anywhere
+    sorted   closest hit   the same by the octants of their directions and the cells of their origins
+    shuffled closest hit   those of the view in any order
+    short    closest hit   from what the view sees, in all directions, to a fiftieth of the scene's diagonal
     shadow   occlusion     from what the view sees to a point light
     ao       occlusion     ambient occlusion from the same points
 
-Rays of `wrt.bench.core.workloads` but for `scan`.
+Rays of `wrt.bench.core.workloads`, and others made of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from wrt.bench.core.workloads import CLOSEST, OCCLUSION, Workload, WorkloadMaker
+from wrt.bench.core.workloads import CLOSEST, OCCLUSION, Workload, WorkloadMaker, normalized
 from wrt.engine.rays.rays import Rays
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene
 from wrt.scenes import atrium
 
-KINDS = ("view", "scan", "random", "shadow", "ao")
+KINDS = ("view", "scan", "places", "random", "sorted", "shuffled", "short", "shadow", "ao")
 
 SIZES = (64, 256, 1024)
 """Edges of the views in pixels; the other kinds have about as many rays as the view has pixels."""
 
 BEAMS, LOWEST, HIGHEST = 64, -22.5, 22.5
 """Beams of the lidar, and their elevations in degrees."""
+
+PLACES, TURN = 20, 1024
+"""Places of the lidar in `places`, and rays of a beam there."""
+
+SHORT = 0.02
+"""Length of short rays, as a share of the diagonal of the scene's box."""
+
+CELLS = 16
+"""Cells along an axis by which rays are sorted."""
 
 BUNNIES = 10
 """Copies of the model that stand in the atrium of `world` and `instances`."""
@@ -47,7 +60,7 @@ class Case:
     """Rays to ask of a scene.
 
     Attributes:
-        kind: one of `KINDS`.
+        kind: one of `KINDS`, or "place" and a number.
         workload: the rays as flat arrays, for peers.
         rays: the same as wrt takes them.
     """
@@ -81,26 +94,73 @@ def cases(mesh: TriangleMesh, kinds: Sequence[str] = KINDS, sizes: Sequence[int]
             "view": lambda rows=rows: rows.view("far"),
             "scan": lambda size=size: scan(mesh, max(size * size // BEAMS, 1)),
             "random": lambda tiles=tiles: tiles.random("random"),
+            "sorted": lambda tiles=tiles: in_order(tiles.random("random"), sorted_order),
+            "shuffled": lambda rows=rows: in_order(rows.view("far"), shuffled_order),
+            "short": lambda tiles=tiles: short(tiles),
             "shadow": lambda tiles=tiles: tiles.shadow("shadow"),
             "ao": lambda tiles=tiles: tiles.ambient("ao"),
         }
         for kind in kinds:
-            made = makers[kind]()
-            if len(made):
-                origins = made.origins[0] if made.shares_origin else made.origins
-                shape = (BEAMS, -1, 3) if kind == "scan" else (-1, 3)
-                yield Case(kind, made, Rays(origins, made.directions.reshape(shape), 0.0, made.t_max))
+            if kind in makers:
+                yield from case_of(kind, makers[kind]())
+    if "places" in kinds:
+        for number, place in enumerate(places(mesh)):
+            yield from case_of(f"place {number}", scan(mesh, TURN, place))
 
 
-def scan(mesh: TriangleMesh, columns: int) -> Workload:
-    """A turn of a spinning lidar at the centre of a mesh, about z: 64 beams, one after the other, of this many rays."""
+def case_of(kind: str, made: Workload) -> Iterator[Case]:
+    """The case of some rays; none if there are no rays."""
+    if len(made):
+        origins = made.origins[0] if made.shares_origin else made.origins
+        shape = (BEAMS, -1, 3) if made.name == "scan" else (-1, 3)
+        yield Case(kind, made, Rays(origins, made.directions.reshape(shape), 0.0, made.t_max))
+
+
+def scan(mesh: TriangleMesh, columns: int, place: np.ndarray | None = None) -> Workload:
+    """A turn of a spinning lidar at a place, or the centre of a mesh, about z: 64 beams, one after the other, of this many
+    rays."""
     elevation = np.radians(np.linspace(HIGHEST, LOWEST, BEAMS))[:, None]
     azimuth = np.linspace(0.0, 2.0 * np.pi, columns, endpoint=False)[None, :]
     level = np.cos(elevation)
     directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation) + 0.0 * azimuth], axis=-1)
     directions = directions.reshape(-1, 3).astype(np.float32)
-    origins = np.broadcast_to(mesh.center.astype(np.float32), directions.shape)
-    return Workload("scan", CLOSEST, origins, directions, shares_origin=True)
+    point = mesh.center if place is None else place
+    return Workload(
+        "scan", CLOSEST, np.broadcast_to(point.astype(np.float32), directions.shape), directions, shares_origin=True
+    )
+
+
+def places(mesh: TriangleMesh, seed: int = 0) -> np.ndarray:
+    """(20, 3) float64: points anywhere in the box of a mesh."""
+    return np.random.default_rng(seed).uniform(*mesh.bounds, (PLACES, 3))  # type: ignore[call-overload]
+
+
+def short(maker: WorkloadMaker) -> Workload:
+    """Short rays from the surface."""
+    points, normals = maker.visible
+    directions = normalized(np.random.default_rng(1).normal(size=points.shape))
+    directions *= np.where(np.sum(directions * normals, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    return Workload("short", CLOSEST, points, directions.astype(np.float32), t_max=SHORT * maker.mesh.extent)
+
+
+def in_order(rays: Workload, order: Callable[[Workload], np.ndarray]) -> Workload:
+    """Rays in another order."""
+    numbers = order(rays)
+    origins = rays.origins if rays.shares_origin else rays.origins[numbers]
+    return replace(rays, origins=origins, directions=rays.directions[numbers])
+
+
+def shuffled_order(rays: Workload) -> np.ndarray:
+    """Any order."""
+    return np.random.default_rng(2).permutation(len(rays))
+
+
+def sorted_order(rays: Workload) -> np.ndarray:
+    """By octants of directions, then by cells of origins."""
+    low, high = rays.origins.min(axis=0), rays.origins.max(axis=0)
+    cells = np.minimum((rays.origins - low) / (high - low) * CELLS, CELLS - 1).astype(np.int64)
+    octant = (rays.directions < 0.0) @ np.array([4, 2, 1])
+    return np.lexsort((cells[:, 2], cells[:, 1], cells[:, 0], octant))
 
 
 def copies(model: TriangleMesh) -> list[Instance]:

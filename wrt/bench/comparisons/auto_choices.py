@@ -14,11 +14,15 @@ from typing import Any
 
 from wrt.bench.comparisons.auto_cases import KINDS, SIZES, Case, cases
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
-from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST
-from wrt.engine.plan.plan import Plan
+from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST, QUERIES
+from wrt.engine.plan.call_clock import call_clock
+from wrt.engine.plan.choices import make_plan
+from wrt.engine.plan.plan import Plan, config_for_layout, kernel_factory, plan_for_query, traversal_config
 from wrt.engine.plan.plan_checks import can_answer, fits
-from wrt.engine.plan.planner import default_test, make_plan
+from wrt.engine.plan.planner import choose_plan, default_test
+from wrt.engine.plan.tuned_choices import class_name
 from wrt.engine.rays.device_rays import to_device
+from wrt.kernels.runtime.launch import expect, specialise, use_threads
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.packet import CULLINGS
@@ -27,7 +31,11 @@ from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene
 
 HOPELESS = 4.0
-"""An engine that once took this many times as long as another takes no part: it would take most of the time."""
+"""An engine that once took this many times as long as another takes no part: it would take most of the time. What the rules
+choose always does."""
+
+LEARNING_SECONDS, LEARNING_CALLS = 0.6, 8
+"""Seconds, and calls at least, in which "auto" learns before it is timed."""
 
 SETTLE = 0.01
 """Seconds below which a turn starts with an untimed call."""
@@ -40,10 +48,13 @@ class Choice:
     Attributes:
         scene, kind: the scene's name and the kind of rays.
         triangles, rays: how many.
-        auto: the engine that "auto" chose, and why.
+        rays_class: class of the rays and the scene (`wrt.engine.plan.tuned_choices.class_name`).
+        auto: the engine that "auto" uses at the end, and why.
+        rules: the engine that its rules choose.
         reason: as in the plan.
         best: the fastest engine.
-        ratio: time of "auto" over the time of the best.
+        ratio, rules_ratio: time of "auto", and of what the rules choose, over the time of the best.
+        auto_milliseconds: least time of "auto".
         milliseconds: least time of each engine, which other work on the machine changes least; hopeless ones are left out.
         open3d: the same of Open3D; None if it did not take part.
     """
@@ -52,10 +63,14 @@ class Choice:
     kind: str
     triangles: int
     rays: int
+    rays_class: str
     auto: str
+    rules: str
     reason: str
     best: str
     ratio: float
+    rules_ratio: float
+    auto_milliseconds: float
     milliseconds: dict[str, float]
     open3d: float | None = None
 
@@ -82,6 +97,7 @@ def compare_choices(
         peer: a `wrt.bench.peers.peer.Peer` that has built the mesh, timed beside; None for none.
         on_turn: told the name of each turn.
     """
+    expect_engines(scene, mesh, kinds, sizes)
     for case in cases(mesh, kinds, sizes):
         begin = f"{name}, {case.kind}, {case.rays_count:,} rays"
         yield compare(name, scene, case, rounds, peer, lambda engine, begin=begin: on_turn(f"{begin}: {engine}"))  # type: ignore[misc]
@@ -90,36 +106,79 @@ def compare_choices(
 def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn: Callable[[str], None]) -> Choice:
     """Times the engines of one case in turns."""
     plans = engines(scene, case)
-    chosen = engine_name(plans[AUTO])
+    chosen = plans[AUTO].engine
     runs = {engine: partial(ask, scene, case, plan) for engine, plan in plans.items() if engine != AUTO}
-    runs[chosen] = partial(ask, scene, case, AUTO)
+    with use_threads(scene.num_threads):
+        clock = call_clock()
     seconds = {}
     for engine, run in runs.items():
         run()
-        start = perf_counter()
+        start = clock()
         run()
-        seconds[engine] = perf_counter() - start
+        seconds[engine] = clock() - start
+    on_turn(AUTO)
+    runs[AUTO] = partial(ask, scene, case, AUTO)
+    settle(runs[AUTO])
     least = min(seconds.values())
-    contenders = [Contender(one, runs[one]) for one in runs if one == chosen or seconds[one] < HOPELESS * least]
+    contenders = [Contender(one, runs[one]) for one in runs if one in (AUTO, chosen) or seconds[one] < HOPELESS * least]
     query = None if peer is None else peer.query(case.workload)
     if query is not None:
         contenders.append(Contender("Open3D", query.run))
-    timings: dict[str, Timing] = take_turns(contenders, rounds, settle=SETTLE, on_turn=on_turn)
+    timings: dict[str, Timing] = take_turns(contenders, rounds, settle=SETTLE, clock=clock, on_turn=on_turn)
     beside = timings.pop("Open3D", None)
     times = {engine: 1e3 * timing.spread[0] for engine, timing in timings.items()}
+    auto, plan = times.pop(AUTO), explain(scene, case)
     best = min(times, key=times.__getitem__)
     return Choice(
         scene=name,
         kind=case.kind,
         triangles=scene.triangle_count,
         rays=case.rays_count,
-        auto=chosen,
-        reason=plans[AUTO].reason,
+        rays_class=class_of_case(scene, case),
+        auto=plan.engine,
+        rules=chosen,
+        reason=plan.reason,
         best=best,
-        ratio=times[chosen] / times[best],
+        ratio=auto / times[best],
+        rules_ratio=times[chosen] / times[best],
+        auto_milliseconds=auto,
         milliseconds=times,
         open3d=None if beside is None else 1e3 * beside.spread[0],
     )
+
+
+def class_of_case(scene: Scene, case: Case) -> str:
+    """The class of the rays of a case."""
+    rays = to_device(case.rays, scene.state.device, scene.state.center)
+    return class_name(scene.state.facts, rays.facts, ANY if case.is_occlusion else CLOSEST)
+
+
+def settle(run: Callable[[], Any]) -> None:
+    """Calls "auto" until it has learned."""
+    until, calls = perf_counter() + LEARNING_SECONDS, 0
+    while perf_counter() < until or calls < LEARNING_CALLS:
+        run()
+        calls += 1
+
+
+def explain(scene: Scene, case: Case) -> Plan:
+    """The plan of "auto" after what it has learned."""
+    return scene.explain(case.rays, query=ANY if case.is_occlusion else CLOSEST)
+
+
+def expect_engines(scene: Scene, mesh: TriangleMesh, kinds: Sequence[str], sizes: Sequence[int]) -> None:
+    """Begins to compile the kernels of all engines of all cases, side by side."""
+    state = scene.state
+    if state.instances:
+        return
+    kernels = []
+    for case in cases(mesh, kinds, sizes):
+        kind = ANY if case.is_occlusion else CLOSEST
+        for plan in engines(scene, case).values():
+            one = plan_for_query(plan, kind)
+            config = config_for_layout(traversal_config(one, state, kind, False), one, state)
+            kernels.append(specialise(kernel_factory(one, state), config))
+    expect([*dict.fromkeys(kernels)], state.device)
 
 
 def ask(scene: Scene, case: Case, traversal: str | Plan) -> Any:
@@ -128,10 +187,10 @@ def ask(scene: Scene, case: Case, traversal: str | Plan) -> Any:
 
 
 def engines(scene: Scene, case: Case) -> dict[str, Plan]:
-    """Plans by name, and the one that "auto" chooses by its own."""
+    """Plans by name, and by its own the one that the rules of "auto" choose."""
     state, kind = scene.state, ANY if case.is_occlusion else CLOSEST
     buffers = to_device(case.rays, state.device, state.center)
-    plans = {AUTO: make_plan(state, buffers, AUTO, AUTO, kind)}
+    plans = {AUTO: choose_plan(state, buffers.facts, QUERIES[kind], buffers.sample)}
     for traversal in TRAVERSALS.values():
         if traversal.score is None or not can_answer(
             traversal, state.facts, kind, False, default_test(state.facts.triangle_test)
@@ -143,10 +202,5 @@ def engines(scene: Scene, case: Case) -> dict[str, Plan]:
         for culling in able if Capabilities.PACKETS in traversal.capabilities else [None]:
             if culling is None or fits(culling, traversal, state.accelerator.kind, test):
                 one = plan if culling is None else replace(plan, culling=culling.name)
-                plans[engine_name(one)] = one
+                plans[one.engine] = one
     return plans
-
-
-def engine_name(plan: Plan) -> str:
-    """The traversal, and the culling of packets."""
-    return f"{plan.traversal}, {plan.culling}" if plan.culling else plan.traversal

@@ -44,6 +44,8 @@ class QueryCache:
         calls: what usual calls on CUDA have in common, by kind of query and bounds of t (`wrt.engine.launch.device_calls`).
         tables: what kernels read of instanced meshes, by kind of tree and triangle test; a tree above its queue points, by
             kind of triangle record.
+        choices: a `wrt.engine.plan.choices.Choice` and how often it will be used, by query and rays; read without a lock.
+        learned: a `wrt.engine.plan.learner.Learner` by class of queries and rays; updates keep them.
         distinct: what `SceneState.distinct` has found, one state or none; None as long as nobody asked.
     """
 
@@ -56,8 +58,9 @@ class QueryCache:
         self.calls: dict[Hashable, Any] = {}
         self.tables: dict[tuple[str, str], Any] = {}
         self.distinct: tuple[Any, ...] | None = None
+        self.choices: dict[Hashable, list[Any]] = {}
+        self.learned: dict[Hashable, Any] = {}
         self._plans: dict[Hashable, Any] = {}
-        self._choices: dict[Hashable, list[Any]] = {}
         _caches.add(self)
 
     @property
@@ -75,42 +78,41 @@ class QueryCache:
         with self.lock:
             if len(self._plans) >= MAX_PLANS:
                 self._plans.clear()
-                self._choices.clear()
+                self.choices.clear()
                 self.calls.clear()
             self._plans[key] = plan
         return plan
 
-    def choice(self, key: Hashable) -> Any | None:
-        """The plan that was chosen before for queries and rays of a key; None if it is not known, or was used often enough."""
-        kept = self._choices.get(key)
-        if kept is None:
-            return None
-        kept[1] -= 1
-        return kept[0] if kept[1] >= 0 else None
-
-    def keep_choice(self, key: Hashable, plan: Any, uses: float = float("inf")) -> Any:
-        """Caches a choice of plan for a limited number of uses, and returns it. Batches of many shapes share few plans, so
-        these are kept apart."""
+    def keep_choice(self, key: Hashable, choice: Any, uses: float = float("inf")) -> Any:
+        """Caches a choice for a limited number of uses, and returns it. Batches of many shapes share few plans, so these are
+        kept apart."""
         with self.lock:
-            if len(self._choices) >= MAX_CHOICES:
-                self._choices.clear()
-            self._choices[key] = [plan, uses]
-        return plan
+            if len(self.choices) >= MAX_CHOICES:
+                self.choices.clear()
+            self.choices[key] = [choice, uses]
+        return choice
 
     def of_moved(self) -> QueryCache:
         """A cache for the same trees elsewhere: with this one's plans, prepared queries (`PreparedQuery.fit`) and tables."""
         other = QueryCache()
         with self.lock:
             other._plans.update(self._plans)
-            other._choices.update((key, kept[:]) for key, kept in self._choices.items())
+            other.choices.update((key, kept[:]) for key, kept in self.choices.items())
         other.tables.update(self.tables)
+        other.learned = self.learned
+        return other
+
+    def of_updated(self) -> QueryCache:
+        """A cache for other trees of nearly the same scene: with what was learned of its queries."""
+        other = QueryCache()
+        other.learned = self.learned
         return other
 
     def clear(self) -> None:
         """Drops plans, the queries that are prepared for them, and what was chosen."""
         with self.lock:
             self._plans.clear()
-            self._choices.clear()
+            self.choices.clear()
             self.calls.clear()
 
 
@@ -118,6 +120,8 @@ def _renew_locks() -> None:
     """A lock that another thread held while the process was forked would never be released in the child."""
     for cache in _caches:
         cache.lock = threading.RLock()
+        for learner in cache.learned.values():
+            learner.renew_lock()
 
 
 if hasattr(os, "register_at_fork"):

@@ -138,13 +138,14 @@ class PreparedQuery:
         self._mesh = self._used = None
         self._launch.forget(())
 
-    def run(self, scene: SceneState, rays: DeviceRays | StagedRays, columns: int) -> DeviceHits:
+    def run(self, scene: SceneState, rays: DeviceRays | StagedRays, columns: int, hits: DeviceHits | None = None) -> DeviceHits:
         """Answers rays of the layout; on CUDA the answers are still to be computed.
 
         Args:
             scene: the state, which this is made to fit if it was prepared for another.
             rays: the rays; those of staged layouts go one by one.
             columns: of the picture whose pixels they are, if the plan takes them tile by tile; else 0.
+            hits: where answers on the CPU go, of rays that are not staged; None for new memory.
         """
         if scene.device_mesh is not self._mesh:
             self.fit(scene)
@@ -162,8 +163,9 @@ class PreparedQuery:
             if self._divided is None or self._divided[0] != key:
                 self._divided = key, divide(scene, self._plan, self._config, count)
             self._rays.run, items, chunks = self._divided[1]
-        on_host = DeviceHits.new_on_host if count > FEW_RAYS else DeviceHits.new
-        hits = (on_host if self._is_cpu else DeviceHits.new_on_cuda)(self.kind, count, scene.device)  # not during a capture
+        if hits is None:
+            on_host = DeviceHits.new_on_host if count > FEW_RAYS else DeviceHits.new
+            hits = (on_host if self._is_cpu else DeviceHits.new_on_cuda)(self.kind, count, scene.device)  # not during a capture
         hits.write_to(self._hits, self.kind)
         if self._takes_next:
             next_ = self._launch.argument(NEXT)

@@ -70,6 +70,11 @@ class Plan:
         """Whether the wide form of the scene's kd-tree is traversed."""
         return Capabilities.WIDE_FORM in traversal_of(self).capabilities
 
+    @property
+    def engine(self) -> str:
+        """The traversal, and the culling of packets."""
+        return f"{self.traversal}, {self.culling}" if self.culling else self.traversal
+
     def __str__(self) -> str:
         parts = [self.accelerator, self.traversal]
         if self.packet > 1:
@@ -97,13 +102,20 @@ class ChosenPlan:
         missed_savings: time that a wide form of the scene's kd-tree would have saved each ray, over the time to make it for one
             triangle.
         prepared: the queries that no caller holds, by the layout of their rays.
+        ready: whether its kernels are loaded, or False if they would have to be compiled; None if nobody looked.
     """
 
-    __slots__ = ("carried_out", "missed_savings", "plan", "prepared", "prepares")
+    __slots__ = ("carried_out", "missed_savings", "plan", "prepared", "prepares", "ready")
 
     def __init__(self, plan: Plan, carried_out: Plan, prepares: bool, missed_savings: float) -> None:
         self.plan, self.carried_out, self.prepares, self.missed_savings = plan, carried_out, prepares, missed_savings
         self.prepared: FreeList[Any] = FreeList()
+        self.ready: bool | None = None
+
+    @property
+    def name(self) -> str:
+        """The plan's engine."""
+        return self.plan.engine
 
     def __del__(self) -> None:
         for prepared in self.prepared.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -11,21 +11,20 @@ from wrt.engine.facts.query_kinds import AUTO, Query
 from wrt.engine.facts.wide_trees import wide_form_pays, wide_form_savings, wide_width
 from wrt.engine.plan.packet_sample import measure_overlap
 from wrt.engine.plan.plan import ChosenPlan, Plan, plan_for_query, traversal_of
-from wrt.engine.plan.plan_checks import can_answer, check_answer, check_origins, check_plan, fits, longest_stream
+from wrt.engine.plan.plan_checks import can_answer, check_answer, check_origins, fits, longest_stream
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.compilation.cache_size import l3_bytes
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS, Traversal
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.traversal_scores import Situation, limits_for
+from wrt.kernels.traversal.traversal_scores import Overlap, Situation, limits_for
 from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.engine.facts.facts import RayFacts, SceneFacts
     from wrt.engine.facts.scene_state import SceneState
-    from wrt.engine.rays.device_rays import DeviceRays
     from wrt.kernels.layout.ray_batch import RayBatch
 
 Sample: TypeAlias = "Callable[[], RayBatch]"
@@ -67,98 +66,11 @@ stores (notebooks/records/2026-11-24-streams.md).
 MIN_RAYS_TO_REORDER = 1 << 16
 """Smallest batch whose rays are sorted before tracing."""
 
+MOST_RIVALS = 2
+"""Plans that are compared with the one of the rules: each costs time, and kernels."""
+
 CACHED_BYTES = 1 << 24
 """Bytes of triangle records that the caches of a core hold. Rays are not sorted for scenes with fewer."""
-
-
-CHOICE_USES = 64
-"""Queries after which a choice for many rays is made again: it may depend on a sample of the rays, and a camera moves. A sample
-takes some 0.2 ms (notebooks/records/2026-11-22-auto.md).
-"""
-
-MAX_SHARED = 256
-"""Plans of few rays that scenes share: more than there are kinds of queries in one program."""
-
-_few_ray_plans: dict[Hashable, Plan] = {}
-"""Plans by kind of query, of rays and of scene: few rays go one by one, however many triangles there are."""
-
-
-def make_plan(
-    scene: SceneState,
-    rays: DeviceRays,
-    traversal: str | Plan,
-    triangle_test: str,
-    query: str,
-    cull_backfaces: bool = False,
-) -> Plan:
-    """Chooses what the caller left on "auto". A given plan is checked.
-
-    Raises:
-        ValueError: an unknown name, a traversal that does not support the scene's tree or the query, or a plan that does
-            not fit the scene and the rays.
-    """
-    return find_plan(scene, rays.facts, Query(query, traversal, triangle_test, cull_backfaces), rays.sample).plan
-
-
-def find_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample | None = None) -> ChosenPlan:
-    """The plan of a query, from the scene's cache or made; errors as in `make_plan`.
-
-    Args:
-        scene: what the rays meet.
-        rays: what is known of them.
-        query: its kind and options.
-        sample: makes a batch of which some rays may be traced, if only that can tell how; None if there are no rays yet.
-    """
-    kind, traversal, triangle_test, cull_backfaces = query[:4]
-    count = rays.count
-    if isinstance(traversal, Plan):
-        culled = cull_backfaces or traversal.cull_backfaces
-        plan = check_plan(replace(traversal, cull_backfaces=culled), scene.facts, rays, kind)
-        return chosen_plan(scene, plan, count, kind)
-    is_named = isinstance(traversal, str) and isinstance(triangle_test, str)
-    if not is_named or (scene.changes_plans and is_changing(scene, count)):
-        return chosen_plan(scene, choose_plan(scene, rays, query, sample), count, kind)
-    # Plans are looked up: the longer Python takes for one, the longer a GPU waits for its kernel, and cores for theirs.
-    each_alone = traversal == AUTO and (count <= scene.few_rays or not scene.is_cpu)
-    known = (count > 1, rays[2:]) if each_alone else (rays[1:], get_num_threads())
-    key = kind, traversal, triangle_test, cull_backfaces, known
-    chosen = scene.cache.choice(key)
-    if chosen is not None:
-        return chosen
-    shared = (key, scene.triangle_test, scene.width) if each_alone and scene.shares_few_rays else None
-    plan = None if shared is None else _few_ray_plans.get(shared)
-    if plan is None:
-        plan = choose_plan(scene, rays, query, sample)
-        if shared is not None and len(_few_ray_plans) < MAX_SHARED:
-            _few_ray_plans[shared] = plan
-    uses = float("inf") if each_alone else CHOICE_USES
-    return scene.cache.keep_choice(key, chosen_plan(scene, plan, count, kind), uses)
-
-
-def chosen_plan(scene: SceneState, plan: Plan, count: int, kind: str) -> ChosenPlan:
-    """A plan for a kind of query about this many rays, with what is prepared for it in the scene's cache."""
-    few = count <= scene.few_rays
-    key = plan, kind, few
-    return scene.cache.plan(key) or scene.cache.keep_plan(key, choose_for(scene, plan, few, kind))
-
-
-def choose_for(scene: SceneState, plan: Plan, few: bool, kind: str) -> ChosenPlan:
-    """A plan for a kind of query, and whether such queries can be prepared: see `wrt.engine.executor`."""
-    carried_out = plan_for_query(plan, kind)
-    through_instances = bool(scene.instances) and not traversal_of(carried_out).walks_single_rays
-    by_area = scene.area_trees is not None and not (few and scene.is_cpu)
-    by_origin = TRIANGLE_TESTS[carried_out.triangle_test].record.per_origin
-    by_steps = carried_out.reorder == "cells" or Capabilities.QUEUED in traversal_of(carried_out).capabilities
-    prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or by_steps)
-    prepares = prepares and not scene.facts.has_masks
-    no_savings = carried_out.is_wide or not scene.facts.can_be_wide
-    missed_savings = 0.0 if no_savings else wide_form_savings(1, carried_out.coherent)
-    return ChosenPlan(plan, carried_out, prepares, missed_savings)
-
-
-def is_changing(scene: SceneState, count: int) -> bool:
-    """Whether the plan of this many rays depends on what came before."""
-    return scene.changes_plans and (scene.lazy_tree is not None or count > scene.few_rays)
 
 
 def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample | None = None) -> Plan:
@@ -203,6 +115,27 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     )
 
 
+def chosen_plan(scene: SceneState, plan: Plan, count: int, kind: str) -> ChosenPlan:
+    """A plan for a kind of query about this many rays, with what is prepared for it in the scene's cache."""
+    few = count <= scene.few_rays
+    key = plan, kind, few
+    return scene.cache.plan(key) or scene.cache.keep_plan(key, choose_for(scene, plan, few, kind))
+
+
+def choose_for(scene: SceneState, plan: Plan, few: bool, kind: str) -> ChosenPlan:
+    """A plan for a kind of query, and whether such queries can be prepared: see `wrt.engine.executor`."""
+    carried_out = plan_for_query(plan, kind)
+    through_instances = bool(scene.instances) and not traversal_of(carried_out).walks_single_rays
+    by_area = scene.area_trees is not None and not (few and scene.is_cpu)
+    by_origin = TRIANGLE_TESTS[carried_out.triangle_test].record.per_origin
+    by_steps = carried_out.reorder == "cells" or Capabilities.QUEUED in traversal_of(carried_out).capabilities
+    prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or by_steps)
+    prepares = prepares and not scene.facts.has_masks
+    no_savings = carried_out.is_wide or not scene.facts.can_be_wide
+    missed_savings = 0.0 if no_savings else wide_form_savings(1, carried_out.coherent)
+    return ChosenPlan(plan, carried_out, prepares, missed_savings)
+
+
 def default_test(triangle_test: str, crossings: bool = False) -> str:
     """Name of the triangle test for queries that name none: the scene's, or the default test if the query asks for crossings
     and the scene's test has none.
@@ -222,6 +155,32 @@ def choose_traversal(scene: SceneFacts, situation: Situation, triangle_test: str
         if can_answer(traversal, scene, situation.query, situation.cull_backfaces, triangle_test):
             (best, reason), name = score, traversal.name
     return name, reason
+
+
+def rival_plans(scene: SceneState, rays: RayFacts, query: Query, plan: Plan) -> list[Plan]:
+    """A plan of the rules, and at most `MOST_RIVALS` others: packets with the other culling, and what the rules choose for a
+    sample that shares more or less, and for other numbers of triangles or of instances."""
+    known, kind, found = scene.facts, query.kind, {plan.engine: plan}
+    told = situation_of(known, rays, kind, query.cull_backfaces)
+    if told.prefers_single:
+        return [plan]
+    together, parted = told._replace(overlap=Overlap(0.0, 0.0)), told._replace(overlap=Overlap(1.0, 0.0))
+    others = [together] if told.coherent else []
+    others += [parted, parted._replace(triangles=1, lanes=16), parted._replace(triangles=1 << 30)]
+    if told.instances:
+        others += [parted._replace(instances=1), parted._replace(instances=1 << 30)]
+    test = plan.triangle_test
+    if plan.culling and rays.shared_origin:
+        for dense in (True, False):
+            culling = best_culling(known, dense, traversal_of(plan), TRIANGLE_TESTS[test])
+            rival = replace(plan, culling=culling)
+            found.setdefault(rival.engine, rival)
+    for one in others:
+        name = choose_traversal(known, one, test)[0]
+        if name not in {rival.traversal for rival in found.values()}:
+            rival = choose_plan(scene, rays, query._replace(traversal=name))
+            found.setdefault(rival.engine, replace(rival, reason=plan.reason))
+    return [*found.values()][: 1 + MOST_RIVALS]
 
 
 def situation_of(
@@ -291,7 +250,12 @@ def is_dense(scene: SceneFacts, rays: RayFacts, least: float) -> bool:
 def choose_culling(scene: SceneFacts, rays: RayFacts, traversal: Traversal, test: TriangleTest) -> str:
     """Name of the culling with the best score among those that fit."""
     least = limits_for(scene.width).rough if test.packet_form.pairs else ROUGH_RAYS_PER_TRIANGLE
-    dense, kind, best, name = is_dense(scene, rays, least), scene.tree, 0.0, ""
+    return best_culling(scene, is_dense(scene, rays, least), traversal, test)
+
+
+def best_culling(scene: SceneFacts, dense: bool, traversal: Traversal, test: TriangleTest) -> str:
+    """The same for rays of which it is known whether they are dense."""
+    kind, best, name = scene.tree, 0.0, ""
     for culling in CULLINGS.values():
         dense_score, sparse_score = culling.filtered_scores if test.packet_form.pairs else culling.scores
         score = dense_score if dense else sparse_score

@@ -28,6 +28,9 @@ FLOATS = FLOAT32, FLOAT64
 ARRAYS = {"origins": wp.vec3, "directions": wp.vec3, "t_min": wp.float32, "t_max": wp.float32}
 """The arrays of rays."""
 
+BYTES: dict[type, int] = {dtype: wp.types.type_size_in_bytes(dtype) for dtype in ARRAYS.values()}
+"""Bytes of their elements."""
+
 
 @dataclass(eq=False)
 class DeviceRays:
@@ -90,8 +93,29 @@ class DeviceRays:
         batch = empty_batch(self.layout, self.center)
         batch.count = self.count
         batch.origins, batch.directions = as_array(self.origins), as_array(self.directions)
-        batch.t_min, batch.t_max = self.t_min, self.t_max
+        batch.t_min, batch.t_max = as_array(self.t_min), as_array(self.t_max)
         return batch
+
+    def part(self, begin: int, count: int) -> DeviceRays:
+        """Some of the rays, which lie in no `batch`: of a picture, whole rows. The arrays stay where they are."""
+        given, strides = (self.origins, self.directions, self.t_min, self.t_max), self.layout[:4]
+        arrays: list[Any] = [  # a prepared query asks for no more than addresses
+            HostArray((values.ptr or 0) + stride * begin * BYTES[dtype], count if stride else 1, dtype, values)
+            for values, stride, dtype in zip(given, strides, ARRAYS.values(), strict=True)
+        ]
+        origins, directions, t_min, t_max = arrays
+        facts, form = self.facts._replace(count=count, shape=(count,)), self.form._replace(shape=(count,))
+        layout, center = self.layout, self.center
+        return DeviceRays(origins, directions, t_min, t_max, layout, center, facts, form, self.keep, self.in_place)
+
+    def copied(self, count: int) -> DeviceRays:
+        """A copy of the first rays, which lie in no `batch`, as a flat list."""
+        part = self.part(0, min(count, self.count))
+        for name, dtype in ARRAYS.items():
+            values = np.array(getattr(part, name).numpy())
+            setattr(part, name, HostArray(address_of(values), len(values), dtype, values))
+        part.facts, part.keep = part.facts._replace(columns=0), ()
+        return part
 
     def sample(self) -> RayBatch:
         """The rays as kernels read them, for a look at some of them: the arrays stay what they are."""

@@ -17,9 +17,9 @@ from wrt.engine.facts.facts import RayFacts
 from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST, Query
 from wrt.engine.facts.scene_state import SceneState
 from wrt.engine.launch.traversal_launch import RAYS, kernel_and_inputs, no_work
+from wrt.engine.plan.choices import find_plan, is_changing
 from wrt.engine.plan.plan import ChosenPlan, config_for_layout, traversal_config, traversal_of
 from wrt.engine.plan.plan_checks import can_answer
-from wrt.engine.plan.planner import find_plan, is_changing
 from wrt.engine.rays.device_rays import DeviceRays, Layout
 from wrt.engine.rays.rays import ResultForm
 from wrt.kernels.layout.ray_batch import HitBatch

@@ -10,7 +10,7 @@ import warp as wp
 from wrt.engine.executor import trace
 from wrt.engine.facts.query_kinds import ALL, AUTO, CLOSEST
 from wrt.engine.memory import empty, new_rays
-from wrt.engine.plan.planner import make_plan
+from wrt.engine.plan.choices import make_plan
 from wrt.engine.rays.coherence import detect_coherence
 from wrt.engine.rays.device_rays import DeviceRays
 from wrt.engine.rays.rays import as_vectors
