@@ -13,6 +13,7 @@ from __future__ import annotations
 from wrt.lazy_names import lazy_names
 
 _HOME = {
+    "AdaptiveRendering": "wrt.imaging.integrators.adaptive_rendering",
     "AmbientRendering": "wrt.imaging.ambient_rendering",
     "RenderSettings": "wrt.imaging.integrators.render_settings",
     "Rendering": "wrt.imaging.integrators.rendering_job",

@@ -293,6 +293,7 @@ REFERENCES = {
     ),
     "khronos-gltf-2021": "Khronos Group: glTF 2.0 specification, appendix B, BRDF implementation. 2021.",
     "khronos-gltf-2022": "Khronos 3D Formats Working Group: glTF 2.0 specification. ISO/IEC 12113:2022.",
+    "kirk-arvo-1991": "D. Kirk, J. Arvo: Unbiased sampling techniques for image synthesis. SIGGRAPH 1991.",
     "kollig-keller-2002": "T. Kollig, A. Keller: Efficient multidimensional sampling. Eurographics 2002.",
     "komatsu-2008": (
         "K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection "

@@ -26,10 +26,13 @@ turn = np.linspace(-1.2, 1.2, max(4, round(100 * size)))
 suns = np.stack([np.sin(turn), 0.4 * np.ones_like(turn), np.cos(turn)], axis=-1)
 
 with tempfile.TemporaryDirectory() as folder:
-    blocks = scene.occluded_blocks(points[:, None], suns, reduce="sum", axis=1)
+    blocks = scene.occluded_blocks(points, suns[:, None], reduce="sum", axis=0)  # rays of one sun are neighbours
     wrt.cluster.Job(Path(folder) / "sun", blocks).run(most=1)  # interrupted after a block
     dark = wrt.cluster.Job(Path(folder) / "sun", blocks).run().result()  # goes on
 
 lit = 1.0 - dark / len(suns)
+quarters = np.arange(len(suns)) * 4 // len(suns) == np.arange(4)[:, None]
+shares = wrt.analysis.exposure(scene, floor, suns, weights=quarters / len(suns))  # (rows, columns, 4), of the day's quarters
 print(f"{len(points):,} places; the mean share of the day in the sun is {lit.mean():.2f}")
+assert np.abs(shares[floor.is_hit].sum(axis=-1) - lit).mean() < 0.01
 assert 0.0 < lit.mean() < 1.0

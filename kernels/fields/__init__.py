@@ -29,8 +29,10 @@ evaluates all of them. Children that are too near are pushed. Triangles of leave
 with an arc tangent by a polynomial (error 1e-8) fitted to it.
 
     cluster_moments.py   the numbers of each child of each node
+    grid_points.py       points of regular grids in blocks, and their values
     winding_walk.py      the kernel that walks a tree, by kernels/native/winding.h
     disc_samples.py      points of a surface that are apart from each other
+    exposures.py         rays from surfaces to given directions, and sums of the light that arrives
     distance_signs.py    the side of a surface on which a point is, by the normals at what is nearest, and distances with signs
 
 References: barill-2018; jacobson-2013; van-oosterom-strackee-1983; baerentzen-aanaes-2005.

@@ -1,9 +1,9 @@
-// Rays of sensors, and what a ray alone says of its pixel: loops over blocks of rays that Clang vectorises.
+// Rays of sensors, and what a ray alone says of its pixel or its return: loops over blocks of rays that Clang vectorises.
 //
-// Vectors and quaternions are Warp's, and so are normalize and quat_rotate: a ray has the bits that
-// wrt.kernels.sensors.lidar_beams gives one alone.
+// Vectors and quaternions are Warp's, and so are normalize, quat_rotate and dot: a ray has the bits that the kernels of
+// wrt.kernels.sensors give one alone.
 #pragma once
-#include "loops.h"
+#include "sensor_noise.h"
 
 namespace wrt {
 namespace {
@@ -72,6 +72,136 @@ inline CUDA_CALLABLE void write_positions(const float* __restrict t, const int* 
         const Vec3d point(from.c[0] + far * double(d.c[0]), from.c[1] + far * double(d.c[1]), from.c[2] + far * double(d.c[2]));
         position[order ? order[place + i] : place + i] = primitive[i] >= 0 ? point : Vec3d(nan, nan, nan);
     }
+}
+
+/// Where the rays of one value begin to end, from place `begin` on: those that met one triangle.
+inline CUDA_CALLABLE int end_of_run(const int* primitive, int begin, int end)
+{
+    const int first = primitive[begin];
+    int i = begin + 1;
+    while (i < end && primitive[i] == first) ++i;
+    return i;
+}
+
+/// Range and intensity of a return: inf and 0 if it is not detected.
+template <class Detector>
+inline CUDA_CALLABLE void write_return(const Detector& detector, float t, float power, float& range, float& intensity)
+{
+    const bool lost = t < detector.min_range || t > detector.max_range || power < detector.threshold;
+    range = lost ? WRT_INFINITY : t;
+    intensity = lost ? 0.0f : power;
+}
+
+/// Ranges and intensities of the rays begin .. end - 1, which met one surface, or none if `reflectance` is negative, by a range
+/// law of exponent 2 (`squared`) or 0 without extinction. `order` is null if ray i is beam place + i.
+template <class Detector, class Vec3>
+inline CUDA_CALLABLE void write_returns(const Detector& detector, bool squared, const float* __restrict t,
+    const Vec3* __restrict directions, const Vec3& normal, float reflectance, const int* __restrict order, int place, int begin,
+    int end, float* __restrict range, float* __restrict intensity)
+{
+    const int n = end - begin;
+    const bool hit = reflectance >= 0.0f;
+    const auto power_of = [&](int i) {
+        const float power = reflectance * WRT_ABS(dot(normal, directions[i])), ratio = detector.reference_range / t[i];
+        return squared ? power * ratio * ratio : power;
+    };
+    if (order != nullptr || !hit)
+        for (int i = begin; i < end; ++i) {
+            const int at = order ? order[place + i] : place + i;
+            range[at] = WRT_INFINITY;
+            intensity[at] = 0.0f;
+            if (hit) write_return(detector, t[i], power_of(i), range[at], intensity[at]);
+        }
+    else
+        WRT_FOR (n, i) {
+            float far, power;
+            write_return(detector, t[begin + i], power_of(begin + i), far, power);
+            range[place + begin + i] = far;
+            intensity[place + begin + i] = power;
+        }
+}
+
+/// A beam as it is reported: with noise, turned by two angles, whose tangents are so small that they are the angles.
+template <bool NOISY, class Vec3d> inline CUDA_CALLABLE Vec3d shown_beam(const Vec3d& axis, double turn_0, double turn_1)
+{
+    const Vec3d shown = normalize(axis);
+    if (!NOISY) return shown;
+    const double x = shown.c[0], y = shown.c[1];
+    const bool vertical = y * y + x * x + 0.0 < 1e-12;
+    const Vec3d side = normalize(Vec3d(vertical ? 0.0 : -y, vertical ? 1.0 : x, 0.0)), other = cross(shown, side);
+    return normalize(Vec3d(x + turn_0 * side.c[0] + turn_1 * other.c[0], y + turn_0 * side.c[1] + turn_1 * other.c[1],
+        shown.c[2] + turn_0 * side.c[2] + turn_1 * other.c[2]));
+}
+
+/// Where points are written.
+template <class Vec3d, class Quat> struct PointFrame {
+    bool world;
+    Vec3d from;
+    Quat turn;
+    Vec3d* __restrict point;
+};
+
+/// `write_points` of n returns; `turns` are those of their beams, if there is noise.
+template <bool NOISY, class Vec3, class Vec3d, class Quat>
+inline CUDA_CALLABLE void points_of_block(const Vec3* __restrict axes, const double* __restrict distance, const double* turn_0,
+    const double* turn_1, const PointFrame<Vec3d, Quat>& frame, int begin, int n)
+{
+    const double nan = WRT_NAN, none = WRT_INFINITY;
+    Vec3d* __restrict point = frame.point + begin;
+    const auto point_of = [&](int i) {
+        const Vec3 axis = axes[i];
+        const Vec3d shown
+            = shown_beam<NOISY>(Vec3d(axis.c[0], axis.c[1], axis.c[2]), NOISY ? turn_0[i] : 0.0, NOISY ? turn_1[i] : 0.0);
+        const double far = distance[begin + i];
+        return Vec3d(0.0 + far * shown.c[0], 0.0 + far * shown.c[1], 0.0 + far * shown.c[2]);
+    };
+    const auto write = [&](int i, const Vec3d& p) {
+        const bool seen = distance[begin + i] < none;
+        point[i] = Vec3d(seen ? p.c[0] : nan, seen ? p.c[1] : nan, seen ? p.c[2] : nan);
+    };
+    if (frame.world)
+        WRT_FOR (n, i) {
+            const Vec3d p = quat_rotate(frame.turn, point_of(i));
+            write(i, Vec3d(frame.from.c[0] + p.c[0], frame.from.c[1] + p.c[1], frame.from.c[2] + p.c[2]));
+        }
+    else
+        WRT_FOR (n, i) write(i, point_of(i));
+}
+
+/// Points of the returns begin .. end - 1, one of each beam, of a sensor at rest whose beams start at its origin; NaN for none.
+/// `axes` begins with that of return `begin`.
+template <class Noise, class Vec3, class Vec3d, class Quat>
+inline CUDA_CALLABLE void write_points(
+    const Noise& noise, const Vec3* axes, const double* distance, const PointFrame<Vec3d, Quat>& frame, int begin, int end)
+{
+    if (!is_noisy(noise)) {
+        points_of_block<false>(axes, distance, nullptr, nullptr, frame, begin, end - begin);
+        return;
+    }
+    double turn_0[NOISY], turn_1[NOISY];
+    NoiseWords words;
+    for (int first = begin; first < end; first += NOISY) {
+        const int n = end - first < NOISY ? end - first : NOISY;
+        if (noise.angle > 0.0) words.draw(first, n, 1u, noise.key.c[0], noise.key.c[1]);
+        for (int i = 0; i < n; ++i) {
+            turn_0[i] = turn_1[i] = 0.0;
+            if (noise.angle == 0.0 || !(distance[first + i] < WRT_INFINITY)) continue;
+            const double radius = normal_radius(words.c[0][i]), turn = TWO_PI * unit_number(words.c[1][i]);
+            turn_0[i] = noise.angle * (radius * WRT_MATH(cos)(turn));
+            turn_1[i] = noise.angle * (radius * WRT_MATH(sin)(turn));
+        }
+        points_of_block<true>(axes + (first - begin), distance, turn_0, turn_1, frame, first, n);
+    }
+}
+
+/// Points in the frame of the sensor and in the world; null for those that are not asked for.
+template <class Noise, class Vec3, class Vec3d, class Pose>
+inline CUDA_CALLABLE void write_points(const Noise& noise, const Vec3* axes, const double* distance, const Pose& pose,
+    int begin, int end, Vec3d* point, Vec3d* position)
+{
+    using Frame = PointFrame<Vec3d, decltype(pose.rotation)>;
+    if (point) write_points(noise, axes, distance, Frame {false, pose.position, pose.rotation, point}, begin, end);
+    if (position) write_points(noise, axes, distance, Frame {true, pose.position, pose.rotation, position}, begin, end);
 }
 
 }  // namespace

@@ -131,6 +131,30 @@ def meets_own(mesh: SceneMesh, primitive: int, origin: wp.vec3, direction: wp.ve
     return ray.valid and found[0] >= 0.0
 
 
+@wp.struct
+class Footing:
+    """Where rays leave a triangle."""
+
+    point: wp.vec3d
+    """Of the triangle, away from its edges, in the caller's coordinates."""
+    offset: float
+    """How far from the triangle rays start."""
+
+
+@wp.func
+def footing(mesh: SceneMesh, corners: Triangle, uv: wp.vec2):
+    """The footing of rays that leave a point of a triangle; uv: weights of its second and third corner."""
+    found = Footing()
+    weights = wp.vec3(1.0 - uv[0] - uv[1], uv[0], uv[1])
+    edge1 = corners.b - corners.a
+    edge2 = corners.c - corners.a
+    near = corners.a + wp.float64(uv[0]) * edge1 + wp.float64(uv[1]) * edge2
+    found.offset = OFFSET * reach(wp.vec3(near), mesh.low, mesh.high)
+    at = keep_from_edges(weights, corners.a, corners.b, corners.c, found.offset)
+    found.point = mesh.center + (corners.a + at[1] * edge1 + at[2] * edge2)
+    return found
+
+
 @wp.func
 def spawn_origin(mesh: SceneMesh, primitive: int, uv: wp.vec2, direction: wp.vec3, sided: int):
     """Origin of a ray that leaves a hit, in the caller's coordinates; NaN for a miss.
@@ -146,13 +170,9 @@ def spawn_origin(mesh: SceneMesh, primitive: int, uv: wp.vec2, direction: wp.vec
     origin = wp.vec3d(nan, nan, nan)
     if primitive >= 0:
         corners = triangle_of(mesh, primitive)
-        weights = wp.vec3(1.0 - uv[0] - uv[1], uv[0], uv[1])
-        edge1 = corners.b - corners.a
-        edge2 = corners.c - corners.a
-        near = corners.a + wp.float64(uv[0]) * edge1 + wp.float64(uv[1]) * edge2
-        offset = OFFSET * reach(wp.vec3(near), mesh.low, mesh.high)
-        at = keep_from_edges(weights, corners.a, corners.b, corners.c, offset)
-        point = mesh.center + (corners.a + at[1] * edge1 + at[2] * edge2)
+        start = footing(mesh, corners, uv)
+        point = start.point
+        offset = start.offset
         toward = wp.normalize(wp.vec3d(direction))
         normal = front_normal(mesh, corners)
         if wp.length_sq(normal) == wp.float64(0.0):

@@ -23,9 +23,9 @@ References: wagner-2006.
 import warp as wp
 
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, triangle_normal, triangle_of
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.sensors.lidar_beams import Beams, beam_at
-from wrt.kernels.sensors.philox import normal_number, philox, uniform
 
 exact_module(__name__)
 
@@ -236,37 +236,49 @@ def gather_returns(first: int, beams: Beams, traced: Traced, mesh: SceneMesh, de
             ray = following
 
 
-@wp.func
-def is_noisy(noise: Noise):
+@native.func_native("sensor_noise.h", "return wrt::is_noisy(noise);")
+def is_noisy(noise: Noise) -> bool:
     """Whether a sensor has any noise."""
-    return noise.range > wp.float64(0.0) or noise.angle > wp.float64(0.0) or noise.dropout > wp.float64(0.0)
+    ...
 
 
-@wp.func
-def write_measured(noise: Noise, returns: Returns, at: int, mean: float, power: float, detected: bool):
-    """Writes range and intensity of a return with noise, or those of a miss."""
-    distance = wp.float64(wp.inf)
-    intensity = float(0.0)
-    if detected:
-        shift = wp.float64(0.0)
-        kept = bool(True)
-        if is_noisy(noise):
-            words = philox(wp.vec4ui(wp.uint32(at), wp.uint32(0), wp.uint32(0), wp.uint32(0)), noise.key)
-            kept = uniform(words[2]) >= noise.dropout
-            shift = noise.range * normal_number(words[0], words[1])
-        if kept:
-            distance = wp.max(wp.float64(mean) + shift, wp.float64(0.0))
-            intensity = power
-    returns.distance[at] = distance
-    returns.range[at] = wp.float32(distance)
-    returns.intensity[at] = intensity
+@native.func_native(
+    "sensor_noise.h",
+    """wrt::write_ranges(
+        noise, begin, end, returns.range.data, returns.intensity.data, returns.distance.data);""",
+)
+def write_ranges(noise: Noise, begin: int, end: int, returns: Returns):
+    """Writes the ranges of returns with noise, given those without, and takes out those that are lost."""
+    ...
 
 
 @wp.kernel
-def measure_gathered(first: int, noise: Noise, returns: Returns):
-    """Writes what is measured of the returns that were gathered. Item: a return."""
-    at = first + wp.tid()
-    write_measured(noise, returns, at, returns.mean[at], returns.intensity[at], returns.ray[at] >= 0)
+def add_noise(first: int, block: int, count: int, noise: Noise, returns: Returns):
+    """Writes what is measured of returns that are known without noise. Item: a block of returns."""
+    begin = (first + wp.tid()) * block
+    end = wp.min(begin + block, count)
+    if returns.mean.shape[0] > 0:
+        for at in range(begin, end):
+            returns.range[at] = returns.mean[at]
+    write_ranges(noise, begin, end, returns)
+
+
+@native.func_native("sensor_rays.h", "return wrt::end_of_run(primitive.data, begin, end);")
+def end_of_run(primitive: wp.array(dtype=int), begin: int, end: int) -> int:
+    """The end of the neighbours that met one triangle."""
+    ...
+
+
+@native.func_native(
+    "sensor_rays.h",
+    """wrt::write_returns(
+        detector, detector.exponent == 2.0f, traced.t.data, traced.directions.data, surface.normal, surface.reflectance,
+        beams.order.shape[0] ? beams.order.data : nullptr, traced.place, begin, end, returns.range.data,
+        returns.intensity.data);""",
+)
+def write_run(beams: Beams, traced: Traced, detector: Detector, surface: Surface, begin: int, end: int, returns: Returns):
+    """Writes ranges and intensities of neighbours that met one surface, without noise, by a simple range law."""
+    ...
 
 
 @wp.kernel
@@ -281,17 +293,34 @@ def measure_single(
     detector: Detector,
     returns: Returns,
 ):
-    """Writes what is measured by one ray and one return a beam. Item: a block of beams, in the order of tracing."""
+    """Writes what is measured by one ray and one return a beam: with noise, unless an order is given.
+
+    Item: a block of beams, in the order of tracing.
+    """
     begin = (first + wp.tid()) * block
+    end = wp.min(begin + block, count)
+    simple = (detector.exponent == 2.0 or detector.exponent == 0.0) and detector.extinction == 0.0
     surface = Surface()
     surface.primitive = -1
-    for i in range(begin, wp.min(begin + block, count)):
-        t = traced.t[i]
+    i = begin
+    while i < end:
         primitive = traced.primitive[i]
-        power = float(0.0)
-        detected = bool(False)
+        following = end_of_run(traced.primitive, i, end)
         if primitive >= 0:
             surface = surface_of(mesh, detector, surface, primitive)
-            power = returned_power(detector, surface, traced.directions[i], t)
-            detected = not (t < detector.min_range or t > detector.max_range or power < detector.threshold)
-        write_measured(noise, returns, beam_at(beams, traced.place + i), t, power, detected)
+        else:
+            surface.primitive = -1
+            surface.reflectance = -1.0
+        if simple or primitive < 0:
+            write_run(beams, traced, detector, surface, i, following, returns)
+        else:
+            for ray in range(i, following):
+                t = traced.t[ray]
+                power = returned_power(detector, surface, traced.directions[ray], t)
+                at = beam_at(beams, traced.place + ray)
+                detected = not (t < detector.min_range or t > detector.max_range or power < detector.threshold)
+                returns.range[at] = wp.where(detected, t, wp.inf)
+                returns.intensity[at] = wp.where(detected, power, 0.0)
+        i = following
+    if beams.order.shape[0] == 0:
+        write_ranges(noise, traced.place + begin, traced.place + end, returns)

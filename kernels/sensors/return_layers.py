@@ -6,6 +6,7 @@ An array (0,) is not asked for.
 import warp as wp
 
 from wrt.kernels.query.hit_attributes import SceneMesh, hit_normal
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.sensors.lidar_beams import Beams, across, beam_at, beam_offset, place_of
 from wrt.kernels.sensors.lidar_returns import Detector, Motions, Noise, Returns, Traced, is_noisy
@@ -65,6 +66,20 @@ def return_at(beams: Beams, traced: Traced, detector: Detector, returns: Returns
     return found
 
 
+@native.func_native(
+    "sensor_rays.h",
+    """wrt::write_points(
+        noise, beams.directions.data + beam, returns.distance.data, pose, begin, end,
+        begin < layers.point.shape[0] ? layers.point.data : nullptr,
+        begin < layers.position.shape[0] ? layers.position.data : nullptr);""",
+)
+def write_points(
+    beams: Beams, noise: Noise, pose: Pose, beam: int, begin: int, end: int, returns: Returns, layers: ReturnLayers
+):
+    """Writes the points of returns begin .. end - 1 of one sensor at rest, the first of them that of a beam."""
+    ...
+
+
 @wp.kernel
 def fill_points(
     first: int,
@@ -79,10 +94,17 @@ def fill_points(
 ):
     """Writes the points of returns. Item: a block of returns. `kept`: returns of each beam."""
     begin = (first + wp.tid()) * block
+    end = wp.min(begin + block, count)
     nan = wp.float64(wp.nan)
     pose = Pose()
     sensor = int(-1)
-    for at in range(begin, wp.min(begin + block, count)):
+    place = place_of(beams, begin)
+    plain = kept == 1 and beams.offsets.shape[0] == 0 and path.times.shape[0] <= 1
+    if plain and place.beam + end - begin <= beams.directions.shape[0]:
+        pose = pose_of(path, place.sensor, beams.start)
+        write_points(beams, noise, pose, place.beam, begin, end, returns, layers)
+        end = begin
+    for at in range(begin, end):
         point = wp.vec3d(nan, nan, nan)
         position = point
         distance = returns.distance[at]

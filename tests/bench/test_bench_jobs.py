@@ -53,7 +53,10 @@ def test_a_step_writes_its_file(cell):
 
 def test_sums_are_those_of_the_rays():
     court = whole_jobs.Court(0.03, 2)
-    rays, sums, folder = (contender.run() for contender in whole_jobs.sun_contenders(court)[:3])
-    np.testing.assert_array_equal(sums, rays.sum(axis=1))
+    rays, sums, months, folder = (contender.run() for contender in whole_jobs.sun_contenders(court)[:4])
+    np.testing.assert_array_equal(sums, rays.sum(axis=0))
+    lit = len(court.suns) - sums
+    assert months.shape == (len(lit), 12)
+    assert np.abs(months.sum(axis=1) - lit).mean() < 0.05 * lit.mean()  # other origins, and suns behind the floor
     np.testing.assert_array_equal(folder, sums)
     assert whole_jobs.rays_of("sun", court) == rays.size

@@ -131,6 +131,46 @@ def test_sun_hours_on_a_floor():
     np.testing.assert_array_equal(analysis.exposure(scene, places, -sun), 0.0)
 
 
+def summed(scene, surface, ways, weights, cosine):
+    """`exposure` by the public queries, ray by ray, those to the back included."""
+    ways = np.float32(ways / np.linalg.norm(ways, axis=1, keepdims=True))
+    found, normal = np.zeros(surface.shape), surface.normal.astype(np.float64)
+    for way, weight in zip(ways, weights, strict=True):
+        towards = np.broadcast_to(way, (*surface.shape, 3))
+        seen = surface.faces(towards) & ~scene.occluded(surface.spawn(towards), towards)
+        found += seen * weight * (np.maximum((way * normal).sum(axis=-1), 0.0) if cosine else 1.0)
+    return found
+
+
+@pytest.mark.parametrize("cosine", [False, True])
+def test_exposure_sums_what_single_rays_find(somewhere, scene, cosine):
+    """Bit for bit, in one mesh and through instances, for points in any order, misses among them, by groups and alone."""
+    rng = np.random.default_rng(5)
+    ways, weights = rng.normal(size=(23, 3)), rng.random((3, 23))
+    turned = np.diag([-1.0, 1.0, 0.5, 1.0])
+    turned[:3, 3] = 0.1, 0.2, 2.5
+    pair = wrt.Scene([wrt.Instance(scene.meshes[0]), wrt.Instance(scene.meshes[0], turned)], device="cpu")
+    rays = pair.intersect(rng.normal(size=(17, 23, 3)) * 5.0, rng.normal(size=(17, 23, 3)))
+    assert rays.is_hit.any()
+    assert not rays.is_hit.all()
+    for place, surface in ((scene, somewhere), (pair, rays), (pair, analysis.sample_surface(pair, 700, seed=4))):
+        found = analysis.exposure(place, surface, ways, weights=weights, cosine=cosine)
+        assert found.shape == (*surface.shape, 3)
+        for group, own in enumerate(weights):
+            expected = summed(place, surface, ways, own, cosine)
+            np.testing.assert_array_equal(found[..., group], expected)
+            np.testing.assert_array_equal(analysis.exposure(place, surface, ways, weights=own, cosine=cosine), expected)
+    assert (found > 0.0).any()
+
+
+def test_exposure_in_blocks(somewhere, scene, monkeypatch):
+    """Blocks of directions and of points change nothing; weights that are whole numbers are summed exactly."""
+    ways, weights = analysis.sky_directions(19), np.arange(38.0).reshape(2, 19)
+    expected = analysis.exposure(scene, somewhere, ways, weights=weights)
+    monkeypatch.setattr("wrt.analysis.sky_exposure.BLOCK", 256)
+    np.testing.assert_array_equal(analysis.exposure(scene, somewhere, ways, weights=weights), expected)
+
+
 def test_visible_faces(scene):
     """Those that face the camera, of a large enough picture; none behind another body; instances in the scene's numbers."""
     camera = wrt.PinholeCamera(200, 200, position=(0, -5, 0), look_at=(0, 0, 0), fov=26.0)
@@ -219,6 +259,8 @@ def test_viewshed():
             r"directions\[0\] is .*other than zero",
         ),
         (lambda s, h: analysis.exposure(s, h, [[0, 0, 1]], weights=[-1]), ValueError, "weights must be 0 or more"),
+        (lambda s, h: analysis.exposure(s, h, [[0, 0, 1]], weights=np.ones((0, 1))), ValueError, "at least one group"),
+        (lambda s, h: analysis.exposure(s, h, [[0, 0, 1]], weights=[[1, 2]]), ValueError, "weights has the shape"),
         (lambda s, h: analysis.sky_directions(0), ValueError, "count"),
         (lambda s, h: analysis.sky_directions(4, up=(0, 0, 0)), ValueError, "up is zero"),
         (lambda s, h: analysis.viewshed(s, [0, 0, 0], [0, 0, 0], eye_height=-1), ValueError, "eye_height must be 0 or more"),

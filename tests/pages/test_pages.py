@@ -223,6 +223,12 @@ def check_rendering(names):
     pictures = [names[key] for key in ("image", "lamplit", "preview", "toned", "blurred", "moving")]
     assert all(picture.shape == (120, 160, 3) and 0.02 < picture.mean() < 0.98 for picture in pictures)
     assert 0.0 < names["last"] < names["first"]
+    np.testing.assert_allclose(names["adaptive"].counts.mean(), 16.0, rtol=0.1)
+    assert np.ptp(names["adaptive"].counts) > 0
+    assert 0.02 < names["inside"].mean() < 0.98
+    if "smooth" in names:
+        assert names["smooth"].shape == names["color"].shape
+        assert np.abs(np.diff(names["smooth"], axis=1)).mean() < np.abs(np.diff(names["color"], axis=1)).mean()
     assert (names["depth"] < np.inf).mean() > 0.3
     hit = names["hits"].is_hit
     np.testing.assert_allclose(names["heights"][hit], names["hits"].position[hit][:, 2], atol=1e-3)
@@ -262,7 +268,42 @@ def check_distances(names: dict) -> None:
     assert np.median(names["scene"].closest_point(names["again"].vertices).distance) < 0.1 * names["grid"].spacing
 
 
+def check_facades(names):
+    """Blocks are closed and have their volumes; the gable is flat and whole; the highest roof has the sun of a free plane."""
+    for block, feature in zip(names["blocks"], names["features"], strict=True):
+        solid = block.to_trimesh().process(merge_tex=True)
+        solid.merge_vertices()
+        assert solid.is_watertight
+        np.testing.assert_allclose(solid.volume, 234.0 * feature["properties"]["height"], rtol=1e-3)
+    gable = names["gable"]
+    np.testing.assert_allclose(gable.vertices[:, 1], 0.0, atol=1e-6)
+    area = np.linalg.norm(
+        np.cross(*(gable.vertices[gable.faces[:, k]] - gable.vertices[gable.faces[:, 0]] for k in (1, 2))), axis=1
+    )
+    np.testing.assert_allclose(0.5 * area.sum(), 45.0)
+    apart = names["facade"].position
+    nearest = np.sort(np.linalg.norm(apart[:200, None] - apart, axis=-1), axis=1)[:, 1]
+    assert nearest.min() >= 1.999
+    if "on_map" not in names:
+        return
+    free = (names["direct"] @ names["sun"][:, 2] + names["diffuse"]) / 1000.0
+    top = names["ground"].position[..., 2] > names["high"][2] - 0.01
+    assert top.any()
+    np.testing.assert_allclose(names["on_map"][top], np.broadcast_to(free, (top.sum(), 12)), rtol=1e-3)
+    assert names["on_map"].max() <= free.max() * 1.001
+    facing = names["facade"].normal[:, 2] < -0.9  # the undersides of blocks
+    np.testing.assert_array_equal(names["on_facades"][facing], 0.0)
+    south, north = (names["on_facades"][(names["facade"].normal[:, 1] * sign) > 0.9].sum(axis=-1).mean() for sign in (-1, 1))
+    assert south > 2.0 * north
+    assert names["hidden"].shape == (len(apart),)
+    if "file" in names and "rasterio" in names:
+        with names["rasterio"].open("sun.tif") as stored:
+            assert stored.count == 12
+            np.testing.assert_allclose(np.moveaxis(stored.read(), 0, -1), names["on_map"], rtol=1e-6)
+
+
 CHECKS = {
+    "guides/facades.md": check_facades,
     "start.md": check_start,
     "tutorial.md": check_tutorial,
     "guides/queries.md": check_queries,

@@ -55,6 +55,10 @@ def picture_calls() -> Iterator[Call]:
     yield Call("RenderSettings", wrt.pictures.RenderSettings, {**numbers, **factors, **flags, "exposure": 2.0, "ambient": 0.5})
     yield Call("SampledPicture.advance", lambda **o: rendering().advance(**o).samples, {"samples": 1})
     yield Call("Rendering.image", lambda **o: rendering().image(**o), {"exposure": 2.0})
+    adapted = lambda **o: wrt.pictures.AdaptiveRendering(scene(), pinhole(), **o).advance().linear  # noqa: E731
+    yield Call("AdaptiveRendering", adapted, {"samples": 8, "unbiased": False, "pilot": 4, "rounds": 1, "most": 16})
+    adapted = lambda **o: wrt.pictures.AdaptiveRendering(scene(), pinhole(), samples=8).advance().image(**o)  # noqa: E731
+    yield Call("AdaptiveRendering.image", adapted, {"exposure": 2.0})
     yield Call("Rendering.developed", lambda **o: rendering().developed(**o), {"exposure": 2.0})
     options = {"samples": 1, "ambient_samples": 1, "ambient_distance": 4.0, "crease_angle": 32.0, "seed": 1, "tile_pixels": 12}
     options |= {"light": (0.0, 0.0, 9.0), "shadows": True, "smooth": True, "albedo": 0.5, "ambient_color": 0.5}

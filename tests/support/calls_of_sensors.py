@@ -44,6 +44,8 @@ def sensor_calls() -> Iterator[Call]:
         {"organized": True},
     )
     yield Call("Camera.render", lambda **o: camera().render(scene(), pose(), samples=1, **o).linear, {"time": 2.0})
+    rig = lambda **o: seen(sensors.Rig({"top": (lidar(), np.eye(4))}).measure(instances(), pose(), **o)["top"])  # noqa: E731
+    yield Call("Rig.measure", rig, {"time": 2.0, "seed": 1})
     yield Call("BrownConrady", sensors.BrownConrady, {**FOCUS, "distortion": (0.5, 0.0, 0.0, 0.0), "skew": 0.5})
     yield Call("KannalaBrandt", sensors.KannalaBrandt, {**FOCUS, "distortion": (0.5, 0.0), "max_angle": 2.0, "skew": 0.5})
     matrix = [(4.0, 0.5, 2.0), (0.0, 4.0, 1.0), (0.0, 0.0, 1.0)]

@@ -13,7 +13,8 @@ import warp as wp
 from wrt.analysis.analysis_arguments import check_surface, host
 from wrt.analysis.wall_thickness import BLOCK, frame_of
 from wrt.engine.facts.query_kinds import AUTO
-from wrt.kernels.runtime.launch import use_threads
+from wrt.engine.memory import empty
+from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.shading.surface import Surface
 from wrt.kernels.validation import as_bool, as_direction, as_float, as_int, as_numbers, first_bad
 
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 
 POINTS = 1 << 16
 """Points whose ambient rays are traced at a time."""
+
+
+STREAM = "stream"
+"""The traversal of rays to given directions, on the CPU."""
 
 
 def sky_directions(count: int, *, up: Any = (0, 0, 1)) -> np.ndarray:
@@ -50,25 +55,27 @@ def exposure(scene: Scene, surface: Hits, directions: Any, *, weights: Any = Non
     The sum of the weights of those that are in front of it and not hidden.
 
         hours = wrt.analysis.exposure(scene, floor, sun, weights=np.full(len(sun), 0.25))    # a quarter of an hour each
+        months = wrt.analysis.exposure(scene, floor, sun, weights=0.25 * (month == np.arange(1, 13)[:, None]))   # (..., 12)
         sky = wrt.analysis.sky_directions(256)
         openness = wrt.analysis.exposure(scene, floor, sky)                                 # share of the sky, 0 to 1
         factor = wrt.analysis.exposure(scene, floor, sky, weights=np.full(256, 2 / 256), cosine=True)   # sky view factor
 
-    What is below the horizon must not be among the directions, or be hidden by the mesh.
+    What is below the horizon must not be among the directions, or be hidden by the mesh. Rays are traced once for all groups,
+    and not at all towards what is behind a surface; neighbours are traced together, in whatever order points are given.
 
     Args:
         scene: a `wrt.Scene` whose triangles have their fronts where light comes from.
         surface: points on its triangles: `scene.points_on`, `wrt.analysis.sample_surface`, or hits of rays.
         directions: (D, 3) from the surface to the light, of any length but 0.
-        weights: (D,) at least 0; None: 1 / D each.
+        weights: (D,) at least 0, or (G, D) for G sums, such as those of months; None: 1 / D each.
         cosine: whether each weight is multiplied with the cosine to the normal, as energy is.
 
     Returns:
-        (...) float64; 0 for a miss.
+        (...) float64, or (..., G); 0 for a miss.
 
     Raises:
         TypeError: wrong types.
-        ValueError: wrong shapes, a direction that is 0 or not finite, or a negative weight.
+        ValueError: wrong shapes, a direction that is 0 or not finite, a negative weight, or hits from a pickle.
     """
     check_surface(scene, surface)
     ways, cosine = as_numbers("directions", directions, (None, 3)), as_bool("cosine", cosine)
@@ -78,18 +85,101 @@ def exposure(scene: Scene, surface: Hits, directions: Any, *, weights: Any = Non
         raise ValueError(f"directions{bad}; pass directions other than zero")
     ways /= np.abs(ways).max(axis=1, keepdims=True)  # squares of the rest neither overflow nor vanish
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    shares = np.full(len(ways), 1.0 / len(ways)) if weights is None else as_numbers("weights", weights, (len(ways),))
+    shares, grouped = as_shares(weights, len(ways))
+    if not surface.batch.count:
+        found = np.zeros((0, len(shares)))
+    else:
+        with use_threads(scene.num_threads):
+            found = LitSurface(scene, surface).add(ways.astype(np.float32), shares, cosine)
+    return found.reshape(*surface.shape, *((len(shares),) if grouped else ()))
+
+
+def as_shares(weights: Any, count: int) -> tuple[np.ndarray, bool]:
+    """(G, D) weights of D directions, and whether the caller gave groups.
+
+    Raises:
+        TypeError: not real numbers.
+        ValueError: another shape, or a negative weight.
+    """
+    if weights is None:
+        return np.full((1, count), 1.0 / count), False
+    grouped = np.ndim(weights) == 2
+    shares = as_numbers("weights", weights, (None, count) if grouped else (count,))
     if (shares < 0.0).any():
         raise ValueError(f"weights must be 0 or more, and the least is {shares.min()}")
-    found, normal = np.zeros(surface.shape), host(surface.normal).astype(np.float64)
-    size = max(1, int(np.prod(surface.shape)))
-    for begin in range(0, len(ways), step := max(1, BLOCK // size)):
-        part = ways[begin : begin + step].astype(np.float32).reshape(-1, *(1,) * len(surface.shape), 3)
-        part = np.broadcast_to(part, (len(part), *surface.shape, 3))
-        seen = host(surface.faces(part)) & ~host(scene.occluded(host(surface.spawn(part)), part))
-        share = shares[begin : begin + step].reshape(-1, *(1,) * len(surface.shape))
-        found += (seen * share * (np.maximum((part * normal).sum(axis=-1), 0.0) if cosine else 1.0)).sum(axis=0)
-    return found
+    if not len(shares):
+        raise ValueError(f"weights has the shape {shares.shape}; pass at least one group")
+    return (shares if grouped else shares[None]), grouped
+
+
+def is_stream_able(scene: Scene) -> bool:
+    """Whether rays can be traced in streams. Parallel rays from points that are further apart than triangles are large part
+    soon: packets are then up to ten times slower, where streams lose little if points are dense
+    (notebooks/records/2026-11-27-whole-jobs.md)."""
+    from wrt.engine.plan.plan_checks import can_answer
+    from wrt.engine.plan.planner import default_test
+    from wrt.kernels.traversal import TRAVERSALS
+
+    facts = scene.state.facts
+    return not facts.is_cuda and can_answer(TRAVERSALS[STREAM], facts, "any", False, default_test(facts.triangle_test))
+
+
+class LitSurface:
+    """Points from whose fronts rays are traced to given directions.
+
+    Args:
+        scene: what hides directions.
+        surface: the points, at least one.
+    """
+
+    def __init__(self, scene: Scene, surface: Hits) -> None:
+        from wrt.kernels.fields.exposures import TILE, LitPoints, place_points
+        from wrt.kernels.points.point_order import morton_order
+
+        self._scene, self._tile, points = scene, int(TILE), LitPoints()
+        self._traversal = STREAM if is_stream_able(scene) else AUTO
+        points.mesh, points.primitive, points.uv = surface._surface
+        self.device, self.count = points.primitive.device, surface.batch.count
+        near = np.nan_to_num(host(surface.position).reshape(-1, 3) - points.mesh.center, copy=False).astype(np.float32)
+        places = wp.array(near, dtype=wp.vec3, device=self.device)
+        points.order = morton_order(places, wp.vec3(*near.min(axis=0)), wp.vec3(*near.max(axis=0)))
+        points.normal, points.origin = (wp.empty(self.count, dtype=wp.vec3d, device=self.device) for _ in range(2))
+        launch(place_points, self.count, [points], device=self.device, chunk=1024)
+        self._points = points
+
+    def add(self, ways: np.ndarray, shares: np.ndarray, cosine: bool) -> np.ndarray:
+        """(P, G) float64 sums of the weights (G, D) of those of the directions (D, 3) that points see."""
+        from wrt.kernels.fields.exposures import add_lit
+
+        groups, step, device = len(shares), max(1, BLOCK // self.count), self.device
+        total, part = (wp.zeros((self.count, groups), dtype=wp.float64, device=device) for _ in range(2))
+        for begin in range(0, len(ways), step):
+            rows = slice(begin, begin + step)
+            weights = wp.array(np.ascontiguousarray(shares[:, rows].T), dtype=wp.float64, device=device)
+            for first in range(0, -(-self.count // self._tile), BLOCK // self._tile):
+                rays, dark = self._trace(ways[rows], first)
+                inputs = [self._points, rays, dark, weights, cosine, part, total]
+                launch(add_lit, rays.tiles, inputs, device=device, chunk=4)
+        return total.numpy()
+
+    def _trace(self, ways: np.ndarray, first: int) -> tuple[Any, wp.array]:
+        """Rays to directions from tiles, from the first one on, and whether each is hidden."""
+        from wrt.kernels.fields.exposures import LitRays, count_lit, write_lit
+
+        rays, device, tiles = LitRays(), self.device, -(-self.count // self._tile)
+        rays.direction, rays.first_tile = wp.array(ways, dtype=wp.vec3, device=device), first
+        rays.tiles = min(BLOCK // self._tile, tiles - first)
+        items = len(ways) * rays.tiles
+        counted = wp.empty(items, dtype=int, device=device)
+        launch(count_lit, items, [self._points, rays, counted], device=device, chunk=64)
+        ends = np.cumsum(counts := counted.numpy())
+        rays.begin = wp.array((ends - counts).astype(np.int32), dtype=int, device=device)
+        if not ends[-1]:
+            return rays, wp.empty(0, dtype=wp.bool, device=device)
+        origins, directions = (empty(int(ends[-1]), kind, device) for kind in (wp.vec3d, wp.vec3))
+        launch(write_lit, items, [self._points, rays, origins, directions], device=device, chunk=16)
+        there = self._scene.device
+        return rays, self._scene.occluded(origins.to(there), directions.to(there), traversal=self._traversal).to(device)
 
 
 def ambient_occlusion(

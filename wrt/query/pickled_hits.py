@@ -99,6 +99,11 @@ class PickledHits(Hits):
             "hits from a pickle do not hold the triangles that spawn needs; call spawn before pickling, or intersect again"
         )
 
+    @property
+    def _surface(self) -> NoReturn:  # type: ignore[override]
+        """Not available, as `spawn`."""
+        self.spawn(None)
+
     def faces(self, directions: Any) -> NoReturn:
         """Not available: the pickle does not contain the triangles.
 

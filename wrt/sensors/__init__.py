@@ -34,6 +34,7 @@ _HOME = {
     "Orthographic": "wrt.sensors.lens_models",
     "PointCloud": "wrt.clouds.point_cloud",
     "POINT_TYPE": "wrt.sensors.lidar_scan",
+    "Rig": "wrt.sensors.rigs.rig",
     "Trajectory": "wrt.sensors.trajectory",
     "deskew": "wrt.sensors.trajectory",
     "look_at": "wrt.sensors.camera_poses",

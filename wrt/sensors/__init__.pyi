@@ -19,6 +19,7 @@ from wrt.sensors.lidar_presets import LIDARS as LIDARS
 from wrt.sensors.lidar_scan import POINT_TYPE as POINT_TYPE
 from wrt.sensors.lidar_scan import LidarScan as LidarScan
 from wrt.sensors.outputs.captured_images import CameraImages as CameraImages
+from wrt.sensors.rigs.rig import Rig as Rig
 from wrt.sensors.trajectory import Trajectory as Trajectory
 from wrt.sensors.trajectory import deskew as deskew
 
@@ -38,6 +39,7 @@ __all__ = [
     "LidarScan",
     "Orthographic",
     "PointCloud",
+    "Rig",
     "Trajectory",
     "deskew",
     "look_at",

@@ -314,7 +314,7 @@ def labels_on(labels: Any, scene: Scene | PointCloud) -> wp.array:
         raise TypeError(f"labels must hold integers, not {values.dtype}")
     if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
         raise ValueError(f"labels must be {count} numbers from 0 to 2**31 - 1, one for each instance, not {labels!r:.80}")
-    return wp.array(values.astype(np.int32), dtype=int, device=scene.device)
+    return on_device(values.astype(np.int32), wp.int32, scene.device)
 
 
 def as_motions(motions: Any, scene: Scene | PointCloud, begin: float, end: float) -> Mapping[int, Trajectory]:

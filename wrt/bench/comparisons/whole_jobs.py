@@ -210,17 +210,23 @@ class Court:
         floor = self.scene.intersect(above, [0.0, 0.0, -1.0])
         points = floor.position.reshape(-1, 3)
         self.points = points[np.isfinite(points).all(axis=1)] + [0.0, 0.0, 1e-3]
+        self.floor = self.scene.intersect(above[floor.is_hit], [0.0, 0.0, -1.0])
         turn = np.linspace(-1.2, 1.2, max(4, round(100 * size)))
         suns = np.stack([np.sin(turn), 0.4 * np.ones_like(turn), np.cos(turn)], axis=-1)
         self.suns = (suns / np.linalg.norm(suns, axis=1, keepdims=True)).astype(np.float32)
 
 
 def sun_contenders(court: Court) -> list[Contender]:
-    """Hours of sun: sums for each place, in memory, and in a folder from which the job can be resumed."""
+    """Hours of sun: sums for each place, in memory, in a folder from which the job can be resumed, and by groups of weights.
+
+    Rays of one sun are neighbours: they are parallel, and those of one place are not."""
+    from wrt.analysis import exposure
     from wrt.cluster import Job
 
+    months = np.float64(np.arange(len(court.suns)) % 12 == np.arange(12)[:, None])
+
     def sums() -> Any:
-        return court.scene.occluded_blocks(court.points[:, None], court.suns, reduce="sum", axis=1)
+        return court.scene.occluded_blocks(court.points, court.suns[:, None], reduce="sum", axis=0)
 
     def in_folder() -> np.ndarray:
         with tempfile.TemporaryDirectory() as folder:
@@ -243,8 +249,9 @@ def sun_contenders(court: Court) -> list[Contender]:
         return made[0]
 
     return [
-        Contender(RAYS, lambda: court.scene.occluded(court.points[:, None], court.suns)),
+        Contender(RAYS, lambda: court.scene.occluded(court.points, court.suns[:, None])),
         Contender("sums", lambda: sums().result()),
+        Contender("exposure of 12 months", lambda: exposure(court.scene, court.floor, court.suns, weights=months)),
         Contender("sums in a folder", in_folder),
         Contender("trimesh + embreex", by_trimesh),
     ]

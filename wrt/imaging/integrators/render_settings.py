@@ -51,7 +51,8 @@ class RenderSettings:
         smooth, crease_angle: smooth normals, as in `wrt.render`.
         exposure: factor of the linear picture before tone mapping.
         tone_mapping: "srgb" (clipped), "reinhard", "aces", or "linear" for no encoding.
-        seed: of the random numbers.
+        seed: of the random numbers. Pixel p of the seed s + 1 has those of pixel p + 1 of the seed s, counted row by row; for
+            pictures that are independent, take seeds that are further apart than the number of pixels.
         wave: number of samples that are traced together; it bounds memory and does not change the picture.
         texture_memory: bytes of device memory for the images of textures, at least 131072; None: they are there as a whole. If
             they take more, tiles of 64 x 64 texels are loaded as rays need them. It does not change the picture.

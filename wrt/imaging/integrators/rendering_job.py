@@ -185,7 +185,33 @@ class Rendering(SampledPicture):
 
     def _expose(self, first: int, pixels: int, samples: int) -> None:
         """Adds this many samples to some pixels."""
-        wave, count = self._samples_of(first, self.done, samples), pixels * samples
+        self._add(self._samples_of(first, self.done, samples), pixels)
+
+    def _expose_chosen(self, chosen: np.ndarray, first: int, samples: int) -> None:
+        """Adds samples to chosen pixels only, which `done` does not count: `wrt.pictures.AdaptiveRendering` does.
+
+        Args:
+            chosen: (M,) int32 numbers of pixels, row by row.
+            first: number of the first sample, among those of a pixel.
+            samples: number of samples of each.
+        """
+        device = self._scene.device
+        with use_threads(self._scene.num_threads):
+            for begin in range(0, len(chosen), self._tile):
+                part = chosen[begin : begin + self._tile]
+                order = wp.array(part, dtype=int, device=device)
+                for sample in range(first, first + samples, self._pass):
+                    wave = self._samples_of(0, sample, min(self._pass, first + samples - sample))
+                    wave.order = order
+                    self._add(wave, len(part))
+
+    def _collected_sums(self) -> tuple[np.ndarray, np.ndarray]:
+        """(pixels, 3) and (pixels,) float32: the sums of the samples so far, and of the squares of their luminance."""
+        return self._sums[0].numpy(), self._sums[1].numpy()
+
+    def _add(self, wave: ray_queue.Wave, pixels: int) -> None:
+        """Adds the samples of a wave of some pixels."""
+        samples, count = wave.samples, pixels * wave.samples
         if not self._follow_in_tiles(wave, count):
             self._start(wave, count)
             self._wave.finish(self._tracer, self._wave.first_hits(self._tracer, self._starts_at_one_point))

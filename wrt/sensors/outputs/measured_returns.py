@@ -104,7 +104,7 @@ class MeasuredReturns(TracedLayers):
         """What is measured of all returns, as kernels see it."""
         if self._measured is not None:
             return self._measured
-        from wrt.kernels.sensors.lidar_returns import Returns, gather_returns, measure_gathered, measure_single
+        from wrt.kernels.sensors.lidar_returns import Returns, add_noise, gather_returns, measure_single
 
         _, kept, bundle = self._counts
         returns, single = Returns(), kept == bundle == 1
@@ -116,8 +116,8 @@ class MeasuredReturns(TracedLayers):
                 launch_blocks(measure_single, count, inputs, self.device)
             else:
                 launch(gather_returns, count, [*given, self._detector, returns], device=self.device, chunk=1024)
-        if not single:
-            launch(measure_gathered, self.count, [self._noise, returns], device=self.device, chunk=1024)
+        if not single or self._beams.order.size:  # else each block of beams is one of returns
+            launch_blocks(add_noise, self.count, [self._noise, returns], self.device)
         self.arrays |= {name: arrays[name] for name in ("range", "intensity")}
         self._measured = returns
         return returns

@@ -1,0 +1,1 @@
+"""Sensors that are mounted on one body."""
