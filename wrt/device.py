@@ -50,9 +50,12 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
+from wrt.engine.launch.persistent_launch import binary_parts, binary_tree
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.plan.plan import Plan, stack_levels
+from wrt.kernels.layout.binary_nodes import WIDTH
 from wrt.kernels.points.device_points import add_point_search, closest_point
+from wrt.kernels.query.binary.binary_handles import binary_handle_type, binary_instances_handle_type
 from wrt.kernels.query.device_filters import hit_where
 from wrt.kernels.query.device_functions import (
     TRIANGLE_TEST,
@@ -223,20 +226,33 @@ def handle_of(scene: SceneState, mask: int | None = None, environment: int | Non
         reason="inside a kernel",
     )
     levels = stack_levels(scene.tree.depth) if plan.accelerator == "bvh" or scene.instances else 0
+    binary = walks_binary(scene)
+    make: Any
     if scene.instances:
-        kind = launching.specialise(partial(instances_handle_type, plan.accelerator, plan.width), levels)  # type: ignore[arg-type]
+        make = partial(instances_handle_type, plan.accelerator, plan.width)
+        kind = launching.specialise(binary_instances_handle_type if binary else make, levels)  # type: ignore[arg-type]
         handle = kind()
         handle.top, handle.parts = scene.upper(), scene.lower(plan, None)
         handle.mask, handle.environment = wp.uint32(mask), environment
+        if binary:
+            handle.binary = binary_parts(scene)
     else:
         make = partial(handle_type, plan.accelerator, plan.width, shared_leaves=scene.shares_leaves)
-        kind = launching.specialise(make, levels)  # type: ignore[arg-type]
+        kind = launching.specialise(binary_handle_type if binary else make, levels)  # type: ignore[arg-type]
         handle = kind()
         handle.tree, handle.triangles = scene.tree.struct(), records_of(scene, plan, None)
+        if binary:
+            handle.nodes, handle.corners = binary_tree(scene)
     launching.specialise(partial(add_point_search, kind, plan.accelerator, plan.width), bool(scene.instances))  # type: ignore[arg-type]
     handle.mesh = scene.device_mesh
     fill_gaps(handle, scene.device)
     return handle
+
+
+def walks_binary(scene: SceneState) -> bool:
+    """Whether rays of users' kernels walk the layout of persistent threads, which is made for CUDA."""
+    is_plain = not (scene.only_single or scene.area_trees is not None or any(part.shares_leaves for part in scene.parts))
+    return scene.device.is_cuda and is_plain and scene.accelerator.kind == "bvh" and scene.width == WIDTH
 
 
 def fill_gaps(struct: Any, device: wp.Device) -> None:

@@ -11,7 +11,7 @@ TREE_REVISION = {"bvh": 1, "kdtree": 1}
 """For each family of builders: raised when a builder makes another tree of the same triangles and description. Stored trees
 of another revision (`wrt.Scene.save`, `cache=`, pickles, `wrt.disk.PartitionedScene`) are built again."""
 
-ANSWER_REVISION = 1
+ANSWER_REVISION = 2
 """Raised when a query gives other hits. Jobs (`wrt.cluster.Job`) and saved samples of another revision are refused."""
 
 SAMPLE_REVISION = 1

@@ -92,7 +92,7 @@ def test_exactly(search: wp.ref[ExactSearch], primitive: int):
     front = area_a >= zero and area_b >= zero and area_c >= zero
     back = area_a <= zero and area_b <= zero and area_c <= zero
     if (front or back) and total != zero:
-        t = ((area_a * a[2] + area_b * b[2]) + area_c * c[2]) / total
+        t = ((area_a * a[2] + area_b * b[2]) + area_c * c[2]) / total + zero  # never -0
         nearer = t < search.t or (t == search.t and (search.primitive < 0 or primitive < search.primitive))
         if nearer and t >= search.t_min:
             search.t = t

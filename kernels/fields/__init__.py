@@ -29,6 +29,7 @@ evaluates all of them. Children that are too near are pushed. Triangles of leave
 with an arc tangent by a polynomial (error 1e-8) fitted to it.
 
     cluster_moments.py   the numbers of each child of each node
+    grid_points.py       points of regular grids in blocks, and their values
     winding_walk.py      the kernel that walks a tree, by kernels/native/winding.h
     disc_samples.py      points of a surface that are apart from each other
     exposures.py         rays from surfaces to given directions, and sums of the light that arrives

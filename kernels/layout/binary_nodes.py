@@ -57,6 +57,14 @@ class PackedTriangles:
     """(slots * 3,)"""
 
 
+@wp.struct
+class BinaryPart:
+    """A geometry that instances place: its tree and its triangles."""
+
+    tree: BinaryNodes
+    triangles: PackedTriangles
+
+
 @wp.kernel
 def pack_nodes(first: int, tree: WideNodes, nodes: wp.array(dtype=wp.vec4)):
     """Writes a node. Item: a node."""

@@ -143,23 +143,43 @@ inline CUDA_CALLABLE Bits filtered(const FilterRay& ray, float x0, float x1, flo
         least_of(int_of(most(low_x, high_x)), int_of(most(low_y, high_y)), int_of(most(low_z, high_z)), ray.t_max)};
 }
 
-/// nodes: of 16 words each (wrt.kernels.layout.binary_nodes).
-template <bool FROM_ZERO> inline CUDA_CALLABLE NearAndFar meet_children(const float* nodes, int node, const FilterRay& ray)
+/// The boxes of a node's children, and their words: x and y of the first child, of the second one, and z of both.
+struct TwoBoxes {
+    Quad first, second, both;
+    int left, right;
+};
+
+/// A node of 16 words (wrt.kernels.layout.binary_nodes).
+inline CUDA_CALLABLE TwoBoxes load_boxes(const float* nodes, int node)
 {
     const float* const at = nodes + 16 * (size_t)node;
     const Quad p = load_quad(at), q = load_quad(at + 4), r = load_quad(at + 8);
 #if defined(__CUDA_ARCH__)
     const int2 child = __ldg((const int2*)(at + 12));
-    const int left = child.x, right = child.y;
+    return {p, q, r, child.x, child.y};
 #else
-    const int left = int_of(at[12]), right = int_of(at[13]);
+    return {p, q, r, int_of(at[12]), int_of(at[13])};
 #endif
+}
+
+/// A node of a wide tree of width 2 (wrt.kernels.layout.bvh_nodes).
+inline CUDA_CALLABLE TwoBoxes load_wide_boxes(const float* bounds, const int* child, int node)
+{
+    const float* const at = bounds + 12 * (size_t)node;
+    const Quad p = load_quad(at), q = load_quad(at + 4), r = load_quad(at + 8);
+    return {
+        {p.x, q.z, p.z, r.x}, {p.y, q.w, p.w, r.y}, {q.x, r.z, q.y, r.w}, child[2 * (size_t)node], child[2 * (size_t)node + 1]};
+}
+
+template <bool FROM_ZERO> inline CUDA_CALLABLE NearAndFar meet_children(const TwoBoxes& at, const FilterRay& ray)
+{
+    const Quad &p = at.first, &q = at.second, &r = at.both;
     const Bits a = filtered<FROM_ZERO>(ray, p.x, p.y, p.z, p.w, r.x, r.y),
                b = filtered<FROM_ZERO>(ray, q.x, q.y, q.z, q.w, r.z, r.w);
     const bool meets_a = a.enter <= a.leave, meets_b = b.enter <= b.leave;
     const bool swaps = meets_b & (!meets_a | (b.enter < a.enter));
     const bool any = meets_a | meets_b, both = meets_a & meets_b;
-    return {any, both, swaps ? right : left, swaps ? left : right};
+    return {any, both, swaps ? at.right : at.left, swaps ? at.left : at.right};
 }
 
 }  // namespace

@@ -352,6 +352,53 @@ template <int W> inline Floats<W> chosen(const void* row, Ints<W> which)
     return v;
 }
 
+/// Whether the CPU packs lanes of W floats by an instruction or two.
+template <int W> constexpr bool can_pack()
+{
+#if defined(__AVX512F__)
+    if (W == 16) return true;
+#endif
+#if defined(__AVX2__)
+    if (W == 8) return true;
+#endif
+    return false;
+}
+
+/// Moves the lanes of vectors that a mask selects to the first lanes, in order; what is in the others is not said.
+template <int W> struct Packing {
+    unsigned mask;
+#if defined(__AVX2__)
+    unsigned long long lanes;
+#endif
+
+    explicit Packing(unsigned mask)
+        : mask(mask)
+    {
+#if defined(__AVX2__)
+        if constexpr (W == 8) lanes = FIRST_LANES_FIRST.of[mask & 255u];
+#endif
+    }
+
+    template <class V> V operator()(V v) const
+    {
+        const auto from = __builtin_bit_cast(Ints<W>, v);
+#if defined(__AVX2__)
+        if constexpr (W == 8) return __builtin_bit_cast(V, permuted(from, lanes));
+#endif
+#if defined(__AVX512F__)
+        if constexpr (W == 16)
+            return __builtin_bit_cast(V, __builtin_ia32_compresssi512_mask(from, from, (unsigned short)mask));
+#endif
+        return v;
+    }
+};
+
+template <int W, int... I> inline Ints<W> numbered(Numbers<int, I...>) { return Ints<W> {I...}; }
+
+/// 0 .. W - 1, and the bit of each lane.
+template <int W> inline Ints<W> lane_numbers() { return numbered<W>(Lanes<W>()); }
+template <int W> inline Ints<W> lane_bits() { return Ints<W>(1) << lane_numbers<W>(); }
+
 /// a b + c, rounded once where the CPU can.
 template <class V> inline V sum_of_product(V a, V b, V c)
 {

@@ -108,34 +108,59 @@ inline CUDA_CALLABLE NearestOn<T> nearest_on_edges(const OffsetOf<T>& a, const O
 {
     const T aa = dot(a, a), bb = dot(b, b), cc = dot(c, c), one = 1.0f, zero = 0.0f;
     const OnEdge<T> ab = nearest_on_edge(a, b, aa, bb), bc = nearest_on_edge(b, c, bb, cc), ca = nearest_on_edge(c, a, cc, aa);
-    const T from_a = one - ab.place, from_b = one - bc.place, from_c = one - ca.place;
-    NearestOn<T> found = {ab.square, ab.from_second ? from_a : ab.place, zero, 0};
-    T place = ab.place;
-    if (bc.square < found.square) {
-        found = {bc.square, bc.from_second ? bc.place : from_b, bc.from_second ? from_b : bc.place, 0};
-        place = bc.place;
-    }
-    if (ca.square < found.square) {
-        found = {ca.square, zero, ca.from_second ? ca.place : from_c, 0};
-        place = ca.place;
-    }
-    found.feature = ((place > 0.0f) & (place < 1.0f)) ? 1 : 0;
-    return found;
+    const bool on_bc = bc.square < ab.square;
+    const T least = on_bc ? bc.square : ab.square;
+    const bool on_ca = ca.square < least, second = on_ca ? ca.from_second : on_bc ? bc.from_second : ab.from_second;
+    const T place = on_ca ? ca.place : on_bc ? bc.place : ab.place, rest = one - place;
+    const T of_first = second ? place : rest, of_second = second ? rest : place;
+    const T u = on_ca ? zero : on_bc ? of_first : of_second, v = on_ca ? of_first : on_bc ? of_second : zero;
+    return {on_ca ? ca.square : least, u, v, ((place > 0.0f) & (place < 1.0f)) ? 1 : 0};
+}
+
+/// The better of the nearest point of the edges and the foot on the face.
+inline CUDA_CALLABLE OnTriangle nearer_of(
+    const OnTriangle& on_edges, const Offset& a, const Offset& e1, const Offset& e2, const Foot<float>& foot)
+{
+    const float square = square_of_foot(a, e1, e2, foot);
+    const bool on_face = square <= on_edges.square * FACE_SHARE + dot(a, a) * FACE_SLACK;
+    return {on_face ? square : on_edges.square, on_face ? foot.u : on_edges.u, on_face ? foot.v : on_edges.v,
+        on_face ? 2 : on_edges.feature};
 }
 
 /// The nearest point of one triangle.
 inline CUDA_CALLABLE OnTriangle nearest_on_triangle(const Offset& a, const Offset& b, const Offset& c)
 {
-    const OnTriangle found = nearest_on_edges(a, b, c);
     const Offset e1 = b - a, e2 = c - a;
     Foot<float> foot = foot_on_plane(a, e1, e2);
     if (is_flat(foot, e1, e2)) {
         const Foot<double> exact = foot_on_plane(widened(a), widened(e1), widened(e2));
         foot = {(float)exact.u, (float)exact.v, foot.area};
     }
-    const float square = square_of_foot(a, e1, e2, foot);
-    if (square <= found.square * FACE_SHARE + dot(a, a) * FACE_SLACK) return {square, foot.u, foot.v, 2};
-    return found;
+    return nearer_of(nearest_on_edges(a, b, c), a, e1, e2, foot);
+}
+
+/// The same without float64; `is_thin` tells that it would need it.
+inline CUDA_CALLABLE OnTriangle nearest_in_float32(const Offset& a, const Offset& b, const Offset& c, bool& is_thin)
+{
+    const Offset e1 = b - a, e2 = c - a;
+    const Foot<float> foot = foot_on_plane(a, e1, e2);
+    is_thin = is_flat(foot, e1, e2);
+    return nearer_of(nearest_on_edges(a, b, c), a, e1, e2, foot);
+}
+
+/// The same, the square only.
+inline CUDA_CALLABLE float square_in_float32(const Offset& a, const Offset& b, const Offset& c, bool& is_thin)
+{
+    const float aa = dot(a, a), bb = dot(b, b), cc = dot(c, c);
+    const float ab = nearest_on_edge(a, b, aa, bb).square, bc = nearest_on_edge(b, c, bb, cc).square;
+    const float ca = nearest_on_edge(c, a, cc, aa).square;
+    float least = bc < ab ? bc : ab;
+    least = ca < least ? ca : least;
+    const Offset e1 = b - a, e2 = c - a;
+    const Foot<float> foot = foot_on_plane(a, e1, e2);
+    is_thin = is_flat(foot, e1, e2);
+    const float face = square_of_foot(a, e1, e2, foot);
+    return face <= least * FACE_SHARE + aa * FACE_SLACK ? face : least;
 }
 
 }  // namespace

@@ -273,7 +273,7 @@ inline void test_pair(const Packet<P, W, SHARED>& packet, const Bounds& bounds, 
         Floats<W> enter, leave, at = found.t;
         rows.slabs(packet, shared, f, which, enter, leave);
         at = at > enter ? at : enter;
-        at = at < leave ? at : leave;
+        at = (at < leave ? at : leave) + 0.0f;  // as `clamped`
         const Floats<W> last = load<Floats<W>>(packet.t + f);
         Ints<W> hit = inside & (enter <= leave) & (at >= load<Floats<W>>(packet.t_min + f));
         const Ints<W> number = (Ints<W>)chosen<W>(ids, which), before = load<Ints<W>>(packet.primitive + f);

@@ -22,6 +22,23 @@ template <class Points> inline CUDA_CALLABLE int point_at(const Points& points, 
     return points.order.shape[0] ? points.order.data[place] : place;
 }
 
+/// Points ahead whose positions are fetched.
+constexpr int AHEAD = 4;
+
+/// Fetches the position of the point AHEAD of a place, and where its answer goes.
+template <class Points, class Found> inline CUDA_CALLABLE void fetch_ahead(const Points& points, const Found& found, int place)
+{
+    if (place + AHEAD >= points.count) return;
+    const int i = point_at(points, place + AHEAD);
+    WRT_FETCH(points.position.data + i);
+    if (points.exact.shape[0]) WRT_FETCH(points.exact.data + i);
+    if (points.most_stride) WRT_FETCH(points.most.data + i);
+    WRT_FETCH_TO_WRITE(found.distance.data + i);
+    WRT_FETCH_TO_WRITE(found.primitive.data + i);
+    WRT_FETCH_TO_WRITE(found.uv.data + i);
+    WRT_FETCH_TO_WRITE(found.feature.data + i);
+}
+
 /// Searches a point, if it can find anything.
 template <class Space, class Points, class Kept>
 inline CUDA_CALLABLE void search_point(Space& space, const Points& points, int i, Kept& kept, const int* tried, int count)
@@ -32,25 +49,88 @@ inline CUDA_CALLABLE void search_point(Space& space, const Points& points, int i
     space.search(kept);
 }
 
+/// What was found for W points, and the vertices of the triangles less the points.
+template <int W> struct GroupAnswers {
+    float distance[W], vertices[9 * W] = {};
+    float u[W], v[W];
+    int number[W], feature[W];
+
+    template <class Space, class Kept> inline CUDA_CALLABLE void put(int i, const Space& space, const Kept& kept)
+    {
+        distance[i] = kept.distance, number[i] = kept.number;
+        if (kept.slot >= 0) put_triangle(i, space.triangle(kept.number, kept.slot));
+    }
+
+    inline CUDA_CALLABLE void put_triangle(int i, const Triangle& found)
+    {
+        for (int vertex = 0; vertex < 3; ++vertex) {
+            float* const to = vertices + 3 * W * vertex + i;
+            to[0] = found.vertex[vertex].x, to[W] = found.vertex[vertex].y, to[2 * W] = found.vertex[vertex].z;
+        }
+    }
+
+    inline CUDA_CALLABLE Offset at(int i, int vertex) const
+    {
+        const float* const from = vertices + 3 * W * vertex + i;
+        return {from[0], from[W], from[2 * W]};
+    }
+
+    inline CUDA_CALLABLE void set(int i, bool has, const OnTriangle& on)
+    {
+        u[i] = has ? on.u : 0.0f, v[i] = has ? on.v : 0.0f, feature[i] = has ? on.feature : -1;
+    }
+
+    /// Computes weights and features, all lanes at once, but for the few flat triangles.
+    inline CUDA_CALLABLE void finish()
+    {
+        int flat[W];
+        WRT_FOR_LANES (i) {
+            bool is_thin;
+            const OnTriangle on = nearest_in_float32(at(i, 0), at(i, 1), at(i, 2), is_thin);
+            set(i, number[i] >= 0, on);
+            flat[i] = (is_thin & (number[i] >= 0)) ? -1 : 0;
+        }
+        for (unsigned thin = bits<W>(flat); thin; thin &= thin - 1u) {
+            const int i = lowest_bit(thin);
+            set(i, true, nearest_on_triangle(at(i, 0), at(i, 1), at(i, 2)));
+        }
+    }
+
+    /// Writes the answers of `count` points from number `begin` of the order on.
+    template <class Points, class Found>
+    inline CUDA_CALLABLE void store(const Points& points, const Found& found, int begin, int count) const
+    {
+        for (int j = 0; j < count; ++j) {
+            const int i = point_at(points, begin + j);
+            found.distance.data[i] = distance[j];
+            found.primitive.data[i] = number[j];
+            found.uv.data[i].c[0] = u[j], found.uv.data[i].c[1] = v[j];
+            found.feature.data[i] = (signed char)feature[j];
+        }
+    }
+};
+
 /// The nearest triangles of GROUP points from number `first` of the order on. Kept: `NearestTriangle` or `CountedNearest`.
 template <class Kept, int GROUP, class Space, class Points, class Found, class Work>
 inline CUDA_CALLABLE void nearest_of_group(Space space, const Points& points, const Found& found, const Work& work, int first)
 {
+    constexpr int W = GROUP < 16 ? GROUP : 16;
     int last[2] = {-1, -1};
-    for (int place = first; place < first + GROUP && place < points.count; ++place) {
-        const int i = point_at(points, place);
-        Kept kept(points.most.data[(size_t)i * points.most_stride]);
-        search_point(space, points, i, kept, last, last[1] >= 0);
-        OnTriangle at = {0.0f, 0.0f, 0.0f, -1};
-        if (kept.slot >= 0) {
-            last[0] = kept.number, last[1] = kept.slot;
-            at = space.nearest(kept.number, kept.slot);
+    for (int begin = first; begin < first + GROUP && begin < points.count; begin += W) {
+        GroupAnswers<W> answers;
+        const int count = points.count - begin < W ? points.count - begin : W;
+        for (int j = 0; j < W; ++j) answers.number[j] = -1;
+        for (int j = 0; j < count; ++j) {
+            const int i = point_at(points, begin + j);
+            fetch_ahead(points, found, begin + j);
+            Kept kept(points.most.data[(size_t)i * points.most_stride]);
+            search_point(space, points, i, kept, last, last[1] >= 0);
+            if (kept.slot >= 0) last[0] = kept.number, last[1] = kept.slot;
+            answers.put(j, space, kept);
+            store_work(kept, work, i);
         }
-        found.distance.data[i] = kept.distance;
-        found.primitive.data[i] = kept.number;
-        found.uv.data[i].c[0] = at.u, found.uv.data[i].c[1] = at.v;
-        found.feature.data[i] = (signed char)at.feature;
-        store_work(kept, work, i);
+        answers.finish();
+        answers.store(points, found, begin, count);
     }
 }
 

@@ -71,7 +71,7 @@ template <class Found> struct TriangleRows {
     template <class Space> inline CUDA_CALLABLE void finish(const Space& space, int size) const
     {
         for (int i = 0; i < size; ++i) {
-            const OnTriangle at = space.nearest(number(i), slot(i));
+            const OnTriangle at = space.triangle(number(i), slot(i)).nearest();
             weight(i, 0) = at.u, weight(i, 1) = at.v;
             found.feature.data[begin + i] = (signed char)at.feature;
         }
@@ -113,6 +113,7 @@ template <class Found> struct NearestList : Search {
 
 /// The number of triangles within a distance; those that are in several leaves count several times.
 struct TriangleCount : Search {
+    static constexpr bool NARROWS = false;
     int size = 0;
 
     explicit CUDA_CALLABLE TriangleCount(float most) { this->most = most; }

@@ -9,13 +9,19 @@ namespace {
 /// of, by up to the root of 3; their axes may differ by 1e-6 (wrt.query.points.similar_instances).
 constexpr float INSTANCE_SLACK = 8.0f;
 
-/// The nearest point of the triangle in a slot.
+/// The vertices of a triangle, less the point.
+struct Triangle {
+    Offset vertex[3];
+
+    inline CUDA_CALLABLE OnTriangle nearest() const { return nearest_on_triangle(vertex[0], vertex[1], vertex[2]); }
+};
+
+/// The triangle in a slot.
 template <int W, int ROWS>
-inline CUDA_CALLABLE OnTriangle nearest_in_slot(const float* records, int slot, const SearchPoint& point)
+inline CUDA_CALLABLE Triangle triangle_in_slot(const float* records, int slot, const SearchPoint& point)
 {
     const float* const record = records + (size_t)(slot / W) * (ROWS * W) + slot % W;
-    const Offset a = vertex_at<W>(record, 0, point), b = vertex_at<W>(record, 1, point);
-    return nearest_on_triangle(a, b, vertex_at<W>(record, 2, point));
+    return {{vertex_at<W>(record, 0, point), vertex_at<W>(record, 1, point), vertex_at<W>(record, 2, point)}};
 }
 
 /// One tree. Kind: of the tree; W: lanes; ROWS: of a record.
@@ -56,9 +62,9 @@ template <class Kind, int W, int ROWS, class Tree, class Triangles> struct OneTr
         Kind::template walk<W, ROWS>(tree, triangles, point, kept);
     }
 
-    inline CUDA_CALLABLE OnTriangle nearest(int, int slot) const
+    inline CUDA_CALLABLE Triangle triangle(int, int slot) const
     {
-        return nearest_in_slot<W, ROWS>(triangles.records.data, slot, point);
+        return triangle_in_slot<W, ROWS>(triangles.records.data, slot, point);
     }
 };
 
@@ -183,11 +189,11 @@ template <class Kind, int W, int U, int ROWS, class Top, class Parts> struct Ins
         });
     }
 
-    inline CUDA_CALLABLE OnTriangle nearest(int number, int slot) const
+    inline CUDA_CALLABLE Triangle triangle(int number, int slot) const
     {
         const auto& place = top.placements.data[instance_of(number)];
         const auto& part = parts.data[place.geometry];
-        return nearest_in_slot<W, ROWS>(part.triangles.records.data, slot, mapped(place, part.tree));
+        return triangle_in_slot<W, ROWS>(part.triangles.records.data, slot, mapped(place, part.tree));
     }
 };
 
@@ -200,7 +206,7 @@ template <class Vec4, class Space> inline CUDA_CALLABLE Vec4 nearest_in(Space sp
         space.start(kept);
         space.search(kept);
     }
-    if (kept.slot >= 0) at = space.nearest(kept.number, kept.slot);
+    if (kept.slot >= 0) at = space.triangle(kept.number, kept.slot).nearest();
     return Vec4(kept.distance, at.u, at.v, __builtin_bit_cast(float, kept.number));
 }
 

@@ -1,42 +1,19 @@
-// Searches of the triangles near points: what is kept of them, W triangles of a block at a time, and walks of trees.
+// Searches of the triangles near points: what is kept of them, and walks of trees.
 //
 // wrt.kernels.points has the bounds of rounding by which boxes are left out. Coordinates are those of a tree. Distances are the
 // scene's: a map of an instance multiplies those in its tree by a scale, which is 1 in a scene without instances.
 #pragma once
-#include "lanes.h"
-#include "nearest_on_triangle.h"
+#include "point_blocks.h"
 #include "square_root.h"
 
 namespace wrt {
 namespace {
-
-/// Distances of boxes and of triangles may be wrong by this part of the distance of the farthest point of the scene.
-constexpr float POINT_SLACK = 1.9073486328125e-6f;
-
-/// Squares of distances below this are no normal numbers.
-constexpr float LEAST_DISTANCE = 1e-18f;
 
 /// Factor of bounds that are computed from distances, so that rounding loses nothing that is as near.
 constexpr float WIDENED = 1.000001f;
 
 /// Greatest number of inner nodes on a path from the root.
 constexpr int TREE_DEPTH = 64;
-
-/// A point; slack: POINT_SLACK of the distance of the farthest point of the tree's box, a NaN for a point that finds nothing.
-struct SearchPoint {
-    float x, y, z, slack;
-};
-
-template <class Vec3> inline CUDA_CALLABLE SearchPoint point_in(const Vec3& low, const Vec3& high, float x, float y, float z)
-{
-    const float at[3] = {x, y, z};
-    float reach = 0.0f;
-    for (int a = 0; a < 3; ++a) {
-        const float below = WRT_ABS(low.c[a] - at[a]), above = WRT_ABS(high.c[a] - at[a]);
-        reach += below > above ? below : above;
-    }
-    return {x, y, z, reach - reach == 0.0f ? reach * POINT_SLACK + LEAST_DISTANCE : WRT_NAN};
-}
 
 /// What every search has: up to which distance it looks for triangles, and the tree that it is in.
 struct Search {
@@ -46,6 +23,9 @@ struct Search {
     int first = 0;  // number of the tree's first triangle
     float limit = 0.0f;  // no box is entered whose squared distance in the tree is greater
     float bound = 0.0f;  // no triangle is kept whose squared distance in the tree is greater
+
+    /// Whether what is kept lowers the bound, so that the nearest is best kept first.
+    static constexpr bool NARROWS = true;
 
     /// Looks up to a distance of the scene.
     inline CUDA_CALLABLE void look_up_to(float distance, float slack)
@@ -89,59 +69,6 @@ struct CountedNearest : NearestTriangle {
     inline CUDA_CALLABLE void visit_leaf(int count) { ++leaves, triangles += count; }
 };
 
-/// The vertex of a record, less the point.
-template <int W> inline CUDA_CALLABLE Offset vertex_at(const float* record, int vertex, const SearchPoint& point)
-{
-    const float* const from = record + 3 * W * vertex;
-    return {from[0] - point.x, from[W] - point.y, from[2 * W] - point.z};
-}
-
-/// The W triangles of a block. records: of ROWS rows of W lanes, the first nine of which are vertices.
-template <int W, int ROWS, class Kept>
-inline CUDA_CALLABLE void search_block(const float* records, const int* ids, int block, const SearchPoint& point, Kept& kept)
-{
-    const float* const record = records + (size_t)block * (ROWS * W);
-    float square[W];
-    int flat[W], near[W];
-    const float bound = kept.bound;
-    WRT_FOR_LANES (i) {
-        const Offset a = vertex_at<W>(record + i, 0, point), b = vertex_at<W>(record + i, 1, point);
-        const Offset c = vertex_at<W>(record + i, 2, point);
-        const float aa = dot(a, a), bb = dot(b, b), cc = dot(c, c);
-        const float ab = nearest_on_edge(a, b, aa, bb).square, bc = nearest_on_edge(b, c, bb, cc).square;
-        const float ca = nearest_on_edge(c, a, cc, aa).square;
-        float least = bc < ab ? bc : ab;
-        least = ca < least ? ca : least;
-        const Offset e1 = b - a, e2 = c - a;
-        const Foot<float> foot = foot_on_plane(a, e1, e2);
-        const bool is_thin = is_flat(foot, e1, e2);
-        const float face = square_of_foot(a, e1, e2, foot);
-        flat[i] = (is_thin & (least == least)) ? -1 : 0;
-        least = ((face <= least * FACE_SHARE + aa * FACE_SLACK) & !is_thin) ? face : least;
-        square[i] = least;
-        near[i] = least <= bound ? -1 : 0;
-    }
-    unsigned left = bits<W>(near);
-    for (unsigned thin = bits<W>(flat); thin; thin &= thin - 1u) {
-        const int i = lowest_bit(thin);
-        const Offset a = vertex_at<W>(record + i, 0, point), b = vertex_at<W>(record + i, 1, point);
-        square[i] = nearest_on_triangle(a, b, vertex_at<W>(record + i, 2, point)).square;
-        left |= square[i] <= bound ? 1u << i : 0u;
-    }
-    for (; left; left &= left - 1u) {
-        const int i = lowest_bit(left), slot = block * W + i;
-        kept.keep(square[i], ids[slot], slot, point);
-    }
-}
-
-/// A leaf of some triangles, whose blocks begin at `block`.
-template <int W, int ROWS, class Triangles, class Kept>
-inline CUDA_CALLABLE void search_leaf(const Triangles& triangles, int block, int count, const SearchPoint& point, Kept& kept)
-{
-    kept.visit_leaf(count);
-    for (; count > 0; count -= W) search_block<W, ROWS>(triangles.records.data, triangles.primitive.data, block++, point, kept);
-}
-
 /// Squared distance along an axis, of an interval.
 inline CUDA_CALLABLE float outside(float low, float high, float x)
 {
@@ -149,19 +76,27 @@ inline CUDA_CALLABLE float outside(float low, float high, float x)
     return most > 0.0f ? most : 0.0f;
 }
 
-/// Keys of the children of a node that may hold something nearer: the squared distance, whose lowest bits name the child; -1 for
-/// others. Returns how many there are.
-template <int W> inline CUDA_CALLABLE int child_keys(const float* box, const SearchPoint& point, float limit, int* key)
+/// The same, from the coordinate of a point.
+inline CUDA_CALLABLE float distance_along(float low, float high, const SearchPoint& point, int axis)
+{
+    return outside(low, high, axis == 0 ? point.x : axis == 1 ? point.y : point.z);
+}
+
+/// Keys of the children of a node: the squared distance, whose lowest bits name the child; -1 for those that can hold nothing
+/// nearer. Returns a bit for each of the others.
+template <int W, class Point>
+inline CUDA_CALLABLE unsigned child_keys(const float* box, const Point& point, float limit, int* key)
 {
     int near[W];
     WRT_FOR_LANES (i) {
-        const float x = outside(box[i], box[3 * W + i], point.x), y = outside(box[W + i], box[4 * W + i], point.y);
-        const float z = outside(box[2 * W + i], box[5 * W + i], point.z), square = (x * x + y * y) + z * z;
+        const float x = distance_along(box[i], box[3 * W + i], point, 0),
+                    y = distance_along(box[W + i], box[4 * W + i], point, 1);
+        const float z = distance_along(box[2 * W + i], box[5 * W + i], point, 2), square = (x * x + y * y) + z * z;
         const bool meets = (square <= limit) & (square < WRT_INFINITY);
         near[i] = meets ? -1 : 0;
         key[i] = meets ? (__builtin_bit_cast(int, square) & ~(W - 1)) | i : -1;
     }
-    return count_bits(bits<W>(near));
+    return bits<W>(near);
 }
 
 /// Sorts keys, the greatest first.
@@ -178,35 +113,63 @@ template <int W> inline CUDA_CALLABLE void sort_keys(int* key)
 #endif
 }
 
-/// Walks a wide BVH from a node on. Children wait on a stack, those of a node sorted, the nearest on top.
+/// Children that wait, those of a node sorted, the nearest on top.
+template <int W> struct WaitingChildren {
+    int keys[TREE_DEPTH * (W - 1) + 1 + W], words[TREE_DEPTH * (W - 1) + 1 + W], size = 0;
+
+    inline CUDA_CALLABLE void put(int key, const int* child)
+    {
+        keys[size] = key, words[size] = child[key & (W - 1)];
+        ++size;
+    }
+
+    /// Puts the children of a node that are near, and returns whether there are any.
+    inline CUDA_CALLABLE bool put_near(unsigned near, int* key, const int* child)
+    {
+        const int count = count_bits(near);
+        if (count == 1) put(key[lowest_bit(near)], child);
+        else if (count == 2) {
+            const int one = key[lowest_bit(near)], other = key[lowest_bit(near & (near - 1u))];
+            put(one > other ? one : other, child);
+            put(one > other ? other : one, child);
+        } else if (count > 2) {
+            sort_keys<W>(key);
+            for (int i = 0; i < count; ++i) put(key[i], child);
+        }
+        return count > 0;
+    }
+
+    /// Takes the nearest that is within the limit; returns whether there is one.
+    inline CUDA_CALLABLE bool take(float limit, int& word)
+    {
+        while (size > 0) {
+            --size;
+            word = words[size];
+            if (__builtin_bit_cast(float, keys[size] & ~(W - 1)) <= limit) return true;
+        }
+        return false;
+    }
+};
+
+/// Walks a wide BVH from a node on.
 ///
-/// leaf(block, count): visits one. kept: `limit` says which boxes are entered, and may fall at leaves.
-template <int W, class Tree, class Kept, class Leaf>
-inline CUDA_CALLABLE void walk_boxes(const Tree& tree, int node, const SearchPoint& point, Kept& kept, const Leaf& leaf)
+/// point: one, or what has a distance from intervals. leaf(block, count): visits one. kept: `limit` says which boxes are entered,
+/// and may fall at leaves.
+template <int W, class Tree, class Point, class Kept, class Leaf>
+inline CUDA_CALLABLE void walk_boxes(const Tree& tree, int node, const Point& point, Kept& kept, Leaf&& leaf)
 {
-    int keys[TREE_DEPTH * (W - 1) + 1 + W], nodes[TREE_DEPTH * (W - 1) + 1 + W], size = 0;
+    WaitingChildren<W> waiting;
     const float* const bounds = tree.bounds.data;
     const int* const child = tree.child.data;
     while (true) {
+        int key[W];
         kept.visit_node();
-        const int count = child_keys<W>(bounds + (size_t)node * (6 * W), point, kept.limit, keys + size);
-        if (count > 1) sort_keys<W>(keys + size);
-        else if (count == 1) {
-            int only = -1;
-            for (int i = 0; i < W; ++i) only = keys[size + i] > only ? keys[size + i] : only;
-            keys[size] = only;
-        }
-        for (int i = 0; i < W; ++i) nodes[size + i] = node;
-        size += count;
-        node = -1;
-        while (size > 0 && node < 0) {
-            --size;
-            if (!(__builtin_bit_cast(float, keys[size] & ~(W - 1)) <= kept.limit)) continue;
-            const int word = child[nodes[size] * W + (keys[size] & (W - 1))];
-            if (word >= 0) node = word;
-            else leaf(~word >> 6, ~word & 63);
-        }
-        if (node < 0) return;
+        const unsigned near = child_keys<W>(bounds + (size_t)node * (6 * W), point, kept.limit, key);
+        waiting.put_near(near, key, child + (size_t)node * W);
+        do {
+            if (!waiting.take(kept.limit, node)) return;
+            if (node < 0) leaf(~node >> 6, ~node & 63);
+        } while (node < 0);
     }
 }
 
@@ -218,7 +181,7 @@ struct WaitingCell {
 
 /// Walks a kd-tree, the nearer child first; arguments as in `walk_boxes`.
 template <class Tree, class Kept, class Leaf>
-inline CUDA_CALLABLE void walk_cells(const Tree& tree, const SearchPoint& point, Kept& kept, const Leaf& leaf)
+inline CUDA_CALLABLE void walk_cells(const Tree& tree, const SearchPoint& point, Kept& kept, Leaf&& leaf)
 {
     const float at[3] = {point.x, point.y, point.z};
     WaitingCell stack[TREE_DEPTH + 1], cell = {tree.root, {}};
@@ -251,8 +214,9 @@ struct BoxTree {
     template <int W, int ROWS, class Tree, class Triangles, class Kept>
     static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept)
     {
-        const auto leaf = [&](int block, int count) { search_leaf<W, ROWS>(triangles, block, count, point, kept); };
-        walk_boxes<W>(tree, 0, point, kept, leaf);
+        LeafSearch<W, ROWS, Triangles, Kept> search(triangles, point, kept);
+        walk_boxes<W>(tree, 0, point, kept, search);
+        search.finish();
     }
 };
 
@@ -260,8 +224,9 @@ struct CellTree {
     template <int W, int ROWS, class Tree, class Triangles, class Kept>
     static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept)
     {
-        const auto leaf = [&](int block, int count) { search_leaf<W, ROWS>(triangles, block, count, point, kept); };
-        walk_cells(tree, point, kept, leaf);
+        LeafSearch<W, ROWS, Triangles, Kept> search(triangles, point, kept);
+        walk_cells(tree, point, kept, search);
+        search.finish();
     }
 };
 

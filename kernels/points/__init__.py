@@ -20,17 +20,22 @@ Then |a|, |b|, |c| <= R, and
 
     computed distance of a triangle  >=  true distance - 16 u R
     computed distance of a box       <=  true distance + 3 u R
+    computed min(a.a, a.b, a.c)/|a|  <=  true distance + 10 u R
 
-as a vertex has an error of u R, a sum of it and two weighted edges at most ten more of that size, and a square and its root two
-each. A box is left out if it is farther than the best triangle by more than 32 u R = 2^-19 R. No triangle that is as near, as
-computed, is in it. So every tree, every width and brute force give the same triangle, with the same bits, whichever way they
-take. Of triangles at the same computed distance, the one with the smallest id is kept. Squares of distances below 1e-18 are no
-normal numbers, so the bound adds that.
+as a vertex has an error of u R, a sum of it and two weighted edges at most ten more of that size, a product a.b at most
+5 u |a| R, and a square and its root two each. The third line is the distance of the nearest vertex along the line to a: no
+point of the triangle is nearer along it. A box is left out if it is farther than the best triangle by more than
+32 u R = 2^-19 R, and a triangle if its own box or that vertex is. No triangle that is as near, as computed, is left out with
+it. So every tree, every width and brute force give the same triangle, with the same bits, whichever way they take. Of
+triangles at the same computed distance, the one with the smallest id is kept. Squares of distances below 1e-18 are no normal
+numbers, so the bound adds that.
 
 **Search.** Depth first. The children of a wide node are tested in lanes, their squared distances sorted in a register, and
 pushed so that the nearest is on top. In a kd-tree, the nearer child comes first, and a cell's distance is kept axis by axis
 (Arya and Mount 1993). Points are sorted by cells along a Morton curve, and each begins with the triangles that were nearest to
-the one before it: its first bound is nearly final (`wrt.kernels.points.point_order`). The k nearest triangles are kept sorted,
+the one before it: its first bound is nearly final (`wrt.kernels.points.point_order`). In a leaf, the last two lines above leave
+out most triangles, without a division; the others wait side by side until they fill a register, and are tested together. Points
+of a grid walk the tree in packets of W, and each triangle is tested for all of them. The k nearest triangles are kept sorted,
 and the bound is the distance of the last; those within a distance are counted, then listed, sorted, and each kept once.
 
 **Instances.** A map that keeps angles scales all distances alike. A BVH over the boxes of the instances is walked in the same
@@ -50,7 +55,7 @@ finds nothing, nor does one farther than 1.8e19 from all triangles: its square o
     device_points.py    points in your own kernels
     exact_points.py     the nearest triangle in float64
     point_gradients.py  closest points of given triangles, with adjoints
-    tree_points.py      the kernels that walk trees, by kernels/native/point_groups.h
+    tree_points.py      the kernels that walk trees, by kernels/native/point_groups.h and point_packets.h
 
 References: ericson-2005 (section 5.1.5); arya-mount-1993; morton-1966.
 """

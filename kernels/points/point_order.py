@@ -35,9 +35,18 @@ def cell_of(offset: float, scale: float):
 
 
 @wp.kernel
-def find_cells(first: int, position: wp.array(dtype=wp.vec3), low: wp.vec3, scale: wp.vec3, cell: wp.array(dtype=int)):
-    """Writes the number of a point's cell along the curve. Item: a point."""
+def find_cells(
+    first: int,
+    position: wp.array(dtype=wp.vec3),
+    low: wp.vec3,
+    scale: wp.vec3,
+    cell: wp.array(dtype=int),
+    number: wp.array(dtype=int),
+):
+    """Writes the number of a point's cell along the curve, and the point's own, if there is room. Item: a point."""
     i = first + wp.tid()
+    if number.shape[0] > 0:
+        number[i] = i
     place = position[i] - low
     cell[i] = 4 * cell_of(place[0], scale[0]) + 2 * cell_of(place[1], scale[1]) + cell_of(place[2], scale[2])
 
@@ -53,9 +62,9 @@ def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
     on_cuda = device.is_cuda
     cell = wp.empty(2 * count if on_cuda else count, dtype=int, device=device)  # Warp's sort needs twice the space
     scale = wp.vec3(*(float(CELLS) / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
-    launch(find_cells, count, [position, low, scale, cell], device=device, chunk=4096)
+    order = wp.empty(2 * count if on_cuda else 0, dtype=int, device=device)
+    launch(find_cells, count, [position, low, scale, cell, order], device=device, chunk=4096)
     if on_cuda:
-        order = wp.array(np.arange(2 * count, dtype=np.int32), dtype=int, device=device)
         wp.utils.radix_sort_pairs(cell, order, count)
         return order[:count]
     return wp.array(np.argsort(cell.numpy().astype(np.uint16), kind="stable").astype(np.int32), dtype=int, device=device)

@@ -108,7 +108,14 @@ SEARCHES = {
 
 
 _handles: set[type] = set()
-"""The structs that `handle_type` has made."""
+"""The structs of handles that were made."""
+
+
+def register_handle(made: type) -> type:
+    """The struct of a class of handles, which `is_handle` knows from now on."""
+    handle = wp.struct(made)
+    _handles.add(handle)
+    return handle
 
 
 def is_handle(value: Any) -> bool:
@@ -133,8 +140,7 @@ def handle_type(kind: str, width: int, levels: int, shared_leaves: bool = False)
         mesh: SceneMesh
 
     Handle.__qualname__ = f"Handle_{kind}_{width}_{levels}" + ("_shared" if shared_leaves else "")
-    handle = wp.struct(Handle)
-    _handles.add(handle)
+    handle = register_handle(Handle)
     for answer, search in SEARCHES.items():
         shared = shared_leaves and answer.once
         config = TraversalConfig(TRIANGLE_TEST, width, answer.name, False, shared_leaves=shared, stack=StackConfig(levels))
@@ -161,8 +167,7 @@ def instances_handle_type(kind: str, width: int, levels: int) -> type:
         environment: int
 
     InstancesHandle.__qualname__ = f"InstancesHandle_{kind}_{width}_{levels}"
-    handle = wp.struct(InstancesHandle)
-    _handles.add(handle)
+    handle = register_handle(InstancesHandle)
     for answer, search in SEARCHES.items():
         config = TraversalConfig(TRIANGLE_TEST, width, answer.name, coherent=False, stack=StackConfig(levels))
         search.add_overload(make_instances_search(handle, make_instance_walk(config, kind, levels), answer.Search))

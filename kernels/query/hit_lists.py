@@ -7,7 +7,7 @@ their final positions.
 
 import warp as wp
 
-from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -98,6 +98,30 @@ def gather_hits(first: int, found: HitBatch, order: wp.array(dtype=int), offsets
 
 
 @wp.kernel
+def sort_lists(first: int, found: HitBatch):
+    """Sorts the hits of a ray, from `begins` on. Item: a ray."""
+    i = first + wp.tid()
+    sort_hits(found, found.begins[i], found.counts[i])
+
+
+@wp.kernel
+def lengths_of_lists(first: int, counts: wp.array(dtype=int), most: int, lengths: wp.array(dtype=wp.int64)):
+    """Writes the length of a ray's list, at most `most`, and 0 after the last one. Item: an element of `lengths`."""
+    i = first + wp.tid()
+    length = int(0)
+    if i < counts.shape[0]:
+        length = wp.min(counts[i], most)
+    lengths[i] = wp.int64(length)
+
+
+@wp.kernel
+def narrow_offsets(first: int, offsets: wp.array(dtype=wp.int64), begins: wp.array(dtype=int)):
+    """Copies the first index of a list; only sums below 2^31 are of use. Item: a list."""
+    i = first + wp.tid()
+    begins[i] = int(offsets[i])
+
+
+@wp.kernel
 def number_rays(first: int, offsets: wp.array(dtype=wp.int64), ray_id: wp.array(dtype=int)):
     """Writes the number of a ray to each of its hits. Item: a ray."""
     i = first + wp.tid()
@@ -129,8 +153,33 @@ def decide_inside(first: int, counts: wp.array(dtype=int), rule: int, inside: wp
 
 
 @wp.kernel
-def aim_outwards(first: int, rays: RayBatch, direction: wp.vec3, directions: wp.array(dtype=wp.vec3)):
-    """Writes `direction` or its opposite, whichever points away from the scene's centre at the ray's origin. Item: a ray."""
+def find_unequal(first: int, one: wp.array(dtype=wp.bool), other: wp.array(dtype=wp.bool), unequal: wp.array(dtype=int)):
+    """Writes whether two answers differ, as 0 or 1. Item: a ray."""
     i = first + wp.tid()
-    offset = wp.vec3(wp.vec3d(rays.origins[i * rays.origin_stride]) - rays.center)
+    unequal[i] = wp.where(one[i] == other[i], 0, 1)
+
+
+@wp.kernel
+def list_marked(first: int, marked: wp.array(dtype=int), places: wp.array(dtype=int), numbers: wp.array(dtype=int)):
+    """Writes the number of an item that is marked by 1, at its place. Item: an element."""
+    i = first + wp.tid()
+    if marked[i] != 0:
+        numbers[places[i] - 1] = i
+
+
+@wp.kernel
+def aim_outwards(
+    first: int,
+    origins: wp.array(dtype=wp.vec3),
+    stride: int,
+    center: wp.vec3d,
+    direction: wp.vec3,
+    directions: wp.array(dtype=wp.vec3),
+):
+    """Writes `direction` or its opposite, whichever points away from the scene's centre at the ray's origin. Item: a ray.
+
+    origins: (N,), or (1,) with a stride of 0; center: subtracted from them.
+    """
+    i = first + wp.tid()
+    offset = wp.vec3(wp.vec3d(origins[i * stride]) - center)
     directions[i] = wp.where(wp.dot(offset, direction) < 0.0, -direction, direction)

@@ -119,8 +119,9 @@ def cross_plane(slabs: wp.ref[RaySlabs], axis: int, position: float) -> wp.vec3:
 
 @wp.func
 def clamp_to_box(slabs: RaySlabs, low: wp.vec3, high: wp.vec3, t: float):
-    """The t of a candidate hit on a triangle with this box, by the consistency rule; NaN if the candidate is not a hit."""
+    """The t of a candidate hit on a triangle with this box, by the consistency rule; NaN if the candidate is not a hit.
+    It is never -0."""
     interval = slab_interval(slabs, low, high)
     result = wp.where(t > interval[0], t, interval[0])
-    result = wp.where(result < interval[1], result, interval[1])
+    result = wp.where(result < interval[1], result, interval[1]) + 0.0
     return wp.where(interval[0] <= interval[1], result, wp.nan)

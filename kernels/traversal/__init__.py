@@ -181,10 +181,12 @@ TRAVERSALS: dict[str, Traversal] = {
             "persistent",
             "Aila, Laine: Understanding the efficiency of ray traversal on GPUs (2009)",
             {"bvh": make_persistent_kernel},
-            capabilities=Capabilities.PERSISTENT | Capabilities.FRONT_FACES,
+            capabilities=Capabilities.PERSISTENT | Capabilities.CUDA_INSTANCES,
+            each_hit=("bvh",),
             orders=(AS_GIVEN,),
             triangle_tests=("woop",),
             width=binary_nodes.WIDTH,
+            two_level=("bvh",),
             score=score_persistent,
         ),
         Traversal(

@@ -267,7 +267,7 @@ def score_single(situation: Situation) -> tuple[float, str] | None:
 
 def score_persistent(situation: Situation) -> tuple[float, str] | None:
     """On CUDA, persistent threads suit all rays (notebooks/records/2026-11-27-gpu-traversal.md)."""
-    if not situation.is_cuda or situation.instances or situation.own_spaces:
+    if not situation.is_cuda or situation.own_spaces:
         return None
     return PERSISTENT_THREADS, "persistent CUDA threads"
 

@@ -30,6 +30,8 @@ from wrt.kernels.pairs.pair_walk import make_meeting_kernel, make_nearest_kernel
 from wrt.kernels.points.device_points import add_point_search
 from wrt.kernels.points.exact_points import make_exact_points_kernel
 from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
+from wrt.kernels.query.binary.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
+from wrt.kernels.query.binary.binary_handles import binary_handle_type, binary_instances_handle_type
 from wrt.kernels.query.device_functions import handle_type, instances_handle_type
 from wrt.kernels.runtime import native
 from wrt.kernels.simd.box_lanes import ray_boxes
@@ -37,6 +39,7 @@ from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.persistent.persistent_bvh import make_persistent_instance_kernel
 from wrt.kernels.traversal.shadows.light_buffer_lanes import make_lane_kernel
 from wrt.kernels.traversal.shadows.multi_frusta import make_multi_frusta_kernel
 from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, StackConfig, TraversalConfig
@@ -84,6 +87,8 @@ def make_all_kernels() -> list[wp.Kernel]:
     for tree in TREES:
         add_point_search(handle_type(tree, WIDTH, 8), tree, WIDTH, False)
         add_point_search(instances_handle_type(tree, WIDTH, 8), tree, WIDTH, True)
+    kernels += [binary_handle_type(8), binary_instances_handle_type(8)]
+    kernels += [make_persistent_instance_kernel(config, 8), make_binary_exact_kernel(8), make_binary_exact_instance_kernel(8)]
     return kernels
 
 

@@ -45,13 +45,14 @@ from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.exact_points import make_exact_points_kernel
 from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
 from wrt.kernels.query import instance_exact, instance_gradients
+from wrt.kernels.query.binary.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
 from wrt.kernels.runtime import options
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.fan_brute_force import NORMALS, VERTICES, make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK, BLOCKS
+from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK, BLOCKS, make_persistent_instance_kernel
 from wrt.kernels.traversal.shadows import light_buffer_lanes, light_buffer_query, multi_frusta
 from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level import instance_single
@@ -208,7 +209,7 @@ def test_builders(name, tmp_path):
 
 POINTS = [
     *((tree, "nearest", instances) for tree in TREES for instances in (False, True)),
-    *(("bvh", task, False) for task in TASKS if task != "nearest"),
+    *(("bvh", task, False) for task in TASKS if task not in ("nearest", "packets")),
 ]
 EXACT_POINTS = (("kdtree", "nearest", False), ("bvh", "nearest", True), ("kdtree", "some", True))
 
@@ -241,11 +242,11 @@ BOX_PLANES = 12
 """Fused multiply-adds in a node's step: a plane each of the boxes of two children; one, where their function is not inlined."""
 
 
-def assert_fuses_boxes_alone(text: str) -> None:
-    """Of persistent threads: the step of a node fuses, and nothing else does."""
+def assert_fuses_boxes_alone(text: str, walks: int = 1) -> None:
+    """Of persistent threads: the steps of nodes in so many walks fuse, and nothing else does."""
     fused = FUSIBLE.findall(text)
     assert set(fused) == {"fma.rn.f32"}
-    assert len(fused) in (1, BOX_PLANES)
+    assert len(fused) in (1, walks * BOX_PLANES)
 
 
 def test_persistent_threads_have_bounded_registers(tmp_path):
@@ -280,6 +281,24 @@ def test_persistent_threads(traversal, case, tmp_path):
     text = compile_to_ptx(answers(traversal)[case].module, tmp_path)
     assert ".entry" in text
     assert_fuses_boxes_alone(text)
+
+
+@pytest.mark.parametrize("query", QUERIES)
+def test_persistent_threads_through_instances(query, tmp_path):
+    """Answers are those of one level; rays that skip a triangle, and culling, are compiled with some of them."""
+    nearest = query in (CLOSEST, ANY)
+    config = TraversalConfig("woop", 2, query, cull_backfaces=nearest, skipping=nearest, stack=StackConfig(24))
+    text = compile_to_ptx(make_persistent_instance_kernel(config, 8).module, tmp_path)
+    assert ".entry" in text
+    assert_fuses_boxes_alone(text)
+
+
+@pytest.mark.parametrize("make", [make_binary_exact_kernel, make_binary_exact_instance_kernel])
+def test_persistent_threads_in_float64(make, tmp_path):
+    text = compile_to_ptx(make(24).module, tmp_path)
+    assert ".entry" in text
+    assert_fuses_boxes_alone(text)
+    assert not re.search(r"\b(?:fma\.rn|mad|mul|add|sub)\.f64", text)
 
 
 SKIPPING = TraversalConfig("woop", 2, "count", skipping=True, stack=StackConfig(8))

@@ -98,3 +98,18 @@ def test_the_distance_of_a_box_is_never_much_too_large(scale):
     true = np.linalg.norm(np.maximum(np.maximum(exact[0] - exact[2], exact[2] - exact[1]), 0.0), axis=1)
     reach = np.maximum(np.abs(exact[0] - exact[2]), np.abs(exact[1] - exact[2])).sum(axis=1)
     assert ((np.sqrt(square.astype(np.float64)) - true) / (UNIT * reach)).max() < 3.0
+
+
+def test_the_nearest_vertex_along_a_line_is_never_much_too_far():
+    """The formula of kernels/native/point_blocks.h in float32: at most 10 u R above the true distance of the triangle."""
+    corners = hostile_triangles(60_000)
+    dots = [(corners[:, 0] * other).astype(np.float32) for other in (corners[:, 0], corners[:, 1], corners[:, 2])]
+    aa, ab, ac = ((each[:, 0] + each[:, 1]) + each[:, 2] for each in dots)
+    least = np.minimum(np.minimum(aa, ab), ac)
+    counts = least > 1e-15
+    assert counts.mean() > 0.2
+    true, reach = np.sqrt(squares(corners.astype(np.float64))), np.abs(corners.astype(np.float64)).max(axis=1).sum(axis=1)
+    along = least[counts].astype(np.float64) / np.sqrt(aa[counts].astype(np.float64))
+    over = (along - true[counts]) / (UNIT * reach[counts])
+    assert 0.2 < over.max() < 10.0
+    assert np.median(along / true[counts]) > 0.5, "the bound leaves something out"

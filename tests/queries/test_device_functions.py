@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import warp as wp
 from conftest import DEVICES, degenerate_soup, mixed_rays
-from test_cuda_compiles import compile_to_ptx
+from test_cuda_compiles import assert_fuses_boxes_alone, compile_to_ptx
 
 import wrt
+from wrt.kernels.query.binary.binary_handles import binary_handle_type, binary_instances_handle_type
 from wrt.kernels.query.device_functions import handle_type
 
 TREES = {"keys": wrt.Bvh(), "stack": wrt.Bvh(width=4), "kdtree": wrt.KdTree()}
@@ -105,12 +106,12 @@ def outputs(count: int, device: str) -> dict[str, wp.array]:
     return arrays | {"lists": wp.zeros((count, ROOM), dtype=wrt.device.Hit, device=device)}
 
 
-def answers(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray, t_max: np.ndarray) -> SimpleNamespace:
+def answers(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray, t_max: np.ndarray, **sight: int) -> SimpleNamespace:
     """What the kernel finds, as NumPy arrays."""
     arrays = outputs(len(origins), str(scene.device))
     for name, values in (("origins", origins), ("directions", directions), ("t_max", t_max)):
         arrays[name].assign(values)
-    wrt.device.launch(ask_everything, len(origins), [scene.handle(), *arrays.values()], device=scene.device)
+    wrt.device.launch(ask_everything, len(origins), [scene.handle(**sight), *arrays.values()], device=scene.device)
     return SimpleNamespace(**{name: values.numpy() for name, values in arrays.items()})
 
 
@@ -176,6 +177,43 @@ def test_cuda(tmp_path):
     assert ".entry" in text
     assert "fma.rn.f32" not in text
     assert not re.search(r"\.shared.*words", text)
+
+
+@pytest.mark.parametrize("make", [binary_handle_type, binary_instances_handle_type])
+def test_binary_nodes_on_cuda(make, tmp_path):
+    """Nothing but the boxes of nodes fuses."""
+    kernel = wrt.device.kernel(ask_everything.func)
+    kernel.add_overload(kernel.infer_argument_types([0, make(24)(), *outputs(0, "cpu").values()]))
+    text = compile_to_ptx(kernel.module, tmp_path)
+    assert ".entry" in text
+    assert_fuses_boxes_alone(text, walks=5)
+
+
+@pytest.mark.parametrize("placed", [False, True], ids=["meshes", "instances"])
+def test_binary_nodes(placed, monkeypatch):
+    """The layout of CUDA gives the answers of the wide tree, here walked on the CPU."""
+    meshes, tree, rng = two_meshes(0.0 if placed else 1e7), wrt.Bvh(width=2, max_leaf_triangles=2), np.random.default_rng(3)
+    instances = []
+    for number in range(6):
+        place = np.eye(4)
+        place[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0] * rng.uniform(0.5, 2.0, 3)
+        place[:3, 3] = rng.uniform(-2.0, 2.0, 3)
+        sight = {"mask": int(rng.integers(1, 4)), "environment": int(rng.integers(-1, 2))}
+        instances.append(wrt.Instance(meshes[number % 2], place, **sight))
+    scene = wrt.Scene(instances if placed else meshes, tree, device="cpu")
+    origins, directions = mixed_rays(wrt.TriangleMesh.concatenate(two_meshes(0.0)), 3001, seed=4)
+    origins = origins.astype(np.float64) + (0.0 if placed else 1e7)
+    t_max = np.where(np.arange(3001) % 3, np.inf, 0.9).astype(np.float32)
+    t_max[:2] = np.nan, 0.05
+    for sight in ({}, {"mask": 1}, {"environment": 1}) if placed else ({},):
+        found = []
+        for binary in (False, True):
+            monkeypatch.setattr(wrt.device, "walks_binary", lambda _, binary=binary: binary)
+            found.append(answers(scene, origins, directions, t_max, **sight))
+        assert found[0].occluded.mean() > 0.1
+        assert found[0].counts.max() > 1
+        for name, expected in vars(found[0]).items():
+            assert getattr(found[1], name).tobytes() == expected.tobytes(), name
 
 
 @wp.kernel(enable_backward=False)

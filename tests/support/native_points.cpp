@@ -1,5 +1,6 @@
 // Instantiates the header of kernels/points; see native_headers.cpp.
 #include "exact_points.h"
+#include "point_packets.h"
 
 struct Vec2 {
     float c[2];
@@ -116,6 +117,10 @@ void search_trees(const WideTree& boxes, const KdTree& cells, const Triangles& t
 {
     search(wrt::one_tree<wrt::BoxTree, WIDTH, 9>(boxes, triangles), points, lists, work);
     search(wrt::one_tree<wrt::CellTree, WIDTH, 9>(cells, triangles), points, lists, work);
+#if WRT_VECTORS
+    const auto tree = wrt::one_tree<wrt::BoxTree, WIDTH, 9>(boxes, triangles);
+    wrt::nearest_of_packets<WIDTH, 32, 9>(tree, points, lists.found, 0);
+#endif
 }
 
 void search_instances(const Top& top, const Array<Part<WideTree>>& boxes, const Array<Part<KdTree>>& cells,

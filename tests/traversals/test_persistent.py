@@ -3,7 +3,10 @@ same, with one ray an item; on CUDA the launch, its counter and its votes are te
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import hostile_rays
 import numpy as np
@@ -14,10 +17,17 @@ from hostile_rays import KINDS, MESHES, HostileRays
 
 import wrt
 from wrt.accelerators.cuda_trees import LEAF_TRIANGLES, for_device
+from wrt.engine.executor import on_device
+from wrt.engine.facts.query_kinds import Query
+from wrt.engine.plan.choices import find_plan
+from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout import binary_nodes
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK
 from wrt.kernels.traversal.traversal_scores import Situation
+from wrt.query import exact_hits
+from wrt.query.inside import RULES
+from wrt.query.skip import skipped_triangles, trace_skipping
 
 NAME = "persistent"
 CUDA = [name for name in DEVICES if name != "cpu"]
@@ -35,6 +45,12 @@ def scene_of(name: str, device: str, leaf: int = LEAF_TRIANGLES) -> wrt.Scene:
     return _scenes[key]
 
 
+def assert_same_lists(found: wrt.AllHits, expected: wrt.AllHits) -> None:
+    """Equal to the bit."""
+    for name in ("offsets", "t", "primitive_id", "instance_id", "uv"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", MESHES)
 def test_hostile_rays_have_the_hits_of_brute_force(name, kind, device):
@@ -44,6 +60,9 @@ def test_hostile_rays_have_the_hits_of_brute_force(name, kind, device):
     expected = brute_force(scene, rays)
     assert_same_hits(scene.intersect(rays, traversal=NAME), expected)
     np.testing.assert_array_equal(scene.occluded(rays, traversal=NAME), expected.is_hit)
+    listed = scene.intersect_all(rays, traversal="brute")
+    np.testing.assert_array_equal(scene.count(rays, traversal=NAME), listed.count)
+    assert_same_lists(scene.intersect_all(rays, traversal=NAME), listed)
     if device != "cpu":  # the bits of the CPU
         assert_same_hits(scene.intersect(rays), scene_of(name, "cpu").intersect(rays, traversal=NAME))
 
@@ -72,6 +91,147 @@ def test_few_triangles(count, device):
     scene = wrt.Scene(mesh, wrt.Bvh(width=2), device=device)
     rays = wrt.Rays(*HostileRays(mesh, 200).to_edges())
     assert_same_hits(scene.intersect(rays, traversal=NAME), scene.intersect(rays, traversal="brute"))
+
+
+@pytest.mark.parametrize("most", [1, 3, None])
+def test_lists_of_all_hits(most, device):
+    """Long lists and short ones, and the nearest hits of each."""
+    mesh = MESHES["coincident"]()
+    scene = scene_of("coincident", device)
+    origins, directions = HostileRays(mesh, 200).to_edges()
+    rays = wrt.Rays(origins, directions, 0.0, np.where(np.arange(200) % 3, np.inf, 0.0).astype(np.float32))
+    expected = scene.intersect_all(rays, traversal="brute", max_hits=most)
+    assert len(expected) > 50
+    assert_same_lists(scene.intersect_all(rays, traversal=NAME, max_hits=most), expected)
+    few = wrt.Rays(np.zeros((0, 3)), np.zeros((0, 3)))
+    assert len(scene.intersect_all(few, traversal=NAME)) == 0
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_points_inside(rule, device):
+    scene = scene_of("hills", device)
+    points = np.random.default_rng(2).uniform(*scene.bounds, (3000, 3))
+    inside = scene.contains(points, traversal="brute", rule=rule)
+    np.testing.assert_array_equal(scene.contains(points, traversal=NAME, rule=rule), inside)
+
+
+@pytest.mark.parametrize("placed", [False, True], ids=["one mesh", "instances"])
+def test_rays_skip_a_triangle(placed, device):
+    """Closest hits, occlusion and counts, of rays that start on triangles, by the same plan on every device."""
+    mesh = MESHES["hills"]()
+    scene = instances_of(7, device)[0] if placed else scene_of("hills", device)
+    rays = wrt.Rays(*HostileRays(mesh, 1000).from_vertices())
+    starts = scene.intersect(rays)
+    assert starts.is_hit.mean() > 0.3
+    for kind in ("closest", "any", "count"):
+        query = Query(kind, skip=starts)
+        brought = on_device(scene.state, rays, query)
+        skipped = skipped_triangles(starts, scene.state, brought)
+        found = []
+        for name in (NAME, "single"):
+            plan = find_plan(scene.state, brought.facts, Query(kind, name)).plan
+            hits = trace_skipping(scene.state, plan, brought.batch, kind, skipped)
+            found.append([getattr(hits, column).numpy() for column in ANSWERS[kind].columns])
+        for ours, theirs in zip(*found, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    if not placed:
+        kept = scene.intersect(rays, skip=starts)
+        assert not (kept.is_hit & (kept.primitive_id == starts.primitive_id)).any()
+
+
+def instances_of(count: int, device: str) -> tuple[wrt.Scene, wrt.Rays]:
+    """Three meshes under maps of every kind, mirrored ones too, with masks and environments, and rays at them."""
+    rng = np.random.default_rng(count)
+    meshes = [MESHES[name]() for name in ("hills", "flat", "coincident")]
+    placed = []
+    for number in range(count):
+        across, _, along = np.linalg.svd(rng.normal(size=(3, 3)))
+        place = np.eye(4)
+        place[:3, :3] = across @ along * rng.uniform(0.5, 2.0, 3) * rng.choice([-1.0, 1.0])
+        place[:3, 3] = rng.uniform(-3.0, 3.0, 3)
+        sight = {"mask": int(rng.integers(1, 8)), "environment": int(rng.integers(-1, 3))}
+        placed.append(wrt.Instance(meshes[number % 3], place, **sight))
+    scene = wrt.Scene(placed, wrt.Bvh(width=2, max_leaf_triangles=LEAF_TRIANGLES), device=device)
+    low, high = scene.bounds
+    flat = scene.state.flattened().vertices
+    origins, towards = rng.uniform(low - 1.0, high + 1.0, (2000, 3)), flat[rng.integers(0, len(flat), 2000)]
+    origins[::11] = towards[::11]
+    directions = towards - origins
+    directions[::3] = rng.normal(size=directions[::3].shape)
+    directions[1::7] *= 2.0**40
+    directions[2::7] *= 2.0**-40
+    ends = np.where(np.arange(2000) % 2, np.inf, 1.0).astype(np.float32)
+    return scene, wrt.Rays(origins.astype(np.float32), directions.astype(np.float32), 0.0, ends)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 60])
+def test_through_instances(count, device):
+    """The hits of single rays, with masks, environments and back faces left out."""
+    scene, rays = instances_of(count, device)
+    rng = np.random.default_rng(0)
+    masks, environments = rng.integers(0, 8, 2000).astype(np.uint32), rng.integers(-1, 4, 2000)
+    for sight in ({}, {"mask": masks}, {"environment": environments}, {"mask": 3, "environment": 1}):
+        expected = scene.intersect(rays, traversal="single", **sight)
+        found = scene.intersect(rays, traversal=NAME, **sight)
+        assert_same_hits(found, expected)
+        np.testing.assert_array_equal(found.instance_id, expected.instance_id)
+        np.testing.assert_array_equal(scene.occluded(rays, traversal=NAME, **sight), expected.is_hit)
+        counts = scene.count(rays, traversal="single", **sight)
+        np.testing.assert_array_equal(scene.count(rays, traversal=NAME, **sight), counts)
+        fronts = scene.intersect(rays, traversal="single", cull_backfaces=True, **sight)
+        assert_same_hits(scene.intersect(rays, traversal=NAME, cull_backfaces=True, **sight), fronts)
+    lists = scene.intersect_all(rays, traversal="single")
+    assert lists.count.max() > 2
+    assert_same_lists(scene.intersect_all(rays, traversal=NAME), lists)
+
+
+def plan_of(find: Callable, traversal: str, scene: Any, rays: Any, query: Query) -> Any:
+    """What `find` finds for a traversal."""
+    return find(scene, rays, query._replace(traversal=traversal))
+
+
+@pytest.mark.parametrize("name", [*MESHES, "instances"])
+def test_hits_in_float64(name, device, monkeypatch):
+    """Those of single rays, to the bit."""
+    if name == "instances":
+        scene, rays = instances_of(7, device)
+    else:
+        scene = scene_of(name, device)
+        parts = [kind(HostileRays(scene.meshes[0], 200)) for kind in KINDS.values()]
+        rays = wrt.Rays(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    ends = np.where(np.arange(len(rays.origins)) % 5, np.inf, 0.7)
+    given = wrt.Rays(np.float64(rays.origins) + 1e-9, np.float64(rays.directions), 0.0, ends)
+    find, found = exact_hits.find_plan, []
+    for way in (NAME, "single"):
+        monkeypatch.setattr(exact_hits, "find_plan", partial(plan_of, find, way))
+        hits = scene.intersect(given, precise=True)
+        assert hits.is_hit.mean() > 0.1
+        found.append([hits.t, hits.uv, hits.primitive_id, hits.instance_id])
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_no_t_is_negative_zero(device):
+    """Rays that start on the surface hit it at 0."""
+    scene = scene_of("hills", device)
+    rays = wrt.Rays(*HostileRays(scene.meshes[0], 1000).from_vertices())
+    for traversal in (NAME, "single", "brute"):
+        t = scene.intersect(rays, traversal=traversal).t
+        assert (t == 0).sum() > 50
+        assert not np.signbit(t).any()
+    assert not np.signbit(scene.intersect(rays, precise=True).t).any()
+
+
+def test_instances_move(device):
+    """A prepared query serves the next state, and gets a longer path where there are more instances."""
+    scene, rays = instances_of(7, device)
+    scene.intersect(rays, traversal=NAME)
+    for step in range(3):
+        place = np.array(scene.instances[step].transform)
+        place[:3, 3] += 0.7
+        scene.update(step, transform=place)
+        assert_same_hits(scene.intersect(rays, traversal=NAME), scene.intersect(rays, traversal="single"))
+        np.testing.assert_array_equal(scene.count(rays, traversal=NAME), scene.count(rays, traversal="single"))
 
 
 def test_back_faces_are_culled(device):
@@ -144,10 +304,6 @@ def test_scenes_that_it_does_not_walk():
     scene = scene_of("flat", "cpu")
     with pytest.raises(ValueError, match=r"persistent.*moeller_trumbore.*woop"):
         scene.intersect(*rays, traversal=NAME, triangle_test="moeller_trumbore")
-    with pytest.raises(ValueError, match=r"persistent.*count"):
-        scene.count(*rays, traversal=NAME)
-    with pytest.raises(ValueError, match=r"persistent.*instances"):
-        wrt.Scene([wrt.Instance(mesh)], wrt.Bvh(width=2), device="cpu").intersect(*rays, traversal=NAME)
 
 
 def test_auto_chooses_it_on_cuda():
@@ -168,7 +324,7 @@ def test_auto_chooses_it_on_cuda():
         "shared_origin": False,
     }
     assert score(Situation(**usual))[0] > TRAVERSALS["single"].score(Situation(**usual))[0]
-    for change in ({"is_cuda": False}, {"instances": 3}, {"own_spaces": True}):
+    for change in ({"is_cuda": False}, {"own_spaces": True}):
         assert score(Situation(**usual | change)) is None
 
 

@@ -10,7 +10,6 @@ more than the band, all its values are the band's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,18 +17,18 @@ import numpy as np
 import warp as wp
 
 from wrt.analysis.analysis_arguments import state_of
-from wrt.analysis.signed_distances import SIGNS, signed_distance
+from wrt.analysis.signed_distances import AUTO, SIGNS, sign_rule, signed
+from wrt.kernels.fields.grid_points import BLOCK, Grid, place_middles, place_points, store_values
+from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.scene_state import SceneState
     from wrt.scene.scene import Scene
 
-BLOCK = 8
-"""Points of a block along an axis."""
-
-BATCH = 512
-"""Blocks whose distances are computed at a time: 2^18 points, of which rays and answers take some 40 MB."""
+BATCH, CUDA_BATCH = 512, 8192
+"""Blocks whose distances are computed at a time: 2^18 points on CPUs, of which rays and answers take some 40 MB."""
 
 MOST_POINTS = 1 << 31
 """Largest number of points of a grid."""
@@ -118,6 +117,7 @@ def distance_grid(
 
     Raises:
         TypeError: an argument has a wrong type.
+        RuntimeError: a graph is being captured.
         ValueError: `resolution` is too small, or the grid has more than 2^31 points; `bounds` are not two corners, the upper
             one not less in any coordinate; the scene's box is a point; `band` is not above 0 and finite in float32, or with
             pseudonormals; or as `signed_distance`.
@@ -125,6 +125,7 @@ def distance_grid(
     from wrt.query.batches.block_limits import progress_bar
 
     state_of(scene).require_whole("a signed distance")
+    refuse_capture("distance_grid", state_of(scene).device)
     resolution, progress = as_int("resolution", resolution, 2, MOST_POINTS), as_bool("progress", progress)
     lookup(SIGNS, sign, "sign")
     if band is not None:
@@ -134,16 +135,17 @@ def distance_grid(
         if sign == "pseudonormal":
             raise ValueError('a band needs signs where nothing is near: use sign="auto", "parity" or "winding"')
     origin, spacing, shape = lay_out(scene.bounds, resolution, bounds)
-    values = np.empty(tuple(-(-count // BLOCK) * BLOCK for count in shape), dtype=np.float32)
-    blocks = np.stack(np.meshgrid(*(np.arange(0, n, BLOCK) for n in values.shape), indexing="ij"), axis=-1).reshape(-1, 3)
-    with progress_bar(progress, len(blocks) * BLOCK**3, what="points") as advance:
-        for begin in range(0, len(blocks), BATCH):
-            own = blocks[begin : begin + BATCH]
-            for block, found in zip(own, values_of(scene, origin + spacing * own, spacing, band, sign), strict=True):
-                values[tuple(slice(start, start + BLOCK) for start in block)] = found
-            advance(len(own) * BLOCK**3)
-    cut = np.ascontiguousarray(values[tuple(slice(0, count) for count in shape)])
-    return DistanceGrid(cut, origin, spacing, band)
+    state, rule = state_of(scene), sign_rule(scene) if sign == AUTO else sign
+    device, size = state.device, CUDA_BATCH if state.device.is_cuda else BATCH
+    grid, values = Grid(), wp.empty(shape, dtype=float, device=device)
+    grid.origin, grid.spacing, grid.shape = wp.vec3d(*origin), spacing, wp.vec3i(*shape)  # type: ignore[assignment]
+    starts = (np.arange(0, count, BLOCK, dtype=np.int32) for count in shape)
+    blocks = np.stack(np.meshgrid(*starts, indexing="ij"), axis=-1).reshape(-1, 3)
+    with progress_bar(progress, len(blocks) * BLOCK**3, what="points") as advance, use_threads(state.num_threads):
+        for begin in range(0, len(blocks), size):
+            fill(state, grid, blocks[begin : begin + size], np.inf if band is None else band, rule, values)
+            advance(len(blocks[begin : begin + size]) * BLOCK**3)
+    return DistanceGrid(values.numpy(), origin, spacing, band)
 
 
 def lay_out(box: np.ndarray, resolution: int, bounds: Any) -> tuple[np.ndarray, float, tuple[int, int, int]]:
@@ -168,25 +170,38 @@ def lay_out(box: np.ndarray, resolution: int, bounds: Any) -> tuple[np.ndarray, 
     return low, spacing, counts  # type: ignore[return-value]
 
 
-def values_of(scene: Scene, starts: np.ndarray, spacing: float, band: float | None, sign: str) -> Iterator[np.ndarray]:
-    """(8, 8, 8) float32 values of each block.
+def fill(state: SceneState, grid: Grid, blocks: np.ndarray, band: float, sign: str, values: wp.array) -> None:
+    """Computes the values of some blocks.
 
     Args:
-        scene, band, sign: as in `distance_grid`.
-        starts: (N, 3) first points of the blocks.
-        spacing: of points.
+        state: of the scene.
+        grid: its origin, spacing and shape.
+        blocks: (B, 3) int32, the first point of each.
+        band: greatest absolute value; inf for none.
+        sign: a rule, not "auto".
+        values: of the grid; is filled.
     """
-    inner = np.stack(np.meshgrid(*(np.arange(BLOCK),) * 3, indexing="ij"), axis=-1).reshape(-1, 3) * spacing
-    reach = 0.5 * (BLOCK - 1) * spacing * np.sqrt(3.0) * 1.0001
-    middle = signed_distance(scene, starts + 0.5 * (BLOCK - 1) * spacing, sign=sign)
-    near = np.abs(middle) <= reach + (band or 0.0)
-    found = np.empty((len(starts), BLOCK**3), dtype=np.float32)
-    points = starts[near][:, None] + inner
-    if band is None:
-        found[near] = signed_distance(scene, points, sign=sign)
-        far = scene.closest_point(starts[~near][:, None] + inner).distance
-        found[~near] = np.copysign(far, middle[~near][:, None])
-    else:
-        found[near] = np.clip(signed_distance(scene, points, sign=sign, max_distance=band), -band, band)
-        found[~near] = np.copysign(np.float32(band), middle[~near][:, None])
-    yield from found.reshape(-1, BLOCK, BLOCK, BLOCK)
+    reach = 0.5 * (BLOCK - 1) * grid.spacing * np.sqrt(3.0) * 1.0001
+    middle = signed(state, points_of(state, grid, blocks, place_middles, 1), sign).numpy()
+    is_near = np.abs(middle) <= reach + (band if band < np.inf else 0.0)
+    for chosen in (is_near, ~is_near):
+        own = blocks[chosen]
+        if not len(own):
+            continue
+        distance = signs = wp.empty(0, dtype=float, device=state.device)
+        if chosen is is_near or band == np.inf:
+            points = points_of(state, grid, own, place_points, BLOCK**3)
+            distance = signed(state, points, sign if chosen is is_near else None, band)
+        if chosen is not is_near:
+            signs = wp.array(middle[chosen], dtype=float, device=state.device)
+        grid.blocks = wp.array(own, dtype=wp.vec3i, device=state.device)
+        inputs = [grid, distance, signs, band, values]
+        launch(store_values, len(own) * BLOCK**3, inputs, device=state.device, chunk=4096)
+
+
+def points_of(state: SceneState, grid: Grid, blocks: np.ndarray, place: wp.Kernel, count: int) -> wp.array:
+    """(B * count,) vec3d: points of blocks, by a kernel."""
+    grid.blocks = wp.array(blocks, dtype=wp.vec3i, device=state.device)
+    points = wp.empty(len(blocks) * count, dtype=wp.vec3d, device=state.device)
+    launch(place, len(points), [grid, points], device=state.device, chunk=4096)
+    return points

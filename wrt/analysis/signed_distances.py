@@ -5,6 +5,7 @@ References: baerentzen-aanaes-2005; jacobson-2013.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, overload
 from weakref import WeakKeyDictionary
 
@@ -86,14 +87,26 @@ def signed_distance(
     refuse_capture("signed_distance", state.device)
     given = as_vectors(points, "points", state.device)
     found = closest_point(state, given, max_distance)
-    if sign == AUTO:
-        rule = SIGNS[sign_rule(scene)]
+    distance = with_signs(state, given, found, SIGNS[sign_rule(scene)] if sign == AUTO else rule)
+    return distance.reshape(found.shape) if isinstance(given, wp.array) else distance.numpy().reshape(found.shape)
+
+
+def signed(state: SceneState, points: wp.array, sign: str | None, most: float = INF) -> wp.array:
+    """(N,) distances of (N,) vec3d points that follow each other in space, with signs by a rule; None for no signs."""
+    found = closest_point(state, points, most, in_order=True)
+    return found.batch.t if sign is None else with_signs(state, points, found, SIGNS[sign])
+
+
+def with_signs(
+    state: SceneState, points: np.ndarray | wp.array, found: ClosestPoints, rule: Callable[..., wp.array]
+) -> wp.array:
+    """(N,) distances of what was found for points, with signs by a rule, a value of `SIGNS`."""
     with use_threads(state.num_threads):
-        relative = relative_points(state, flat_points(state, given, given.dtype in (wp.vec3d, np.dtype(np.float64))))
-        sides = rule(state, given, relative, found)
+        relative = relative_points(state, flat_points(state, points, points.dtype in (wp.vec3d, np.dtype(np.float64))))
+        sides = rule(state, points, relative, found)
         distance = wp.empty(len(relative), dtype=float, device=state.device)
         launch(apply_signs, len(relative), [relative, found.batch.t, sides, distance], device=state.device, chunk=4096)
-    return distance.reshape(found.shape) if isinstance(given, wp.array) else distance.numpy().reshape(found.shape)
+    return distance
 
 
 def sign_rule(scene: Scene) -> str:

@@ -173,8 +173,11 @@ def empty_host(count: int, dtype: type) -> HostArray:
 def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
     """A flat array with undefined contents; its memory may be reused."""
     size = count * wp.types.type_size_in_bytes(dtype)
-    if not device.is_cpu or size < MIN_BYTES:
+    if size < MIN_BYTES or (device.is_cuda and device.is_capturing):
         return wp.empty(count, dtype=dtype, device=device)
+    if device.is_cuda:
+        waiting = device_memory.take_block(size, device)
+        return keep_alive(wp.array(ptr=waiting.ptr, dtype=dtype, shape=count, capacity=size, device=device), waiting)
     lease = Lease(size)
     pointer = lease.block.__array_interface__["data"][0]
     return keep_alive(wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=size, device=device), lease)

@@ -5,12 +5,14 @@ of a hit depends on no other ray, thread or chunk. The numbers are summed up, an
 to their places. Rays with more hits are traced again once their numbers are known, so the number of hits is not limited.
 Large batches are processed in blocks that share this work space.
 
-One pass with a few slots is faster than counting all hits first and tracing all rays twice
-(notebooks/records/2026-11-21-queries.md).
+On a CPU, one pass with a few slots is faster than counting all hits first and tracing all rays twice
+(notebooks/records/2026-11-21-queries.md). Persistent threads do the latter: numbers are summed up where they are, and the
+host reads their sum alone, to know how much memory to take.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Generic
 
@@ -21,18 +23,21 @@ from wrt.engine.device_hits import DeviceHits, shaped
 from wrt.engine.executor import on_device
 from wrt.engine.facts.query_kinds import ALL, COUNT, Query
 from wrt.engine.launch.batch import run
-from wrt.engine.launch.traversal_launch import no_work
+from wrt.engine.launch.traversal_launch import divide, kernel_and_inputs, no_work
 from wrt.engine.memory import empty
 from wrt.engine.plan.choices import find_plan
-from wrt.engine.plan.plan import Plan, traversal_of
+from wrt.engine.plan.plan import Plan, traversal_config, traversal_of
 from wrt.engine.rays.array_types import ArrayT
-from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
+from wrt.kernels.traversal.capabilities import Capabilities
+from wrt.kernels.traversal.traversal_config import PersistentConfig
 from wrt.kernels.validation import as_int
 from wrt.query.hits import Hits
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.device_rays import DeviceRays
     from wrt.engine.rays.rays import Rays, ResultForm
 
 ROOM = 8
@@ -167,7 +172,10 @@ def list_hits(scene: SceneState, rays: Rays, query: Query) -> AllHits:
     with use_threads(scene.num_threads):
         buffers = on_device(scene, rays, query)
         plan = find_plan(scene, buffers.facts, query, buffers.sample).plan
-        hits, offsets = find_all(scene, plan, buffers.batch, bound)
+        if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
+            hits, offsets = find_counted(scene, plan, buffers, bound)
+        else:
+            hits, offsets = find_all(scene, plan, buffers.batch, bound)
     return AllHits(hits, offsets, buffers.form, scene, plan)
 
 
@@ -183,6 +191,66 @@ def find_all(scene: SceneState, plan: Plan, rays: RayBatch, max_hits: int) -> tu
         (hits, offsets), device = blocks[0], scene.device
         return hits, wp.array(offsets, dtype=wp.int64, device=device, copy=False)
     return join_blocks(blocks, scene.device)
+
+
+def find_counted(scene: SceneState, plan: Plan, rays: DeviceRays, max_hits: int) -> tuple[DeviceHits, wp.array]:
+    """As `find_all`, in two passes: the first one counts the hits, the second one writes each to its ray's list."""
+    from wrt.kernels.query.hit_lists import gather_hits, sort_lists
+
+    device, batch, count = scene.device, rays.batch, rays.facts.count
+    idle, counted, lists = no_work(traversal_of(plan).counters, device.alias), DeviceHits.new(COUNT, count, device), HitBatch()
+    from_zero = PersistentConfig(rays.layout.from_zero)
+    configs = [replace(traversal_config(plan, scene, query, False), persistent=from_zero) for query in (COUNT, ALL)]
+    items = divide(scene, plan, configs[0], count)[1]
+    kernel, inputs = kernel_and_inputs(scene, plan, configs[0], batch, counted.struct(), idle)
+    launch(kernel, items, inputs, device=device, chunk=1024)
+    kernel, inputs = kernel_and_inputs(scene, plan, configs[1], batch, lists, idle)  # while the first pass runs
+    offsets, begins, total = sum_on_device(counted.counts, MAX_TOTAL)
+    hits = DeviceHits.lists(0, total, 0, device)
+    lists.t, lists.primitive, lists.uv, lists.counts, lists.begins = hits.t, hits.primitive, hits.uv, counted.counts, begins
+    launch(kernel, items, inputs, device=device, chunk=1024)
+    if max_hits == MAX_TOTAL:
+        launch(sort_lists, count, [lists], device=device, chunk=1024)
+        return hits, offsets
+    offsets, _, total = sum_on_device(counted.counts, max_hits)
+    nearest, order = DeviceHits.lists(0, total, 0, device), wp.empty(0, dtype=int, device=device)
+    launch(gather_hits, count, [lists, order, offsets, nearest.struct()], device=device, chunk=1024)
+    return nearest, offsets
+
+
+def sum_on_device(counts: wp.array, most: int) -> tuple[wp.array, wp.array, int]:
+    """Where the lists of rays begin, by the number of their hits, of which each holds at most `most`.
+
+    Returns:
+        (N + 1,) int64: the first index of each list, and the end of the last; (N,) int32, the same without the end; the end.
+
+    Raises:
+        ValueError: more than `MAX_TOTAL` elements.
+    """
+    from wrt.kernels.query.hit_lists import lengths_of_lists, narrow_offsets
+
+    device, count = counts.device, counts.size
+    lengths, offsets = empty(count + 1, wp.int64, device), empty(count + 1, wp.int64, device)
+    launch(lengths_of_lists, count + 1, [counts, most, lengths], device=device, chunk=4096)
+    wp.utils.array_scan(lengths, offsets, inclusive=False)
+    begins = empty(count, wp.int32, device)
+    launch(narrow_offsets, count, [offsets, begins], device=device, chunk=4096)
+    total = int(offsets[count:].numpy()[0])
+    check_total(total)
+    return offsets, begins, total
+
+
+def check_total(total: int) -> None:
+    """Refuses more hits than a result holds.
+
+    Raises:
+        ValueError: more than `MAX_TOTAL`.
+    """
+    if total > MAX_TOTAL:
+        raise ValueError(
+            f"these rays have {total:,} hits or more, and one result holds {MAX_TOTAL:,}; pass fewer rays at a "
+            "time, or limit the hits of each ray with max_hits"
+        )
 
 
 def find_block(scene: SceneState, plan: Plan, rays: RayBatch, max_hits: int) -> tuple[DeviceHits, np.ndarray]:
@@ -234,11 +302,7 @@ def sum_up(counts: np.ndarray) -> np.ndarray:
     """
     offsets = np.zeros(len(counts) + 1, dtype=np.int64)
     np.cumsum(counts, dtype=np.int64, out=offsets[1:])
-    if offsets[-1] > MAX_TOTAL:
-        raise ValueError(
-            f"these rays have {int(offsets[-1]):,} hits or more, and one result holds {MAX_TOTAL:,}; pass fewer rays at a "
-            "time, or limit the hits of each ray with max_hits"
-        )
+    check_total(int(offsets[-1]))
     return offsets
 
 

@@ -12,15 +12,17 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.executor import on_device
 from wrt.engine.facts.query_kinds import AUTO, CLOSEST, EXACT, Query
+from wrt.engine.launch.traversal_launch import divide
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.memory import empty, keep_alive
 from wrt.engine.plan.choices import find_plan
-from wrt.engine.plan.plan import stack_levels, traversal_config
+from wrt.engine.plan.plan import stack_levels, traversal_config, traversal_of
 from wrt.engine.plan.planner import DEFAULT_TEST
 from wrt.engine.rays.array_types import ArrayT
 from wrt.engine.rays.device_rays import flatten_shared
 from wrt.engine.rays.rays import as_vectors, one_object
 from wrt.kernels.runtime.launch import kept, launch, specialise, use_threads
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.query.hits import Hits
 
 if TYPE_CHECKING:
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from wrt.engine.plan.plan import Plan
     from wrt.engine.rays.device_rays import DeviceRays
     from wrt.engine.rays.rays import GivenRays, Rays, ResultForm
+    from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays
 
 
@@ -84,7 +87,7 @@ def find_precisely(scene: SceneState, given: GivenRays, query: Query) -> Precise
     Raises:
         ValueError: a choice that does not go with `precise`, or a scene without float64 vertices.
     """
-    from wrt.kernels.query.exact_closest import ExactHits, make_exact_kernel
+    from wrt.kernels.query.exact_closest import ExactHits
 
     if (query.traversal, query.triangle_test, query.counters, query.cull_backfaces) != (AUTO, AUTO, False, False):
         raise ValueError("precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out")
@@ -92,7 +95,8 @@ def find_precisely(scene: SceneState, given: GivenRays, query: Query) -> Precise
     with use_threads(scene.num_threads):
         rays, device = one_object(given), scene.device
         buffers = on_device(scene, rays, query)
-        plan = replace(find_plan(scene, buffers.facts, Query(CLOSEST, "single", DEFAULT_TEST)).plan, reason="in float64")
+        traversal = AUTO if scene.device.is_cuda else "single"
+        plan = replace(find_plan(scene, buffers.facts, Query(CLOSEST, traversal, DEFAULT_TEST)).plan, reason="in float64")
         hits = ExactHits()
         rounded = DeviceHits.new(EXACT, buffers.count, device)
         hits.rounded = rounded.struct()
@@ -100,20 +104,55 @@ def find_precisely(scene: SceneState, given: GivenRays, query: Query) -> Precise
         hits.uv = empty(buffers.count, wp.vec2d, device)
         center = wp.vec3d(*map(float, scene.center))
         scene.complete()
-        config, exact = traversal_config(plan, scene, EXACT, False), exact_rays(rays, buffers, device)
-        if scene.instances:
-            from wrt.kernels.query.instance_exact import make_exact_instance_kernel
-
-            batch, geometries = buffers.batch, exact_geometries(scene)
-            inputs = [scene.upper(), scene.lower(plan, batch), geometries, center, batch, exact, hits]
-            factory = partial(make_exact_instance_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
-            triangles = [scene.device_mesh, geometries]
-        else:
-            mesh = exact_mesh(scene)
-            inputs = [scene.tree.struct(), records_of(scene, plan, None), mesh, center, exact, hits]
-            factory, triangles = partial(make_exact_kernel, plan.accelerator), [mesh]
-        launch(specialise(factory, config), buffers.count, inputs, device=device)
+        triangles = [scene.device_mesh, exact_geometries(scene)] if scene.instances else [exact_mesh(scene)]
+        trace_exactly(scene, plan, buffers.batch, exact_rays(rays, buffers, device), center, triangles[-1], hits)
     return PreciseHits(hits, rounded, triangles, buffers.form, scene, plan)
+
+
+def trace_exactly(
+    scene: SceneState, plan: Plan, seen: RayBatch, rays: ExactRays, center: wp.vec3d, triangles: Any, hits: ExactHits
+) -> None:
+    """Finds hits in float64 by a plan of single rays.
+
+    Args:
+        scene: what the rays meet.
+        plan: the plan.
+        seen: the rays in float32, of which only masks and environments are read.
+        rays: the same in float64.
+        center: of the scene.
+        triangles: `exact_geometries` of a scene of instances, or `exact_mesh`.
+        hits: are written.
+    """
+    from wrt.kernels.query.exact_closest import make_exact_kernel
+
+    config, device, count = traversal_config(plan, scene, EXACT, False), scene.device, seen.count
+    if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
+        from wrt.engine.launch.persistent_launch import binary_parts, binary_tree, next_ray
+        from wrt.kernels.query.binary import binary_exact
+        from wrt.kernels.query.instance_exact import ExactGeometry
+
+        exact: Any
+        if scene.instances:
+            trees, make = [scene.upper(), binary_parts(scene)], binary_exact.make_binary_exact_instance_kernel
+            exact = binary_exact.ExactInstances()
+            exact.geometries = triangles
+        else:
+            trees, make, exact = [*binary_tree(scene)], binary_exact.make_binary_exact_kernel, ExactGeometry()
+            exact.mesh = triangles
+        exact.center = center
+        inputs = [*trees, exact, seen, rays, hits, next_ray(device, count)]
+        launch(specialise(make, config.stack.levels), divide(scene, plan, config, count)[1], inputs, device=device)
+        return
+    factory: Any
+    if scene.instances:
+        from wrt.kernels.query.instance_exact import make_exact_instance_kernel
+
+        inputs = [scene.upper(), scene.lower(plan, seen), triangles, center, seen, rays, hits]
+        factory = partial(make_exact_instance_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
+    else:
+        inputs = [scene.tree.struct(), records_of(scene, plan, None), triangles, center, rays, hits]
+        factory = partial(make_exact_kernel, plan.accelerator)
+    launch(specialise(factory, config), count, inputs, device=device)
 
 
 def exact_geometries(scene: SceneState) -> wp.array:

@@ -20,6 +20,7 @@ References: shimrat-1962 (parity); jacobson-2013 (winding numbers).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -28,14 +29,22 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.executor import trace
 from wrt.engine.facts.query_kinds import ANY, AUTO, COUNT, WINDING
+from wrt.engine.host_arrays import as_array
 from wrt.engine.memory import empty
 from wrt.engine.plan.choices import make_plan
 from wrt.engine.plan.plan import Plan
 from wrt.engine.rays.coherence import detect_coherence
 from wrt.engine.rays.device_rays import DeviceRays, to_device
 from wrt.engine.rays.rays import Rays, as_vectors
-from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.query.hit_lists import NONZERO, ODD, POSITIVE, aim_outwards, decide_inside
+from wrt.kernels.query.hit_lists import (
+    NONZERO,
+    ODD,
+    POSITIVE,
+    aim_outwards,
+    decide_inside,
+    find_unequal,
+    list_marked,
+)
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.tables import lookup
 
@@ -75,27 +84,43 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO, rule:
     with use_threads(scene.num_threads):
         scene = scene.distinct()
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
-        aim(buffers.batch, DIRECTIONS[0], scene.device)
-        found = detect_coherence(buffers.batch.origins, buffers.batch.directions, scene.device)
-        buffers.facts = buffers.facts._replace(scattered=found.scattered)
-        plan = make_plan(scene, buffers, traversal, AUTO, chosen.query)
-        inside = decide(scene, plan, buffers, chosen)
+        rays = aimed(buffers, DIRECTIONS[0], scene.device)
+        found = detect_coherence(rays.origins, rays.directions, scene.device)
+        rays.facts = buffers.facts = buffers.facts._replace(scattered=found.scattered)
+        plan = make_plan(scene, rays, traversal, AUTO, chosen.query)
+        inside = decide(scene, plan, rays, chosen)
         if not scene.is_closed:
-            aim(buffers.batch, DIRECTIONS[1], scene.device)
-            other = decide(scene, plan, buffers, chosen)
-            undecided = np.flatnonzero(inside.occluded.numpy() != other.occluded.numpy()).astype(np.int32)
-            if len(undecided):
-                order = wp.array(undecided, dtype=int, device=scene.device)
-                few = DeviceRays.of_batch(sort_rays(buffers.batch, order, empty), buffers.facts.coherent, found.scattered)
-                aim(few.batch, DIRECTIONS[2], scene.device)
+            rays = aimed(buffers, DIRECTIONS[1], scene.device)
+            other = decide(scene, plan, rays, chosen)
+            order = find_undecided(inside, other)
+            if order is not None:
+                few = DeviceRays.of_batch(sort_rays(rays.batch, order, empty), buffers.facts.coherent, found.scattered)
+                few = aimed(few, DIRECTIONS[2], scene.device)
                 unsort_hits(order, decide(scene, plan, few, chosen).struct(), inside.struct(), ANY)
     return inside.values(ANY, buffers.form)
 
 
-def aim(points: RayBatch, direction: tuple[float, ...], device: wp.Device) -> None:
-    """Points rays along the direction or against it, whichever is probably the shorter way out of the scene."""
-    points.directions, points.direction_stride = empty(points.count, wp.vec3, device), 1
-    launch(aim_outwards, points.count, [points, wp.vec3(*direction), points.directions], device=device, chunk=4096)
+def find_undecided(one: DeviceHits, other: DeviceHits) -> wp.array | None:
+    """The numbers of the rays for which two answers differ, ascending; None if there are none. The host reads how many."""
+    count, device = one.count, one.device
+    unequal, places = empty(count, wp.int32, device), empty(count, wp.int32, device)
+    launch(find_unequal, count, [one.occluded, other.occluded, unequal], device=device, chunk=4096)
+    wp.utils.array_scan(unequal, places, inclusive=True)
+    found = int(places[count - 1 :].numpy()[0]) if count else 0
+    if not found:
+        return None
+    numbers = empty(found, wp.int32, device)
+    launch(list_marked, count, [unequal, places, numbers], device=device, chunk=4096)
+    return numbers
+
+
+def aimed(points: DeviceRays, direction: tuple[float, ...], device: wp.Device) -> DeviceRays:
+    """Rays along the direction or against it, whichever is probably the shorter way out of the scene."""
+    count, layout = points.facts.count, points.layout
+    directions, center = empty(count, wp.vec3, device), (0.0, 0.0, 0.0) if layout.centered else points.center.tolist()
+    inputs = [as_array(points.origins), layout.origins, wp.vec3d(*center), wp.vec3(*direction), directions]
+    launch(aim_outwards, count, inputs, device=device, chunk=4096)
+    return replace(points, directions=directions, layout=layout._replace(directions=1))
 
 
 def decide(scene: SceneState, plan: Plan, rays: DeviceRays, rule: Rule) -> DeviceHits:

@@ -17,19 +17,22 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.executor import Answer, on_device
 from wrt.engine.facts.query_kinds import AUTO, Query
-from wrt.engine.launch.traversal_launch import counter_rows, no_work
+from wrt.engine.launch.traversal_launch import counter_rows, divide, no_work
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.plan.choices import find_plan
-from wrt.engine.plan.plan import kernel_factory, plan_for_query, stack_levels, traversal_config
+from wrt.engine.plan.plan import kernel_factory, plan_for_query, stack_levels, traversal_config, traversal_of
 from wrt.engine.rays.ray_integers import as_integers
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
+from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.leaf import Counters
 from wrt.query.hits import Hits
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.plan.plan import Plan
     from wrt.engine.rays.device_rays import DeviceRays
     from wrt.engine.rays.rays import GivenRays
+    from wrt.kernels.layout.ray_batch import RayBatch
 
 
 class SceneTriangles(NamedTuple):
@@ -54,25 +57,45 @@ def answer_skipping(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
         buffers = on_device(scene, rays, query)
         check_skip(scene, {name: getattr(query, name) for name in ("traversal", "triangle_test", "counters", "precise")})
         skipped = skipped_triangles(query.skip, scene, buffers)
-        single = Query(query.kind, "single", AUTO, query.cull_backfaces)
-        plan = replace(find_plan(scene, buffers.facts, single).plan, reason="each ray skips a triangle")
-        carried_out = plan_for_query(plan, query.kind)
+        traversal = AUTO if scene.device.is_cuda else "single"
+        chosen = find_plan(scene, buffers.facts, Query(query.kind, traversal, AUTO, query.cull_backfaces)).plan
+        plan = replace(chosen, reason="each ray skips a triangle")
         scene.complete()
-        hits = DeviceHits.new(query.kind, buffers.count, scene.device)
-        config = replace(traversal_config(carried_out, scene, query.kind, False), skipping=True)
-        if scene.instances:
-            from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
-
-            triangles = [scene.upper(), scene.lower(carried_out, buffers.batch)]
-            kind, levels = carried_out.accelerator, stack_levels(scene.tree.depth)
-            kernel = specialise(partial(make_instance_kernel, kind=kind, levels=levels), config)
-        else:
-            triangles = [scene.tree.struct(), records_of(scene, carried_out, buffers.batch)]
-            kernel = specialise(kernel_factory(carried_out, scene), config)
-        counters = counter_rows(no_work(Counters, scene.device.alias))
-        inputs = [*triangles, buffers.batch, hits.struct(), counters, skipped]
-        launch(kernel, buffers.count, inputs, device=scene.device, chunk=1024)
+        hits = trace_skipping(scene, plan_for_query(plan, query.kind), buffers.batch, query.kind, skipped)
     return Answer(hits, buffers.form, plan)
+
+
+def trace_skipping(scene: SceneState, plan: Plan, rays: RayBatch, kind: str, skipped: wp.array) -> DeviceHits:
+    """The answers to rays that go one by one, each through the triangle of `skipped_triangles`.
+
+    Args:
+        scene: what the rays meet.
+        plan: the query's own (`plan_for_query`); of a traversal of single rays.
+        rays: the rays.
+        kind: of the query.
+        skipped: what the rays ignore.
+    """
+    device = scene.device
+    hits, counters = DeviceHits.new(kind, rays.count, device), counter_rows(no_work(Counters, device.alias))
+    config = replace(traversal_config(plan, scene, kind, False), skipping=True)
+    if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
+        from wrt.engine.launch.persistent_launch import kernel_and_trees, next_ray
+
+        kernel, trees = kernel_and_trees(scene, config)
+        inputs = [*trees, rays, hits.struct(), counters, next_ray(device, rays.count, skipped)]
+        launch(kernel, divide(scene, plan, config, rays.count)[1], inputs, device=device, chunk=1024)
+        return hits
+    if scene.instances:
+        from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
+
+        trees = [scene.upper(), scene.lower(plan, rays)]
+        factory = partial(make_instance_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
+        kernel = specialise(factory, config)
+    else:
+        trees = [scene.tree.struct(), records_of(scene, plan, rays)]
+        kernel = specialise(kernel_factory(plan, scene), config)
+    launch(kernel, rays.count, [*trees, rays, hits.struct(), counters, skipped], device=device, chunk=1024)
+    return hits
 
 
 def check_skip(scene: SceneState, others: dict[str, Any]) -> None:

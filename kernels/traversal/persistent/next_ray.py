@@ -10,12 +10,14 @@ import warp as wp
 
 @wp.struct
 class NextRay:
-    """Where the number of the next ray is."""
+    """Where the number of the next ray is, and what rays ignore."""
 
     number: wp.array(dtype=int)
     """(2,), the next ray, and the threads that are done; both are 0 before and after a launch. Not used on the CPU."""
     threads: int
     """Threads of the launch."""
+    skipped: wp.array(dtype=int)
+    """(n,) the triangle that ray i ignores, at i % n, if rays ignore any: `wrt.kernels.answers.skipped_triangle`."""
 
 
 _counters: dict[tuple[str, int], wp.array] = {}

@@ -12,9 +12,16 @@ inner nodes until nearly all have come to a leaf, then they test triangles. Node
 as an integer. Directions are scaled by a power of two, so that they may have any length. The triangle test and the consistency
 rule are those of all engines, without fused operations, so that hits are the same to the bit. Coordinates may be up to 2^100.
 
-**Limits.** Closest hits and any hit, of one level, by the watertight test, with back-face culling and counted work. Counts, all
-hits, rays that skip a triangle, hits in float64, instances with their masks and environments, and functions for users' own
-kernels take `wrt.kernels.traversal.single`.
+**Crossings** are counted by the rule of `wrt.kernels.triangle.watertight`, in a walk that no hit shortens. Lists of all hits
+are counted, the counts are summed up on the device, and a second walk writes each hit to its ray's list
+(`wrt.query.all_hits`).
+
+**Instances.** At a leaf of the tree of instances the ray is mapped to the geometry's space as in
+`wrt.kernels.traversal.two_level.instance_single`, and goes on at the root of its tree. A mark on the stack says where it goes
+back. Threads of a warp may be on different levels: the step of a node is the same. The ray is read and mapped again at each
+hit.
+
+**Limits.** The watertight test, and trees whose leaves share no triangle. Alpha masks take `wrt.kernels.traversal.single`.
 
 On the CPU an item traces one ray, by the same steps; that serves tests.
 
@@ -25,13 +32,15 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.layout.binary_nodes import BinaryNodes, PackedTriangles
+from wrt.kernels.answers import all_crossings, any_hit, closest_hit, crossing_count, next_crossing, winding_number
+from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTriangles
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows
 from wrt.kernels.traversal.persistent.next_ray import NextRay
 from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.traversal.two_level.instance_single import InstanceTree
 
 FETCH = 20
 """Threads of a warp without a ray for which new rays are fetched. A fetch stops the whole warp, so few threads do not repay
@@ -47,20 +56,45 @@ BLOCK, BLOCKS = 64, 16
 """Threads of a block and blocks of a multiprocessor. They bound a thread to 64 registers: with more, fewer threads hide the
 latency of memory, and with fewer, registers spill."""
 
+INSTANCE_BLOCKS = 12
+"""The same through instances, whose walks need more registers: 80 a thread."""
+
 
 def launch_threads(device: wp.Device, rays: int) -> int:
     """Threads of a launch for this many rays: at most all that a CUDA device runs at a time."""
     return min(rays, device.sm_count * BLOCKS * BLOCK)
 
 
+ANSWER_CLASSES = {
+    closest_hit.KIND.name: "ClosestAnswer",
+    any_hit.KIND.name: "AnyAnswer",
+    crossing_count.KIND.name: "CountAnswer",
+    all_crossings.KIND.name: "ListAnswer",
+    winding_number.KIND.name: "WindingAnswer",
+    next_crossing.KIND.name: "NextAnswer",
+}
+"""What `packed_answers.h` calls the kinds of answers."""
+
+
+def walk_snippet(config: TraversalConfig, space: str, places: int) -> str:
+    """The walk of all rays of a batch on CUDA, and of ray i on the CPU, through a space of `persistent.h`.
+
+    Args:
+        config: the specialisation.
+        space: the space, by the names of the arguments.
+        places: of the stack.
+    """
+    flags = f"{int(config.cull_backfaces)}, {int(config.skipping)}, {int(config.counters)}"
+    options = f"{places}, wrt::{ANSWER_CLASSES[config.query]}, {flags}"
+    form = f"{FETCH}, {KEEP}, {STEPS}, {int(config.persistent.from_zero)}"
+    walks = f"wrt::walks_of<{options}>({space}, rays, hits, counters, next.skipped)"
+    return f"wrt::walk_rays<{form}>({walks}, next.number.data, next.threads, i);"
+
+
 def make_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, rays, hits, counters, next, i)`: traces all rays of a batch on CUDA, and ray i on the CPU."""
-    flags = f"{int(config.answer.ends_at_first)}, {int(config.cull_backfaces)}, {int(config.counters)}"
-    walks = f"wrt::walks_of<{config.stack.levels}, {flags}>(tree, triangles, rays, hits, counters)"
 
-    form = f"{FETCH}, {KEEP}, {STEPS}, {int(config.persistent.from_zero)}"
-
-    @native.func_native("persistent.h", f"wrt::walk_rays<{form}>({walks}, next.number.data, next.threads, i);")
+    @native.func_native("persistent.h", walk_snippet(config, "wrt::one_tree(tree, triangles)", config.stack.levels + 1))
     def walk(
         tree: BinaryNodes,
         triangles: PackedTriangles,
@@ -91,3 +125,38 @@ def make_persistent_kernel(config: TraversalConfig) -> wp.Kernel:
         walk(tree, triangles, rays, hits, counters, next, first + wp.tid())
 
     return specialised_kernel(persistent_rays, bounds=(BLOCK, BLOCKS))
+
+
+@cache
+def make_persistent_instance_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
+    """The same for rays through instances.
+
+    Args:
+        config: the specialisation.
+        levels: greatest number of inner nodes on a path of the upper tree, whose nodes have two children.
+    """
+    places = config.stack.levels + levels + 2
+
+    @native.func_native("persistent.h", walk_snippet(config, "wrt::instance_trees(top, parts)", places))
+    def walk(
+        top: InstanceTree,
+        parts: wp.array(dtype=BinaryPart),
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: CounterRows,
+        next: NextRay,
+        i: int,
+    ): ...
+
+    def persistent_instance_rays(
+        first: int,
+        top: InstanceTree,
+        parts: wp.array(dtype=BinaryPart),
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: CounterRows,
+        next: NextRay,
+    ):
+        walk(top, parts, rays, hits, counters, next, first + wp.tid())
+
+    return specialised_kernel(persistent_instance_rays, bounds=(BLOCK, INSTANCE_BLOCKS))

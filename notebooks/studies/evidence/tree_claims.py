@@ -125,6 +125,50 @@ def groups(held: Held) -> Found:
     return judge(speed, at_least=1.1), ", ".join(f"{one.value:.1f} times with {one.case} of 16 moving" for one in speed)
 
 
+@claim(
+    "threads-streaming", "rahikainen", "4.1", "The streaming build is up to 2.43 times as fast with 4 threads", "thread_growth"
+)
+def streaming_threads(held: Held) -> Found:
+    return with_threads(held, "streaming", 4, at_least=2.43)
+
+
+@claim("threads-binned", "rahikainen", "4.1", "The build by bins is 3.9 times as fast with 4 threads", "thread_growth")
+def binned_threads(held: Held) -> Found:
+    return with_threads(held, "binned", 4, at_least=3.9)
+
+
+@claim("threads-nested", "rahikainen", "4.1", "The nested build is 5 to 8 times as fast with 20 threads", "thread_growth")
+def nested_threads(held: Held) -> Found:
+    return with_threads(held, "nested", 16, at_least=5.0)
+
+
+@claim("threads-in-place", "rahikainen", "4.1", "The build in place is up to 7 times as fast with 24 threads", "thread_growth")
+def in_place_threads(held: Held) -> Found:
+    return with_threads(held, "in_place", 16, at_least=7.0)
+
+
+@claim("threads-groups", "rahikainen", "4.2", "Updates of groups are 3.5 to 5 times as fast with 6 threads", "thread_growth")
+def group_threads(held: Held) -> Found:
+    return with_threads(held, "groups", 6, at_least=3.5)
+
+
+@claim("threads-rays", "rahikainen", "5", "Rays gain nearly linearly from threads, to 128", "thread_growth")
+def ray_threads(held: Held) -> Found:
+    """Nearly: 0.8 times the number of threads and more."""
+    gains = held["thread_growth"].take("threads", "speed", what=("view", "random"), threads="16")
+    each = ", ".join(f"{one.value:.1f} times ({one.case.split(', ')[0]})" for one in gains)
+    return judge(gains, at_least=0.8 * 16), f"with 16 threads {each}, where linear is 16 and at least 12.8 is asked"
+
+
+def with_threads(held: Held, what: str, threads: int, at_least: float) -> Found:
+    """The claim on a build or an update with some threads; the figures are also those of 16."""
+    take = held["thread_growth"].take
+    gains = take("threads", "speed", what=what, threads=str(threads))
+    shown = {count: take("threads", "speed", what=what, threads=str(count))[0].value for count in sorted({threads, 16})}
+    here = ", ".join(f"{value:.1f} times with {count}" for count, value in shown.items())
+    return judge(gains, at_least=at_least), f"{here} threads"
+
+
 @claim("two-trees", "rahikainen", "4.2", "Two trees slow rays down, for each ray goes through both", "dynamic")
 def two_trees(held: Held) -> Found:
     (two,), (one,) = (held["dynamic"].take("ways", "trace", way=way) for way in ("static and moving kdtree", "groups, kdtree"))

@@ -81,8 +81,8 @@ class PointRow:
 
 
 def wrt_scene(mesh: TriangleMesh, threads: int, accelerator: str) -> Contending:
-    """wrt itself."""
-    scene = Scene(mesh, "bvh" if accelerator == "bvh" else "kdtree", num_threads=threads)
+    """wrt itself, on the CPU."""
+    scene = Scene(mesh, "bvh" if accelerator == "bvh" else "kdtree", device="cpu", num_threads=threads)
     name = f"wrt, {'BVH' if accelerator == 'bvh' else 'kd-tree'}"
     return Contending(name, threads, lambda points: lambda: scene.closest_point(points).distance, lambda found, _: found)
 
@@ -232,7 +232,10 @@ def compare_points(
     for name in names:
         on_turn(f"build {name}")
         made.append(POINT_PEERS[name][1](mesh, threads))
-    scene, tolerance = Scene(mesh, num_threads=threads), TOLERANCE * float(np.linalg.norm(np.ptp(mesh.bounds, axis=0)))
+    scene, tolerance = (
+        Scene(mesh, device="cpu", num_threads=threads),
+        TOLERANCE * float(np.linalg.norm(np.ptp(mesh.bounds, axis=0))),
+    )
 
     def told(title: str) -> Callable[[str], None]:
         return lambda name: on_turn(f"{title}: {name}")

@@ -68,10 +68,10 @@ def kernel_and_inputs(
     """
     counters, given = counter_rows(work), [] if scene.alpha_masks is None else [scene.alpha_masks]
     if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
-        from wrt.engine.launch.persistent_launch import binary_tree, next_ray
+        from wrt.engine.launch.persistent_launch import kernel_and_trees, next_ray
 
-        inputs = [*binary_tree(scene), rays, hits, counters, next_ray(scene.device, rays.count)]
-        return specialise(kernel_factory(plan, scene), config), inputs
+        kernel, trees = kernel_and_trees(scene, config)
+        return kernel, [*trees, rays, hits, counters, next_ray(scene.device, rays.count)]
     if scene.instances:
         from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
 
@@ -92,13 +92,13 @@ def kernel_and_inputs(
 
 def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -> tuple[int, int, Chunks]:
     """Rays of an item of a plan's kernel, the items of this many rays, and their chunks."""
-    if scene.instances:
-        return 1, count, Chunks(1024)
     traversal = traversal_of(plan)
     if Capabilities.PERSISTENT in traversal.capabilities and scene.device.is_cuda:
         from wrt.kernels.traversal.persistent.persistent_bvh import launch_threads
 
         return 1, launch_threads(scene.device, count), Chunks()
+    if scene.instances:
+        return 1, count, Chunks(1024)
     grain = traversal.rays_per_item(config)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
     if Capabilities.LONG_ITEMS in traversal.capabilities and scene.device.is_cpu:

@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 MAX_PACKET = 256
 """Largest number of rays of a packet: 16 x 16."""
 
-MAX_CUDA_STREAM = 256
-"""Largest number of rays of a stream on CUDA: each thread holds a stream in local memory, which limits how many threads run
-at a time.
+MAX_CUDA_STREAM = 64
+"""Largest number of rays of a stream on CUDA. Each thread holds a stream in local memory, which a driver takes for all threads
+that a device runs at a time, and keeps: on an H200 9 GB for streams of 64 rays, 29 GB for 256
+(notebooks/records/2026-11-27-gpu-queries.md).
 """
 
 MAX_STREAM = 1 << 14
@@ -289,7 +290,8 @@ def check_plan(plan: Plan, scene: SceneFacts, rays: RayFacts, query: str) -> Pla
         raise ValueError(f"plan.reorder is 'tiles', but rays of shape {rays.shape} are not the pixels of an image")
     most = longest_stream(scene, traversal)
     if Capabilities.STREAMS in traversal.capabilities and not 1 <= plan.stream <= most:
-        raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {most}")
+        why = ", as streams on CUDA take local memory for all threads of the device" if scene.is_cuda else ""
+        raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {most}{why}")
     if Capabilities.PACKETS not in traversal.capabilities:
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:

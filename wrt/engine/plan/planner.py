@@ -51,9 +51,9 @@ ROUGH_RAYS_PER_TRIANGLE = 2.0
 """Rays per triangle up to which camera rays use a transient frustum at each leaf if the triangle test does not filter pairs: a
 packet then reaches a leaf with few active rays (notebooks/records/2026-11-21-plans.md). Else it is `Limits.rough`."""
 
-STREAMS, CUDA_STREAM = (16384, 4096, 1024, 256), 64
+STREAMS, CUDA_STREAM = (16384, 4096, 1024, 256), 16
 """Rays of a stream, the largest first. Longer streams fill their vector lanes better, if each thread still has several
-streams. On CUDA, a thread traces a stream and holds its rays in local memory.
+streams. On CUDA, a thread traces a stream and holds its rays in local memory (`MAX_CUDA_STREAM`).
 """
 
 STREAMS_PER_THREAD = 4

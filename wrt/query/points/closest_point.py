@@ -61,33 +61,46 @@ def closest_point(
     mask: Any = None,
     environment: Any = None,
     counters: bool = False,
+    in_order: bool = False,
 ) -> ClosestPoints:
-    """The closest point on the scene of each point; see `wrt.Scene.closest_point`."""
+    """The closest point on the scene of each point; see `wrt.Scene.closest_point`.
+
+    in_order: whether points that follow each other are near each other.
+    """
     check_query(scene, points)
     k = as_room(k)
     if as_bool("counters", counters) and k is not None:
         raise ValueError("counters are those of the search for one triangle; leave k out")
     with use_threads(scene.num_threads):
-        given = as_points(scene, points, max_distance, "max_distance", mask, environment)
+        given = as_points(scene, points, max_distance, "max_distance", mask, environment, in_order)
         if k is not None:
             hits, feature, form = find_some(scene, given, k)
             return ClosestPoints(hits, feature, form, scene)
         work = wp.zeros(given.batch.count, dtype=Counters, device=scene.device) if counters else None
-        hits, feature = find_nearest(scene, given.batch, work)
+        hits, feature = find_nearest(scene, given.batch, work, in_order)
     return ClosestPoints(hits, feature, given.form, scene, work)
 
 
-def find_nearest(scene: SceneState, points: PointBatch, work: wp.array | None = None) -> tuple[DeviceHits, wp.array]:
+def find_nearest(
+    scene: SceneState, points: PointBatch, work: wp.array | None = None, in_order: bool = False
+) -> tuple[DeviceHits, wp.array]:
     """What is nearest to points, with distances as t, and the features.
 
     Args:
         scene: triangles in one tree, or instances of such; lazy trees are completed.
         points: on the device.
         work: (N,) `Counters` to be filled; None if nothing is counted.
+        in_order: as in `closest_point`.
     """
     hits, feature = DeviceHits.new(CLOSEST, points.count, scene.device), empty(points.count, wp.int8, scene.device)
-    search(scene, points, as_lists(nearest_batch(hits, feature)), "nearest" if work is None else "counted", work)
+    task = "counted" if work is not None else "packets" if in_order and has_packets(scene) else "nearest"
+    search(scene, points, as_lists(nearest_batch(hits, feature)), task, work)
     return hits, feature
+
+
+def has_packets(scene: SceneState) -> bool:
+    """Whether points of a scene are searched in packets: on CPUs, in one BVH whose width is that of a register."""
+    return scene.device.is_cpu and not scene.instances and scene.accelerator.kind != "kdtree" and scene.width in (4, 8, 16)
 
 
 def as_room(k: Any) -> int | None:
@@ -170,7 +183,13 @@ def as_distances(values: Any, shape: tuple[int, ...], name: str = "max_distance"
 
 
 def as_points(
-    scene: SceneState, points: Any, most: Any, name: str = "max_distance", mask: Any = None, environment: Any = None
+    scene: SceneState,
+    points: Any,
+    most: Any,
+    name: str = "max_distance",
+    mask: Any = None,
+    environment: Any = None,
+    in_order: bool = False,
 ) -> Points:
     """Points of a caller on the scene's device, in the order in which they are searched.
 
@@ -180,6 +199,7 @@ def as_points(
         most: greatest distances, as in `as_distances`.
         name: of these, for messages.
         mask, environment: of the instances that points see, as in `wrt.Scene.intersect`.
+        in_order: as in `closest_point`.
 
     Raises:
         TypeError, ValueError: as `wrt.Scene.closest_point`.
@@ -197,7 +217,7 @@ def as_points(
     batch.count, batch.position = count, relative_points(scene, flat)
     batch.most, batch.most_stride = wp.array(limits, dtype=float, device=device), int(len(limits) > 1)
     batch.order = wp.empty(0, dtype=int, device=device)
-    if count >= MIN_SORTED:
+    if count >= MIN_SORTED and not in_order:
         batch.order = morton_order(batch.position, scene.device_mesh.low, scene.device_mesh.high)
     if scene.instances:
         batch.exact, center = empty(count, wp.vec3d, device), wp.vec3d(*map(float, scene.center))

@@ -1,0 +1,1 @@
+"""Queries through the layout of persistent threads: in float64, and of users' kernels."""
