@@ -35,7 +35,7 @@ from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
 from wrt.kernels.traversal.packet.core import packet_kernel
 from wrt.kernels.traversal.packet.core.packet_bvh import make_packet_bvh_kernel
 from wrt.kernels.traversal.packet.core.packet_kdtree import make_packet_kdtree_kernel
-from wrt.kernels.traversal.persistent.persistent_bvh import make_persistent_kernel
+from wrt.kernels.traversal.persistent.persistent_bvh import ANSWER_CLASSES, make_persistent_kernel
 from wrt.kernels.traversal.queued.queued_bvh import make_queued_bvh_kernel
 from wrt.kernels.traversal.single.single_bvh import make_single_bvh_kernel
 from wrt.kernels.traversal.single.single_kdtree import make_single_kdtree_kernel
@@ -79,6 +79,7 @@ class Traversal:
         capabilities: what it can do.
         each_hit: tree kinds on which it can offer each hit, so that it answers every kind of query; on others it answers the
             `nearest` ones.
+        kinds: the only kinds of query that it answers; None for no limit.
         orders: those of `ORDERS` in which it can trace rays.
         triangle_tests: keys in `wrt.kernels.triangle.TRIANGLE_TESTS` of those that it can use; None for all.
         width: children that the nodes of its trees have; None for any number.
@@ -94,6 +95,7 @@ class Traversal:
     rays_per_item: Callable[[TraversalConfig], int] = one_ray
     capabilities: Capabilities = Capabilities.NONE
     each_hit: tuple[str, ...] = ()
+    kinds: frozenset[str] | None = None
     orders: tuple[str, ...] = (AS_GIVEN, CELLS)
     triangle_tests: tuple[str, ...] | None = None
     width: int | None = None
@@ -103,7 +105,8 @@ class Traversal:
 
     def supports(self, query: str, tree: str) -> bool:
         """Whether it answers a query on a tree kind."""
-        return ANSWERS[query].nearest or tree in self.each_hit
+        is_known = self.kinds is None or query in self.kinds
+        return is_known and (ANSWERS[query].nearest or tree in self.each_hit)
 
     def takes_test(self, triangle_test: str) -> bool:
         """Whether it can use a triangle test."""
@@ -183,6 +186,7 @@ TRAVERSALS: dict[str, Traversal] = {
             {"bvh": make_persistent_kernel},
             capabilities=Capabilities.PERSISTENT | Capabilities.CUDA_INSTANCES,
             each_hit=("bvh",),
+            kinds=frozenset(ANSWER_CLASSES),
             orders=(AS_GIVEN,),
             triangle_tests=("woop",),
             width=binary_nodes.WIDTH,

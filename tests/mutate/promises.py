@@ -41,8 +41,8 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/query/inside.py",
-        old="aim(few.batch, DIRECTIONS[2], scene.device)",
-        new="aim(few.batch, DIRECTIONS[1], scene.device)",
+        old="aimed(few, DIRECTIONS[2], scene.device)",
+        new="aimed(few, DIRECTIONS[1], scene.device)",
         tests="tests/queries/test_contains.py::test_contains_votes_where_the_mesh_has_a_hole",
         promise="where the mesh has a hole, three directions vote",
     ),

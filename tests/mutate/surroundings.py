@@ -41,9 +41,9 @@ MUTATIONS = [
     ),
     # -- sensors -------------------------------------------------------------------------------------------------------
     Mutation(
-        path="kernels/sensors/philox.py",
-        old="c0 = wp.uint32(product_1 >> SHIFT) ^ c1 ^ k0",
-        new="c0 = wp.uint32(product_1 >> SHIFT) ^ c1 ^ k1",
+        path="kernels/native/sensor_noise.h",
+        old="c0 = unsigned(product_1 >> 32) ^ c1 ^ key_0;",
+        new="c0 = unsigned(product_1 >> 32) ^ c1 ^ key_1;",
         tests="tests/sensors/test_philox.py::test_philox_known_answers",
         promise="noise is that of the published generator",
     ),

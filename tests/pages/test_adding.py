@@ -72,7 +72,7 @@ def odd(tmp_path_factory):
     sys.modules.pop("odd_crossings")
 
 
-ABLE = [(name, tree) for name, way in TRAVERSALS.items() for tree in way.each_hit]
+ABLE = [(name, tree) for name, way in TRAVERSALS.items() for tree in way.each_hit if way.kinds is None]
 """Traversals and trees on which each hit is offered to a kind of query."""
 
 

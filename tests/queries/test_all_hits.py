@@ -21,9 +21,10 @@ TREES = ["bvh", "kdtree", wrt.KdTree(builder="sweep", block_cost=4.0, width=4)]
 SMOOTH = wrt.scenes.build("teapot", level=3, ground=False)
 SOUP = wrt.scenes.build("random_triangles", count=300, size=0.6)
 WAYS = {
-    kind: [name for name, way in TRAVERSALS.items() if kind in way.trees and way.supports(ALL, kind)]
+    kind: [name for name, way in TRAVERSALS.items() if kind in way.trees and way.supports(ALL, kind) and way.width is None]
     for kind in ("bvh", "kdtree")
 }
+"""Those for trees of any width; of width 2: tests/traversals/test_persistent.py."""
 
 
 def assert_same_lists(lists: wrt.AllHits, expected: wrt.AllHits) -> None:

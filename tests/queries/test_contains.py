@@ -57,17 +57,22 @@ def test_contains_on_the_bunny():
     np.testing.assert_array_equal(scene.contains(points), winding > 0.5)
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("away", [0.0, 40.0])
 @pytest.mark.parametrize("direction", inside.DIRECTIONS[:2])
-def test_contains_votes_where_the_mesh_has_a_hole(direction):
-    """A sphere without one of its triangles: the ray that leaves through the hole is outvoted, the first or the second."""
+def test_contains_votes_where_the_mesh_has_a_hole(direction, away, dtype):
+    """A sphere without one of its triangles, at the origin and elsewhere: the ray that leaves through the hole is outvoted, the
+    first or the second.
+    """
     body = BODIES["icosphere"]
     way = np.array(direction)
     hole = int(np.argmax(body.triangles_center @ way))
-    open_body = wrt.TriangleMesh(body.vertices, np.delete(body.faces, hole, axis=0))
+    open_body = wrt.TriangleMesh(body.vertices + away, np.delete(body.faces, hole, axis=0))
     scene = wrt.Scene(open_body, device="cpu")
     assert not scene.is_closed
-    points = np.outer(np.linspace(-0.9, 0.8, 40), body.triangles_center[hole])
+    local = np.outer(np.linspace(-0.9, 0.8, 40), body.triangles_center[hole])
+    points = (local + away).astype(dtype)
     # away from the centre, rays along this direction leave through the hole
-    assert (scene.count(points[points @ way > 0], way) % 2 == 0).any()
+    assert (scene.count(points[local @ way > 0], way) % 2 == 0).any()
     assert scene.contains(points).all()
-    assert not scene.contains(points + 5.0).any()
+    assert not scene.contains(points + dtype(5.0)).any()

@@ -27,8 +27,8 @@ KEYWORDS = frozenset(
 SUPPLIED = frozenset(
     re.findall(
         r"\w+",
-        "INFINITY NAN memcpy fabsf __brev __ffs __popc threadIdx _Pragma __ATOMIC_SEQ_CST __ATOMIC_RELAXED "
-        "__ATOMIC_ACQUIRE __ATOMIC_RELEASE static_assert "
+        "INFINITY NAN memcpy fabsf __brev __ffs __popc __ldcg __threadfence threadIdx _Pragma __ATOMIC_SEQ_CST "
+        "__ATOMIC_RELAXED __ATOMIC_ACQUIRE __ATOMIC_RELEASE static_assert "
         "atomicAdd atomicMin sqrt sqrtf __attribute__ aligned ext_vector_type noinline",
     )
 )

@@ -36,3 +36,12 @@ def _for_cuda(accelerator: Bvh) -> Bvh:
     if accelerator.max_leaf_triangles is not None or accelerator.width not in (None, WIDTH):
         return accelerator
     return replace(accelerator, max_leaf_triangles=LEAF_TRIANGLES)
+
+
+def is_built_on(accelerator: Accelerator, device: wp.Device, width: int) -> bool:
+    """Whether the tree of a scene on a device is built there, not on the CPU and copied; width: of nodes and leaf blocks."""
+    from wrt.builders.bvh import BVH_BUILDERS
+
+    if type(accelerator) is not Bvh:
+        return False
+    return device.is_cpu or BVH_BUILDERS[accelerator.builder].on_cuda(accelerator.config(width))

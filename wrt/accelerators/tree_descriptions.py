@@ -264,12 +264,6 @@ class Bvh:
         few = [run_steps] if self.may_be_few and triangles <= small_mesh_build.MAX_TRIANGLES else []
         return [*few, *BVH_BUILDERS[self.builder].kernels(self.config(width), triangles)]
 
-    def is_built_on(self, device: wp.Device, width: int) -> bool:
-        """Whether the tree of a scene on a device is built there, and not on the CPU and copied; width: as in `config`."""
-        from wrt.builders.bvh import BVH_BUILDERS
-
-        return device.is_cpu or BVH_BUILDERS[self.builder].on_cuda(self.config(width))
-
     @property
     def may_be_few(self) -> bool:
         """Whether trees of few triangles are built by `wrt.builders.bvh.small_mesh_build`."""

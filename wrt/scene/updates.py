@@ -196,10 +196,9 @@ class TreeRecipe:
     def build_device(self) -> wp.Device:
         """Where the tree is built. Most builders have a thread build each subtree, which suits CPU cores: those trees are built
         on the CPU and copied."""
-        from wrt.accelerators.tree_descriptions import Bvh
+        from wrt.accelerators.cuda_trees import is_built_on
 
-        kept = type(self.accelerator) is Bvh and self.accelerator.is_built_on(self.device, self.width)
-        return self.device if kept else wp.get_device("cpu")
+        return self.device if is_built_on(self.accelerator, self.device, self.width) else wp.get_device("cpu")
 
     def build(self, triangles: MovedTriangles) -> KdTree | Bvh:
         """Builds a new tree, on the scene's device."""

@@ -60,11 +60,13 @@ class DeviceRays:
 
     @classmethod
     def of_batch(cls, batch: RayBatch, coherent: bool, scattered: bool) -> DeviceRays:
-        """Rays that kernels of this package made: relative to the scene's centre, read as the batch says."""
-        layout = Layout(batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, True)
+        """Rays that kernels of this package made, or sorted: read as the batch says."""
+        center = np.array([batch.center[axis] for axis in range(3)])
+        strides = batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride
+        layout = Layout(*strides, centered=not center.any())
         facts = RayFacts(batch.count, (batch.count,), batch.origin_stride == 0, coherent, scattered)
         arrays = batch.origins, batch.directions, batch.t_min, batch.t_max
-        rays = cls(*arrays, layout, ZERO_CENTER, facts, ResultForm(facts.shape, True, np.float32))
+        rays = cls(*arrays, layout, center, facts, ResultForm(facts.shape, True, np.float32))
         rays.batch = batch
         return rays
 
