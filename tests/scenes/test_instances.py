@@ -27,7 +27,10 @@ BOX = wrt.TriangleMesh.from_trimesh(trimesh.creation.box())
 FLAT = np.diag([1.0, 0.0, 1.0, 1.0])
 """A map that makes everything flat: it has no inverse."""
 
-TRAVERSALS = {tree: [name for name, way in TABLE.items() if tree in way.two_level] for tree in ("bvh", "kdtree")}
+TRAVERSALS = {
+    tree: [name for name, way in TABLE.items() if tree in way.two_level and way.width is None] for tree in ("bvh", "kdtree")
+}
+"""Those for trees of any width; of width 2: tests/traversals/test_persistent.py."""
 
 
 def move(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:

@@ -65,7 +65,7 @@ def check_answer(
     Raises:
         ValueError: it cannot; the message names those that can.
     """
-    check_query(query, traversal, tree, test)
+    check_query(query, traversal, tree, test, scene)
     check_test(traversal, test)
     check_culling(cull_backfaces, traversal, tree)
     if scene.instances:
@@ -119,7 +119,11 @@ def check_instances(scene: SceneFacts, query: str, traversal: Traversal, test: T
     """
     kind, is_cuda = scene.tree, scene.is_cuda
     if not traversal.supports_through_instances(query, kind, is_cuda):
-        able = [name for name, entry in TRAVERSALS.items() if entry.supports_through_instances(query, kind, is_cuda)]
+        able = [
+            name
+            for name, entry in TRAVERSALS.items()
+            if entry.supports_through_instances(query, kind, is_cuda) and has_width(scene, entry)
+        ]
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on two levels of {kind}; "
             f"for this scene of instances, choose from auto, {', '.join(able)}"
@@ -173,8 +177,8 @@ def check_spaces(scene: SceneFacts, traversal: Traversal) -> None:
         raise ValueError(f"traversal {traversal.name!r} does not support trees with their own spaces; choose from auto, {able}")
 
 
-def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest) -> None:
-    """Refuses a traversal or a triangle test that cannot answer a query.
+def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest, scene: SceneFacts | None = None) -> None:
+    """Refuses a traversal or a triangle test that cannot answer a query, in a scene of which more may be known.
 
     Raises:
         ValueError: it cannot; the message names those that can.
@@ -184,7 +188,9 @@ def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest)
             name
             for name, entry in TRAVERSALS.items()
             for kind in (tree, "none")
-            if kind in entry.trees and entry.supports(query, kind)
+            if kind in entry.trees
+            and entry.supports(query, kind)
+            and (has_width(scene, entry) if scene else entry.width is None)
         )
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on a {tree}; choose from auto, {able}"
