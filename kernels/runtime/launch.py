@@ -22,7 +22,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -374,12 +374,6 @@ def run_tasks(task: Callable[[int], Any], count: int) -> None:
     for future in futures:
         if not future.cancelled():
             future.result()
-
-
-def run_in_background(task: Callable[[], Any]) -> None:
-    """Calls a task on a thread of the pool, some time; what it raises is lost. The interpreter waits for it at its exit."""
-    with suppress(RuntimeError):  # the interpreter is exiting
-        _pool().submit(task)
 
 
 def _pool() -> ThreadPoolExecutor:

@@ -9,6 +9,7 @@ from click.testing import CliRunner
 import wrt
 from wrt.cli import main
 from wrt.imaging.integrators.rendering_job import Rendering
+from wrt.revisions import ANSWER_REVISION, SAMPLE_REVISION
 from wrt.scene.archives import read_archive, write_archive
 
 BOX = wrt.scenes.build("cornell_box", cells=1)
@@ -69,7 +70,7 @@ def test_other_cameras_and_motions_are_refused(tmp_path):
             wrt.pictures.Rendering(scene, given[0], samples=6, depth=3, motion=given[1]).load_samples(path)
 
 
-@pytest.mark.parametrize("revisions", [(2, 1), (1, 2)])
+@pytest.mark.parametrize("revisions", [(SAMPLE_REVISION + 1, ANSWER_REVISION), (SAMPLE_REVISION, ANSWER_REVISION + 1)])
 def test_samples_of_other_revisions_are_refused(tmp_path, monkeypatch, revisions):
     """By the version of wrt, 0.1.0 throughout, samples of two versions of the code could not be told apart."""
     path = tmp_path / "a.npz"

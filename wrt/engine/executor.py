@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 
 import warp as wp
 
+from wrt.engine.background import run_in_background
 from wrt.engine.facts.query_kinds import AUTO, CLOSEST, QUERIES, Query
 from wrt.engine.launch.batch import trace_batch
 from wrt.engine.launch.device_calls import answer_known, keep_call
@@ -28,7 +29,7 @@ from wrt.engine.rays.rays import as_rays, one_object
 from wrt.engine.rays.staged_rays import StagedRays, stage
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.compilation.module_compiler import NotCompiledError, without_compiling
-from wrt.kernels.runtime.launch import run_in_background, use_threads
+from wrt.kernels.runtime.launch import use_threads
 
 if TYPE_CHECKING:
     from wrt.engine.device_hits import DeviceHits
