@@ -6,5 +6,5 @@
 4. `launch`: the plan's kernel and its arguments, prepared and kept for the next call; instances, lazy trees, areas.
 5. `device_hits`: the results in device memory.
 
-`executor` calls each; `memory` and `host_arrays` hold what they allocate; `background` runs what nobody waits for.
+`executor` calls each; `memory` and `host_arrays` hold what they allocate; `background` runs tasks beside queries.
 """

@@ -1,4 +1,4 @@
-"""Tasks that nobody waits for, one after the other on a thread of their own.
+"""Tasks beside queries, one after the other on a thread of their own: no caller waits for them.
 
 The thread is no thread of a `ThreadPoolExecutor`: Ctrl-C while one of those starts leaves a thread that the executor does not
 know, and for which the interpreter waits at its exit for ever.
