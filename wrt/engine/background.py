@@ -2,6 +2,8 @@
 
 The thread is no thread of a `ThreadPoolExecutor`: Ctrl-C while one of those starts leaves a thread that the executor does not
 know, and for which the interpreter waits at its exit for ever.
+
+A fork waits for the task under way: it may hold locks of Warp, which the child would never get.
 """
 
 from __future__ import annotations
@@ -20,6 +22,15 @@ _lock = threading.RLock()
 _thread: threading.Thread | None = None
 _queue: _Queue = SimpleQueue()
 _is_exiting = False
+
+_under_way = threading.Lock()
+"""Held by a task, and during a fork."""
+
+_is_waited_for = False
+"""Whether the fork under way holds it."""
+
+FORK_SECONDS = 10.0
+"""How long a fork waits at most: who forks may hold what the task waits for."""
 
 
 def run_in_background(task: Callable[[], Any]) -> None:
@@ -41,7 +52,7 @@ def run_in_background(task: Callable[[], Any]) -> None:
 def _serve(queue: _Queue) -> None:
     """Calls tasks until there is a None in the queue."""
     while (task := queue.get()) is not None:
-        with suppress(BaseException):
+        with suppress(BaseException), _under_way:
             if not _is_exiting:
                 task()
         del task  # what it holds lives no longer
@@ -58,11 +69,24 @@ def _close() -> None:
         thread.join()
 
 
+def _await_task() -> None:
+    """Before a fork."""
+    global _is_waited_for
+    _is_waited_for = _under_way.acquire(timeout=FORK_SECONDS)
+
+
+def _go_on() -> None:
+    """After it, in the parent."""
+    if _is_waited_for:
+        _under_way.release()
+
+
 def _forget() -> None:
     """A forked child does not have the thread."""
-    global _lock, _queue, _thread, _is_exiting
+    global _lock, _queue, _thread, _is_exiting, _under_way
     _lock, _queue, _thread, _is_exiting = threading.RLock(), SimpleQueue(), None, False
+    _under_way = threading.Lock()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget)
+    os.register_at_fork(before=_await_task, after_in_parent=_go_on, after_in_child=_forget)
