@@ -61,7 +61,7 @@ class DeviceRays:
     @classmethod
     def of_batch(cls, batch: RayBatch, coherent: bool, scattered: bool) -> DeviceRays:
         """Rays that kernels of this package made, or sorted: read as the batch says."""
-        center = np.array([batch.center[axis] for axis in range(3)])
+        center = np.array(batch.center, dtype=np.float64)
         strides = batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride
         layout = Layout(*strides, centered=not center.any())
         facts = RayFacts(batch.count, (batch.count,), batch.origin_stride == 0, coherent, scattered)
