@@ -6,8 +6,6 @@
 namespace wrt {
 namespace {
 
-constexpr double FARTHEST = 1.7976931348623157e308;
-
 /// An integer in the order of doubles, of -0 before 0.
 inline CUDA_CALLABLE long long ordered_bits(double value)
 {
@@ -47,8 +45,8 @@ inline CUDA_CALLABLE void add_all(double* sum, double value)
 
 /// As `bound_points`, by a team of a warp on CUDA, of which this is thread `lane`.
 template <class Matrix, class Vec3>
-inline CUDA_CALLABLE void bound_by_team(const double* points, int row, int begin, int end, const Matrix& map, const Vec3& origin,
-    double* corners, int count, int i, int lane, int team)
+inline CUDA_CALLABLE void bound_by_team(const double* points, int row, int begin, int end, const Matrix& map,
+    const Vec3& origin, double* corners, int count, int i, int lane, int team)
 {
     const double *const px = points, *const py = px + row, *const pz = py + row;
     double low[3], high[3];
@@ -94,7 +92,8 @@ inline CUDA_CALLABLE void refit_lane(float* bounds, int node, int lane, int chil
     for (int axis = 0; axis < 6; ++axis) {
         const float* const own = bounds + ((size_t)child * 6 + axis) * width;
         float found = own[0];
-        for (int k = 1; k < width; ++k) found = axis < 3 ? (own[k] < found ? own[k] : found) : (own[k] > found ? own[k] : found);
+        for (int k = 1; k < width; ++k)
+            found = axis < 3 ? (own[k] < found ? own[k] : found) : (own[k] > found ? own[k] : found);
         bounds[((size_t)node * 6 + axis) * width + lane] = found;
     }
 }

@@ -10,7 +10,7 @@ from test_instances import BALL, BOX, FLAT
 
 import wrt
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, cover, outermost
-from wrt.kernels.runtime import local_memory
+from wrt.kernels.compilation import local_memory
 from wrt.meshes.instance import matrices_of
 from wrt.meshes.mesh import TriangleMesh
 
@@ -167,9 +167,9 @@ def test_local_memory_that_a_card_has_not_is_refused(monkeypatch):
     monkeypatch.setattr(local_memory, "_reserved", {})
     monkeypatch.setattr(local_memory, "resident_threads", lambda ordinal: 270_336)
     sizes = iter([100_000, 110_000, 240_000, 250_000])
-    monkeypatch.setattr(local_memory, "local_bytes", lambda kernel, device: next(sizes))
+    monkeypatch.setattr(local_memory, "local_bytes", lambda *loaded: next(sizes))
     for _ in range(3):  # what is reserved already serves the next kernel
-        local_memory.reserve_local_memory(Kernel, Card)
+        local_memory.reserve_local_memory(Kernel, Card, 128)
     monkeypatch.setattr(Card, "free_memory", 1_000_000_000)
     with pytest.raises(MemoryError, match=r"packets needs 67\.6 GB of local memory .*cuda:9.* 1\.0 GB free"):
-        local_memory.reserve_local_memory(Kernel, Card)
+        local_memory.reserve_local_memory(Kernel, Card, 128)

@@ -1,7 +1,7 @@
 """Moves of instances whose transforms are Warp arrays on the scene's device: maps, boxes and nodes are computed there.
 
-A launch needs the scene's centre and bounds on the host, so an update reads `Spanned.report` back, and nothing else. What only the
-host needs, such as `wrt.Instance` objects with their transforms, is copied when something asks for it.
+A launch needs the scene's centre and bounds on the host, so an update reads `Spanned.report` back, and nothing else. What
+only the host needs, such as `wrt.Instance` objects with their transforms, is copied when something asks for it.
 
 While a CUDA graph is captured nothing can be read back. Then the centre stays, and the bounds are in the graph's memory
 (`InstanceTree.extent`).
@@ -72,9 +72,8 @@ def transforms_on(device: wp.Device, transforms: Any, count: int) -> wp.array | 
     if transforms.dtype in MATRICES:
         found = transforms if transforms.ndim == 1 else None
     elif transforms.dtype in NUMBERS and transforms.shape[-2:] == (4, 4) and transforms.ndim in (2, 3):
-        kind = NUMBERS[transforms.dtype]
-        found = wp.array(ptr=transforms.ptr, dtype=kind, shape=transforms.size // 16, device=device)
-        found._kept = transforms
+        dtype = NUMBERS[transforms.dtype]
+        found = keep_alive(wp.array(ptr=transforms.ptr, dtype=dtype, shape=transforms.size // 16, device=device), transforms)
     else:
         return None
     is_one = found is not None and transforms.dtype in NUMBERS and transforms.ndim == 2
@@ -121,6 +120,8 @@ class BoxesOnDevice(InstanceBoxes):
         report: `Spanned.report`; that of the state before, if a graph writes it.
         frame: as in the class, if it is that of the state before.
     """
+
+    bounded: BoundedInstances
 
     def __init__(self, bounded: BoundedInstances, report: list[float], frame: Any = None) -> None:
         known: dict[str, Any] = {"bounded": bounded}
@@ -274,9 +275,8 @@ def move_on_device(
     boxes = BoxesOnDevice(made.bounded, report)
     if is_measured:
         tree.cost = cost_of(report[12], report[13])
-    center, rounding = report[9:12], boxes.frame[1]
-    low, high = (np.array(values, dtype=np.float64) for values in (report[:3], report[3:6]))
-    low, high = low - (np.array(center) + rounding), high - (np.array(center) - rounding)
+    middle, rounding = np.array(report[9:12]), boxes.frame[1]
+    low, high = np.array(report[:3]) - (middle + rounding), np.array(report[3:6]) - (middle - rounding)
     tree.low = wp.vec3(*np.nextafter(low.astype(np.float32), np.float32(-np.inf)).tolist())
     tree.high = wp.vec3(*np.nextafter(high.astype(np.float32), np.float32(np.inf)).tolist())
     return made, boxes, table, tree

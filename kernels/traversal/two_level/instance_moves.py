@@ -8,7 +8,13 @@ import warp as wp
 
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.two_level.instance_bounds import BoundedInstances, CoverPoints, bound_instance, inverse_map, linear_part
+from wrt.kernels.traversal.two_level.instance_bounds import (
+    BoundedInstances,
+    CoverPoints,
+    bound_instance,
+    inverse_map,
+    linear_part,
+)
 
 exact_module(__name__)
 

@@ -1,9 +1,9 @@
 """Instances move where their transforms are: maps, boxes and the nodes above them, by kernels that read nothing back.
 
-**Steps.** `place_instances`: the maps of the instances that move. `bound_moved`: their boxes in float64, by a team of threads each.
-`span_instances`: what all boxes span. `lay_out`: the scene's centre, which depends on that alone, placements relative to it, and
-the boxes of the leaves of the upper tree. `refit_level`, `refit_levels`: the boxes of inner nodes, from the bottom up, one
-launch for each large level, and one for all small ones. `measure_nodes`: the surfaces of which the cost of the tree consists.
+**Steps.** `place_instances`: the maps of the instances that move. `bound_moved`: their boxes in float64, by a team of threads
+each. `span_instances`: what all boxes span. `lay_out`: the scene's centre, which depends on that alone, placements relative to
+it, and the boxes of the leaves of the upper tree. `refit_level`, `refit_levels`: the boxes of inner nodes, from the bottom up,
+one launch for each large level, and one for all small ones. `measure_nodes`: the surfaces of which the tree's cost consists.
 
 All values equal those of updates on the host (`wrt.instances.instance_boxes`) to the bit; only the sum of surfaces is taken in
 another order.
@@ -62,8 +62,8 @@ class Spanned:
     """(`SPANNED`,) least values, ordered as integers: lowest x, y, z; highest x, y, z and the greatest norm, negated; the least
     size; the first instance whose transform is singular or close to it, not finite, or not affine."""
     report: wp.array(dtype=wp.float64)
-    """(`REPORTED`,) lowest x, y, z, highest x, y, z, greatest norm, least size, that instance or a huge number, the centre x, y,
-    z, and the surfaces of the boxes of nodes and of instances."""
+    """(`REPORTED`,) lowest x, y, z, highest x, y, z, greatest norm, least size, that instance or a huge number, the centre x,
+    y, z, and the surfaces of the boxes of nodes and of instances."""
     extent: wp.array(dtype=float)
     """(7,) as `InstanceTree.extent`."""
 
@@ -163,8 +163,8 @@ def is_fine(m: wp.mat44d):
 
 @native.func_native(
     "instance_updates.h",
-    """wrt::bound_by_team(points.data, points.shape[0] / 3, begin, end, map, origin, corners.data, corners.shape[0] / 6, i, lane,
-        team);""",
+    """wrt::bound_by_team(
+        points.data, points.shape[0] / 3, begin, end, map, origin, corners.data, corners.shape[0] / 6, i, lane, team);""",
 )
 def bound_by_team(
     points: wp.array(dtype=wp.float64),
@@ -183,7 +183,7 @@ def bound_by_team(
 
 @cache
 def make_place_instances(dtype: type) -> wp.Kernel:
-    """The kernel that places instances by transforms of a type: `wp.mat44f`, `wp.mat44d`, `wp.transformf` or `wp.transformd`."""
+    """The kernel that places instances; dtype: of transforms, a matrix (`wp.mat44f`, `wp.mat44d`) or a `wp.transform`."""
 
     def place_instances(
         first: int,

@@ -1,8 +1,8 @@
 """Local memory of kernels on CUDA: what a card cannot hold is refused before the launch.
 
-Stacks and packets that do not fit into registers are in local memory. The driver reserves it for as many threads as the card can
-hold at a time, whatever the number that is launched, and keeps it. If there is too little, a launch may end without having run,
-which only a later call notices, or none.
+Stacks and packets that do not fit into registers are in local memory. The driver reserves it for as many threads as the
+card can hold at a time, whatever the number that is launched, and keeps it. If there is too little, a launch may end without
+having run, which only a later call notices, or none.
 """
 
 import ctypes
@@ -11,8 +11,6 @@ from functools import cache
 from typing import Any
 
 import warp as wp
-
-from wrt.kernels.runtime.options import cuda_block
 
 LOCAL_SIZE = 3
 """CU_FUNC_ATTRIBUTE_LOCAL_SIZE_BYTES"""
@@ -36,11 +34,11 @@ def driver() -> Any:
         return None
 
 
-def local_bytes(kernel: wp.Kernel, device: wp.Device) -> int:
-    """Bytes of local memory of a thread of a kernel, which is loaded on a CUDA device; 0 if that is not known."""
+def local_bytes(kernel: wp.Kernel, device: wp.Device, block: int) -> int:
+    """Bytes of local memory of a thread of a kernel, loaded on a CUDA device for blocks of `block` threads; 0 if not known."""
     if kernel.is_generic or driver() is None:
         return 0
-    loaded = kernel.module.execs.get((device.context, cuda_block(kernel)))
+    loaded = kernel.module.execs.get((device.context, block))
     if loaded is None:
         return 0
     value, function = ctypes.c_int(), ctypes.c_void_p(loaded.get_kernel_hooks(kernel).forward)
@@ -57,19 +55,22 @@ def resident_threads(ordinal: int) -> int:
     return value.value * wp.get_device(f"cuda:{ordinal}").sm_count
 
 
-def reserve_local_memory(kernel: wp.Kernel, device: wp.Device) -> None:
+def reserve_local_memory(kernel: wp.Kernel, device: wp.Device, block: int) -> None:
     """Checks that a card has the local memory that a kernel needs beyond that of the kernels before it.
+
+    block: as in `local_bytes`.
 
     Raises:
         MemoryError: it has not.
     """
-    needed, reserved = local_bytes(kernel, device) * resident_threads(device.ordinal), _reserved.get(device.alias, 0)
+    needed = local_bytes(kernel, device, block) * resident_threads(device.ordinal)
+    reserved = _reserved.get(device.alias, 0)
     if needed <= max(reserved, MIN_CHECKED):
         return
     free = device.free_memory
     if needed - reserved > free:
         raise MemoryError(
-            f"{kernel.key} needs {needed / 1e9:.1f} GB of local memory for all threads of {device.alias}, which has {free / 1e9:.1f} GB "
-            'free; free some, or use another traversal there, such as "persistent" or "single"'
+            f"{kernel.key} needs {needed / 1e9:.1f} GB of local memory for all threads of {device.alias}, which has "
+            f"{free / 1e9:.1f} GB free; free some, or use the traversal 'persistent' or 'single' there"
         )
     _reserved[device.alias] = needed
