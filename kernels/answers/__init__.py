@@ -6,7 +6,7 @@ offer hits to a kind in one of three ways:
 * `nearest` kinds keep the best hit, by `improves`, or the first that is found. Engines compare hits for them, in lanes. All
   traversals answer them.
 * Other kinds are offered each hit: `accept(search, i, best, t, primitive, u, v) -> best` of ray i. t is in the ray's range, and
-  no more than `best.t`. Those traversals answer them that say so (`Traversal.each_hit`).
+  no more than `best.t`. Those traversals answer them that say so (`OnTree.each_hit` of `wrt.kernels.traversal`).
 * A kind with a test of its own gets each triangle whose box its ray meets: `own_test(search, primitive)`, and `best_of(search,
   best) -> best` after each block. Only single-ray walks do that.
 

@@ -170,7 +170,7 @@ def kernel_factory(plan: Plan, scene: SceneState) -> Callable[[TraversalConfig],
     """The factory of the kernel that carries out a plan on the scene's tree."""
     if scene.only_single and plan.accelerator != "none":
         return scene.tree.kernel_factory
-    return traversal_of(plan).kernels[plan.accelerator]
+    return traversal_of(plan).on[plan.accelerator].make_kernel
 
 
 def traversal_of(plan: Plan) -> Traversal:

@@ -44,8 +44,7 @@ def can_answer(
     bool."""
     kind = scene.tree if traversal.walks_tree else "none"
     return (
-        kind in traversal.kernels
-        and traversal.supports(query, kind)
+        traversal.supports(query, kind)
         and (triangle_test is None or traversal.takes_test(triangle_test))
         and (not cull_backfaces or traversal.culls_backfaces(kind))
         and (not scene.instances or traversal.supports_through_instances(query, kind, scene.is_cuda))
@@ -188,9 +187,7 @@ def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest,
             name
             for name, entry in TRAVERSALS.items()
             for kind in (tree, "none")
-            if kind in entry.trees
-            and entry.supports(query, kind)
-            and (has_width(scene, entry) if scene else entry.width is None)
+            if entry.supports(query, kind) and (has_width(scene, entry) if scene else entry.width is None)
         )
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on a {tree}; choose from auto, {able}"
