@@ -75,7 +75,7 @@ class OnTree:
         make_kernel: config -> kernel.
         each_hit: whether it can offer each hit, so that it answers every kind of query; else it answers the `nearest` ones.
         instances: whether it traces rays through instances of geometries with such trees: one by one, for all that it answers
-            on them; else for what parts can answer (`AnswerKind.merge`).
+            on them; else for what parts can answer (`merge` of `wrt.kernels.answers`).
         kinds: the only kinds of query that it answers; None for no limit.
     """
 
@@ -134,7 +134,7 @@ class Traversal:
 
     def supports_through_instances(self, query: str, tree: str, is_cuda: bool) -> bool:
         """Whether it answers a query through instances whose trees are of a kind."""
-        merges = self.walks_single_rays or ANSWERS[query].merge is not None
+        merges = self.walks_single_rays or ANSWERS[query].stored.merge is not None
         runs = Capabilities.CUDA_INSTANCES in self.capabilities or not is_cuda
         return self.supports(query, tree) and self.on[tree].instances and merges and runs
 

@@ -52,7 +52,7 @@ def can_answer(
         and (Capabilities.WIDE_FORM not in traversal.capabilities or scene.can_be_wide)
         and has_width(scene, traversal)
         and sees_masks(scene, traversal, query)
-        and (Capabilities.SHARED_LEAVES in traversal.capabilities or not ANSWERS[query].once or not scene.shares_leaves)
+        and (Capabilities.SHARED_LEAVES in traversal.capabilities or not ANSWERS[query].rules.once or not scene.shares_leaves)
     )
 
 
@@ -78,7 +78,7 @@ def check_answer(
 
 def sees_masks(scene: SceneFacts, traversal: Traversal, query: str) -> bool:
     """Whether a traversal decides hits of a query by the alpha masks of a scene, if it has any."""
-    able = Capabilities.ALPHA_MASKS in traversal.capabilities and not ANSWERS[query].oriented
+    able = Capabilities.ALPHA_MASKS in traversal.capabilities and not ANSWERS[query].rules.oriented
     return able or not scene.has_masks
 
 
@@ -102,7 +102,7 @@ def check_leaves(scene: SceneFacts, query: str, traversal: Traversal) -> None:
     Raises:
         ValueError: the scene's BVH was built with spatial splits.
     """
-    if ANSWERS[query].once and scene.shares_leaves and Capabilities.SHARED_LEAVES not in traversal.capabilities:
+    if ANSWERS[query].rules.once and scene.shares_leaves and Capabilities.SHARED_LEAVES not in traversal.capabilities:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if Capabilities.SHARED_LEAVES in entry.capabilities)
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on a BVH with spatial splits; "
@@ -192,7 +192,7 @@ def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest,
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on a {tree}; choose from auto, {able}"
         )
-    if ANSWERS[query].crossings and test.crossing is None:
+    if ANSWERS[query].rules.crossings and test.crossing is None:
         able = ", ".join(name for name, entry in TRIANGLE_TESTS.items() if entry.crossing is not None)
         raise ValueError(
             f"triangle_test {test.name!r} may count a crossing at an edge twice or not at all; choose from auto, {able}"
