@@ -24,19 +24,23 @@ And those of `Instances`, for an instance whose triangles are numbered from `fir
 * `join(found, first, t_min, best) -> best`: the same as `merge`, in registers;
 * `renumber(hits, i, count, first)`: of the last `count` hits of a list.
 
-A variant of several kinds is one file, too: `skipped_triangle` and `alpha_mask` make a row from a row. It says what its kernels
-get besides, `Given`, and how a ray's search begins: `begin(given, hits, i, t_min) -> search`.
+A variant of several kinds is one file and one line in `VARIANTS`, too: it makes a row from a row. It says what its kernels get
+besides, `Given`, and how a ray's search begins: `begin(given, hits, i, t_min) -> search`.
 
 To add a kind, write its file and add one line to `ANSWERS` (docs/adding.md). Neither engines nor hosts ask for its name.
 """
 
+from collections.abc import Callable
+
 from wrt.kernels.answers import (
     all_crossings,
+    alpha_mask,
     any_hit,
     closest_hit,
     crossing_count,
     exact_hit,
     next_crossing,
+    skipped_triangle,
     winding_number,
 )
 from wrt.kernels.answers.answer_kind import AnswerKind
@@ -54,6 +58,15 @@ ANSWERS: dict[str, AnswerKind] = {
     )
 }
 """Kinds of queries by name."""
+
+PLAIN, SKIPPING, MASKED = "plain", "skipping", "masked"
+
+VARIANTS: dict[str, Callable[[AnswerKind], AnswerKind]] = {
+    PLAIN: lambda kind: kind,
+    SKIPPING: skipped_triangle.skipping,
+    MASKED: alpha_mask.masking,
+}
+"""Variants by name: what each makes of a kind."""
 
 
 def batch_kinds() -> tuple[AnswerKind, ...]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from wrt.engine.facts.wide_trees import wide_tree
 from wrt.engine.free_list import FreeList
-from wrt.kernels.answers import ANSWERS
+from wrt.kernels.answers import ANSWERS, MASKED, PLAIN
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS, Traversal
 from wrt.kernels.traversal.capabilities import Capabilities
@@ -145,7 +145,7 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
         counters,
         plan.mailbox,
         plan.cull_backfaces,
-        masked=scene.alpha_masks is not None,
+        variant=PLAIN if scene.alpha_masks is None else MASKED,
         **families,
     )
 
