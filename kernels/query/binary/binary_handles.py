@@ -1,8 +1,7 @@
 """Handles of scenes whose trees have two children a node: rays of users' kernels walk the layout of persistent threads.
 
 A thread of a user's kernel traces its own ray, so it cannot fetch others; it takes the steps of
-`wrt.kernels.traversal.persistent` alone. Its stack is a word for each level, in local memory. The handle keeps the wide tree,
-too, for searches of points.
+`wrt.kernels.traversal.persistent` alone. Its stack is a word for each level, in local memory.
 """
 
 from functools import cache
@@ -12,14 +11,12 @@ import warp as wp
 from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, start
 from wrt.kernels.answers.next_crossing import PreviousCrossing
 from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTriangles
-from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.query.device_functions import SEARCHES, register_handle, seeing
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime import native
 from wrt.kernels.traversal.persistent.persistent_bvh import ANSWER_CLASSES
-from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree
-from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+from wrt.kernels.traversal.two_level.instance_single import InstanceTree
 
 
 @cache
@@ -27,10 +24,8 @@ def binary_handle_type(levels: int) -> type:
     """The handle struct of a scene of one level; as `wrt.kernels.query.device_functions.handle_type`."""
 
     class BinaryHandle:
-        tree: WideNodes
-        triangles: TriangleBlocks
-        nodes: BinaryNodes
-        corners: PackedTriangles
+        tree: BinaryNodes
+        triangles: PackedTriangles
         mesh: SceneMesh
 
     BinaryHandle.__qualname__ = f"BinaryHandle_{levels}"
@@ -46,8 +41,7 @@ def binary_instances_handle_type(levels: int) -> type:
 
     class BinaryInstancesHandle:
         top: InstanceTree
-        parts: wp.array(dtype=BvhPart)
-        binary: wp.array(dtype=BinaryPart)
+        parts: wp.array(dtype=BinaryPart)
         mesh: SceneMesh
         mask: wp.uint32
         environment: int
@@ -62,12 +56,12 @@ def binary_instances_handle_type(levels: int) -> type:
 
 def make_binary_search(handle: type, answer: AnswerKind, levels: int) -> wp.Function:
     """`wp.func(scene, ray, origin, after) -> best`: the overload of a `search_*` function for a handle type."""
-    space, options = "wrt::one_tree(nodes, corners)", f"{levels + 1}, wrt::{ANSWER_CLASSES[answer.name]}"
+    space, options = "wrt::one_tree(tree, triangles)", f"{levels + 1}, wrt::{ANSWER_CLASSES[answer.name]}"
 
     @native.func_native("persistent.h", f"wrt::walk_one<{options}>({space}, ray, previous, origin, ~0u, -1, best);")
     def walk(
-        nodes: BinaryNodes,
-        corners: PackedTriangles,
+        tree: BinaryNodes,
+        triangles: PackedTriangles,
         ray: Ray,
         previous: PreviousCrossing,
         origin: wp.vec3d,
@@ -80,7 +74,7 @@ def make_binary_search(handle: type, answer: AnswerKind, levels: int) -> wp.Func
         previous.t = ray.t_min
         previous.primitive = after
         best = start(ray.t_max)
-        walk(scene.nodes, scene.corners, ray, previous, origin, best)
+        walk(scene.tree, scene.triangles, ray, previous, origin, best)
         return best
 
     return search
@@ -108,7 +102,7 @@ def make_instances_search(handle: type, answer: AnswerKind, levels: int) -> wp.F
         previous.t = ray.t_min
         previous.primitive = after
         best = start(ray.t_max)
-        walk(scene.top, scene.binary, ray, previous, origin, scene.mask, scene.environment, best)
+        walk(scene.top, scene.parts, ray, previous, origin, scene.mask, scene.environment, best)
         return best
 
     return search
@@ -122,7 +116,6 @@ def make_seeing(handle: type) -> wp.Function:
         other = handle()
         other.top = scene.top
         other.parts = scene.parts
-        other.binary = scene.binary
         other.mesh = scene.mesh
         other.mask = mask
         other.environment = environment
