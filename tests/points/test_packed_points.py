@@ -1,4 +1,4 @@
-"""Points through nodes of 64 bytes, as on CUDA: the bits of brute force. On the CPU an item is one point; the steps are the same."""
+"""Points through nodes of 64 bytes, as on CUDA: the bits of brute force. The CPU takes the same steps, a point an item."""
 
 from __future__ import annotations
 
