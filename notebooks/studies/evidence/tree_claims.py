@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from studies.evidence.claims import Found, Held, claim, pairs, quotient
 from studies.evidence.papers import FALCONE_PRECISION
-from studies.evidence.verdicts import all_of, counted, judge, span
+from studies.evidence.verdicts import all_of, counted, judge, not_comparable, span
 
 
 @claim(
@@ -123,6 +123,20 @@ def instance_rays(held: Held) -> Found:
 def groups(held: Held) -> Found:
     speed = held["dynamic"].take("groups", "speed", way="groups, built")
     return judge(speed, at_least=1.1), ", ".join(f"{one.value:.1f} times with {one.case} of 16 moving" for one in speed)
+
+
+@claim(
+    "threads-benthin",
+    "rahikainen",
+    "4.1",
+    "Lists of candidates sorted in parts, and a subtree for each thread, make builds 2 times as fast on 2 cores",
+    "thread_growth",
+)
+def two_threads(held: Held) -> Found:
+    """Benthin's division of the work is not built; those that are say how much two threads gain here."""
+    each = held["thread_growth"].take("threads", "speed", threads="2", what=("streaming", "in_place", "binned", "nested"))
+    here = ", ".join(f"{one.value:.1f} times ({one.case.split(', ')[0]})" for one in each)
+    return not_comparable("other divisions of the work"), f"with 2 threads {here}"
 
 
 @claim(
