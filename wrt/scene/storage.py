@@ -29,7 +29,7 @@ from wrt.accelerators.accelerator import ACCELERATORS, Accelerator
 from wrt.accelerators.cuda_trees import for_device
 from wrt.builders.tree import BuildStats, Bvh, KdTree
 from wrt.builders.tree_check import check_tree
-from wrt.materials.stored_materials import pack_materials, unpack_materials
+from wrt.materials.mesh_materials import pack_materials, unpack_materials
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.node_graph import NOWHERE, NodeGraph
