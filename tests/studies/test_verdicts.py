@@ -148,7 +148,7 @@ NUMBERS = {
     "two-trees": ("trace", {"way": "static and moving kdtree"}, 1e6, 1e-6),
     "split-threads": ("split", {}, 1e-6, 1e6),
     "pah-precision": ("percent", {"error": "PAH, point, circular cap"}, 5.0, 23.0),
-    "pah-spfh": ("percent", {"tree": "PAH + SPFH", "way": ("15 degrees", "45 degrees", "oblique")}, -1.0, 30.0),
+    "pah-spfh": ("percent", {"tree": "PAH + SPFH"}, 3.0, 30.0),
     "sah-spfh": ("percent", {"tree": "SAH + SPFH"}, 99.0, -9.0),
     "pah-alone": ("percent", {"tree": "PAH + LSPH"}, -3.0, 4.0),
     "sah-precision": ("percent", {"error": "SAH, plane and point"}, 51.0, 3.0),
