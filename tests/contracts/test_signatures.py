@@ -25,7 +25,6 @@ PUBLIC = {
     "wrt/query/batches/block_queries.py: count_blocks",
     "wrt/query/batches/block_queries.py: intersect_blocks",
     "wrt/query/batches/block_queries.py: occluded_blocks",
-    "wrt/query/blocks.py: blocks_of",
     "wrt/moving/skinned_scene.py: __init__",
     "wrt/sensors/image_sensor.py: capture",
     "wrt/sensors/lidar.py: scan",
