@@ -161,7 +161,9 @@ def test_concave_polygons_of_any_size():
         assert areas.sum() == pytest.approx(count * np.sin(2 * np.pi / count), rel=1e-9)
 
 
-@pytest.mark.parametrize(("first", "behind"), [("CNOFF", " 0 0 1 255 0 10"), ("NCOFF", " 255 0 10 255 0 0 1"), ("COFF", " 255 0 10")])
+@pytest.mark.parametrize(
+    ("first", "behind"), [("CNOFF", " 0 0 1 255 0 10"), ("NCOFF", " 255 0 10 255 0 0 1"), ("COFF", " 255 0 10")]
+)
 def test_colours_of_off_files_are_where_the_first_word_says(tmp_path, first, behind):
     (tmp_path / "cube.off").write_text(off(CUBE, f"{first}\n", behind))
     colors = TriangleMesh.load(tmp_path / "cube.off").materials.corner_color

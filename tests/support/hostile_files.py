@@ -120,7 +120,7 @@ runs = [i for a, b, c, d in QUADS for i in (a, b, d, c, -1)]
 strip_body = b"".join(struct.pack(">3f", *point) for point in CUBE.points) + struct.pack(f">i{len(runs)}i", len(runs), *runs)
 add("tristrips.ply", strips.encode() + strip_body)
 add("word_in_remarks.ply", ply(CUBE, "<", head="comment end_header is below\nobj_info end_header\n"))
-add("remark_in_utf_8.ply", ply(CUBE, head="comment by Åse\u2028 \u0085\n".encode().decode("latin-1")).decode().encode("latin-1"))
+add("remark_in_utf_8.ply", ply(CUBE, head="comment by Åse \u2028 \u0085\n"))
 line_feed_first = ply(CUBE, "<", vertex="property uchar level\n" + POSITION)
 head, body = line_feed_first.split(b"end_header\n")
 rows = b"".join(b"\n" + body[12 * k : 12 * (k + 1)] for k in range(8)) + body[96:]

@@ -30,7 +30,6 @@ SCENE_OPTIONS = {"teapot": {"level": 32, "ground": False}}
 """Where a scene's defaults do not suit: the teapot's ground would fill every view."""
 
 
-
 class FigureFile(click.Path):
     """A file that is written at the end, in a folder that is there at the start."""
 

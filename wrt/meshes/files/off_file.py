@@ -55,9 +55,7 @@ def read_off(data: bytes, source: MeshSource) -> FileMesh:
     return _mesh(body, int(counts[0]), int(counts[1]), letters, remarks, source)
 
 
-def _mesh(
-    body: bytes, vertex_count: int, face_count: int, letters: bytes, remarks: list[str], source: MeshSource
-) -> FileMesh:
+def _mesh(body: bytes, vertex_count: int, face_count: int, letters: bytes, remarks: list[str], source: MeshSource) -> FileMesh:
     words = words_per_line(body)
     if len(words) < vertex_count + face_count:
         raise ValueError(
