@@ -153,5 +153,5 @@ def test_the_ten_lines_of_the_readme(tmp_path, monkeypatch):
     assert (away < 20.001).all()
     assert (away > inner - 0.001).all()
     height = hits.position[..., 1] - UTM[1]
-    assert not names["dark"][height > 8.0].any()  # spawned above the ball
-    assert names["dark"][height < -8.0].all()  # and inside
+    assert names["lit"][height > 8.0].all()  # spawned above the ball
+    assert not names["lit"][height < -8.0].any()  # which face down, and whose rays start inside
