@@ -56,6 +56,16 @@ def test_listed_names_exist_and_are_documented(module):
         _ = listed.nothing
 
 
+def test_errors_say_where_a_name_is():
+    with pytest.raises(AttributeError, match=r"^module 'wrt' has no attribute 'Lidar'; it is wrt\.sensors\.Lidar$"):
+        _ = wrt.Lidar
+    with pytest.raises(AttributeError, match=r"^module 'wrt' has no attribute 'lidar'$"):
+        _ = wrt.lidar
+    scene = wrt.Scene(wrt.scenes.build("teapot", level=1), "bvh", device="cpu")
+    with pytest.raises(AttributeError, match=r"; it is wrt\.analysis\.signed_distance\(scene, \.\.\.\)$"):
+        _ = scene.signed_distance
+
+
 def test_one_place_for_each_name():
     """No name is public in two places."""
     assert len(EVERY_NAME) == len(set(EVERY_NAME)) + 1  # __version__

@@ -282,7 +282,10 @@ class Scene(Queries, Members):
         def __getattr__(self, name: str) -> Any:
             """Members that are now those of `state`; each use warns."""
             if name not in MOVED_TO_STATE:
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+                from wrt import analysis
+
+                where = f"; it is wrt.analysis.{name}(scene, ...)" if name in analysis.__all__ else ""
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{where}", name=name, obj=self)
             warnings.warn(
                 f"wrt.Scene.{name} is now scene.state.{name}; the old name goes with the next release",
                 DeprecationWarning,
