@@ -20,6 +20,12 @@ NOTICED = 2.0**-20
 """Share of a mesh's size by which float32 may move its vertices without a warning: sixteen times what it does near 0."""
 
 
+def _float32(values: np.ndarray) -> np.ndarray:
+    """Values rounded to float32."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)
+
+
 def _seven_digits(values: np.ndarray) -> np.ndarray:
     """Values rounded to seven decimal digits, up to an error of float64."""
     unit = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(values), np.finfo(np.float64).tiny))) - 6.0)
@@ -27,9 +33,9 @@ def _seven_digits(values: np.ndarray) -> np.ndarray:
 
 
 ROUNDING: Mapping[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
-    "stl": ("float32", np.float32),
-    "glb": ("float32", np.float32),
-    "gltf": ("float32", np.float32),
+    "stl": ("float32", _float32),
+    "glb": ("float32", _float32),
+    "gltf": ("float32", _float32),
     "dae": ("seven digits", _seven_digits),
 }
 """What formats hold, and what becomes of values in them."""
@@ -70,8 +76,7 @@ def warn_of_rounding(mesh: trimesh.Trimesh, suffix: str) -> None:
         return
     held, rounded = ROUNDING[suffix]
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    with np.errstate(over="ignore"):
-        moved = np.abs(rounded(vertices) - vertices).max()
+    moved = np.abs(rounded(vertices) - vertices).max()
     if moved > NOTICED * np.linalg.norm(np.ptp(vertices, axis=0)):
         warnings.warn(
             f".{suffix} files hold {held}, which moves vertices by up to {moved:.2g}; save a .ply, .obj or .off file, or move "
