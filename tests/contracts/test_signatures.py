@@ -25,7 +25,6 @@ PUBLIC = {
     "wrt/query/batches/block_queries.py: count_blocks",
     "wrt/query/batches/block_queries.py: intersect_blocks",
     "wrt/query/batches/block_queries.py: occluded_blocks",
-    "wrt/query/blocks.py: blocks_of",
     "wrt/moving/skinned_scene.py: __init__",
     "wrt/sensors/image_sensor.py: capture",
     "wrt/sensors/lidar.py: scan",
@@ -34,7 +33,6 @@ PUBLIC = {
 """Functions with more arguments that are keywords which users write."""
 
 EXCEPTIONS = {
-    "builders/classics/bvh/subset_levels.py: find_block",
     "builders/classics/kdtree/postprocess/postprocess.py: measure_range",
     "kernels/classics/traversal/eye_frusta.py: walk",
     "kernels/classics/traversal/repacked_bvh.py: descend",
