@@ -44,7 +44,9 @@ ground = wrt.scenes.shapes.plane(low[:2] - 4 * pot.extent, high[:2] + 4 * pot.ex
 uv = (ground.vertices[:, :2] - pot.center[:2]) / pot.extent
 glass = wrt.Material("dielectric", index=1.5, color=1.0, absorption=(0.25, 0.05, 0.05))
 tiles = wrt.Material("diffuse", color=1.0, color_texture=checks)
-scene = wrt.Scene([pot.with_materials(glass), ground.with_materials(tiles, uv=uv)])  # a BVH; wrt.KdTree() gives the same picture
+scene = wrt.Scene(
+    [pot.with_materials(glass), ground.with_materials(tiles, uv=uv)]
+)  # a BVH; wrt.KdTree() gives the same picture
 lights = [
     wrt.lights.AreaLight.sphere(pot.center + pot.extent * np.array([1, -1, 2]), 0.4 * pot.extent, radiance=25.0),
     wrt.lights.Sky.gradient(horizon=0.6, zenith=(0.2, 0.35, 0.7), ground=0.2),

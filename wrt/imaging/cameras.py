@@ -20,6 +20,7 @@ import warp as wp
 
 from wrt.engine.rays.rays import Rays
 from wrt.imaging.view_frames import check_pose, corners_of, default_view, frame_of, nearest_view
+from wrt.kernels.compilation.kernel_cache import init_warp
 from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.shading.pixel_rays import View, orthographic_origins, pinhole_directions
 from wrt.kernels.validation import as_float, as_int, as_point
@@ -112,6 +113,7 @@ class _Camera:
             TypeError: an argument is not a whole number.
             ValueError: a value out of range.
         """
+        init_warp()
         device = wp.get_device("cpu")
         refuse_capture("rays in NumPy arrays", device)
         rays = self.rays_on(device, 0, self.width * self.height, pixel_offset(sample, samples, seed))
