@@ -183,7 +183,7 @@ def picture_contenders(place: Glass) -> list[Contender]:
 
     def picture(tree: Any) -> np.ndarray:
         scene = Scene(place.meshes, tree, device="cpu", num_threads=place.threads)
-        options = {"lights": place.lights, "integrator": "path", "samples": place.samples, "depth": place.depth}
+        options: dict[str, Any] = {"lights": place.lights, "integrator": "path", "samples": place.samples, "depth": place.depth}
         return Rendering(scene, place.camera, smooth=False, **options).advance().linear
 
     def by_mitsuba() -> np.ndarray:

@@ -1,8 +1,9 @@
 """Sums of weights, in groups: hours of shade by month, from the rays of a year.
 
-A matrix product of weights and booleans is fast, and sums of float64 depend on their order, so that blocks of other sizes would
-have other results. So each weight is rounded to a multiple of one power of two, of which all sums have fewer than 53 bits: they
-are exact, in any order.
+Sums of float64 depend on their order, so that blocks of other sizes would have other results. So each weight is rounded to a
+multiple of one power of two, of which all sums have fewer than 53 bits: they are exact, in any order. The product of weights
+and booleans is by NumPy's own loops: threads of a BLAS wait for each other, which took ten times the CPU time where other
+programs use the cores, too (notebooks/records/2026-11-28-whole-jobs.md).
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import numpy as np
 
 from wrt.kernels.validation import as_numbers
 
-PIECE = 1 << 18
-"""Values that are converted at a time: 2 MB of float64."""
+PIECE = 1 << 17
+"""Values that are converted at a time: 1 MB of float64."""
 
 LEAST_EXPONENT = -1074
 """Of the smallest float64."""
@@ -86,7 +87,7 @@ class WeightedSum:
         step = max(1, PIECE // max(len(rows), 1))
         for column in range(0, rows.shape[1], step):
             part = slice(column, column + step)
-            found[part] = (units @ rows[:, part].astype(np.float64)).T
+            found[part] = np.einsum("gd,dp->gp", units, rows[:, part].astype(np.float64)).T
         return found.reshape(*shape, len(units))
 
     def merge(self, one: Any, other: Any) -> Any:
