@@ -33,7 +33,6 @@ PUBLIC = {
 """Functions with more arguments that are keywords which users write."""
 
 EXCEPTIONS = {
-    "builders/classics/bvh/subset_levels.py: find_block",
     "builders/classics/kdtree/postprocess/postprocess.py: measure_range",
     "kernels/classics/traversal/eye_frusta.py: walk",
     "kernels/classics/traversal/repacked_bvh.py: descend",
