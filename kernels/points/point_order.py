@@ -65,6 +65,6 @@ def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
     order = wp.empty(2 * count if on_cuda else 0, dtype=int, device=device)
     launch(find_cells, count, [position, low, scale, cell, order], device=device, chunk=4096)
     if on_cuda:
-        wp.utils.radix_sort_pairs(cell, order, count)
+        wp.utils.radix_sort_pairs(cell, order, count, 0, 3 * BITS)
         return order[:count]
     return wp.array(np.argsort(cell.numpy().astype(np.uint16), kind="stable").astype(np.int32), dtype=int, device=device)

@@ -170,14 +170,20 @@ def instances_handle_type(kind: str, width: int, levels: int) -> type:
     handle = register_handle(InstancesHandle)
     for answer, search in SEARCHES.items():
         config = TraversalConfig(TRIANGLE_TEST, width, answer.name, coherent=False, stack=StackConfig(levels))
-        search.add_overload(make_instances_search(handle, make_instance_walk(config, kind, levels), answer.Search))
-    seeing.add_overload(make_seeing(handle))
+        search.add_overload(make_search(handle, make_instance_walk(config, kind, levels), answer.Search))
+    add_seeing(handle)
     return handle
 
 
-def make_instances_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
-    """As `make_search`, for the handle of a scene of instances."""
-    follows_crossing = Results is PreviousCrossing
+def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
+    """`wp.func(scene, ray, origin, after) -> best`: the overload of a `search_*` function for a handle type.
+
+    Args:
+        handle: the type.
+        walk: of one ray, on one level or through instances.
+        Results: `AnswerKind.Search`.
+    """
+    follows_crossing, two_level = Results is PreviousCrossing, "top" in handle.vars
 
     @wp.func
     def search(scene: handle, ray: Ray, origin: wp.vec3d, after: int):
@@ -186,46 +192,32 @@ def make_instances_search(handle: type, walk: wp.Function, Results: type) -> wp.
             hits.t = ray.t_min
             hits.primitive = after
         work = Counters()
-        seen = SceneRay()
-        seen.ray = ray
-        seen.origin = origin
-        seen.mask = scene.mask
-        seen.environment = scene.environment
-        return walk(scene.top, scene.parts, seen, hits, 0, work)
+        best = start(ray.t_max)
+        if wp.static(two_level):
+            seen = SceneRay()
+            seen.ray = ray
+            seen.origin = origin
+            seen.mask = scene.mask
+            seen.environment = scene.environment
+            best = walk(scene.top, scene.parts, seen, hits, 0, work)
+        else:
+            best = walk(scene.tree, scene.triangles, ray, hits, 0, work)
+        return best
 
     return search
 
 
-def make_seeing(handle: type) -> wp.Function:
-    """`seeing` for a handle type."""
+def add_seeing(handle: type) -> None:
+    """Adds the overload of `seeing` for the handle type of a scene of instances."""
 
     @wp.func
     def with_sight(scene: handle, mask: wp.uint32, environment: int):
-        other = handle()
-        other.top = scene.top
-        other.parts = scene.parts
-        other.mesh = scene.mesh
+        other = scene  # a copy
         other.mask = mask
         other.environment = environment
         return other
 
-    return with_sight
-
-
-def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
-    """`wp.func(scene, ray, origin, after) -> best`: the overload of a `search_*` function for one handle type."""
-    follows_crossing = Results is PreviousCrossing
-
-    @wp.func
-    def search(scene: handle, ray: Ray, origin: wp.vec3d, after: int):
-        hits = Results()
-        if wp.static(follows_crossing):
-            hits.t = ray.t_min
-            hits.primitive = after
-        work = Counters()
-        return walk(scene.tree, scene.triangles, ray, hits, 0, work)
-
-    return search
+    seeing.add_overload(with_sight)
 
 
 @wp.func

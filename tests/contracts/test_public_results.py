@@ -27,7 +27,7 @@ OF_OTHERS = {"AbstractContextManager", "Any", "Axes", "Callable", "Future", "Ite
 OF_OTHERS |= {"Self", "Sequence"}
 """Python's, and matplotlib's."""
 
-ALIASES = {"Accelerator", "Array", "ArrayT", "Color", "Direction", "InfluenceArea", "Light", "Point", "When"}
+ALIASES = {"Accelerator", "Array", "ArrayT", "Color", "Direction", "InfluenceArea", "Light", "Point", "SignRule", "When"}
 """Names of arrays, of tuples of numbers, of some texts, and of what is one of several public classes."""
 
 PLUMBING = {

@@ -43,7 +43,8 @@ from wrt.kernels.clouds.cloud_test import DISC, SPHERE
 from wrt.kernels.clouds.cloud_walk import make_brute_cloud_kernel, make_cloud_kernel
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.exact_points import make_exact_points_kernel
-from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
+from wrt.kernels.points.packed_points import make_packed_points_kernel
+from wrt.kernels.points.tree_points import TASKS, PointConfig, make_points_kernel
 from wrt.kernels.query import instance_exact, instance_gradients
 from wrt.kernels.query.binary.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
 from wrt.kernels.runtime import options
@@ -208,9 +209,15 @@ def test_builders(name, tmp_path):
 
 
 POINTS = [
-    *((tree, "nearest", instances) for tree in TREES for instances in (False, True)),
+    *((tree, "nearest", instances) for tree in ("bvh", "kdtree") for instances in (False, True)),
     *(("bvh", task, False) for task in TASKS if task not in ("nearest", "packets")),
 ]
+PACKED_POINTS = {
+    "threads": lambda: make_packed_points_kernel(24),
+    "instances": lambda: make_points_kernel(points("binary", "counted", True)),
+    "lists": lambda: make_points_kernel(points("binary", "some", False)),
+    "exact": lambda: make_exact_points_kernel(points("binary", "nearest", False)),
+}
 EXACT_POINTS = (("kdtree", "nearest", False), ("bvh", "nearest", True), ("kdtree", "some", True))
 
 
@@ -392,3 +399,12 @@ EXACT_KERNELS = {
 @pytest.mark.parametrize("name", EXACT_KERNELS)
 def test_nothing_fuses(name, tmp_path):
     assert fusing(assert_compiles(name, EXACT_KERNELS[name](), tmp_path)) == []
+
+
+@pytest.mark.parametrize("name", PACKED_POINTS)
+def test_boxes_of_points_alone_fuse(name, tmp_path):
+    """Of points in nodes of 64 bytes: two sums of squares a box, in each of the steps or in a function."""
+    text = compile_to_ptx(PACKED_POINTS[name]().module, tmp_path)
+    fused = FUSIBLE.findall(text)
+    assert set(fused) == {"fma.rn.f32"}
+    assert len(fused) in (1, 2, 4)

@@ -48,7 +48,7 @@ def members_of(owner: type, name: str) -> dict[str, object]:
 def public() -> dict[str, object]:
     """Public names, those of public modules, and the public methods and properties of classes among them."""
     found: dict[str, object] = {}
-    for name in wrt.__all__:
+    for name in (*wrt.__all__, *wrt._BESIDE):
         value = getattr(wrt, name)
         if name == "__version__":
             continue

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from wrt.analysis.analysis_arguments import state_of
-from wrt.analysis.signed_distances import AUTO, SIGNS, sign_rule, signed
+from wrt.analysis.signed_distances import AUTO, SIGNS, SignRule, sign_rule, signed
 from wrt.kernels.fields.grid_points import BLOCK, Grid, place_middles, place_points, store_values
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers
@@ -61,7 +61,7 @@ class DistanceGrid:
         return self.origin + self.spacing * (np.array(self.values.shape) - 1)
 
     def axis(self, number: int) -> np.ndarray:
-        """Coordinates of the points along axis 0, 1 or 2, float64.
+        """Coordinates of the points along axis `number` (0, 1 or 2), float64.
 
         Raises:
             TypeError, ValueError: there is no such axis.
@@ -95,7 +95,7 @@ def distance_grid(
     *,
     bounds: Any = None,
     band: float | None = None,
-    sign: str = "auto",
+    sign: SignRule = "auto",
     progress: bool = False,
 ) -> DistanceGrid:
     """Signed distances at the points of a grid around the surface.

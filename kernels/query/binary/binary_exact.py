@@ -2,6 +2,7 @@
 `wrt.kernels.traversal.persistent`, on one level and on two."""
 
 from functools import cache
+from typing import Any
 
 import warp as wp
 
@@ -28,24 +29,34 @@ class ExactInstances:
     """Of the scene."""
 
 
-def walk_snippet(space: str, places: int) -> str:
-    """The walk of all rays on CUDA, and of ray i on the CPU, through a space of `persistent.h`; places: of the stack."""
-    return f"""
+@cache
+def make_binary_exact_kernel(levels: int) -> wp.Kernel:
+    """The kernel for a tree of two children a node; levels: greatest number of inner nodes on a path."""
+    space = "wrt::wide_tree(tree, triangles, exact.mesh)"
+    return make_exact_kernel((BinaryNodes, PackedTriangles, ExactGeometry), space, levels + 1)
+
+
+@cache
+def make_binary_exact_instance_kernel(levels: int) -> wp.Kernel:
+    """The same through instances; levels: of both levels."""
+    space = "wrt::wide_instances(tree, triangles, exact.geometries)"
+    return make_exact_kernel((InstanceTree, wp.array(dtype=BinaryPart), ExactInstances), space, 2 * levels + 2)
+
+
+def make_exact_kernel(types: tuple[Any, Any, type], space: str, places: int) -> wp.Kernel:
+    """The kernel for a space of `persistent.h`, of `tree`, `triangles` and `exact`; types: theirs; places: of the stack."""
+    Tree, Triangles, Exact = types
+    snippet = f"""
         const auto own = wrt::wide_rays(rays, seen, exact.center);
         const auto walks = wrt::walks_of<{places}, wrt::WideAnswer, false, false, false>({space}, own, hits, hits, hits);
         wrt::walk_rays<{FETCH}, {KEEP}, {STEPS}, false>(walks, next.number.data, next.threads, i);
     """
 
-
-@cache
-def make_binary_exact_kernel(levels: int) -> wp.Kernel:
-    """The kernel for a tree of two children a node; levels: greatest number of inner nodes on a path."""
-
-    @native.func_native("persistent.h", walk_snippet("wrt::wide_tree(tree, triangles, exact.mesh)", levels + 1))
+    @native.func_native("persistent.h", snippet)
     def walk(
-        tree: BinaryNodes,
-        triangles: PackedTriangles,
-        exact: ExactGeometry,
+        tree: Tree,
+        triangles: Triangles,
+        exact: Exact,
         seen: RayBatch,
         rays: ExactRays,
         hits: ExactHits,
@@ -55,9 +66,9 @@ def make_binary_exact_kernel(levels: int) -> wp.Kernel:
 
     def binary_exact_hits(
         first: int,
-        tree: BinaryNodes,
-        triangles: PackedTriangles,
-        exact: ExactGeometry,
+        tree: Tree,
+        triangles: Triangles,
+        exact: Exact,
         seen: RayBatch,
         rays: ExactRays,
         hits: ExactHits,
@@ -66,35 +77,3 @@ def make_binary_exact_kernel(levels: int) -> wp.Kernel:
         walk(tree, triangles, exact, seen, rays, hits, next, first + wp.tid())
 
     return specialised_kernel(binary_exact_hits, bounds=(BLOCK, BLOCKS))
-
-
-@cache
-def make_binary_exact_instance_kernel(levels: int) -> wp.Kernel:
-    """The same through instances; levels: of both levels."""
-    space, places = "wrt::wide_instances(top, parts, exact.geometries)", 2 * levels + 2
-
-    @native.func_native("persistent.h", walk_snippet(space, places))
-    def walk(
-        top: InstanceTree,
-        parts: wp.array(dtype=BinaryPart),
-        exact: ExactInstances,
-        seen: RayBatch,
-        rays: ExactRays,
-        hits: ExactHits,
-        next: NextRay,
-        i: int,
-    ): ...
-
-    def binary_exact_instances(
-        first: int,
-        top: InstanceTree,
-        parts: wp.array(dtype=BinaryPart),
-        exact: ExactInstances,
-        seen: RayBatch,
-        rays: ExactRays,
-        hits: ExactHits,
-        next: NextRay,
-    ):
-        walk(top, parts, exact, seen, rays, hits, next, first + wp.tid())
-
-    return specialised_kernel(binary_exact_instances, bounds=(BLOCK, BLOCKS))

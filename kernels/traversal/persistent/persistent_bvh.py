@@ -29,6 +29,7 @@ References: aila-laine-2009; woop-2013.
 """
 
 from functools import cache
+from typing import Any
 
 import warp as wp
 
@@ -76,55 +77,11 @@ ANSWER_CLASSES = {
 """What `packed_answers.h` calls the kinds of answers."""
 
 
-def walk_snippet(config: TraversalConfig, space: str, places: int) -> str:
-    """The walk of all rays of a batch on CUDA, and of ray i on the CPU, through a space of `persistent.h`.
-
-    Args:
-        config: the specialisation.
-        space: the space, by the names of the arguments.
-        places: of the stack.
-    """
-    flags = f"{int(config.cull_backfaces)}, {int(config.skipping)}, {int(config.counters)}"
-    options = f"{places}, wrt::{ANSWER_CLASSES[config.query]}, {flags}"
-    form = f"{FETCH}, {KEEP}, {STEPS}, {int(config.persistent.from_zero)}"
-    walks = f"wrt::walks_of<{options}>({space}, rays, hits, counters, next.skipped)"
-    return f"wrt::walk_rays<{form}>({walks}, next.number.data, next.threads, i);"
-
-
-def make_walk(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, rays, hits, counters, next, i)`: traces all rays of a batch on CUDA, and ray i on the CPU."""
-
-    @native.func_native("persistent.h", walk_snippet(config, "wrt::one_tree(tree, triangles)", config.stack.levels + 1))
-    def walk(
-        tree: BinaryNodes,
-        triangles: PackedTriangles,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
-        next: NextRay,
-        i: int,
-    ): ...
-
-    return walk
-
-
 @cache
 def make_persistent_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation. On CUDA it runs in `launch_threads`."""
-    walk = make_walk(config)
-
-    def persistent_rays(
-        first: int,
-        tree: BinaryNodes,
-        triangles: PackedTriangles,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
-        next: NextRay,
-    ):
-        walk(tree, triangles, rays, hits, counters, next, first + wp.tid())
-
-    return specialised_kernel(persistent_rays, bounds=(BLOCK, BLOCKS))
+    space = "wrt::one_tree(tree, triangles)"
+    return make_walk_kernel(config, (BinaryNodes, PackedTriangles), space, config.stack.levels + 1)
 
 
 @cache
@@ -135,12 +92,32 @@ def make_persistent_instance_kernel(config: TraversalConfig, levels: int) -> wp.
         config: the specialisation.
         levels: greatest number of inner nodes on a path of the upper tree, whose nodes have two children.
     """
-    places = config.stack.levels + levels + 2
+    space, places = "wrt::instance_trees(tree, triangles)", config.stack.levels + levels + 2
+    return make_walk_kernel(config, (InstanceTree, wp.array(dtype=BinaryPart)), space, places, INSTANCE_BLOCKS)
 
-    @native.func_native("persistent.h", walk_snippet(config, "wrt::instance_trees(top, parts)", places))
+
+def make_walk_kernel(
+    config: TraversalConfig, types: tuple[Any, Any], space: str, places: int, blocks: int = BLOCKS
+) -> wp.Kernel:
+    """The kernel that walks all rays of a batch on CUDA, and ray i on the CPU.
+
+    Args:
+        config: the specialisation.
+        types: of the arguments `tree` and `triangles`.
+        space: what rays go through, a space of `persistent.h`.
+        places: of the stack.
+        blocks: of a multiprocessor.
+    """
+    Tree, Triangles = types
+    flags = f"{int(config.cull_backfaces)}, {int(config.skipping)}, {int(config.counters)}"
+    options = f"{places}, wrt::{ANSWER_CLASSES[config.query]}, {flags}"
+    form = f"{FETCH}, {KEEP}, {STEPS}, {int(config.persistent.from_zero)}"
+    walks = f"wrt::walks_of<{options}>({space}, rays, hits, counters, next.skipped)"
+
+    @native.func_native("persistent.h", f"wrt::walk_rays<{form}>({walks}, next.number.data, next.threads, i);")
     def walk(
-        top: InstanceTree,
-        parts: wp.array(dtype=BinaryPart),
+        tree: Tree,
+        triangles: Triangles,
         rays: RayBatch,
         hits: HitBatch,
         counters: CounterRows,
@@ -148,15 +125,15 @@ def make_persistent_instance_kernel(config: TraversalConfig, levels: int) -> wp.
         i: int,
     ): ...
 
-    def persistent_instance_rays(
+    def persistent_rays(
         first: int,
-        top: InstanceTree,
-        parts: wp.array(dtype=BinaryPart),
+        tree: Tree,
+        triangles: Triangles,
         rays: RayBatch,
         hits: HitBatch,
         counters: CounterRows,
         next: NextRay,
     ):
-        walk(top, parts, rays, hits, counters, next, first + wp.tid())
+        walk(tree, triangles, rays, hits, counters, next, first + wp.tid())
 
-    return specialised_kernel(persistent_instance_rays, bounds=(BLOCK, INSTANCE_BLOCKS))
+    return specialised_kernel(persistent_rays, bounds=(BLOCK, blocks))
