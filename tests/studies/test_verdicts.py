@@ -241,7 +241,9 @@ def test_a_command_makes_one_run(tmp_path):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["komatsu_counts", "komatsu_scenes", "traversal", "kdtree_builders", "plane_places"])
+@pytest.mark.parametrize(
+    "name", ["komatsu_counts", "komatsu_scenes", "inside_first", "traversal", "kdtree_builders", "plane_places"]
+)
 def test_a_small_run_can_be_judged(name):
     """With built-in scenes, one round: all claims on it find their rows. The other studies compile for minutes."""
     study = STUDIES[name]

@@ -301,7 +301,7 @@ def piece_of(batch: DeviceHits, kind: str, begin: int, end: int) -> HitBatch:
     if end - begin == batch.count:
         return batch.struct()
     piece = DeviceHits(end - begin, batch.device)
-    piece.__dict__.update({name: getattr(batch, name)[begin:end] for name in ANSWERS[kind].columns})
+    piece.__dict__.update({name: getattr(batch, name)[begin:end] for name in ANSWERS[kind].stored.columns})
     return piece.struct()
 
 
