@@ -61,9 +61,12 @@ INSTANCE_BLOCKS = 12
 """The same through instances, whose walks need more registers: 80 a thread."""
 
 
-def launch_threads(device: wp.Device, rays: int) -> int:
-    """Threads of a launch for this many rays: at most all that a CUDA device runs at a time."""
-    return min(rays, device.sm_count * BLOCKS * BLOCK)
+def launch_threads(device: wp.Device, count: int, blocks: int = BLOCKS) -> int:
+    """Threads of a launch for this many rays or points: at most all that a CUDA device runs at a time.
+
+    blocks: of a multiprocessor, as the kernel is bounded to.
+    """
+    return min(count, device.sm_count * blocks * BLOCK)
 
 
 ANSWER_CLASSES = {
