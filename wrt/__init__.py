@@ -15,10 +15,11 @@
     image = wrt.render(scene, wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0)))
     viewer = wrt.view(scene, block=False)           # the same in a web browser, with the mouse as camera
 
-What everybody needs is here. The rest is in public modules, by purpose: `wrt.lights`, `wrt.pictures`, `wrt.moving`,
-`wrt.sensors`, `wrt.device` (programs in Warp), `wrt.batches` (more rays than memory holds), `wrt.cluster` (several machines),
-`wrt.disk` (more triangles than memory holds), `wrt.compat` (trimesh, Open3D), `wrt.scenes` (built in), `wrt.known_rays`,
-`wrt.results` (what methods return), `wrt.analysis` (signed distances, winding numbers), `wrt.classics`.
+What everybody needs is here. The rest is in public modules, by purpose: `wrt.analysis` (signed distances, sun and sky,
+thickness), `wrt.lights`, `wrt.pictures`, `wrt.moving`, `wrt.sensors` (lidars, cameras, point clouds), `wrt.device` (programs in
+Warp), `wrt.batches` (more rays than memory holds), `wrt.cluster` (several machines), `wrt.disk` (more triangles than memory
+holds), `wrt.compat` (trimesh, Open3D), `wrt.scenes` (built in), `wrt.known_rays`, `wrt.results` (what methods return),
+`wrt.classics`.
 
 Names are loaded on first use, so that `import wrt` costs little more than `import warp`.
 """
@@ -49,8 +50,8 @@ _HOME = {
     "Scene": "wrt.scene.scene",
     "Texture": "wrt.materials.material",
     "TriangleMesh": "wrt.meshes.mesh",
+    "analysis": "wrt",
     "batches": "wrt",
-    "classics": "wrt",
     "cluster": "wrt",
     "compat": "wrt",
     "device": "wrt",
@@ -118,9 +119,9 @@ _MOVED = {
 }
 
 _BESIDE = {
-    "analysis": "wrt",
+    "classics": "wrt",
 }
-"""Public modules that are not listed at the front, whose names are few."""
+"""Public modules that are not listed at the front, because few ask for them."""
 
 __all__ = ["__version__", *_HOME]
 

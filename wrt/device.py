@@ -232,18 +232,16 @@ def handle_of(scene: SceneState, mask: int | None = None, environment: int | Non
         make = partial(instances_handle_type, plan.accelerator, plan.width)
         kind = launching.specialise(binary_instances_handle_type if binary else make, levels)  # type: ignore[arg-type]
         handle = kind()
-        handle.top, handle.parts = scene.upper(), scene.lower(plan, None)
+        handle.top, handle.parts = scene.upper(), binary_parts(scene) if binary else scene.lower(plan, None)
         handle.mask, handle.environment = wp.uint32(mask), environment
-        if binary:
-            handle.binary = binary_parts(scene)
     else:
         make = partial(handle_type, plan.accelerator, plan.width, shared_leaves=scene.shares_leaves)
         kind = launching.specialise(binary_handle_type if binary else make, levels)  # type: ignore[arg-type]
         handle = kind()
-        handle.tree, handle.triangles = scene.tree.struct(), records_of(scene, plan, None)
-        if binary:
-            handle.nodes, handle.corners = binary_tree(scene)
-    launching.specialise(partial(add_point_search, kind, plan.accelerator, plan.width), bool(scene.instances))  # type: ignore[arg-type]
+        own = binary_tree(scene) if binary else (scene.tree.struct(), records_of(scene, plan, None))
+        handle.tree, handle.triangles = own
+    tree = "binary" if binary else plan.accelerator
+    launching.specialise(partial(add_point_search, kind, tree, plan.width), bool(scene.instances))  # type: ignore[arg-type]
     handle.mesh = scene.device_mesh
     fill_gaps(handle, scene.device)
     return handle

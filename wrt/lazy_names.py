@@ -15,6 +15,7 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 __all__ = ["lazy_names"]
@@ -45,12 +46,22 @@ def lazy_names(
                 stacklevel=2,
             )
             return getattr(import_module(place), name)
-        raise AttributeError(f"module {module!r} has no attribute {name!r}", name=name, obj=sys.modules[module])
+        text = f"module {module!r} has no attribute {name!r}{_where(module, home, name)}"
+        raise AttributeError(text, name=name, obj=sys.modules[module])
 
     def __dir__() -> list[str]:
         return sorted(sys.modules[module].__all__)
 
     return __getattr__, __dir__
+
+
+def _where(module: str, home: Mapping[str, str], name: str) -> str:
+    """Which public modules of a package have a name that the package itself does not have, for its error."""
+    inner = [place for place, where in home.items() if where == module]
+    if name.startswith("_") or not inner or find_spec(f"{module}.{name}") is not None:
+        return ""
+    found = [f"{module}.{place}.{name}" for place in inner if name in import_module(f"{module}.{place}").__all__]
+    return f"; it is {' or '.join(found)}" if found else ""
 
 
 def _value(module: str, home: str, name: str) -> Any:

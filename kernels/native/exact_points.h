@@ -39,9 +39,9 @@ inline CUDA_CALLABLE NearestOn<double> nearest_of(const Space&, const Mesh& mesh
 }
 
 /// The same in a scene of instances, whose `space` has the point relative to the scene's centre.
-template <class Kind, int W, int U, int ROWS, class Top, class Parts, class Geometries>
+template <class Kind, int U, class Top, class Parts, class Geometries>
 inline CUDA_CALLABLE NearestOn<double> nearest_of(
-    const InstanceTrees<Kind, W, U, ROWS, Top, Parts>& space, const Geometries& geometries, const ExactOffset&, int number)
+    const PointInstances<Kind, U, Top, Parts>& space, const Geometries& geometries, const ExactOffset&, int number)
 {
     const auto& place = space.top.placements.data[space.instance_of(number)];
     const auto& geometry = geometries.data[place.geometry];

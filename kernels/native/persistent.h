@@ -2,15 +2,10 @@
 // of instances below a tree of their boxes. On the CPU an item traces one ray, by the same steps.
 #pragma once
 #include "packed_exact.h"
+#include "persistent_threads.h"
 
 namespace wrt {
 namespace {
-
-/// The node of a ray that is done, and that of one which is done with an instance; inner nodes are less, leaves negative.
-constexpr int DONE = 0x7fffffff, BACK = 0x7ffffffe;
-
-/// Bits of a leaf's word that hold the number of its triangles (wrt.kernels.layout.bvh_nodes).
-constexpr int LEAF_BITS = 6;
 
 struct WalkWork {
     int nodes, leaves, triangles;
@@ -318,53 +313,6 @@ template <class All, bool FROM_ZERO> struct Walk {
     }
 };
 
-#if defined(__CUDA_ARCH__)
-/// The rays of a launch, by all of its threads. next: number of the next ray that no thread has, and how many threads are done;
-/// both are 0 before and after. FETCH: threads of a warp without a ray for which new ones are fetched. KEEP: threads that may
-/// wait at a node for those of the warp that have come to leaves. STEPS: between two votes about that.
-///
-/// Votes take the threads that began (`team`), not those that are active: else a warp that has parted votes apart for good.
-template <int FETCH, int KEEP, int STEPS, bool FROM_ZERO, class All>
-__device__ void walk_all(const All& all, int* next, int threads)
-{
-    const unsigned team = __activemask();
-    const int lane = threadIdx.x & 31, leader = __ffs(team) - 1;
-    const unsigned count = all.rays.count;
-    int stack[All::LEVELS];
-    Walk<All, FROM_ZERO> walk;
-    walk.node = DONE, walk.number = -1;
-    bool more = true;
-    for (;;) {
-        const unsigned idle = __ballot_sync(team, walk.node == DONE);
-        if ((more && __popc(idle) >= FETCH) || idle == team) {
-            if (walk.node == DONE && walk.number >= 0) {
-                walk.store(all);
-                walk.number = -1;
-            }
-            __syncwarp(team);
-            if (!more) break;
-            unsigned first = 0;  // beyond the rays in the end, also where their number is the largest int
-            if (lane == leader) first = (unsigned)atomicAdd(next, __popc(idle));
-            first = __shfl_sync(team, first, leader);
-            const unsigned own = first + __popc(idle & ((1u << lane) - 1u));
-            if ((idle >> lane & 1u) && own < count) walk.begin(all, (int)own, stack);
-            more = first + __popc(idle) < count;
-            __syncwarp(team);
-            if (__ballot_sync(team, walk.number >= 0) == 0) break;
-        }
-        do {
-#pragma unroll 1
-            for (int k = 0; k < STEPS; ++k)
-                if (walk.is_inner()) walk.step(all, stack);
-        } while (__popc(__ballot_sync(team, walk.is_inner())) > KEEP);
-        if (walk.is_leaf()) walk.leaf(all, stack);
-        __syncwarp(team);
-    }
-    // no thread fetches any more when the last ones of the launch come here
-    if (lane == leader && atomicAdd(next + 1, __popc(team)) + __popc(team) == threads) next[0] = next[1] = 0;
-}
-#endif
-
 /// The walk of a ray by a thread that does nothing else.
 template <class All, bool FROM_ZERO> inline CUDA_CALLABLE void walk_alone(const All& all, Walk<All, FROM_ZERO>& walk, int i)
 {
@@ -382,7 +330,7 @@ inline CUDA_CALLABLE void walk_rays(const All& all, int* next, int threads, int 
 {
 #if defined(__CUDA_ARCH__)
     (void)i;
-    walk_all<FETCH, KEEP, STEPS, FROM_ZERO>(all, next, threads);
+    walk_all<FETCH, KEEP, STEPS, Walk<All, FROM_ZERO>>(all, all.rays.count, next, threads);
 #else
     (void)next, (void)threads;
     Walk<All, FROM_ZERO> walk;

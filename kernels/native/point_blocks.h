@@ -41,6 +41,21 @@ template <int W> inline CUDA_CALLABLE Offset vertex_at(const float* record, int 
     return {from[0] - point.x, from[W] - point.y, from[2 * W] - point.z};
 }
 
+/// The vertices of a triangle, less the point.
+struct Triangle {
+    Offset vertex[3];
+
+    inline CUDA_CALLABLE OnTriangle nearest() const { return nearest_on_triangle(vertex[0], vertex[1], vertex[2]); }
+};
+
+/// The triangle in a slot of blocks.
+template <int W, int ROWS>
+inline CUDA_CALLABLE Triangle triangle_in_slot(const float* records, int slot, const SearchPoint& point)
+{
+    const float* const record = records + (size_t)(slot / W) * (ROWS * W) + slot % W;
+    return {{vertex_at<W>(record, 0, point), vertex_at<W>(record, 1, point), vertex_at<W>(record, 2, point)}};
+}
+
 /// The first of the lanes in a mask that has the least of W numbers, none of which is negative or a NaN there.
 template <int W> inline CUDA_CALLABLE int least_lane(const float* numbers, unsigned mask)
 {

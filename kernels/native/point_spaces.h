@@ -1,6 +1,6 @@
 // Where points are searched: in one tree, or in the trees of instances below a tree of their boxes.
 #pragma once
-#include "points.h"
+#include "packed_tree.h"
 
 namespace wrt {
 namespace {
@@ -9,28 +9,13 @@ namespace {
 /// of, by up to the root of 3; their axes may differ by 1e-6 (wrt.query.points.similar_instances).
 constexpr float INSTANCE_SLACK = 8.0f;
 
-/// The vertices of a triangle, less the point.
-struct Triangle {
-    Offset vertex[3];
-
-    inline CUDA_CALLABLE OnTriangle nearest() const { return nearest_on_triangle(vertex[0], vertex[1], vertex[2]); }
-};
-
-/// The triangle in a slot.
-template <int W, int ROWS>
-inline CUDA_CALLABLE Triangle triangle_in_slot(const float* records, int slot, const SearchPoint& point)
-{
-    const float* const record = records + (size_t)(slot / W) * (ROWS * W) + slot % W;
-    return {{vertex_at<W>(record, 0, point), vertex_at<W>(record, 1, point), vertex_at<W>(record, 2, point)}};
-}
-
-/// One tree. Kind: of the tree; W: lanes; ROWS: of a record.
-template <class Kind, int W, int ROWS, class Tree, class Triangles> struct OneTree {
+/// One tree. Kind: of it, as `BoxTree`.
+template <class Kind, class Tree, class Triangles> struct PointTree {
     const Tree& tree;
     const Triangles& triangles;
     SearchPoint point;
 
-    CUDA_CALLABLE OneTree(const Tree& tree, const Triangles& triangles)
+    CUDA_CALLABLE PointTree(const Tree& tree, const Triangles& triangles)
         : tree(tree)
         , triangles(triangles)
     {
@@ -54,18 +39,12 @@ template <class Kind, int W, int ROWS, class Tree, class Triangles> struct OneTr
     /// Tries the triangles around one that another point has found.
     template <class Kept> inline CUDA_CALLABLE void try_near(int, int slot, Kept& kept)
     {
-        search_block<W, ROWS>(triangles.records.data, triangles.primitive.data, slot / W, point, kept);
+        Kind::search_around(triangles, slot, point, kept);
     }
 
-    template <class Kept> inline CUDA_CALLABLE void search(Kept& kept) const
-    {
-        Kind::template walk<W, ROWS>(tree, triangles, point, kept);
-    }
+    template <class Kept> inline CUDA_CALLABLE void search(Kept& kept) const { Kind::walk(tree, triangles, point, kept); }
 
-    inline CUDA_CALLABLE Triangle triangle(int, int slot) const
-    {
-        return triangle_in_slot<W, ROWS>(triangles.records.data, slot, point);
-    }
+    inline CUDA_CALLABLE Triangle triangle(int, int slot) const { return Kind::triangle_in(triangles, slot, point); }
 };
 
 /// What a walk over boxes of instances needs of a search.
@@ -82,8 +61,8 @@ template <class Kept> struct InstanceLimit {
     inline CUDA_CALLABLE void visit_node() { kept.visit_node(); }
 };
 
-/// Trees of instances. Kind, W, ROWS: of these; U: children of a node above them.
-template <class Kind, int W, int U, int ROWS, class Top, class Parts> struct InstanceTrees {
+/// Trees of instances. Kind: of these; U: children of a node above them.
+template <class Kind, int U, class Top, class Parts> struct PointInstances {
     const Top& top;
     const Parts& parts;
     double x, y, z;
@@ -91,7 +70,7 @@ template <class Kind, int W, int U, int ROWS, class Top, class Parts> struct Ins
     unsigned mask;
     int root, tried;
 
-    CUDA_CALLABLE InstanceTrees(const Top& top, const Parts& parts)
+    CUDA_CALLABLE PointInstances(const Top& top, const Parts& parts)
         : top(top)
         , parts(parts)
     {
@@ -153,9 +132,8 @@ template <class Kind, int W, int U, int ROWS, class Top, class Parts> struct Ins
         kept.scale = square_root((float)(square / 3.0)), kept.shrink = WIDENED / kept.scale;
         kept.first = place.first;
         kept.look_up_to(kept.farthest(), own.slack);
-        const float* const records = part.triangles.records.data;
-        if (slot >= 0) search_block<W, ROWS>(records, part.triangles.primitive.data, slot / W, own, kept);
-        Kind::template walk<W, ROWS>(part.tree, part.triangles, own, kept);
+        if (slot >= 0) Kind::search_around(part.triangles, slot, own, kept);
+        Kind::walk(part.tree, part.triangles, own, kept);
     }
 
     /// The instance of a triangle.
@@ -193,7 +171,7 @@ template <class Kind, int W, int U, int ROWS, class Top, class Parts> struct Ins
     {
         const auto& place = top.placements.data[instance_of(number)];
         const auto& part = parts.data[place.geometry];
-        return triangle_in_slot<W, ROWS>(part.triangles.records.data, slot, mapped(place, part.tree));
+        return Kind::triangle_in(part.triangles, slot, mapped(place, part.tree));
     }
 };
 
@@ -210,17 +188,16 @@ template <class Vec4, class Space> inline CUDA_CALLABLE Vec4 nearest_in(Space sp
     return Vec4(kept.distance, at.u, at.v, __builtin_bit_cast(float, kept.number));
 }
 
-template <class Kind, int W, int ROWS, class Tree, class Triangles>
-inline CUDA_CALLABLE OneTree<Kind, W, ROWS, Tree, Triangles> one_tree(const Tree& tree, const Triangles& triangles)
+template <class Kind, class Tree, class Triangles>
+inline CUDA_CALLABLE PointTree<Kind, Tree, Triangles> point_tree(const Tree& tree, const Triangles& triangles)
 {
-    return OneTree<Kind, W, ROWS, Tree, Triangles>(tree, triangles);
+    return PointTree<Kind, Tree, Triangles>(tree, triangles);
 }
 
-template <class Kind, int W, int ROWS, class Top, class Parts>
-inline CUDA_CALLABLE InstanceTrees<Kind, W, (W > 2 ? W : 2), ROWS, Top, Parts> instance_trees(
-    const Top& top, const Parts& parts)
+template <class Kind, int U, class Top, class Parts>
+inline CUDA_CALLABLE PointInstances<Kind, U, Top, Parts> point_instances(const Top& top, const Parts& parts)
 {
-    return InstanceTrees<Kind, W, (W > 2 ? W : 2), ROWS, Top, Parts>(top, parts);
+    return PointInstances<Kind, U, Top, Parts>(top, parts);
 }
 
 }  // namespace

@@ -209,9 +209,25 @@ inline CUDA_CALLABLE void walk_cells(const Tree& tree, const SearchPoint& point,
     }
 }
 
-/// The trees, as searches walk them.
-struct BoxTree {
-    template <int W, int ROWS, class Tree, class Triangles, class Kept>
+/// Leaves of blocks of W triangles, whose records have ROWS rows.
+template <int W, int ROWS> struct BlockLeaves {
+    /// Searches the triangles around one.
+    template <class Triangles, class Kept>
+    static CUDA_CALLABLE void search_around(const Triangles& triangles, int slot, const SearchPoint& point, Kept& kept)
+    {
+        search_block<W, ROWS>(triangles.records.data, triangles.primitive.data, slot / W, point, kept);
+    }
+
+    template <class Triangles>
+    static CUDA_CALLABLE Triangle triangle_in(const Triangles& triangles, int slot, const SearchPoint& point)
+    {
+        return triangle_in_slot<W, ROWS>(triangles.records.data, slot, point);
+    }
+};
+
+/// Kinds of trees, as searches walk them: wide nodes, and the cells of a kd-tree. `PackedTree` is another.
+template <int W, int ROWS> struct BoxTree : BlockLeaves<W, ROWS> {
+    template <class Tree, class Triangles, class Kept>
     static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept)
     {
         LeafSearch<W, ROWS, Triangles, Kept> search(triangles, point, kept);
@@ -220,8 +236,8 @@ struct BoxTree {
     }
 };
 
-struct CellTree {
-    template <int W, int ROWS, class Tree, class Triangles, class Kept>
+template <int W, int ROWS> struct CellTree : BlockLeaves<W, ROWS> {
+    template <class Tree, class Triangles, class Kept>
     static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept)
     {
         LeafSearch<W, ROWS, Triangles, Kept> search(triangles, point, kept);

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
+from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTriangles
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH, WideNodes
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.points.point_batch import NearestBatch, NearLists, PointBatch
@@ -18,8 +19,13 @@ from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Triang
 GROUP = 32
 """Points of an item: each begins with what was nearest to the one before it."""
 
-TREES = {"bvh": (WideNodes, "BoxTree"), "kdtree": (KdNodes, "CellTree")}
-"""Struct of each kind of tree, and of its walk in C++."""
+TREES: dict[str, tuple[type, type, str]] = {
+    "bvh": (WideNodes, TriangleBlocks, "BoxTree<{width}, {rows}>"),
+    "kdtree": (KdNodes, TriangleBlocks, "CellTree<{width}, {rows}>"),
+    "binary": (BinaryNodes, PackedTriangles, "PackedTree"),
+}
+"""Structs of each kind of tree and of its triangles, and its walk in C++. "binary": a BVH of width 2 as persistent threads walk
+it."""
 
 GUARDS = f"""
     static_assert(wrt::FLAT == {float(FLAT)!r}f && wrt::TREE_DEPTH == {MAX_WIDE_DEPTH} && wrt::TREE_DEPTH == {MAX_TREE_DEPTH});
@@ -62,7 +68,7 @@ class PointConfig(NamedTuple):
 def space_type(tree: str, instances: bool) -> type:
     """The struct of where points are searched; arguments as in `PointConfig`."""
     if instances:
-        Part = PARTS[tree]
+        Part = BinaryPart if tree == "binary" else PARTS[tree]
 
         class PointInstances:
             top: InstanceTree
@@ -70,11 +76,11 @@ def space_type(tree: str, instances: bool) -> type:
 
         PointInstances.__qualname__ = f"PointInstances_{tree}"
         return wp.struct(PointInstances)
-    Tree = TREES[tree][0]
+    Tree, Triangles, _ = TREES[tree]
 
     class PointTree:
         tree: Tree
-        triangles: TriangleBlocks
+        triangles: Triangles
 
     PointTree.__qualname__ = f"PointTree_{tree}"
     return wp.struct(PointTree)
@@ -82,11 +88,11 @@ def space_type(tree: str, instances: bool) -> type:
 
 def space_code(tree: str, width: int, instances: bool, rows: int = VERTEX_COMPONENTS) -> str:
     """C++ that makes it of a `scene` with such fields; rows: of a triangle record."""
-    form = f"wrt::{TREES[tree][1]}, {width}, {rows}"
+    kind = "wrt::" + TREES[tree][-1].format(width=width, rows=rows)
     return (
-        f"wrt::instance_trees<{form}>(scene.top, scene.parts)"
+        f"wrt::point_instances<{kind}, {max(width, 2)}>(scene.top, scene.parts)"
         if instances
-        else f"wrt::one_tree<{form}>(scene.tree, scene.triangles)"
+        else f"wrt::point_tree<{kind}>(scene.tree, scene.triangles)"
     )
 
 

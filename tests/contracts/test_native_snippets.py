@@ -29,6 +29,7 @@ from wrt.kernels.fields.winding_walk import make_winding_kernel
 from wrt.kernels.pairs.pair_walk import make_meeting_kernel, make_nearest_kernel
 from wrt.kernels.points.device_points import add_point_search
 from wrt.kernels.points.exact_points import make_exact_points_kernel
+from wrt.kernels.points.packed_points import make_packed_points_kernel
 from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
 from wrt.kernels.query.binary.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
 from wrt.kernels.query.binary.binary_handles import binary_handle_type, binary_instances_handle_type
@@ -84,10 +85,12 @@ def make_all_kernels() -> list[wp.Kernel]:
     kernels += [make_points_kernel(PointConfig(tree, WIDTH, instances=True)) for tree in TREES]
     kernels += [make_exact_points_kernel(PointConfig(tree, WIDTH, instances=each)) for tree in TREES for each in (False, True)]
     kernels.append(make_exact_points_kernel(PointConfig("bvh", WIDTH, task="some")))
-    for tree in TREES:
+    for tree in ("bvh", "kdtree"):
         add_point_search(handle_type(tree, WIDTH, 8), tree, WIDTH, False)
         add_point_search(instances_handle_type(tree, WIDTH, 8), tree, WIDTH, True)
-    kernels += [binary_handle_type(8), binary_instances_handle_type(8)]
+    add_point_search(binary_handle_type(8), "binary", 2, False)
+    add_point_search(binary_instances_handle_type(8), "binary", 2, True)
+    kernels.append(make_packed_points_kernel(8))
     kernels += [make_persistent_instance_kernel(config, 8), make_binary_exact_kernel(8), make_binary_exact_instance_kernel(8)]
     return kernels
 

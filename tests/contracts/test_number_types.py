@@ -52,7 +52,7 @@ CALLS = list(public_calls.calls())
 
 def public_callables() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Qualified names and all functions, classes and methods of the public modules, each once."""
-    doors = [value for name in wrt.__all__ if inspect.ismodule(value := getattr(wrt, name))]
+    doors = [value for name in (*wrt.__all__, *wrt._BESIDE) if inspect.ismodule(value := getattr(wrt, name))]
     for module in (wrt, *doors):
         for name in module.__all__:
             value = getattr(module, name)

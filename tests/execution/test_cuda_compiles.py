@@ -28,6 +28,7 @@ from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.scan.reference_chunks import make_decide
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.engine.facts.query_kinds import ANY, CLOSEST, QUERIES
+from wrt.kernels.answers import PLAIN, SKIPPING
 from wrt.kernels.classics.studies.bare_triangle_tests import make_blocks, make_frusta, make_pairs, make_scalar
 from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
 from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
@@ -43,7 +44,8 @@ from wrt.kernels.clouds.cloud_test import DISC, SPHERE
 from wrt.kernels.clouds.cloud_walk import make_brute_cloud_kernel, make_cloud_kernel
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.exact_points import make_exact_points_kernel
-from wrt.kernels.points.tree_points import TASKS, TREES, PointConfig, make_points_kernel
+from wrt.kernels.points.packed_points import make_packed_points_kernel
+from wrt.kernels.points.tree_points import TASKS, PointConfig, make_points_kernel
 from wrt.kernels.query import instance_exact, instance_gradients
 from wrt.kernels.query.binary.binary_exact import make_binary_exact_instance_kernel, make_binary_exact_kernel
 from wrt.kernels.runtime import options
@@ -208,9 +210,15 @@ def test_builders(name, tmp_path):
 
 
 POINTS = [
-    *((tree, "nearest", instances) for tree in TREES for instances in (False, True)),
+    *((tree, "nearest", instances) for tree in ("bvh", "kdtree") for instances in (False, True)),
     *(("bvh", task, False) for task in TASKS if task not in ("nearest", "packets")),
 ]
+PACKED_POINTS = {
+    "threads": lambda: make_packed_points_kernel(24),
+    "instances": lambda: make_points_kernel(points("binary", "counted", True)),
+    "lists": lambda: make_points_kernel(points("binary", "some", False)),
+    "exact": lambda: make_exact_points_kernel(points("binary", "nearest", False)),
+}
 EXACT_POINTS = (("kdtree", "nearest", False), ("bvh", "nearest", True), ("kdtree", "some", True))
 
 
@@ -287,7 +295,9 @@ def test_persistent_threads(traversal, case, tmp_path):
 def test_persistent_threads_through_instances(query, tmp_path):
     """Answers are those of one level; rays that skip a triangle, and culling, are compiled with some of them."""
     nearest = query in (CLOSEST, ANY)
-    config = TraversalConfig("woop", 2, query, cull_backfaces=nearest, skipping=nearest, stack=StackConfig(24))
+    config = TraversalConfig(
+        "woop", 2, query, cull_backfaces=nearest, variant=SKIPPING if nearest else PLAIN, stack=StackConfig(24)
+    )
     text = compile_to_ptx(make_persistent_instance_kernel(config, 8).module, tmp_path)
     assert ".entry" in text
     assert_fuses_boxes_alone(text)
@@ -301,11 +311,11 @@ def test_persistent_threads_in_float64(make, tmp_path):
     assert not re.search(r"\b(?:fma\.rn|mad|mul|add|sub)\.f64", text)
 
 
-SKIPPING = TraversalConfig("woop", 2, "count", skipping=True, stack=StackConfig(8))
+SKIPPED = TraversalConfig("woop", 2, "count", variant=SKIPPING, stack=StackConfig(8))
 EXACT = TraversalConfig("woop", 2, "exact", stack=StackConfig(8))
 THROUGH_INSTANCES = {
     "closest": lambda: instance_single.make_instance_kernel(TraversalConfig("woop", 2, stack=StackConfig(8)), "bvh", 8),
-    "skip": lambda: instance_single.make_instance_kernel(SKIPPING, "bvh", 8),
+    "skip": lambda: instance_single.make_instance_kernel(SKIPPED, "bvh", 8),
     "precise": lambda: instance_exact.make_exact_instance_kernel(EXACT, "bvh", 8),
 }
 
@@ -392,3 +402,12 @@ EXACT_KERNELS = {
 @pytest.mark.parametrize("name", EXACT_KERNELS)
 def test_nothing_fuses(name, tmp_path):
     assert fusing(assert_compiles(name, EXACT_KERNELS[name](), tmp_path)) == []
+
+
+@pytest.mark.parametrize("name", PACKED_POINTS)
+def test_boxes_of_points_alone_fuse(name, tmp_path):
+    """Of points in nodes of 64 bytes: two sums of squares a box, in each of the steps or in a function."""
+    text = compile_to_ptx(PACKED_POINTS[name]().module, tmp_path)
+    fused = FUSIBLE.findall(text)
+    assert set(fused) == {"fma.rn.f32"}
+    assert len(fused) in (1, 2, 4)

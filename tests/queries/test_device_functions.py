@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from conftest import DEVICES, degenerate_soup, mixed_rays
 from test_cuda_compiles import assert_fuses_boxes_alone, compile_to_ptx
 
 import wrt
+from wrt.kernels.points.device_points import add_point_search
 from wrt.kernels.query.binary.binary_handles import binary_handle_type, binary_instances_handle_type
 from wrt.kernels.query.device_functions import handle_type
 
@@ -187,6 +189,24 @@ def test_binary_nodes_on_cuda(make, tmp_path):
     text = compile_to_ptx(kernel.module, tmp_path)
     assert ".entry" in text
     assert_fuses_boxes_alone(text, walks=5)
+
+
+@wrt.device.kernel
+def ask_rays_and_points(scene: Any, points: wp.array(dtype=wp.vec3), found: wp.array(dtype=float)):
+    """Both in one kernel."""
+    i = wp.tid()
+    hit = wrt.device.closest_hit(scene, points[i], wp.vec3(0.0, 0.0, 1.0), 0.0, wp.inf)
+    found[i] = wp.min(hit.t, wrt.device.closest_point(scene, points[i], wp.inf).t)
+
+
+@pytest.mark.parametrize("make", [binary_handle_type, binary_instances_handle_type])
+def test_rays_and_points_in_one_kernel_on_cuda(make, tmp_path):
+    """The headers of both go together."""
+    add_point_search(make(24), "binary", 2, make is binary_instances_handle_type)
+    kernel = wrt.device.kernel(ask_rays_and_points.func)
+    points, found = wp.empty(0, dtype=wp.vec3, device="cpu"), wp.empty(0, dtype=float, device="cpu")
+    kernel.add_overload(kernel.infer_argument_types([make(24)(), points, found]))
+    assert ".entry" in compile_to_ptx(kernel.module, tmp_path)
 
 
 @pytest.mark.parametrize("placed", [False, True], ids=["meshes", "instances"])

@@ -1,5 +1,6 @@
 // Instantiates the header of kernels/points; see native_headers.cpp.
 #include "exact_points.h"
+#include "packed_points.h"
 #include "point_packets.h"
 
 struct Vec2 {
@@ -78,9 +79,16 @@ struct Top {
     int root, shared_root;
     Array<int> environments, roots;
 };
-template <class Tree> struct Part {
+struct BinaryTree {
+    Array<float> nodes;
+    Vec3 low, high;
+};
+struct Corners {
+    Array<float> corners;
+};
+template <class Tree, class Leaves = Triangles> struct Part {
     Tree tree;
-    Triangles triangles;
+    Leaves triangles;
 };
 struct Mesh {
     Array<Vec3d> vertices;
@@ -103,6 +111,10 @@ struct Rows {
     Array<Work> rows;
 };
 
+using Boxes = wrt::BoxTree<WIDTH, 9>;
+using Cells = wrt::CellTree<WIDTH, 9>;
+constexpr int UPPER = WIDTH > 2 ? WIDTH : 2;
+
 template <class Space> void search(const Space& space, const Points& points, const Lists& lists, const Rows& work)
 {
     wrt::nearest_of_group<wrt::NearestTriangle, 32>(space, points, lists.found, work, 0);
@@ -115,10 +127,10 @@ template <class Space> void search(const Space& space, const Points& points, con
 void search_trees(const WideTree& boxes, const KdTree& cells, const Triangles& triangles, const Points& points,
     const Lists& lists, const Rows& work)
 {
-    search(wrt::one_tree<wrt::BoxTree, WIDTH, 9>(boxes, triangles), points, lists, work);
-    search(wrt::one_tree<wrt::CellTree, WIDTH, 9>(cells, triangles), points, lists, work);
+    search(wrt::point_tree<Boxes>(boxes, triangles), points, lists, work);
+    search(wrt::point_tree<Cells>(cells, triangles), points, lists, work);
 #if WRT_VECTORS
-    const auto tree = wrt::one_tree<wrt::BoxTree, WIDTH, 9>(boxes, triangles);
+    const auto tree = wrt::point_tree<Boxes>(boxes, triangles);
     wrt::nearest_of_packets<WIDTH, 32, 9>(tree, points, lists.found, 0);
 #endif
 }
@@ -126,17 +138,25 @@ void search_trees(const WideTree& boxes, const KdTree& cells, const Triangles& t
 void search_instances(const Top& top, const Array<Part<WideTree>>& boxes, const Array<Part<KdTree>>& cells,
     const Points& points, const Lists& lists, const Rows& work)
 {
-    search(wrt::instance_trees<wrt::BoxTree, WIDTH, 9>(top, boxes), points, lists, work);
-    search(wrt::instance_trees<wrt::CellTree, WIDTH, 9>(top, cells), points, lists, work);
+    search(wrt::point_instances<Boxes, UPPER>(top, boxes), points, lists, work);
+    search(wrt::point_instances<Cells, UPPER>(top, cells), points, lists, work);
 }
 
 void search_exactly(const WideTree& boxes, const Top& top, const Array<Part<KdTree>>& cells, const Triangles& triangles,
     const Mesh& mesh, const Array<Geometry>& geometries, const Points& points, const Exact& exact, const Found& found)
 {
-    const auto tree = wrt::one_tree<wrt::BoxTree, WIDTH, 9>(boxes, triangles);
+    const auto tree = wrt::point_tree<Boxes>(boxes, triangles);
     wrt::exact_nearest_of_group<32>(tree, points, mesh, exact, found, 0);
-    const auto trees = wrt::instance_trees<wrt::CellTree, WIDTH, 9>(top, cells);
+    const auto trees = wrt::point_instances<Cells, UPPER>(top, cells);
     wrt::exact_nearest_of_group<32>(trees, points, geometries, exact, found, 0);
     wrt::exact_lists_of_group<32>(tree, points, mesh, exact, found, 0);
     wrt::exact_lists_of_group<32>(trees, points, geometries, exact, found, 0);
+}
+
+void search_packed(const BinaryTree& nodes, const Corners& corners, const Top& top,
+    const Array<Part<BinaryTree, Corners>>& parts, const Points& points, const Lists& lists, const Rows& work, int* next)
+{
+    search(wrt::point_tree<wrt::PackedTree>(nodes, corners), points, lists, work);
+    search(wrt::point_instances<wrt::PackedTree, 2>(top, parts), points, lists, work);
+    wrt::search_points<16, 4, 3>(wrt::point_walks<24>(nodes, corners, points, lists.found), next, 64, 0);
 }

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from call_objects import Call
+from calls_of_analysis import analysis_calls
 from calls_of_jobs import job_calls
 from calls_of_known_rays import known_ray_calls
 from calls_of_pictures import picture_calls
@@ -22,6 +23,7 @@ def calls() -> Iterator[Call]:
     """All rows. Numbers of two and of four are exact in every type of float."""
     yield from scene_calls()
     yield from query_calls()
+    yield from analysis_calls()
     yield from tree_calls()
     yield from known_ray_calls()
     yield from picture_calls()
@@ -32,9 +34,9 @@ def calls() -> Iterator[Call]:
 
 FOR_THE_LIBRARY = {
     "answers and reports": (
-        "AreaLight CameraImages JobStatus LidarScan OctreeAnalysis Plan TreeAnalysis Verification InfluenceAreas BuiltinScene "
-        "Blocks Viewer PartitionedHits QueryTraffic AreaBreakEven BreakEven CountedWork BvhStatistics KdTreeStatistics Fault "
-        "InsideCheck MeshMaterials.numbers SceneStatistics UpdateReport"
+        "AreaLight CameraImages ClosestPair DistanceGrid JobStatus LidarScan OctreeAnalysis Plan TreeAnalysis Verification "
+        "InfluenceAreas BuiltinScene Blocks Viewer PartitionedHits QueryTraffic AreaBreakEven BreakEven CountedWork "
+        "BvhStatistics KdTreeStatistics Fault InsideCheck MeshMaterials.numbers SceneStatistics UpdateReport"
     ),
     "what trees and scenes ask of descriptions": (
         "Bvh.build Bvh.config Bvh.kernels KdTree.build KdTree.config KdTree.config_for KdTree.start ProjectedBvh.build "

@@ -97,6 +97,49 @@ def sensors(scene: wrt.Scene) -> None:
     print(images.depth, wrt.get_num_threads())
 
 
+def points(scene: wrt.Scene, samples: np.ndarray, buffer: wp.array) -> None:
+    near = scene.closest_point(samples, max_distance=np.full(len(samples), 0.5), k=3)
+    print(near.distance.max(), near.feature, scene.closest_point(samples, precise=True).position)
+    print(scene.within(samples, 0.1).offsets)
+    assert_type(scene.contains(samples, rule="union"), np.ndarray)
+    assert_type(wrt.analysis.signed_distance(scene, samples, sign="pseudonormal", max_distance=0.1), np.ndarray)
+    assert_type(wrt.analysis.signed_distance(scene, buffer), wp.array)
+    assert_type(wrt.analysis.winding_number(scene, samples, accuracy=0.01), np.ndarray)
+    grid = wrt.analysis.distance_grid(scene, 64, band=0.05, sign=wrt.analysis.sign_rule(scene))
+    assert_type(grid.values, np.ndarray)
+    pair = wrt.analysis.clearance(scene, [0, 2])
+    print(pair.distance, wrt.analysis.overlapping_triangles(scene, 0, 1).shape)
+    for rows, found in scene.closest_point_blocks(samples, reduce={"t": "max"}):
+        print(rows.start, found)
+
+
+def light(scene: wrt.Scene, sun: np.ndarray) -> None:
+    floor = wrt.analysis.sample_surface(scene, radius=0.5)
+    hours = wrt.analysis.exposure(scene, floor, sun, weights=np.full(len(sun), 0.25), cosine=True)
+    assert_type(hours, np.ndarray)
+    assert_type(wrt.analysis.exposure(scene, scene.points_on([0, 1]), wrt.analysis.sky_directions(64)), np.ndarray)
+    print(wrt.analysis.thickness(scene, floor).min(), wrt.analysis.ambient_occlusion(scene, floor, rays=16))
+
+
+def terrain(heights: np.ndarray) -> wrt.TriangleMesh:
+    mesh = wrt.TriangleMesh.from_heightmap(heights, spacing=(2.0, 2.0), origin=(4.5e5, 5.4e6, 0.0))
+    seen = wrt.analysis.viewshed(wrt.Scene(mesh), (4.5e5, 5.4e6, 300.0), mesh.vertices)
+    assert_type(seen, np.ndarray)
+    return mesh
+
+
+def clouds_and_rigs(scene: wrt.Scene, measured: np.ndarray, on_roof: np.ndarray) -> None:
+    cloud = wrt.sensors.PointCloud(measured, radius=0.05, normals=None, device="cpu")
+    hits = cloud.intersect(measured, (0.0, 0.0, 1.0), brute_force=True)
+    print(hits.primitive_id, cloud.intersect_all(measured, (0, 0, 1), max_hits=2).t, cloud.bounds.shape)
+    lidar, camera = wrt.sensors.Lidar.preset("velodyne_vlp_16"), wrt.sensors.Camera(64, 48, wrt.sensors.Equirectangular(64, 48))
+    rig = wrt.sensors.Rig({"roof": (lidar, on_roof), "front": (camera, np.eye(4))})
+    seen = rig.measure(scene, np.eye(4), seed=1, each={"front": {"layers": ("depth",)}})
+    roof = seen["roof"]
+    if isinstance(roof, wrt.sensors.LidarScan):
+        print(roof.range, lidar.scan(cloud, np.eye(4)).position)
+
+
 def doors(scene: wrt.Scene, rays: wrt.Rays, path: str) -> None:
     camera = wrt.PinholeCamera(64, 48, position=(0, -3, 1), look_at=(0, 0, 0))
     assert_type(wrt.lights.PointLight((0.0, 0.0, 3.0)), wrt.lights.PointLight)

@@ -38,3 +38,23 @@ def mistakes(mesh: wrt.TriangleMesh, scene: wrt.Scene, origins: np.ndarray, dire
     hits.t.numpy()  # mistake: attr-defined
     scene.occluded(buffer, buffer).any()  # mistake: attr-defined
     wrt.save_image(3, origins)  # mistake: arg-type
+    scene.contains(origins, rule="parrity")  # mistake: call-overload
+    scene.closest_point(origins, maxdistance=1.0)  # mistake: call-arg
+    scene.closest_point(origins, precise="yes")  # mistake: arg-type
+    print(scene.closest_point(origins).distanse)  # mistake: attr-defined
+    wrt.analysis.signed_distance(scene, origins, sign="normals")  # mistake: call-overload
+    wrt.analysis.distance_grid(scene, 64, sign="normals")  # mistake: arg-type
+    wrt.analysis.exposure(scene, hits, directions, wieghts=origins)  # mistake: call-arg
+    wrt.analysis.exposure(scene, origins, directions)  # mistake: arg-type
+    print(wrt.analysis.exposures)  # mistake: attr-defined
+    cloud = wrt.sensors.PointCloud(origins)  # mistake: call-arg
+    cloud.intersect(origins, directions, precise=True)  # mistake: call-arg
+    cloud.closest_point(origins)  # mistake: attr-defined
+    rig = wrt.sensors.Rig([wrt.sensors.Lidar.preset("velodyne_vlp_16")])  # mistake: arg-type
+    rig.measure(scene, origins, seed="one")  # mistake: arg-type
+    wrt.TriangleMesh.from_heightmap(origins, spaceing=1.0)  # mistake: call-arg
+    wrt.PinholeCamera(640, 480, position="front", look_at=(0, 0, 0))  # mistake: arg-type
+    wrt.PinholeCamera.framing(mesh, 640, 480, up="z")  # mistake: arg-type
+    wrt.lights.PointLight((0, 0, 1), intensity="bright")  # mistake: arg-type
+    wrt.analysis.exposure(scene, hits, "sun")  # mistake: arg-type
+    wrt.sensors.look_at((0, 0, 1), camera)  # mistake: arg-type

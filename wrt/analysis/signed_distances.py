@@ -6,7 +6,7 @@ References: baerentzen-aanaes-2005; jacobson-2013.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -29,16 +29,18 @@ if TYPE_CHECKING:
     from wrt.query.points.closest_points import ClosestPoints
     from wrt.scene.scene import Scene
 
+SignRule: TypeAlias = Literal["auto", "parity", "pseudonormal", "winding"]
+
 INF = float("inf")
 AUTO = "auto"
 
 
 @overload
-def signed_distance(scene: Scene, points: NumpyLike, *, sign: str = "auto", max_distance: Numbers = INF) -> np.ndarray: ...
+def signed_distance(scene: Scene, points: NumpyLike, *, sign: SignRule = "auto", max_distance: Numbers = INF) -> np.ndarray: ...
 @overload
-def signed_distance(scene: Scene, points: WarpLike, *, sign: str = "auto", max_distance: Numbers = INF) -> wp.array: ...
+def signed_distance(scene: Scene, points: WarpLike, *, sign: SignRule = "auto", max_distance: Numbers = INF) -> wp.array: ...
 def signed_distance(
-    scene: Scene, points: ArrayLike, *, sign: str = "auto", max_distance: Numbers = INF
+    scene: Scene, points: ArrayLike, *, sign: SignRule = "auto", max_distance: Numbers = INF
 ) -> np.ndarray | wp.array:
     """Distances to the surface, negative inside: (...) float32, a NumPy array if the points were, else a Warp array.
 
@@ -109,7 +111,7 @@ def with_signs(
     return distance
 
 
-def sign_rule(scene: Scene) -> str:
+def sign_rule(scene: Scene) -> SignRule:
     """The sign that `sign="auto"` means for a scene: "winding" or "parity".
 
     Winding numbers, unless every mesh is closed and has neighbouring triangles that face opposite ways: then no sum of signs

@@ -21,7 +21,7 @@ References: shimrat-1962 (parity); jacobson-2013 (winding numbers).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -53,6 +53,8 @@ if TYPE_CHECKING:
 
 DIRECTIONS = ((0.5163, 0.3781, 0.7684), (-0.7911, 0.4892, 0.3674), (0.2769, -0.8472, 0.4534))
 """Directions far from each other, and from all axes and diagonals."""
+
+InsideRule: TypeAlias = Literal["parity", "union", "winding"]
 
 PARITY = "parity"
 

@@ -1,8 +1,7 @@
 """Handles of scenes whose trees have two children a node: rays of users' kernels walk the layout of persistent threads.
 
 A thread of a user's kernel traces its own ray, so it cannot fetch others; it takes the steps of
-`wrt.kernels.traversal.persistent` alone. Its stack is a word for each level, in local memory. The handle keeps the wide tree,
-too, for searches of points.
+`wrt.kernels.traversal.persistent` alone. Its stack is a word for each level, in local memory.
 """
 
 from functools import cache
@@ -12,14 +11,12 @@ import warp as wp
 from wrt.kernels.answers.answer_kind import BestHit, start
 from wrt.kernels.answers.next_crossing import PreviousCrossing
 from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTriangles
-from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.query.device_functions import SEARCHES, add_seeing, register_handle
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime import native
 from wrt.kernels.traversal.persistent.persistent_bvh import ANSWER_CLASSES
-from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree
-from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+from wrt.kernels.traversal.two_level.instance_single import InstanceTree
 
 
 @cache
@@ -27,15 +24,13 @@ def binary_handle_type(levels: int) -> type:
     """The handle struct of a scene of one level; as `wrt.kernels.query.device_functions.handle_type`."""
 
     class BinaryHandle:
-        tree: WideNodes
-        triangles: TriangleBlocks
-        nodes: BinaryNodes
-        corners: PackedTriangles
+        tree: BinaryNodes
+        triangles: PackedTriangles
         mesh: SceneMesh
 
     BinaryHandle.__qualname__ = f"BinaryHandle_{levels}"
     handle = register_handle(BinaryHandle)
-    add_searches(handle, "wrt::one_tree(scene.nodes, scene.corners)", levels + 1, "~0u, -1")
+    add_searches(handle, "wrt::one_tree(scene.tree, scene.triangles)", levels + 1, "~0u, -1")
     return handle
 
 
@@ -45,15 +40,14 @@ def binary_instances_handle_type(levels: int) -> type:
 
     class BinaryInstancesHandle:
         top: InstanceTree
-        parts: wp.array(dtype=BvhPart)
-        binary: wp.array(dtype=BinaryPart)
+        parts: wp.array(dtype=BinaryPart)
         mesh: SceneMesh
         mask: wp.uint32
         environment: int
 
     BinaryInstancesHandle.__qualname__ = f"BinaryInstancesHandle_{levels}"
     handle = register_handle(BinaryInstancesHandle)
-    space = "wrt::instance_trees(scene.top, scene.binary)"
+    space = "wrt::instance_trees(scene.top, scene.parts)"
     add_searches(handle, space, 2 * levels + 2, "scene.mask, scene.environment")
     add_seeing(handle)
     return handle

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from studies.evidence.claims import Found, Held, claim, pairs, quotient
 from studies.evidence.papers import FALCONE_PRECISION
-from studies.evidence.verdicts import all_of, counted, judge, span
+from studies.evidence.verdicts import all_of, counted, judge, not_comparable, span
 
 
 @claim(
@@ -126,6 +126,20 @@ def groups(held: Held) -> Found:
 
 
 @claim(
+    "threads-benthin",
+    "rahikainen",
+    "4.1",
+    "Lists of candidates sorted in parts, and a subtree for each thread, make builds 2 times as fast on 2 cores",
+    "thread_growth",
+)
+def two_threads(held: Held) -> Found:
+    """Benthin's division of the work is not built; those that are say how much two threads gain here."""
+    each = held["thread_growth"].take("threads", "speed", threads="2", what=("streaming", "in_place", "binned", "nested"))
+    here = ", ".join(f"{one.value:.1f} times ({one.case.split(', ')[0]})" for one in each)
+    return not_comparable("other divisions of the work"), f"with 2 threads {here}"
+
+
+@claim(
     "threads-streaming", "rahikainen", "4.1", "The streaming build is up to 2.43 times as fast with 4 threads", "thread_growth"
 )
 def streaming_threads(held: Held) -> Found:
@@ -233,3 +247,41 @@ def culling(held: Held) -> Found:
     return judge(
         worse, at_least=2.0
     ), f"{without[0].value:.0f} and {without[1].value:.0f} %, {with_it[0].value:.1f} and {with_it[1].value:.1f} % with it"
+
+
+@claim(
+    "pah-spfh",
+    "falcone",
+    "6.2.3, Fig. 6.11",
+    "PAH and SPFH together are better than SAH and LSPH for planes whose rays are parallel to an axis, else at most comparable",
+    "ray_distribution",
+)
+def both_heuristics(held: Held) -> Found:
+    """Comparable: up to 5 % better."""
+    take, way = held["ray_distribution"].take, {"tree": "PAH + SPFH"}
+    (along,) = take("gains", "percent", **way, kind="plane", way="parallel")
+    others = [one for one in take("gains", "percent", **way) if one.case != "plane, parallel"]
+    return all_of([judge([along], at_least=0.0), judge(others, at_most=5.0)]), (
+        f"{along.value:.0f} % better there, {span(others, '.0f')} % for other rays, means of eight scenes"
+    )
+
+
+@claim(
+    "sah-spfh",
+    "falcone",
+    "6.2.6, Fig. 6.17",
+    "SAH and SPFH make better trees than both new heuristics together",
+    "ray_distribution",
+)
+def facing_alone(held: Held) -> Found:
+    alone, both = (held["ray_distribution"].take("gains", "percent", tree=tree) for tree in ("SAH + SPFH", "PAH + SPFH"))
+    more = [counted(a.value - b.value, a.case) for a, b in zip(alone, both, strict=True)]
+    return judge(more, at_least=0.0), (
+        f"{span(alone, '.0f')} % better than SAH and LSPH, both together {span(both, '.0f')} %, by area and direction"
+    )
+
+
+@claim("pah-alone", "falcone", "6.2.7, Fig. 6.18", "PAH and LSPH make worse trees than SAH and LSPH", "ray_distribution")
+def projected_alone(held: Held) -> Found:
+    gains = held["ray_distribution"].take("gains", "percent", tree="PAH + LSPH")
+    return judge(gains, at_most=0.0), f"{span(gains, '.0f')} % better, by area and direction"

@@ -66,8 +66,11 @@ stores (notebooks/records/2026-11-24-streams.md).
 MIN_RAYS_TO_REORDER = 1 << 16
 """Smallest batch whose rays are sorted before tracing."""
 
-MOST_RIVALS = 2
+MOST_RIVALS = 3
 """Plans that are compared with the one of the rules: each costs time, and kernels."""
+
+MANY = 1 << 30
+"""More rays, triangles or instances than any limit."""
 
 CACHED_BYTES = 1 << 24
 """Bytes of triangle records that the caches of a core hold. Rays are not sorted for scenes with fewer."""
@@ -77,7 +80,7 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     """A new plan for these rays; arguments and errors as in `find_plan`."""
     kind, given, triangle_test, cull_backfaces = query[:4]
     known = scene.facts
-    wanted = default_test(known.triangle_test, ANSWERS[kind].crossings) if triangle_test == AUTO else triangle_test
+    wanted = default_test(known.triangle_test, ANSWERS[kind].rules.crossings) if triangle_test == AUTO else triangle_test
     test = lookup(TRIANGLE_TESTS, wanted, "triangle_test")
     if given == AUTO:
         situation = situation_of(known, rays, kind, cull_backfaces, has_wide_form=wide_form_pays(scene, rays))
@@ -159,16 +162,18 @@ def choose_traversal(scene: SceneFacts, situation: Situation, triangle_test: str
 
 def rival_plans(scene: SceneState, rays: RayFacts, query: Query, plan: Plan) -> list[Plan]:
     """A plan of the rules, and at most `MOST_RIVALS` others: packets with the other culling, and what the rules choose for a
-    sample that shares more or less, and for other numbers of triangles or of instances."""
+    sample that shares more or less, and for other numbers of rays, of triangles or of instances. Short rays take the same way,
+    however different they are, so packets are compared for incoherent rays, too."""
     known, kind, found = scene.facts, query.kind, {plan.engine: plan}
     told = situation_of(known, rays, kind, query.cull_backfaces)
     if told.prefers_single:
         return [plan]
-    together, parted = told._replace(overlap=Overlap(0.0, 0.0)), told._replace(overlap=Overlap(1.0, 0.0))
-    others = [together] if told.coherent else []
-    others += [parted, parted._replace(triangles=1, lanes=16), parted._replace(triangles=1 << 30)]
+    together, parted = told._replace(coherent=True, overlap=Overlap(0.0, 0.0)), told._replace(overlap=Overlap(1.0, 0.0))
+    many = parted._replace(rays=MANY)
+    walks = [parted, many._replace(triangles=1, lanes=16), many._replace(triangles=MANY)]
     if told.instances:
-        others += [parted._replace(instances=1), parted._replace(instances=1 << 30)]
+        walks += [parted._replace(instances=1), parted._replace(instances=MANY)]
+    others = [together, *walks] if told.coherent else [*walks, together]
     test = plan.triangle_test
     if plan.culling and rays.shared_origin:
         for dense in (True, False):
@@ -237,7 +242,7 @@ def packet_vectors(scene: SceneFacts, rays: RayFacts, query: str, traversal: Tra
     if is_dense(scene, rays, limits.crowded):
         return max(CROWDED_PACKET // scene.width, PACKET_VECTORS)
     measured = scene.tree == "bvh" and traversal.walks_boxes("bvh")
-    large = is_dense(scene, rays, MANY_RAYS_PER_TRIANGLE) or (ANSWERS[query].ends_at_first and not scene.instances)
+    large = is_dense(scene, rays, MANY_RAYS_PER_TRIANGLE) or (ANSWERS[query].rules.ends_at_first and not scene.instances)
     return limits.large_packet if measured and large else PACKET_VECTORS
 
 
@@ -267,7 +272,7 @@ def best_culling(scene: SceneFacts, dense: bool, traversal: Traversal, test: Tri
 def stores_past_caches(scene: SceneFacts, rays: RayFacts, query: str) -> bool:
     """Whether packets write closest hits by non-temporal stores: so numerous that few of them would be in a cache when read."""
     has_stores = not scene.is_cuda and platform.machine().lower() in ("x86_64", "amd64")
-    return has_stores and ANSWERS[query].shortens and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
+    return has_stores and ANSWERS[query].rules.shortens and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
 
 
 def choose_order(scene: SceneState, rays: RayFacts, traversal: Traversal, test: TriangleTest) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.query.batches.block_rows import as_source
-from wrt.query.blocks import MEMORY, blocks_of
+from wrt.query.blocks import MEMORY, How, blocks_of
 from wrt.query.query_options import chosen, lists_options
 
 if TYPE_CHECKING:
@@ -70,9 +70,9 @@ class BlockQueries:
                 None for this process, one block after the other. Each worker needs the memory of a block for each task it runs
                 at a time. Hits that come from another process are as those of a pickle.
             reduce: what is kept of the answers: "sum", "mean", "min", "max", "any", "all", a `wrt.batches.Histogram`, a
-                function(values, axes) that keeps the first axis, or an object with the methods of `wrt.batches.Reduction`. Of
-                closest hits, a dict from attributes to these, such as {"t": "min"}. Integers are summed as int64; sums of
-                floats are exact, and rounded once. None keeps the answers.
+                `wrt.batches.WeightedSum`, a function(values, axes) that keeps the first axis, or an object with the methods of
+                `wrt.batches.Reduction`. Of closest hits, a dict from attributes to these, such as {"t": "min"}. Integers are
+                summed as int64; sums of floats are exact, and rounded once. None keeps the answers.
             axis: axes of the rays' leading shape along which answers are reduced: an int, several, or None for all. Without the
                 first axis among them, blocks have reduced rows; with it, only `result` gives the answer.
             traversal, triangle_test, precise: as in `intersect`.
@@ -83,24 +83,9 @@ class BlockQueries:
                 reduction or axis. Values and types of arrays are checked block by block.
             RuntimeError: later, if the workers that took a block died each time.
         """
-        source, options = (
-            as_source(origins, directions, t_min, t_max),
-            chosen(traversal=traversal, triangle_test=triangle_test, precise=precise),
-        )
-        return blocks_of(
-            self,
-            "intersect",
-            source,
-            memory=memory,
-            progress=progress,
-            executor=executor,
-            reduce=reduce,
-            axis=axis,
-            mask=mask,
-            environment=environment,
-            skip=skip,
-            **options,
-        )
+        source, how = as_source(origins, directions, t_min, t_max), How(memory, progress, executor, reduce, axis)
+        options = chosen(traversal=traversal, triangle_test=triangle_test, precise=precise)
+        return blocks_of(self, "intersect", source, how, {"mask": mask, "environment": environment, "skip": skip}, options)
 
     @lists_options
     def occluded_blocks(
@@ -138,21 +123,9 @@ class BlockQueries:
         Raises:
             TypeError, ValueError, RuntimeError: as `intersect_blocks`.
         """
-        source, options = as_source(origins, directions, t_min, t_max), chosen(traversal=traversal, triangle_test=triangle_test)
-        return blocks_of(
-            self,
-            "occluded",
-            source,
-            memory=memory,
-            progress=progress,
-            executor=executor,
-            reduce=reduce,
-            axis=axis,
-            mask=mask,
-            environment=environment,
-            skip=skip,
-            **options,
-        )
+        source, how = as_source(origins, directions, t_min, t_max), How(memory, progress, executor, reduce, axis)
+        options = chosen(traversal=traversal, triangle_test=triangle_test)
+        return blocks_of(self, "occluded", source, how, {"mask": mask, "environment": environment, "skip": skip}, options)
 
     @lists_options
     def count_blocks(
@@ -190,21 +163,9 @@ class BlockQueries:
         Raises:
             TypeError, ValueError, RuntimeError: as `intersect_blocks`.
         """
-        source, options = as_source(origins, directions, t_min, t_max), chosen(traversal=traversal, triangle_test=triangle_test)
-        return blocks_of(
-            self,
-            "count",
-            source,
-            memory=memory,
-            progress=progress,
-            executor=executor,
-            reduce=reduce,
-            axis=axis,
-            mask=mask,
-            environment=environment,
-            skip=skip,
-            **options,
-        )
+        source, how = as_source(origins, directions, t_min, t_max), How(memory, progress, executor, reduce, axis)
+        options = chosen(traversal=traversal, triangle_test=triangle_test)
+        return blocks_of(self, "count", source, how, {"mask": mask, "environment": environment, "skip": skip}, options)
 
     @lists_options
     def closest_point_blocks(
@@ -249,16 +210,5 @@ class BlockQueries:
             raise ValueError(f"max_distance {own} does not broadcast to points {np.shape(points)}") from None
         if not shape:
             raise ValueError("points must have a leading axis to cut into blocks: pass points of shape (N, 3)")
-        return blocks_of(
-            self,
-            "closest_point",
-            source,
-            memory=memory,
-            progress=progress,
-            executor=executor,
-            reduce=reduce,
-            axis=axis,
-            mask=mask,
-            environment=environment,
-            precise=precise,
-        )
+        how, columns = How(memory, progress, executor, reduce, axis), {"mask": mask, "environment": environment}
+        return blocks_of(self, "closest_point", source, how, columns, {"precise": precise})

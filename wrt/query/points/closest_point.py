@@ -12,9 +12,11 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.facts.query_kinds import CLOSEST
 from wrt.engine.memory import empty
+from wrt.engine.plan.plan import stack_levels
 from wrt.engine.rays.ray_integers import ENVIRONMENTS, MASKS
 from wrt.engine.rays.rays import MAX_RAYS, ResultForm, as_vectors
 from wrt.instances.instance_tables import vertex_parts
+from wrt.kernels.layout.binary_nodes import WIDTH
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.point_batch import NearestBatch, NearLists, PointBatch, make_widen
 from wrt.kernels.points.tree_points import GROUP, PointConfig, as_lists, as_space, make_points_kernel
@@ -93,6 +95,9 @@ def find_nearest(
         in_order: as in `closest_point`.
     """
     hits, feature = DeviceHits.new(CLOSEST, points.count, scene.device), empty(points.count, wp.int8, scene.device)
+    if work is None and has_packed_nodes(scene) and not scene.instances:
+        search_packed(scene, points, nearest_batch(hits, feature))
+        return hits, feature
     task = "counted" if work is not None else "packets" if in_order and has_packets(scene) else "nearest"
     search(scene, points, as_lists(nearest_batch(hits, feature)), task, work)
     return hits, feature
@@ -101,6 +106,23 @@ def find_nearest(
 def has_packets(scene: SceneState) -> bool:
     """Whether points of a scene are searched in packets: on CPUs, in one BVH whose width is that of a register."""
     return scene.device.is_cpu and not scene.instances and scene.accelerator.kind != "kdtree" and scene.width in (4, 8, 16)
+
+
+def has_packed_nodes(scene: SceneState) -> bool:
+    """Whether points are searched in the nodes that persistent threads walk: those of BVHs of width 2 on CUDA."""
+    return scene.device.is_cuda and scene.accelerator.kind != "kdtree" and scene.width == WIDTH
+
+
+def search_packed(scene: SceneState, points: PointBatch, found: NearestBatch) -> None:
+    """Finds what is nearest to points in one tree, by persistent threads."""
+    from wrt.engine.launch.persistent_launch import binary_tree, next_ray
+    from wrt.kernels.points.packed_points import BLOCKS, make_packed_points_kernel
+
+    scene.require_opaque("a query of points")
+    kernel = specialise(make_packed_points_kernel, stack_levels(scene.tree.depth))
+    counter = next_ray(scene.device, points.count, blocks=BLOCKS)
+    items = counter.threads if scene.device.is_cuda else points.count
+    launch(kernel, items, [*binary_tree(scene), points, found, counter], device=scene.device, chunk=256, longest=4096)
 
 
 def as_room(k: Any) -> int | None:
@@ -267,18 +289,23 @@ def search(scene: SceneState, points: PointBatch, lists: NearLists, task: str, w
 
 def point_config(scene: SceneState, task: str) -> PointConfig:
     """The specialisation of a kernel for a scene."""
-    kind, group = "kdtree" if scene.accelerator.kind == "kdtree" else "bvh", 1 if scene.device.is_cuda else GROUP
-    return PointConfig(kind, scene.width, group, task, bool(scene.instances))
+    kind = "kdtree" if scene.accelerator.kind == "kdtree" else "binary" if has_packed_nodes(scene) else "bvh"
+    return PointConfig(kind, scene.width, 1 if scene.device.is_cuda else GROUP, task, bool(scene.instances))
 
 
 def space_of(scene: SceneState, config: PointConfig) -> Any:
     """Where kernels search points; lazy trees are completed."""
+    from wrt.engine.launch.persistent_launch import binary_parts, binary_tree
     from wrt.engine.launch.triangle_records import vertex_blocks
 
+    scene.require_opaque("a query of points")
     for part in scene.parts if scene.instances else (scene,):
         part.complete()
     if scene.instances:
-        return as_space(config, scene.upper(), vertex_parts(scene))
+        parts = binary_parts(scene) if config.tree == "binary" else vertex_parts(scene)
+        return as_space(config, scene.upper(), parts)
+    if config.tree == "binary":
+        return as_space(config, *binary_tree(scene))
     return as_space(config, scene.tree.struct(), vertex_blocks(scene))
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from wrt.meshes.instance import Instance
     from wrt.meshes.mesh import TriangleMesh
     from wrt.query.hits import Hits
+    from wrt.query.inside import InsideRule
     from wrt.query.points.closest_points import ClosestPoints, TrianglesWithin
     from wrt.query.verification import Verification
 
@@ -77,10 +78,12 @@ class PointQueries:
         return points_on(self.state, primitive_id, uv, points, instance_id)
 
     @overload
-    def contains(self, points: NumpyLike, *, rule: str = "parity", traversal: str | Plan = AUTO) -> np.ndarray: ...
+    def contains(self, points: NumpyLike, *, rule: InsideRule = "parity", traversal: str | Plan = AUTO) -> np.ndarray: ...
     @overload
-    def contains(self, points: WarpLike, *, rule: str = "parity", traversal: str | Plan = AUTO) -> wp.array: ...
-    def contains(self, points: ArrayLike, *, rule: str = "parity", traversal: str | Plan = AUTO) -> np.ndarray | wp.array:
+    def contains(self, points: WarpLike, *, rule: InsideRule = "parity", traversal: str | Plan = AUTO) -> wp.array: ...
+    def contains(
+        self, points: ArrayLike, *, rule: InsideRule = "parity", traversal: str | Plan = AUTO
+    ) -> np.ndarray | wp.array:
         """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.
 
         Decided by the crossings of a ray from the point with the surface. By parity, the point is inside if their number is
