@@ -56,7 +56,7 @@ def print_contenders(place: Print) -> list[Contender]:
     """Checks of a mesh: closed, volume, wall, overhang, and which points are inside; from the arrays, with the tree's build."""
     from wrt.analysis import thickness
 
-    up = np.float32([0.0, 0.0, 1.0])
+    up = np.array([0.0, 0.0, 1.0], dtype=np.float32)
 
     def rays() -> None:
         place.scene.intersect(*place.inwards)
