@@ -228,6 +228,7 @@ def test_nothing_is_compiled_inside_without_compiling(monkeypatch):
 def small_parts(monkeypatch) -> None:
     monkeypatch.setattr(parts, "RAYS_PER_THREAD", 128)
     monkeypatch.setattr(parts, "LARGEST_SHARE", 0.95)
+    monkeypatch.setattr(parts, "WHOLE_SHARE", 0.95)
     monkeypatch.setattr(parts, "GROUP", 64)
     monkeypatch.setattr(parts, "ROWS", 16)
 
@@ -236,7 +237,7 @@ def small_parts(monkeypatch) -> None:
 def test_a_batch_in_parts(scene, mesh, monkeypatch, columns):
     """Hits of a batch whose parts several engines trace are those of one engine, to the bit; each ray is traced once."""
     small_parts(monkeypatch)
-    count = 180_000 if columns else 40_000
+    count = 180_000 if columns else 60_000
     rays = wrt.PinholeCamera.framing(mesh, columns, count // columns).rays() if columns else random_rays(mesh, count)
     expected = scene.intersect(rays, traversal="single")
     traced: list[tuple[str, int, int]] = []

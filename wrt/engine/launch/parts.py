@@ -35,8 +35,10 @@ and compare rays from different places when the rays jump (notebooks/records/202
 RAYS_PER_THREAD = 2048
 """Rays of a part for each thread: many packets, and long enough to be timed."""
 
-STREAM_PARTS = 4
-"""Parts of a stream that are compared on one thread: a shorter stream is a few per cent slower. More threads need one each."""
+STREAM_PARTS, WHOLE_SHARE = 4, 0.25
+"""Parts of a stream of coherent rays that are compared on one thread where whole ones would be more than this share of a batch.
+Shorter streams of other rays take up to twice as long. More threads need a whole one each.
+"""
 
 ROWS, GROUP = 16, 1024
 """Rows of pictures, and rays of other batches, of which a part has a whole number."""
@@ -52,10 +54,13 @@ def part_size(plans: Mapping[str, ChosenPlan], rays: DeviceRays) -> int | None:
     """Rays of a part; None if the batch is too small for parts."""
     threads, facts = get_num_threads(), rays.facts
     stream = max(one.plan.stream for one in plans.values())
-    least = max(threads * RAYS_PER_THREAD, stream * threads if threads > 1 else stream // STREAM_PARTS)
     unit = ROWS * facts.columns if facts.columns else GROUP
-    size = -(-least // unit) * unit
-    return size if PLACES * len(plans) * size <= LARGEST_SHARE * facts.count else None
+    shorter = [(stream // STREAM_PARTS, LARGEST_SHARE)] if threads == 1 and facts.coherent else []
+    for rays_of_stream, share in ((stream * threads, LARGEST_SHARE if threads > 1 else WHOLE_SHARE), *shorter):
+        size = -(-max(threads * RAYS_PER_THREAD, rays_of_stream) // unit) * unit
+        if PLACES * len(plans) * size <= share * facts.count:
+            return size
+    return None
 
 
 def trace_in_parts(scene: SceneState, contest: Contest, rays: DeviceRays, kind: str) -> DeviceHits | None:
