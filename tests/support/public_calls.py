@@ -45,7 +45,7 @@ FOR_THE_LIBRARY = {
     "what jobs, pictures and scans ask of their parts": (
         "Blocks.ranges Blocks.run_pieces Histogram.part Reduction.part Motion.move Wave Camera.beams Lidar.device_beams "
         "LidarPattern.cut LidarPattern.order_of_returns OrthographicCamera.rays_on PinholeCamera.rays_on Trajectory.at_rest "
-        "Trajectory.check_covers ProcessPool.shutdown"
+        "Trajectory.check_covers ProcessPool.shutdown WeightedSum.check WeightedSum.part"
     ),
     "needs Dask": "map_points map_rays",
     "needs matplotlib": "draw_tree",

@@ -164,20 +164,19 @@ def is_fine(m: wp.mat44d):
 @native.func_native(
     "instance_updates.h",
     """wrt::bound_by_team(
-        points.data, points.shape[0] / 3, begin, end, map, origin, corners.data, corners.shape[0] / 6, i, lane, team);""",
+        points.data, points.shape[0] / 3, span.c[0], span.c[1], map, origin, corners.data, corners.shape[0] / 6, i, share.c[0],
+        share.c[1]);""",
 )
 def bound_by_team(
     points: wp.array(dtype=wp.float64),
-    begin: int,
-    end: int,
+    span: wp.vec2i,
     map: wp.mat33d,
     origin: wp.vec3d,
     corners: wp.array(dtype=wp.float64),
     i: int,
-    lane: int,
-    team: int,
+    share: wp.vec2i,
 ):
-    """As `bound_points`, by all threads of a team."""
+    """As `bound_points`, by all threads of a team. span: begin and end of the points; share: number of a thread, and of all."""
     ...
 
 
@@ -240,8 +239,8 @@ def bound_moved(
     if rows.shape[0] > 0:
         i = rows[i]
     mesh, linear, origin = table[i].geometry, linear_part(transforms[i]), bounded.origin[i]
-    begin, end = cover.begins[mesh], cover.begins[mesh + 1]
-    bound_by_team(cover.points, begin, end, linear, origin, bounded.corners, i, item % team, team)
+    span, share = wp.vec2i(cover.begins[mesh], cover.begins[mesh + 1]), wp.vec2i(item % team, team)
+    bound_by_team(cover.points, span, linear, origin, bounded.corners, i, share)
 
 
 @native.func_native("instance_updates.h", "return wrt::ordered_bits(value);")
