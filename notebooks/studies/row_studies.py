@@ -19,6 +19,7 @@ ROW_STUDIES = {
     "area-break-even": ("known_rays.area_tables", "break_evens"),
     "area-build-times": ("known_rays.area_tables", "build_times"),
     "area-costs": ("known_rays.area_tables", "costs"),
+    "area-gains": ("known_rays.area_tables", "gains"),
     "area-memory": ("known_rays.area_tables", "memory"),
     "area-precision": ("known_rays.area_tables", "precision"),
     "area-thresholds": ("known_rays.area_tables", "thresholds"),

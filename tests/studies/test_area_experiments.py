@@ -8,6 +8,7 @@ import pytest
 import wrt
 from studies.known_rays import area_experiments as experiments
 from studies.known_rays import area_pictures as pictures
+from studies.known_rays import area_tables
 from studies.known_rays.ray_cases import SCENES, Case
 from studies.known_rays.ray_distribution import average, scene_of, unclipped
 from studies.known_rays.ray_scenes import head
@@ -112,3 +113,15 @@ def test_rays_over_caps_are_estimated_worse_by_the_circular_one():
     errors = {row["cap"]: row["error"] for row in rows}
     assert errors.keys() == {"square", "circular"}
     assert 0.0 < errors["square"] < errors["circular"] < 1.0
+
+
+def test_gains_are_means_over_scenes_of_the_work_that_is_spared(monkeypatch):
+    """Half the reference's work is a gain of 100 %; the reference has no row of its own."""
+    work = {"SAH + LSPH": (6.0, 3.0), "PAH + SPFH": (3.0, 2.0)}
+    rows = [
+        {"scene": scene, "kind": "plane", "way": "oblique", "tree": tree, "cost": cost}
+        for tree, costs in work.items()
+        for scene, cost in zip("ab", costs, strict=True)
+    ]
+    monkeypatch.setattr(area_tables, "costs", lambda rays: rows)
+    assert area_tables.gains() == [{"tree": "PAH + SPFH", "kind": "plane", "way": "oblique", "percent": pytest.approx(75.0)}]

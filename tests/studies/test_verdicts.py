@@ -148,6 +148,9 @@ NUMBERS = {
     "two-trees": ("trace", {"way": "static and moving kdtree"}, 1e6, 1e-6),
     "split-threads": ("split", {}, 1e-6, 1e6),
     "pah-precision": ("percent", {"error": "PAH, point, circular cap"}, 5.0, 23.0),
+    "pah-spfh": ("percent", {"tree": "PAH + SPFH"}, 3.0, 30.0),
+    "sah-spfh": ("percent", {"tree": "SAH + SPFH"}, 99.0, -9.0),
+    "pah-alone": ("percent", {"tree": "PAH + LSPH"}, -3.0, 4.0),
     "sah-precision": ("percent", {"error": "SAH, plane and point"}, 51.0, 3.0),
     "pah-culling": ("percent", {"error": ("PAH, plane, not clipped", "PAH, point, not clipped")}, 60.0, 0.1),
 }
@@ -183,7 +186,7 @@ def test_a_claim_can_hold_fail_and_be_undecided(name):
         "komatsu-operations",
         "memory-of-vertices",
     }
-    counts |= {"komatsu-exits", "pah-precision"}
+    counts |= {"komatsu-exits", "pah-precision", "sah-spfh"}
     assert words[:2] == [HOLDS, FAILS]
     assert words[2] == UNDECIDED or name in counts  # what is counted is judged by its value
 
@@ -238,7 +241,9 @@ def test_a_command_makes_one_run(tmp_path):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["komatsu_counts", "komatsu_scenes", "traversal", "kdtree_builders", "plane_places"])
+@pytest.mark.parametrize(
+    "name", ["komatsu_counts", "komatsu_scenes", "inside_first", "traversal", "kdtree_builders", "plane_places"]
+)
 def test_a_small_run_can_be_judged(name):
     """With built-in scenes, one round: all claims on it find their rows. The other studies compile for minutes."""
     study = STUDIES[name]

@@ -234,10 +234,10 @@ def plane_places(models: Path | None, effort: Effort) -> Tables:
 
 
 def ray_distribution(models: Path | None, effort: Effort) -> Tables:
-    """Sections 6.2.1 and 6.2.2: precision of estimates; counted."""
-    from studies.known_rays.area_tables import precision
+    """Sections 6.2.1 to 6.2.3, 6.2.6 and 6.2.7: precision of estimates, and what each heuristic gains; counted."""
+    from studies.known_rays.area_tables import gains, precision
 
-    return {"precision": precision()}
+    return {"precision": precision(), "gains": gains()}
 
 
 def short(row: Mapping[str, Any], *keys: str, measures: Sequence[str] = ("ratio",)) -> Row:

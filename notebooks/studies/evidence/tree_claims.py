@@ -247,3 +247,41 @@ def culling(held: Held) -> Found:
     return judge(
         worse, at_least=2.0
     ), f"{without[0].value:.0f} and {without[1].value:.0f} %, {with_it[0].value:.1f} and {with_it[1].value:.1f} % with it"
+
+
+@claim(
+    "pah-spfh",
+    "falcone",
+    "6.2.3, Fig. 6.11",
+    "PAH and SPFH together are better than SAH and LSPH for planes whose rays are parallel to an axis, else at most comparable",
+    "ray_distribution",
+)
+def both_heuristics(held: Held) -> Found:
+    """Comparable: up to 5 % better."""
+    take, way = held["ray_distribution"].take, {"tree": "PAH + SPFH"}
+    (along,) = take("gains", "percent", **way, kind="plane", way="parallel")
+    others = [one for one in take("gains", "percent", **way) if one.case != "plane, parallel"]
+    return all_of([judge([along], at_least=0.0), judge(others, at_most=5.0)]), (
+        f"{along.value:.0f} % better there, {span(others, '.0f')} % for other rays, means of eight scenes"
+    )
+
+
+@claim(
+    "sah-spfh",
+    "falcone",
+    "6.2.6, Fig. 6.17",
+    "SAH and SPFH make better trees than both new heuristics together",
+    "ray_distribution",
+)
+def facing_alone(held: Held) -> Found:
+    alone, both = (held["ray_distribution"].take("gains", "percent", tree=tree) for tree in ("SAH + SPFH", "PAH + SPFH"))
+    more = [counted(a.value - b.value, a.case) for a, b in zip(alone, both, strict=True)]
+    return judge(more, at_least=0.0), (
+        f"{span(alone, '.0f')} % better than SAH and LSPH, both together {span(both, '.0f')} %, by area and direction"
+    )
+
+
+@claim("pah-alone", "falcone", "6.2.7, Fig. 6.18", "PAH and LSPH make worse trees than SAH and LSPH", "ray_distribution")
+def projected_alone(held: Held) -> Found:
+    gains = held["ray_distribution"].take("gains", "percent", tree="PAH + LSPH")
+    return judge(gains, at_most=0.0), f"{span(gains, '.0f')} % better, by area and direction"

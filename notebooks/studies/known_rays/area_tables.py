@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from studies.known_rays import area_experiments as experiments
 from studies.known_rays import ray_distribution as distribution
-from studies.known_rays.ray_cases import cases
+from studies.known_rays.ray_cases import TREES, cases
 
 Row = distribution.Row
 
@@ -28,6 +28,19 @@ def precision(*, rays: int = 1024) -> list[Row]:
         found |= {f"PAH, {kind}": kinds["PAH + SPFH", kind], f"PAH, {kind}, not clipped": raw["PAH + SPFH", kind]}
     found |= {f"PAH, point, {cap} cap": error for (cap,), error in caps.items()}
     return [{"error": name, "percent": 100.0 * value} for name, value in found.items()]
+
+
+def gains(*, rays: int = 1024) -> list[Row]:
+    """Sections 6.2.3, 6.2.6 and 6.2.7: gains over SAH and LSPH in per cent, means over the scenes."""
+    measured, rows = costs(rays=rays), []
+    for tree in TREES:
+        if tree != distribution.REFERENCE:
+            found = [
+                {"kind": kind, "way": way, "gain": gain} for (_, kind, way), gain in distribution.faster(measured, tree).items()
+            ]
+            means = distribution.average(found, "gain", "kind", "way")
+            rows += [{"tree": tree, "kind": kind, "way": way, "percent": 100.0 * mean} for (kind, way), mean in means.items()]
+    return rows
 
 
 def build_times(*, rounds: int = 3) -> list[Row]:
