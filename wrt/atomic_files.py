@@ -62,7 +62,7 @@ def replaced(path: str | Path, *, streams: bool = False) -> Iterator[BinaryIO]:
         return
     if not streams or (found is not None and not (stat.S_ISFIFO(found.st_mode) or stat.S_ISCHR(found.st_mode))):
         raise ValueError(f"'{path}' is not a regular file, and only such files are replaced; choose another path")
-    with _named(path), tempfile.TemporaryDirectory() as folder:
+    with named(path), tempfile.TemporaryDirectory() as folder:
         with open(Path(folder, "contents"), "wb") as file:
             yield file
         with open(file.name, "rb") as made, _opened(target, descriptor) as stream:
@@ -90,7 +90,7 @@ def new_folder(path: str | Path) -> Iterator[Path]:
         raise FileExistsError(errno.EEXIST, f"{os.strerror(errno.EEXIST)}; choose a new folder", str(path))
     around = _beside(path)
     try:
-        with _named(path, around):
+        with named(path, around):
             around.mkdir()
             yield around / path.name
             os.rename(around / path.name, path)
@@ -105,7 +105,7 @@ def _replacement(target: Path, old: os.stat_result | None, path: str | Path) -> 
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     temporary = _beside(target)
     try:
-        with _named(path, temporary):
+        with named(path, temporary):
             with open(temporary, "xb") as file:
                 yield file
             if old is not None:
@@ -181,13 +181,13 @@ def _opened(path: Path, descriptor: int | None) -> BinaryIO:
 
 
 @contextmanager
-def _named(path: str | Path, temporary: Path | None = None) -> Iterator[None]:
-    """Errors of writing name the file as the caller did, not the temporary one."""
+def named(path: str | Path, temporary: Path | None = None) -> Iterator[None]:
+    """Errors of writing name the file or folder as the caller did, not the temporary one, nor what is in it."""
     try:
         yield
     except OSError as error:
         if error.errno is None:  # of NumPy and Pillow, which tell how many bytes were written, or nothing
             raise OSError(f"'{path}' cannot be written ({error}); is the disk full?") from error
-        if error.filename is None or Path(error.filename) == temporary:
+        if error.filename is None or temporary in (Path(error.filename), *Path(error.filename).parents):
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise

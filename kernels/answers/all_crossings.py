@@ -4,10 +4,12 @@ The lists of parts are not merged: a scene on disk does not answer this query. T
 and then written one after the other.
 """
 
+from dataclasses import replace
+
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit, join_counts
-from wrt.kernels.answers.crossing_count import bound_count, copy_count, load_count, store_count
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit, Instances, Rules, Search, join_counts
+from wrt.kernels.answers.crossing_count import COUNTS
 from wrt.kernels.layout.ray_batch import HitBatch
 
 
@@ -47,17 +49,9 @@ def renumber_all(hits: wp.ref[HitBatch], i: int, count: int, first: int):
 
 
 KIND = AnswerKind(
-    name="all",
-    columns=("counts",),
-    listed=HIT_COLUMNS,
-    crossings=True,
-    once=True,
-    front_to_back=True,
-    accept=accept_all,
-    load=load_count,
-    store=store_count,
-    bound=bound_count,
-    copy=copy_count,
-    join=join_counts,
-    renumber=renumber_all,
+    "all",
+    Rules(crossings=True, once=True, front_to_back=True),
+    replace(COUNTS, listed=HIT_COLUMNS, merge=None),
+    Search(accept=accept_all),
+    Instances(join_counts, renumber_all),
 )

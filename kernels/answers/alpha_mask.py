@@ -15,7 +15,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, improves
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, Search, improves
 from wrt.kernels.images.image_footprint import footprint
 from wrt.kernels.layout.ray_batch import HitBatch
 
@@ -74,10 +74,7 @@ def within_masked(first: int, search: MaskedSearch):
         half = count / 2
         low = wp.where(search.masks.first_triangle[low + half] <= first, low + half, low)
         count = count - half
-    own = MaskedSearch()
-    own.t_min = search.t_min
-    own.masks = search.masks
-    own.hits = search.hits
+    own = search  # a copy
     own.first_face = search.masks.first_face[low]
     return own
 
@@ -123,7 +120,7 @@ def accept_nearest(search: wp.ref[MaskedSearch], i: int, best: BestHit, t: float
 @cache
 def masking(kind: AnswerKind) -> AnswerKind:
     """The variant of a kind of query, which must not be `oriented`: u would be no weight."""
-    accept, renumber = kind.accept, kind.renumber
+    accept, renumber = kind.search.accept, kind.instances.renumber
 
     @wp.func
     def accept_there(search: wp.ref[MaskedSearch], i: int, best: BestHit, t: float, primitive: int, u: float, v: float):
@@ -137,11 +134,6 @@ def masking(kind: AnswerKind) -> AnswerKind:
 
     return replace(
         kind,
-        walks_only=True,
-        Search=MaskedSearch,
-        Given=AlphaMasks,
-        begin=begin_masked,
-        accept=accept_nearest if kind.nearest else accept_there,
-        renumber=None if renumber is None else renumber_there,
-        within=within_masked,
+        search=Search(MaskedSearch, accept_nearest if kind.nearest else accept_there, Given=AlphaMasks, begin=begin_masked),
+        instances=replace(kind.instances, renumber=None if renumber is None else renumber_there, within=within_masked),
     )

@@ -83,62 +83,112 @@ HIT_COLUMNS = ("t", "primitive", "uv")
 
 
 @dataclass(frozen=True)
-class AnswerKind:
-    """A kind of query: what is asked of each ray. `wrt.kernels.answers` explains the functions.
+class Rules:
+    """What is a hit, and where it is searched for.
 
     Attributes:
-        name: key in `wrt.kernels.answers.ANSWERS`.
-        columns: of `COLUMNS`, those with an element for each ray.
-        listed: of `COLUMNS`, those with an element for each hit of a ray's list; none for answers of one element a ray.
         shortens: whether a hit shortens the ray: nothing beyond it is searched.
         ends_at_first: whether a ray is done with the first hit that is found.
+        front_to_back: whether boxes are best visited in the order in which a ray enters them: hits then shorten the ray, or
+            lists are nearly sorted when they are found.
         crossings: whether a ray through an edge or a vertex crosses exactly one of the triangles there
             (`TriangleTest.crossing`), rather than hitting all of them.
         oriented: of crossings, whether a hit is offered with its sign in place of u (`TriangleTest.oriented`).
         once: whether a hit that is offered twice would change the answer.
-        front_to_back: whether boxes are best visited in the order in which a ray enters them: hits then shorten the ray, or
-            lists are nearly sorted when they are found.
-        walks_only: whether only kernels that are built around the walk of one ray ask for it, with a `Search` of their own.
-        Search: struct that walks take as `hits`: where hits are stored, or what decides about them.
-        Given: of variants, the type of what their kernels get besides (`wrt.kernels.traversal.single.single_kernel`).
-        begin: of variants, `wp.func(given, hits, i, t_min) -> search` of ray i.
-        accept: `wp.func(search, i, best, t, primitive, u, v) -> best`; None if the best hit is kept.
-        own_test: `wp.func(search, primitive)`: tests a triangle, in place of the config's triangle test; None for that.
-        best_of: `wp.func(search, best) -> best`: what the search has found by `own_test`.
-        load, store, bound, copy, merge, join, renumber, within: see the package.
     """
 
-    name: str
-    columns: tuple[str, ...]
-    listed: tuple[str, ...] = ()
     shortens: bool = False
     ends_at_first: bool = False
+    front_to_back: bool = False
     crossings: bool = False
     oriented: bool = False
     once: bool = False
-    front_to_back: bool = False
-    walks_only: bool = False
-    Search: type = HitBatch
-    Given: Any = None
-    begin: wp.Function | None = None
-    accept: wp.Function | None = None
-    own_test: wp.Function | None = None
-    best_of: wp.Function | None = None
+
+
+@dataclass(frozen=True)
+class Stored:
+    """The arrays that answers are in. `wrt.kernels.answers` explains the functions; None where no engine asks.
+
+    Attributes:
+        columns: of `COLUMNS`, those with an element for each ray.
+        listed: of `COLUMNS`, those with an element for each hit of a ray's list; none for answers of one element a ray.
+        load, store, bound, copy, merge: what is done with the answer of a ray.
+    """
+
+    columns: tuple[str, ...] = ()
+    listed: tuple[str, ...] = ()
     load: wp.Function | None = None
     store: wp.Function | None = None
     bound: wp.Function | None = None
     copy: wp.Function | None = None
     merge: wp.Function | None = None
+
+
+@dataclass(frozen=True)
+class Search:
+    """What decides about hits, if not the engine.
+
+    Attributes:
+        State: struct that walks take as `hits`: where hits are stored, or one of the kind's own.
+        accept: `wp.func(search, i, best, t, primitive, u, v) -> best`; None if the best hit is kept.
+        own_test: `wp.func(search, primitive)`: tests a triangle, in place of the config's triangle test; None for that.
+        best_of: `wp.func(search, best) -> best`: what the search has found by `own_test`.
+        Given: of variants, the type of what their kernels get besides (`wrt.kernels.traversal.single.single_kernel`).
+        begin: of variants, `wp.func(given, hits, i, t_min) -> search` of ray i.
+    """
+
+    State: type = HitBatch
+    accept: wp.Function | None = None
+    own_test: wp.Function | None = None
+    best_of: wp.Function | None = None
+    Given: Any = None
+    begin: wp.Function | None = None
+
+
+@dataclass(frozen=True)
+class Instances:
+    """How a walk goes through instances. `wrt.kernels.answers` explains the functions; None for kinds that need none.
+
+    Attributes:
+        join: of what was found in an instance with the best so far.
+        renumber: of lists.
+        within: of searches that name triangles.
+    """
+
     join: wp.Function | None = None
     renumber: wp.Function | None = None
     within: wp.Function | None = None
 
+
+@dataclass(frozen=True)
+class AnswerKind:
+    """A kind of query: what is asked of each ray.
+
+    Attributes:
+        name: key in `wrt.kernels.answers.ANSWERS`.
+        rules: what is a hit.
+        stored: where answers are.
+        search: what decides about hits.
+        instances: how hits of instances become hits of the scene.
+    """
+
+    name: str
+    rules: Rules
+    stored: Stored = Stored()
+    search: Search = Search()
+    instances: Instances = Instances()
+
     @property
     def nearest(self) -> bool:
         """Whether the best hit is all that is kept, so that engines may compare hits in lanes, without offering each."""
-        return self.accept is None and self.own_test is None
+        return self.search.accept is None and self.search.own_test is None
 
     @property
     def names_triangles(self) -> bool:
         """Whether the answer of a ray names a triangle."""
-        return "primitive" in self.columns
+        return "primitive" in self.stored.columns
+
+    @property
+    def walks_only(self) -> bool:
+        """Whether only kernels that are built around the walk of one ray ask for it, with a search of its own."""
+        return self.search.State is not HitBatch

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, join_nearest, start
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, Instances, Rules, Stored, join_nearest, start
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.simd.boxes import INFINITY
 
@@ -40,13 +40,8 @@ def merge_any(found: HitBatch, place: int, primitive: int, hits: HitBatch, i: in
 
 
 KIND = AnswerKind(
-    name="any",
-    columns=("occluded",),
-    ends_at_first=True,
-    load=load_any,
-    store=store_any,
-    bound=bound_any,
-    copy=copy_any,
-    merge=merge_any,
-    join=join_nearest,
+    "any",
+    Rules(ends_at_first=True),
+    Stored(("occluded",), (), load_any, store_any, bound_any, copy_any, merge_any),
+    instances=Instances(join_nearest),
 )

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit, join_nearest, start
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit, Instances, Rules, Stored, join_nearest, start
 from wrt.kernels.layout.ray_batch import HitBatch, store_hit
 
 
@@ -51,14 +51,8 @@ def merge_closest(found: HitBatch, place: int, primitive: int, hits: HitBatch, i
 
 
 KIND = AnswerKind(
-    name="closest",
-    columns=HIT_COLUMNS,
-    shortens=True,
-    front_to_back=True,
-    load=load_closest,
-    store=store_closest,
-    bound=bound_closest,
-    copy=copy_closest,
-    merge=merge_closest,
-    join=join_nearest,
+    "closest",
+    Rules(shortens=True, front_to_back=True),
+    Stored(HIT_COLUMNS, (), load_closest, store_closest, bound_closest, copy_closest, merge_closest),
+    instances=Instances(join_nearest),
 )

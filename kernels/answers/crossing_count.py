@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, join_counts, start
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, Instances, Rules, Search, Stored, join_counts, start
 from wrt.kernels.layout.ray_batch import HitBatch
 
 
@@ -46,16 +46,7 @@ def merge_count(found: HitBatch, place: int, primitive: int, hits: HitBatch, i: 
     return found.counts[place] != 0
 
 
-KIND = AnswerKind(
-    name="count",
-    columns=("counts",),
-    crossings=True,
-    once=True,
-    accept=accept_count,
-    load=load_count,
-    store=store_count,
-    bound=bound_count,
-    copy=copy_count,
-    merge=merge_count,
-    join=join_counts,
-)
+COUNTS = Stored(("counts",), (), load_count, store_count, bound_count, copy_count, merge_count)
+"""The numbers of crossings."""
+
+KIND = AnswerKind("count", Rules(crossings=True, once=True), COUNTS, Search(accept=accept_count), Instances(join_counts))

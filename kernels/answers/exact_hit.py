@@ -39,7 +39,7 @@ References: woop-2013; ize-2013.
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit
+from wrt.kernels.answers.answer_kind import HIT_COLUMNS, AnswerKind, BestHit, Rules, Search, Stored
 
 
 @wp.struct
@@ -111,12 +111,8 @@ def exact_best(search: wp.ref[ExactSearch], best: BestHit):
 
 
 KIND = AnswerKind(
-    name="exact",
-    columns=HIT_COLUMNS,
-    shortens=True,
-    front_to_back=True,
-    walks_only=True,
-    Search=ExactSearch,
-    own_test=test_exactly,
-    best_of=exact_best,
+    "exact",
+    Rules(shortens=True, front_to_back=True),
+    Stored(HIT_COLUMNS),
+    Search(ExactSearch, own_test=test_exactly, best_of=exact_best),
 )

@@ -6,7 +6,7 @@ same crossing.
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, improves, join_nearest
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, Instances, Rules, Search, improves, join_nearest
 
 
 @wp.struct
@@ -33,21 +33,14 @@ def accept_next(previous: wp.ref[PreviousCrossing], i: int, best: BestHit, t: fl
 @wp.func
 def next_within(first: int, previous: PreviousCrossing):
     """The crossing after which those of an instance count: a number below 0 precedes all its triangles."""
-    own = PreviousCrossing()
-    own.t = previous.t
+    own = previous  # a copy
     own.primitive = previous.primitive - first
     return own
 
 
 KIND = AnswerKind(
-    name="next",
-    columns=(),
-    shortens=True,
-    crossings=True,
-    front_to_back=True,
-    walks_only=True,
-    Search=PreviousCrossing,
-    accept=accept_next,
-    join=join_nearest,
-    within=next_within,
+    "next",
+    Rules(shortens=True, crossings=True, front_to_back=True),
+    search=Search(PreviousCrossing, accept_next),
+    instances=Instances(join_nearest, within=next_within),
 )

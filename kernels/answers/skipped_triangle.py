@@ -18,7 +18,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, improves
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, Search, improves
 from wrt.kernels.layout.ray_batch import HitBatch
 
 
@@ -62,8 +62,7 @@ def count_unskipped(search: wp.ref[Skipping], i: int, best: BestHit, t: float, p
 @wp.func
 def skip_within(first: int, search: Skipping):
     """What a ray ignores of an instance. Other numbers than those of its triangles ignore nothing."""
-    own = Skipping()
-    own.t_min = search.t_min
+    own = search  # a copy
     own.skipped = search.skipped - first
     return own
 
@@ -74,10 +73,6 @@ def skipping(kind: AnswerKind) -> AnswerKind:
     accept = accept_unskipped if kind.nearest else count_unskipped
     return replace(
         kind,
-        walks_only=True,
-        Search=Skipping,
-        Given=wp.array(dtype=int),
-        begin=skip_for,
-        accept=accept,
-        within=skip_within,
+        search=Search(Skipping, accept, Given=wp.array(dtype=int), begin=skip_for),
+        instances=replace(kind.instances, within=skip_within),
     )

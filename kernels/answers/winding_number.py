@@ -9,8 +9,8 @@ References: jacobson-2013 (the same number for points, as a sum of solid angles)
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, join_counts
-from wrt.kernels.answers.crossing_count import bound_count, copy_count, load_count, merge_count, store_count
+from wrt.kernels.answers.answer_kind import AnswerKind, BestHit, Instances, Rules, Search, join_counts
+from wrt.kernels.answers.crossing_count import COUNTS
 from wrt.kernels.layout.ray_batch import HitBatch
 
 
@@ -22,16 +22,9 @@ def accept_signed(hits: wp.ref[HitBatch], i: int, best: BestHit, t: float, primi
 
 
 KIND = AnswerKind(
-    name="winding",
-    columns=("counts",),
-    crossings=True,
-    oriented=True,
-    once=True,
-    accept=accept_signed,
-    load=load_count,
-    store=store_count,
-    bound=bound_count,
-    copy=copy_count,
-    merge=merge_count,
-    join=join_counts,
+    "winding",
+    Rules(crossings=True, oriented=True, once=True),
+    COUNTS,
+    Search(accept=accept_signed),
+    Instances(join_counts),
 )

@@ -50,8 +50,8 @@ def begin_search(tree: CloudTree, ray: Ray):
 @cache
 def make_point_step(config: TraversalConfig, components: int) -> wp.Function:
     """`wp.func(search, slot, hits, i, best) -> best`: decides about the point in a slot."""
-    meet, nearest, accept = meet_point(max(config.width, 2), components), config.answer.nearest, config.answer.accept
-    Results = config.answer.Search
+    meet, nearest, accept = meet_point(max(config.width, 2), components), config.answer.nearest, config.answer.search.accept
+    Results = config.answer.search.State
 
     @wp.func
     def step(search: wp.ref[CloudSearch], slot: int, hits: wp.ref[Results], i: int, best: BestHit):
@@ -75,7 +75,7 @@ def make_point_step(config: TraversalConfig, components: int) -> wp.Function:
 @cache
 def make_cloud_kernel(config: TraversalConfig, components: int) -> wp.Kernel:
     """The kernel that walks the tree; components: `SPHERE` or `DISC`."""
-    width, any_hit, Results = max(config.width, 2), config.answer.ends_at_first, config.answer.Search
+    width, any_hit, Results = max(config.width, 2), config.answer.rules.ends_at_first, config.answer.search.State
     step, near, counting = make_point_step(config, components), points_near(width, components), config.counters
 
     @wp.func
@@ -120,7 +120,7 @@ def make_cloud_kernel(config: TraversalConfig, components: int) -> wp.Kernel:
 @cache
 def make_brute_cloud_kernel(config: TraversalConfig, components: int) -> wp.Kernel:
     """The kernel that decides about every point, without tree and filter."""
-    step, Results, counting = make_point_step(config, components), config.answer.Search, config.counters
+    step, Results, counting = make_point_step(config, components), config.answer.search.State, config.counters
 
     @wp.func
     def test_all(tree: CloudTree, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):

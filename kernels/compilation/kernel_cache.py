@@ -1,14 +1,15 @@
 """The folder of compiled kernels (the kernel cache): Warp's folder, or a temporary one if that is not writable.
 
-Warp keeps compiled kernels in a folder of the user or in the folder that WARP_CACHE_PATH names. On a read-only file system or a
-full disk it fails with the system's error about some file. This module finds the cause, warns on stderr, and continues with a
-temporary folder, which the process removes at exit.
+Warp keeps compiled kernels in a folder of the user or in the folder that WARP_CACHE_PATH names. On a read-only file system it
+fails with the system's error about some file, and on a full disk LLVM ends the process. This module finds the cause, warns on
+stderr, and continues with a temporary folder, which the process removes at exit.
 
 Several processes can share the folder: Warp compiles into a folder of its own and renames it into place. What was damaged
 there is removed (`wrt.kernels.compilation.damaged_kernels`), so that it is compiled again.
 """
 
 import atexit
+import errno
 import os
 import shutil
 import sys
@@ -19,8 +20,11 @@ import warp as wp
 
 from wrt.kernels.compilation import damaged_kernels, target
 
-ROOM = 1 << 20
-"""Bytes that must fit into the folder: the size of a large kernel."""
+ROOM = 1 << 22
+"""Bytes that must fit into the folder: the size of a few large kernels, which are compiled at the same time."""
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors of a file that has no room."""
 
 
 def init_warp() -> None:
@@ -51,7 +55,12 @@ def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> None:
     """Compiles a module and loads it.
 
     If the kernel cache is not writable, it switches to a temporary folder.
+
+    Raises:
+        Exception: whatever Warp raises for a module that cannot be compiled.
+        OSError: the temporary folder has no room either.
     """
+    leave_full_disk()
     try:
         module.load(device, block_dim=block_dim)
     except Exception:
@@ -110,13 +119,36 @@ def folder_size() -> tuple[int, int]:
     return modules, size
 
 
-def find_fault(folder: str) -> OSError | None:
-    """Returns the error that writing to a folder raises; None if the folder is writable."""
+def leave_full_disk() -> None:
+    """Switches to a temporary folder if the kernel cache has no room: where LLVM cannot write, it ends the process.
+
+    Raises:
+        OSError: the temporary folder has no room either.
+    """
+    folder = wp.config.kernel_cache_dir
+    error = find_fault(folder, wait=False)
+    if error is None or error.errno not in FULL:  # other errors are raised by Python, for `load_module`
+        return
+    if folder == wp.config.kernel_cache_dir:  # else another thread has left it
+        use_temporary_folder(error)
+    error = find_fault(wp.config.kernel_cache_dir, wait=False)
+    if error is not None:
+        raise OSError(error.errno, error.strerror, wp.config.kernel_cache_dir)
+
+
+def find_fault(folder: str, wait: bool = True) -> OSError | None:
+    """Returns the error that writing to a folder raises; None if the folder is writable.
+
+    Args:
+        folder: to try.
+        wait: until the bytes are on the disk, which takes some milliseconds.
+    """
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(bytes(ROOM))
             file.flush()
-            os.fsync(file.fileno())
+            if wait:
+                os.fsync(file.fileno())
     except OSError as error:
         return error
     return None

@@ -26,7 +26,7 @@ import warp as wp
 
 from wrt.kernels.compilation import compile_progress, shipped_kernels
 from wrt.kernels.compilation.cores import available_cores
-from wrt.kernels.compilation.kernel_cache import is_compiled, load_compiled, load_module
+from wrt.kernels.compilation.kernel_cache import is_compiled, leave_full_disk, load_compiled, load_module
 from wrt.kernels.compilation.precompiled_header import shared_header
 
 VARIABLE = "WRT_COMPILE_JOBS"
@@ -166,6 +166,7 @@ def _serve(queue: SimpleQueue[tuple[Key, Future[None]] | None]) -> None:
         # An error is left to the caller, who loads the module afterwards and meets the same one.
         with suppress(BaseException):
             if job.set_running_or_notify_cancel():
+                leave_full_disk()
                 with shared_header(module):
                     module.load(wp.get_device(alias), block_dim=block_dim)
         _end(work[0], job)

@@ -1,6 +1,6 @@
 """Memory of an item of a kernel that it writes before it reads, so that nothing need clear it.
 
-`wp.zeros` in a kernel clears the array twice and copies it once for each item, which large memory feels
+`wp.zeros` in a kernel clears the array twice and copies it once for each item, which is slow for large arrays
 (notebooks/records/2026-11-23-last-generation.md).
 """
 

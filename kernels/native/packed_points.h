@@ -22,10 +22,9 @@ inline CUDA_CALLABLE PointWalks<PLACES, Tree, Triangles, Points, Found> point_wa
     return {tree, triangles, points, found};
 }
 
-/// The walk of one point; its stack is apart, as that of a ray's `Walk`. last: slot of what was nearest to the thread's point
-/// before, which is tried first.
+/// The walk of one point; its stack is apart, as that of a ray's `Walk`.
 template <class All> struct PointWalk : PackedPlace {
-    int number = -1, last = -1;
+    int number = -1;
     SearchPoint point = {};
     NearestTriangle kept {0.0f};
 
@@ -40,7 +39,6 @@ template <class All> struct PointWalk : PackedPlace {
         if (!((point.slack == point.slack) & (kept.most >= 0.0f))) return;
         start(stack);
         kept.look_up_to(kept.farthest(), point.slack);
-        if (last >= 0) PackedTree::search_around(all.triangles, last, point, kept);
     }
 
     CUDA_CALLABLE void step(const All& all, int* stack)
@@ -54,11 +52,10 @@ template <class All> struct PointWalk : PackedPlace {
         take(kept.limit, stack);
     }
 
-    CUDA_CALLABLE void store(const All& all)
+    CUDA_CALLABLE void store(const All& all) const
     {
         OnTriangle on = {0.0f, 0.0f, 0.0f, -1};
         if (kept.slot >= 0) on = PackedTree::triangle_in(all.triangles, kept.slot, point).nearest();
-        last = kept.slot >= 0 ? kept.slot : last;
         const auto& found = all.found;
         found.distance.data[number] = kept.distance, found.primitive.data[number] = kept.number;
         found.uv.data[number].c[0] = on.u, found.uv.data[number].c[1] = on.v;

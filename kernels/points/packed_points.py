@@ -4,10 +4,9 @@
 loads a node takes. And the walks of a warp's points end at different times.
 
 **Idea.** Nodes and triangles are those of `wrt.kernels.layout.binary_nodes`, which rays go through, too: a node is four loads,
-a triangle three. Threads take the next point when some of their warp are done (`wrt.kernels.traversal.persistent`), and begin
-with the triangle that was nearest to their point before, which is near on the curve of `wrt.kernels.points.point_order`. Boxes
-are a filter, tested by fused operations; distances of triangles are those of all engines, so that the answers have the same
-bits.
+a triangle three. Threads take the next point when some of their warp are done (`wrt.kernels.traversal.persistent`). Boxes are a
+filter, tested by fused operations; distances of triangles are those of all engines, so that the answers have the same bits.
+Numbers were chosen by notebooks/records/2026-11-28-points-gpu.md.
 
 On the CPU an item searches one point, by the same steps; that serves tests. The walk is in kernels/native/packed_points.h.
 
@@ -24,8 +23,9 @@ from wrt.kernels.points.tree_points import GUARDS
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.persistent.next_ray import NextRay
+from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK
 
-FETCH = 12
+FETCH = 20
 """Threads of a warp without a point for which new ones are fetched."""
 
 KEEP = 4
@@ -34,8 +34,8 @@ KEEP = 4
 STEPS = 3
 """Nodes that a thread visits between two votes of its warp about that."""
 
-BLOCK, BLOCKS = 64, 16
-"""Threads of a block and blocks of a multiprocessor."""
+BLOCKS = 12
+"""Blocks of a multiprocessor, which bound a thread to 80 registers."""
 
 
 @cache

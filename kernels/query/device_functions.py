@@ -142,9 +142,9 @@ def handle_type(kind: str, width: int, levels: int, shared_leaves: bool = False)
     Handle.__qualname__ = f"Handle_{kind}_{width}_{levels}" + ("_shared" if shared_leaves else "")
     handle = register_handle(Handle)
     for answer, search in SEARCHES.items():
-        shared = shared_leaves and answer.once
+        shared = shared_leaves and answer.rules.once
         config = TraversalConfig(TRIANGLE_TEST, width, answer.name, False, shared_leaves=shared, stack=StackConfig(levels))
-        search.add_overload(make_search(handle, make_walk(config), answer.Search))
+        search.add_overload(make_search(handle, make_walk(config), answer.search.State))
     return handle
 
 
@@ -170,7 +170,7 @@ def instances_handle_type(kind: str, width: int, levels: int) -> type:
     handle = register_handle(InstancesHandle)
     for answer, search in SEARCHES.items():
         config = TraversalConfig(TRIANGLE_TEST, width, answer.name, coherent=False, stack=StackConfig(levels))
-        search.add_overload(make_search(handle, make_instance_walk(config, kind, levels), answer.Search))
+        search.add_overload(make_search(handle, make_instance_walk(config, kind, levels), answer.search.State))
     add_seeing(handle)
     return handle
 
@@ -181,7 +181,7 @@ def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
     Args:
         handle: the type.
         walk: of one ray, on one level or through instances.
-        Results: `AnswerKind.Search`.
+        Results: `State` of `wrt.kernels.answers.answer_kind.Search`.
     """
     follows_crossing, two_level = Results is PreviousCrossing, "top" in handle.vars
 

@@ -51,7 +51,7 @@ def make_gather(query: str) -> wp.Kernel:
 
     Item: a place in the queue; its ray must be valid.
     """
-    bound_of = ANSWERS[query].bound
+    bound_of = ANSWERS[query].stored.bound
 
     def gather_queue(first: int, rays: RayBatch, hits: HitBatch, order: wp.array(dtype=int), queue: RayBatch):
         place = first + wp.tid()
@@ -72,7 +72,7 @@ def make_gather_live(query: str) -> wp.Kernel:
 
     Item: a slice of `size` places of `live`, of which begins[item + 1] - begins[item] are used. `order` receives the rays.
     """
-    bound_of = ANSWERS[query].bound
+    bound_of = ANSWERS[query].stored.bound
 
     def gather_live(
         first: int,
@@ -104,7 +104,7 @@ def make_gather_live(query: str) -> wp.Kernel:
 @cache
 def make_part_merge(query: str) -> wp.Kernel:
     """The kernel that merges what a part has answered to a ray. Item: a place in the queue. corners: (3 N,) by ray."""
-    merge, names_triangles = ANSWERS[query].merge, ANSWERS[query].names_triangles
+    merge, names_triangles = ANSWERS[query].stored.merge, ANSWERS[query].names_triangles
 
     def merge_part(
         first: int,
@@ -132,5 +132,5 @@ def make_part_merge(query: str) -> wp.Kernel:
 
 
 for merged in batch_kinds():
-    if merged.merge is not None:
+    if merged.stored.merge is not None:
         make_part_merge(merged.name)

@@ -68,45 +68,58 @@ def one_ray(config: TraversalConfig) -> int:
 
 
 @dataclass(frozen=True)
+class OnTree:
+    """What a traversal does on one kind of tree.
+
+    Attributes:
+        make_kernel: config -> kernel.
+        each_hit: whether it can offer each hit, so that it answers every kind of query; else it answers the `nearest` ones.
+        instances: whether it traces rays through instances of geometries with such trees: one by one, for all that it answers
+            on them; else for what parts can answer (`merge` of `wrt.kernels.answers`).
+        kinds: the only kinds of query that it answers; None for no limit.
+    """
+
+    make_kernel: Callable[[TraversalConfig], wp.Kernel]
+    each_hit: bool = False
+    instances: bool = False
+    kinds: frozenset[str] | None = None
+
+    def supports(self, query: str) -> bool:
+        """Whether it answers a query."""
+        return (self.kinds is None or query in self.kinds) and (self.each_hit or ANSWERS[query].nearest)
+
+
+@dataclass(frozen=True)
 class Traversal:
     """A traversal algorithm.
 
     Attributes:
         name: key in `TRAVERSALS`.
         paper: authors, title, year.
-        kernels: config -> kernel for each supported tree kind: "kdtree", "bvh" or "none" (all triangles).
+        on: what it does on each tree kind that it supports: "kdtree", "bvh" or "none" (all triangles).
         rays_per_item: config -> number of consecutive rays that one item of the kernel traces; the last item may have fewer.
         capabilities: what it can do.
-        each_hit: tree kinds on which it can offer each hit, so that it answers every kind of query; on others it answers the
-            `nearest` ones.
-        kinds: the only kinds of query that it answers; None for no limit.
         orders: those of `ORDERS` in which it can trace rays.
         triangle_tests: keys in `wrt.kernels.triangle.TRIANGLE_TESTS` of those that it can use; None for all.
         width: children that the nodes of its trees have; None for any number.
-        two_level: tree kinds of geometries through whose instances it traces rays: one by one, for all that it answers on such
-            a tree; else for what parts can answer (`AnswerKind.merge`).
         counters: struct of the work counters that its kernels write, at the first ray of an item.
         score: how well it suits a query; None if "auto" never chooses it.
     """
 
     name: str
     paper: str
-    kernels: Mapping[str, Callable[[TraversalConfig], wp.Kernel]]
+    on: Mapping[str, OnTree]
     rays_per_item: Callable[[TraversalConfig], int] = one_ray
     capabilities: Capabilities = Capabilities.NONE
-    each_hit: tuple[str, ...] = ()
-    kinds: frozenset[str] | None = None
     orders: tuple[str, ...] = (AS_GIVEN, CELLS)
     triangle_tests: tuple[str, ...] | None = None
     width: int | None = None
-    two_level: tuple[str, ...] = ()
     counters: type = Counters
     score: Score | None = None
 
     def supports(self, query: str, tree: str) -> bool:
         """Whether it answers a query on a tree kind."""
-        is_known = self.kinds is None or query in self.kinds
-        return is_known and (ANSWERS[query].nearest or tree in self.each_hit)
+        return tree in self.on and self.on[tree].supports(query)
 
     def takes_test(self, triangle_test: str) -> bool:
         """Whether it can use a triangle test."""
@@ -117,13 +130,13 @@ class Traversal:
 
         Traversals that answer every query can, because they test hits one by one; so can those that say so (`FRONT_FACES`).
         """
-        return tree in self.kernels and (Capabilities.FRONT_FACES in self.capabilities or tree in self.each_hit)
+        return tree in self.on and (Capabilities.FRONT_FACES in self.capabilities or self.on[tree].each_hit)
 
     def supports_through_instances(self, query: str, tree: str, is_cuda: bool) -> bool:
         """Whether it answers a query through instances whose trees are of a kind."""
-        merges = self.walks_single_rays or ANSWERS[query].merge is not None
+        merges = self.walks_single_rays or ANSWERS[query].stored.merge is not None
         runs = Capabilities.CUDA_INSTANCES in self.capabilities or not is_cuda
-        return tree in self.two_level and self.supports(query, tree) and merges and runs
+        return self.supports(query, tree) and self.on[tree].instances and merges and runs
 
     def has_mailbox(self, tree: str) -> bool:
         """Whether it can use a mailbox on a tree kind: only a kd-tree has triangles in several leaves."""
@@ -141,7 +154,7 @@ class Traversal:
     @property
     def walks_tree(self) -> bool:
         """Whether it walks a tree, as opposed to testing every triangle."""
-        return "none" not in self.kernels
+        return "none" not in self.on
 
     @property
     def walks_single_rays(self) -> bool:
@@ -151,7 +164,12 @@ class Traversal:
     @property
     def trees(self) -> tuple[str, ...]:
         """Tree kinds that it supports."""
-        return tuple(self.kernels)
+        return tuple(self.on)
+
+    @property
+    def kernels(self) -> dict[str, Callable[[TraversalConfig], wp.Kernel]]:
+        """config -> kernel, for each tree kind."""
+        return {tree: on.make_kernel for tree, on in self.on.items()}
 
 
 TRAVERSALS: dict[str, Traversal] = {
@@ -160,14 +178,16 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "brute",
             "every ray against every triangle",
-            {"none": make_brute_force_kernel},
+            {"none": OnTree(make_brute_force_kernel, each_hit=True)},
             capabilities=Capabilities.OWN_SPACES | Capabilities.SHARED_LEAVES,
-            each_hit=("none",),
         ),
         Traversal(
             "single",
             "Havran: Heuristic ray shooting algorithms (2001); Wald, Benthin, Boulos: Getting rid of packets (2008)",
-            {"kdtree": make_single_kdtree_kernel, "bvh": make_single_bvh_kernel},
+            {
+                "kdtree": OnTree(make_single_kdtree_kernel, each_hit=True, instances=True),
+                "bvh": OnTree(make_single_bvh_kernel, each_hit=True, instances=True),
+            },
             capabilities=(
                 Capabilities.MAILBOX
                 | Capabilities.NODE_ORDERS
@@ -176,27 +196,22 @@ TRAVERSALS: dict[str, Traversal] = {
                 | Capabilities.ALPHA_MASKS
                 | Capabilities.CUDA_INSTANCES
             ),
-            each_hit=("kdtree", "bvh"),
-            two_level=("kdtree", "bvh"),
             score=score_single,
         ),
         Traversal(
             "persistent",
             "Aila, Laine: Understanding the efficiency of ray traversal on GPUs (2009)",
-            {"bvh": make_persistent_kernel},
+            {"bvh": OnTree(make_persistent_kernel, each_hit=True, instances=True, kinds=frozenset(ANSWER_CLASSES))},
             capabilities=Capabilities.PERSISTENT | Capabilities.CUDA_INSTANCES,
-            each_hit=("bvh",),
-            kinds=frozenset(ANSWER_CLASSES),
             orders=(AS_GIVEN,),
             triangle_tests=("woop",),
             width=binary_nodes.WIDTH,
-            two_level=("bvh",),
             score=score_persistent,
         ),
         Traversal(
             "lockstep",
             "after Foley, Sugerman: KD-tree acceleration structures for a GPU raytracer (2005), with a stack, on CPU lanes",
-            {"kdtree": lockstep.make_lockstep_kernel},
+            {"kdtree": OnTree(lockstep.make_lockstep_kernel)},
             lockstep.rays_per_item,
             score=score_lockstep,
         ),
@@ -204,17 +219,16 @@ TRAVERSALS: dict[str, Traversal] = {
             "packet",
             "Wald et al.: Interactive rendering with coherent ray tracing (2001); "
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
-            {"bvh": make_packet_bvh_kernel, "kdtree": make_packet_kdtree_kernel},
+            {"bvh": OnTree(make_packet_bvh_kernel, instances=True), "kdtree": OnTree(make_packet_kdtree_kernel)},
             packet_kernel.rays_per_item,
             capabilities=Capabilities.PACKETS | Capabilities.NON_TEMPORAL | Capabilities.LONG_ITEMS | Capabilities.MAILBOX,
             orders=(AS_GIVEN, CELLS, TILES),
-            two_level=("bvh",),
             score=score_packet,
         ),
         Traversal(
             "repacked_packet",
             "Boulos, Wald, Benthin: Adaptive ray packet reordering (2008)",
-            {"bvh": OnDemand("traversal.repacked_bvh", "make_repacked_bvh_kernel")},
+            {"bvh": OnTree(OnDemand("traversal.repacked_bvh", "make_repacked_bvh_kernel"))},
             packet_kernel.rays_per_item,
             capabilities=Capabilities.PACKETS | Capabilities.LONG_ITEMS,
             orders=(AS_GIVEN, CELLS, TILES),
@@ -222,7 +236,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "multi_frusta",
             "Benthin, Wald: Efficient ray traced soft shadows using multi-frusta tracing (2009), for rays from one point",
-            {"bvh": OnDemand("traversal.eye_frusta", "make_eye_frusta_kernel")},
+            {"bvh": OnTree(OnDemand("traversal.eye_frusta", "make_eye_frusta_kernel"))},
             OnDemand("traversal.eye_frusta", "rays_per_item"),
             capabilities=Capabilities.PACKETS | Capabilities.ONE_VECTOR | Capabilities.SHARED_ORIGIN | Capabilities.FRONT_FACES,
             orders=(AS_GIVEN, TILES),
@@ -230,7 +244,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "mlrta",
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
-            {"kdtree": OnDemand("traversal.entry_point", "make_mlrta")},
+            {"kdtree": OnTree(OnDemand("traversal.entry_point", "make_mlrta"))},
             OnDemand("traversal.entry_point", "rays_per_item"),
             capabilities=Capabilities.PACKETS | Capabilities.MAILBOX,
             orders=(AS_GIVEN,),
@@ -238,7 +252,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "aepsa",
             "Fowler, Collins, Manzke: Accelerated entry point search algorithm for real-time ray-tracing (2009)",
-            {"kdtree": OnDemand("traversal.entry_point", "make_aepsa")},
+            {"kdtree": OnTree(OnDemand("traversal.entry_point", "make_aepsa"))},
             OnDemand("traversal.entry_point", "rays_per_item"),
             capabilities=Capabilities.PACKETS | Capabilities.MAILBOX,
             orders=(AS_GIVEN,),
@@ -246,7 +260,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "omnidirectional",
             "Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees (2006)",
-            {"kdtree": OnDemand("traversal.omnidirectional", "make_omnidirectional_kernel")},
+            {"kdtree": OnTree(OnDemand("traversal.omnidirectional", "make_omnidirectional_kernel"))},
             OnDemand("traversal.omnidirectional", "rays_per_item"),
             capabilities=Capabilities.PACKETS | Capabilities.MAILBOX,
             orders=(AS_GIVEN,),
@@ -255,11 +269,9 @@ TRAVERSALS: dict[str, Traversal] = {
             "stream",
             "Wald, Gribble, Boulos, Kensler: SIMD ray stream tracing (2007); "
             "Gribble, Ramani: Coherent ray tracing via stream filtering (2008)",
-            {"kdtree": make_stream_kdtree_kernel, "bvh": make_stream_bvh_kernel},
+            {"kdtree": OnTree(make_stream_kdtree_kernel), "bvh": OnTree(make_stream_bvh_kernel, each_hit=True, instances=True)},
             stream.rays_per_item,
             capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS,
-            each_hit=("bvh",),
-            two_level=("bvh",),
             counters=stream.StreamCounters,
             score=score_stream,
         ),
@@ -267,10 +279,9 @@ TRAVERSALS: dict[str, Traversal] = {
             "interleaved",
             "single rays that take turns, after Barringer, Akenine-Möller: Dynamic ray stream traversal (2014), "
             "and Fuetterling, Lojewski, Pfreundt, Ebert: Accelerated single ray tracing for wide vector units (2017)",
-            {"bvh": make_interleaved_bvh_kernel},
+            {"bvh": OnTree(make_interleaved_bvh_kernel, each_hit=True)},
             stream.rays_per_item,
             capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS | Capabilities.SHORT_ITEMS,
-            each_hit=("bvh",),
             orders=(AS_GIVEN,),
             counters=stream.StreamCounters,
             score=score_interleaved,
@@ -279,15 +290,14 @@ TRAVERSALS: dict[str, Traversal] = {
             "queued",
             "Pharr, Kolb, Gershbein, Hanrahan: Rendering complex scenes with memory-coherent ray tracing (1997); "
             "Navrátil, Fussell, Lin, Mark: Dynamic ray scheduling to improve ray coherence and bandwidth utilization (2007)",
-            {"bvh": make_queued_bvh_kernel},
+            {"bvh": OnTree(make_queued_bvh_kernel, each_hit=True)},
             capabilities=Capabilities.QUEUED,
-            each_hit=("bvh",),
         ),
         Traversal(
             "wide_stream",
             "stream through the cells of a kd-tree in nodes of W, after Popov, Georgiev, Dimov, Slusallek: "
             "Object partitioning considered harmful: space subdivision for BVHs (2009)",
-            {"kdtree": make_stream_bvh_kernel},
+            {"kdtree": OnTree(make_stream_bvh_kernel)},
             stream.rays_per_item,
             capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS | Capabilities.WIDE_FORM,
             counters=stream.StreamCounters,
@@ -296,7 +306,7 @@ TRAVERSALS: dict[str, Traversal] = {
         Traversal(
             "wide_packet",
             "packet through the same",
-            {"kdtree": make_packet_bvh_kernel},
+            {"kdtree": OnTree(make_packet_bvh_kernel)},
             packet_kernel.rays_per_item,
             capabilities=Capabilities.PACKETS | Capabilities.NON_TEMPORAL | Capabilities.LONG_ITEMS | Capabilities.WIDE_FORM,
             orders=(AS_GIVEN, TILES),

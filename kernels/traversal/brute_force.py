@@ -31,9 +31,9 @@ def make_brute_force_kernel(config: TraversalConfig) -> wp.Kernel:
     It uses the scalar form of the triangle test, so comparisons also check the lane form.
     """
     test = TRIANGLE_TESTS[config.triangle_test]
-    prepare, candidate, store = test.prepare, triangle_step(config), config.answer.store
-    nearest, accept = config.answer.nearest, config.answer.accept
-    counting, any_hit = config.counters, config.answer.ends_at_first
+    prepare, candidate, store = test.prepare, triangle_step(config), config.answer.stored.store
+    nearest, accept = config.answer.nearest, config.answer.search.accept
+    counting, any_hit = config.counters, config.answer.rules.ends_at_first
 
     def brute_force(
         first: int,

@@ -42,6 +42,6 @@ class Capabilities(Flag):
     """It walks a BVH of width 2 in the layout `wrt.kernels.layout.binary_nodes`. On CUDA its threads are persistent: a
     launch has as many as the device holds at a time."""
     ALPHA_MASKS = auto()
-    """`masked` of the config applies."""
+    """The variant `MASKED` of the config applies."""
     CUDA_INSTANCES = auto()
     """It traces rays through instances on CUDA too."""

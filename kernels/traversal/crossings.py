@@ -18,7 +18,7 @@ is in the near interval, or beyond its end and so after the start of the far int
 plane, its box lies on one side, t is in the interval of the box, and rounding is monotone. For clipped triangles see
 `wrt.builders.core.clip`.
 
-Kinds of answers to which a hit may be offered twice do not need this (`AnswerKind.once`).
+Kinds of answers to which a hit may be offered twice do not need this (`Rules.once`).
 
 **Cost.** A leaf searches only for a hit in the overlap with its neighbours, which is as wide as the slack of the boxes: one hit
 in many thousands.
@@ -99,16 +99,16 @@ def offering_step(config: TraversalConfig, Tree: type) -> wp.Function:
     """`wp.func(tree, leaf, block, search, cells, hits, i, best) -> best`: offers the hits of a leaf's block.
 
     leaf: `Leaf` that ray i is in. search: `leaf_search`, where the triangles are. cells: the ray in the tree's space, which may
-    be another. hits: `AnswerKind.Search`.
+    be another. hits: `State` of `wrt.kernels.answers.answer_kind.Search`.
     """
     test, width, answer = TRIANGLE_TESTS[config.triangle_test], config.width, config.answer
     Lanes, LeafSearch = lanes(width), leaf_search(config.triangle_test)
-    intersect_block = test.forms(answer.crossings, answer.oriented).block_test(width)
+    intersect_block = test.forms(answer.rules.crossings, answer.rules.oriented).block_test(width)
     clamp = clamp_block(test.record, width, config.cull_backfaces)
-    accept, owns, Search = answer.accept, owns_crossing(width), answer.Search
+    accept, owns, Search = answer.search.accept, owns_crossing(width), answer.search.State
     owns_split = owns_shared(max(width, 2), config.stack.levels)
-    in_cells = answer.once and Tree is KdNodes
-    in_boxes = answer.once and Tree is WideNodes and config.shared_leaves
+    in_cells = answer.rules.once and Tree is KdNodes
+    in_boxes = answer.rules.once and Tree is WideNodes and config.shared_leaves
 
     @wp.func
     def step(
@@ -238,7 +238,7 @@ def owns_crossing(width: int) -> wp.Function:
 
 def make_leaf_step(config: TraversalConfig, Tree: type) -> wp.Function:
     """A block step with the parameters of `wrt.kernels.traversal.crossings.offering_step`."""
-    return (own_test_step if config.answer.own_test is not None else offering_step)(config, Tree)
+    return (own_test_step if config.answer.search.own_test is not None else offering_step)(config, Tree)
 
 
 @cache
@@ -246,7 +246,8 @@ def own_test_step(config: TraversalConfig, Tree: type) -> wp.Function:
     """The step of a kind with a test of its own: it gets the triangles whose boxes the ray meets; `hits` is its search."""
     test, width, answer = TRIANGLE_TESTS[config.triangle_test], config.width, config.answer
     Lanes, LeafSearch, meet_boxes = lanes(width), leaf_search(config.triangle_test), clamp_block(test.record, width)
-    lane_mask, Search, test_triangle, best_of = (1 << width) - 1, answer.Search, answer.own_test, answer.best_of
+    lane_mask, search = (1 << width) - 1, answer.search
+    Search, test_triangle, best_of = search.State, search.own_test, search.best_of
 
     @wp.func
     def step(

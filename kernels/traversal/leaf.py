@@ -144,7 +144,7 @@ def triangle_step(config: TraversalConfig) -> wp.Function:
     test = TRIANGLE_TESTS[config.triangle_test]
     RayState, intersect, width = (
         test.ray_state,
-        test.forms(config.answer.crossings, config.answer.oriented).intersect,
+        test.forms(config.answer.rules.crossings, config.answer.rules.oriented).intersect,
         config.width,
     )
     load, load_vertices = test.record.load, load_corners(test.record.components)
@@ -174,7 +174,7 @@ def block_step(config: TraversalConfig) -> wp.Function:
     Lanes = lanes(width)
     RayState = test.ray_state
     intersect_block, clamp = test.block_test(width), clamp_block(test.record, width, config.cull_backfaces)
-    any_hit = config.answer.ends_at_first
+    any_hit = config.answer.rules.ends_at_first
 
     @wp.func
     def step(triangles: TriangleBlocks, block: int, state: RayState, slabs: wp.ref[RaySlabs], t_min: float, best: BestHit):
@@ -204,7 +204,7 @@ def block_step(config: TraversalConfig) -> wp.Function:
 @cache
 def scalar_block_step(config: TraversalConfig) -> wp.Function:
     """The same as `block_step` by the scalar test, one triangle after the other: every early exit of a test is a branch."""
-    width, any_hit = config.width, config.answer.ends_at_first
+    width, any_hit = config.width, config.answer.rules.ends_at_first
     RayState, candidate = TRIANGLE_TESTS[config.triangle_test].ray_state, triangle_step(config)
 
     @wp.func

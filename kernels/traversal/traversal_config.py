@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass
 
-from wrt.kernels.answers import ANSWERS, closest_hit
-from wrt.kernels.answers.alpha_mask import masking
+from wrt.kernels.answers import ANSWERS, PLAIN, VARIANTS, closest_hit
 from wrt.kernels.answers.answer_kind import AnswerKind
-from wrt.kernels.answers.skipped_triangle import skipping
 from wrt.kernels.traversal.mailbox import NONE
 
 
@@ -108,9 +106,8 @@ class TraversalConfig:
         counters: whether work is counted per ray (`wrt.kernels.traversal.leaf.Counters`).
         mailbox: key in `wrt.kernels.traversal.mailbox.MAILBOXES`.
         cull_backfaces: whether triangles are hit only from their front (`wrt.kernels.traversal.leaf.comes_from_front`).
-        skipping: whether each ray ignores one triangle (`wrt.kernels.answers.skipped_triangle`), in walks that are asked for
-            the nearest hit or for a count.
-        masked: whether rays pass through the holes of alpha masks (`wrt.kernels.answers.alpha_mask`); not together with that.
+        variant: key in `wrt.kernels.answers.VARIANTS`: whether each ray ignores one triangle, in walks that are asked for the
+            nearest hit or for a count, or passes through the holes of alpha masks.
         shared_leaves: whether a triangle may be in several leaves of a BVH, so that only one of them may report a crossing
             (`wrt.kernels.traversal.crossings`).
         stack: for wide trees.
@@ -128,8 +125,7 @@ class TraversalConfig:
     counters: bool = False
     mailbox: str = NONE
     cull_backfaces: bool = False
-    skipping: bool = False
-    masked: bool = False
+    variant: str = PLAIN
     shared_leaves: bool = False
     stack: StackConfig = StackConfig()
     single: SingleConfig = SingleConfig()
@@ -141,7 +137,4 @@ class TraversalConfig:
     @property
     def answer(self) -> AnswerKind:
         """What is asked of each ray."""
-        kind = ANSWERS[self.query]
-        if self.masked:
-            return masking(kind)
-        return skipping(kind) if self.skipping else kind
+        return VARIANTS[self.variant](ANSWERS[self.query])

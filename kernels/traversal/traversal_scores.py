@@ -337,7 +337,7 @@ def score_interleaved(situation: Situation) -> tuple[float, str] | None:
         many = situation.rays >= MANY_COHERENT_RAYS
         enough = situation.triangles >= (limits.coherent_many if many else limits.coherent)
     else:
-        finds_any_of_many = ANSWERS[situation.query].ends_at_first and situation.rays >= MANY_RAYS
+        finds_any_of_many = ANSWERS[situation.query].rules.ends_at_first and situation.rays >= MANY_RAYS
         least = limits.occlusion if finds_any_of_many else limits.incoherent
         enough = situation.triangles >= least or situation.rays < limits.few
     return (INTERLEAVED_RAYS, reason_for_streams(situation)) if enough else None

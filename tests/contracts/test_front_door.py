@@ -17,6 +17,7 @@ import pytest
 
 import wrt
 from wrt.lazy_names import lazy_names
+from wrt.scene.scene import ANALYSES
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST_NAMES = 30
@@ -64,6 +65,9 @@ def test_errors_say_where_a_name_is():
     scene = wrt.Scene(wrt.scenes.build("teapot", level=1), "bvh", device="cpu")
     with pytest.raises(AttributeError, match=r"; it is wrt\.analysis\.signed_distance\(scene, \.\.\.\)$"):
         _ = scene.signed_distance
+    functions = [name for name in wrt.analysis.__all__ if inspect.isfunction(getattr(wrt.analysis, name))]
+    of_scenes = [name for name in functions if next(iter(inspect.signature(getattr(wrt.analysis, name)).parameters)) == "scene"]
+    assert ANALYSES.split() == of_scenes
 
 
 def test_one_place_for_each_name():

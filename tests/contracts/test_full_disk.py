@@ -174,6 +174,16 @@ def test_a_bag_is_whole_or_not_there(tmp_path):
         wrt.sensors.write_bag(tmp_path / "bag", {"/points": [scan]})
 
 
+@pytest.mark.parametrize("room", [ROOM, 200_000], ids=["triangles of parts", "trees of parts"])
+def test_a_scene_in_parts_is_whole_or_not_there(tmp_path, room):
+    """The error told numbers of bytes, or a file in a hidden folder."""
+    mesh = wrt.scenes.build("teapot", level=8)
+    with small_files(room), pytest.raises(OSError, match=r"disk full|File too large") as caught:
+        wrt.disk.PartitionedScene.build(mesh, tmp_path / "parts")
+    assert f"'{tmp_path / 'parts'}'" in str(caught.value)
+    assert not os.listdir(tmp_path)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="Linux has a device that is always full")
 def test_a_full_device_is_named():
     """A device is written through; the error is that of the system, with the path."""

@@ -315,7 +315,8 @@ def test_a_kernel_cache_that_runs_full(monkeypatch, capfd):
     monkeypatch.setattr(wp.config, "kernel_cache_dir", wp.config.kernel_cache_dir)
     with pytest.raises(RuntimeError, match="clang"):
         cache.load_module(Module(), None, 1)
-    monkeypatch.setattr(cache, "find_fault", lambda folder: OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    monkeypatch.setattr(cache, "find_fault", lambda folder, wait=True: full if wait else None)  # since it was looked at
     cache.load_module(Module(), None, 1)
     assert "wrt-kernels-" in wp.config.kernel_cache_dir
     assert "No space left" in capfd.readouterr().err

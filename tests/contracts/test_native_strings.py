@@ -1,13 +1,15 @@
 """C++ is in kernels/native, in functions that can be read; what Python holds are the lines that call it.
 
 A native function in Python is a line or a few that call a function of a header. `LONG_STRINGS` names the modules that have
-longer texts. It can only shrink: the test fails as well where a module has become better than its entry.
+longer texts. It can only shrink: the test fails as well where a module has become better than its entry. The same holds for
+`WRITTEN_TWICE`, functions of headers that are alike but for names.
 """
 
 from __future__ import annotations
 
 import ast
 import re
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,6 +28,34 @@ LONG_STRINGS = {
 }
 """For each module, the lines of C++ in strings of more than `MAX_STRING` lines, blank ones not counted. How Embree is called is
 no part of kernels/, so that string stays."""
+
+SHORT_BODY = 40
+"""Words and signs of a body below which functions may be alike."""
+
+WRITTEN_TWICE = {
+    ("binary_nodes.h: least_of", "binary_nodes.h: most_of"),
+    ("exact_signs.h: cross", "nearest_on_triangle.h: cross", "shading_vectors.h: cross"),
+    ("point_blocks.h: vertex_at", "winding.h: vertex_at"),
+    ("projected_areas.h: greatest", "projected_areas.h: least"),
+}
+"""Functions with equal bodies: the same of numbers, of types of vectors, or of the other end."""
+
+KEYWORDS = {
+    "if",
+    "else",
+    "for",
+    "while",
+    "return",
+    "const",
+    "int",
+    "float",
+    "double",
+    "unsigned",
+    "bool",
+    "auto",
+    "true",
+    "false",
+}
 
 
 def documentation(tree: ast.Module) -> set[int]:
@@ -64,13 +94,38 @@ def native_lines(source: str) -> list[int]:
     return [sum(bool(line.strip()) for line in text.splitlines()) for text in texts if text and is_native(text)]
 
 
-def function_lines(header: str) -> Iterator[tuple[str, int]]:
-    """The head of each function, or of each member function, and its lines. Braces of bodies stand alone on their lines."""
+def functions(header: str) -> Iterator[tuple[str, str, int]]:
+    """The head of each function, or of each member function, its body, and its lines from brace to brace.
+
+    Braces stand alone on their lines, or around a body of one line.
+    """
     lines = header.splitlines()
     for start, line in enumerate(lines):
         if re.fullmatch(r" *\{", line):
             end = lines.index(line.replace("{", "}"), start)
-            yield lines[start - 1].strip(), end - start + 1
+            yield lines[start - 1].strip(), "\n".join(lines[start + 1 : end]), end - start + 1
+        elif one := re.fullmatch(r" *(.*\)(?: const)?) \{ (.*) \}", line):
+            yield one[1], one[2], 1
+
+
+def shape(body: str) -> tuple[str, ...]:
+    """The words and signs of a body, with the same names for all that are alike but for names."""
+    names: dict[str, str] = {}
+    parts = re.findall(r"[A-Za-z_]\w*|\d[\w.]*|[^\s\w]", re.sub("//.*", "", body))
+    return tuple(
+        names.setdefault(part, f"name{len(names)}") if re.match("[A-Za-z_]", part) and part not in KEYWORDS else part
+        for part in parts
+    )
+
+
+def alike(headers: dict[str, str]) -> set[tuple[str, ...]]:
+    """Functions of headers, by file and name, whose bodies are alike and not short."""
+    found = defaultdict(set)
+    for file, text in headers.items():
+        for head, body, _lines in functions(text):
+            named = re.findall(r"(\w+)\(", head)
+            found[shape(body)].add(f"{file}: {named[0] if named else head}")
+    return {tuple(sorted(those)) for body, those in found.items() if len(body) >= SHORT_BODY and len(those) > 1}
 
 
 def test_strings_of_native_code_are_short():
@@ -89,10 +144,17 @@ def test_native_functions_are_short():
     lengths = [
         (f"{path.name}: {head}", lines)
         for path in native.FOLDER.glob("*.h")
-        for head, lines in function_lines(path.read_text())
+        for head, _body, lines in functions(path.read_text())
     ]
     assert len(lengths) > 50
     assert not [(where, lines) for where, lines in lengths if lines > MAX_FUNCTION]
+
+
+def test_no_function_is_written_twice():
+    """The slab test, areas of triangles, compaction and the like are templates, one for each kind of lanes."""
+    found = alike({path.name: path.read_text() for path in native.FOLDER.glob("*.h")})
+    assert found - WRITTEN_TWICE == set(), "functions that are alike but for names: make one, or a template"
+    assert WRITTEN_TWICE - found == set(), "these are no more: remove them from the list"
 
 
 @pytest.mark.parametrize(
@@ -114,4 +176,14 @@ def test_functions_of_headers_are_found():
     one = "namespace wrt {\nint f(int x) { return x; }\n\n"
     two = "int g(int x)\n{\n    if (x) {\n        x = 1;\n    }\n    return x;\n}\n"
     member = "struct S {\n    int n;\n    int h() const\n    {\n        return n;\n    }\n};\n}\n"
-    assert list(function_lines(one + two + member)) == [("int g(int x)", 6), ("int h() const", 3)]
+    found = [(head, lines) for head, _body, lines in functions(one + two + member)]
+    assert found == [("int f(int x)", 1), ("int g(int x)", 6), ("int h() const", 3)]
+
+
+def test_functions_that_are_alike_are_found():
+    sum_of = (
+        "float {0}(float a, float b)\n{{\n    float {1} = a;\n" + "    {1} += a * b - {1} * a;\n" * 4 + "    return {1};\n}}\n"
+    )
+    other = sum_of.format("h", "c").replace("a * b", "b * a")
+    headers = {"one.h": sum_of.format("f", "c") + other, "two.h": sum_of.format("g", "d")}
+    assert alike(headers) == {("one.h: f", "two.h: g")}

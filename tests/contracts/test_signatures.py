@@ -25,7 +25,6 @@ PUBLIC = {
     "wrt/query/batches/block_queries.py: count_blocks",
     "wrt/query/batches/block_queries.py: intersect_blocks",
     "wrt/query/batches/block_queries.py: occluded_blocks",
-    "wrt/query/blocks.py: blocks_of",
     "wrt/moving/skinned_scene.py: __init__",
     "wrt/sensors/image_sensor.py: capture",
     "wrt/sensors/lidar.py: scan",
@@ -34,20 +33,10 @@ PUBLIC = {
 """Functions with more arguments that are keywords which users write."""
 
 EXCEPTIONS = {
-    "builders/classics/bvh/subset_levels.py: find_block",
     "builders/classics/kdtree/postprocess/postprocess.py: measure_range",
     "kernels/classics/traversal/eye_frusta.py: walk",
     "kernels/classics/traversal/repacked_bvh.py: descend",
     "kernels/classics/traversal/repacked_bvh.py: visit",
-    "kernels/shading/paths/path_tiles.py: path_tile_step_simd",
-    "kernels/shading/ray_trees/tree_tiles.py: gather_range",
-    "kernels/shading/ray_trees/tree_tiles.py: tree_step_simd",
-    "kernels/shading/wavefront/path_step.py: follow_path",
-    "kernels/shading/wavefront/path_step.py: scatter",
-    "kernels/shading/wavefront/path_step_simd.py: path_step_simd",
-    "kernels/shading/wavefront/tree_step.py: send_children",
-    "kernels/shading/wavefront/tree_step.py: shade_ray",
-    "kernels/shading/wavefront/tree_step.py: write_light",
     "kernels/traversal/packet/core/packet_kernel.py: step",
     "kernels/traversal/single/key_walk.py: walk_keys",
     "wrt/bench/commands/benchmark.py: run_benchmark",

@@ -28,6 +28,7 @@ from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.scan.reference_chunks import make_decide
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.engine.facts.query_kinds import ANY, CLOSEST, QUERIES
+from wrt.kernels.answers import PLAIN, SKIPPING
 from wrt.kernels.classics.studies.bare_triangle_tests import make_blocks, make_frusta, make_pairs, make_scalar
 from wrt.kernels.classics.studies.dammertz_keller import TEST as DAMMERTZ_KELLER
 from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
@@ -294,7 +295,9 @@ def test_persistent_threads(traversal, case, tmp_path):
 def test_persistent_threads_through_instances(query, tmp_path):
     """Answers are those of one level; rays that skip a triangle, and culling, are compiled with some of them."""
     nearest = query in (CLOSEST, ANY)
-    config = TraversalConfig("woop", 2, query, cull_backfaces=nearest, skipping=nearest, stack=StackConfig(24))
+    config = TraversalConfig(
+        "woop", 2, query, cull_backfaces=nearest, variant=SKIPPING if nearest else PLAIN, stack=StackConfig(24)
+    )
     text = compile_to_ptx(make_persistent_instance_kernel(config, 8).module, tmp_path)
     assert ".entry" in text
     assert_fuses_boxes_alone(text)
@@ -308,11 +311,11 @@ def test_persistent_threads_in_float64(make, tmp_path):
     assert not re.search(r"\b(?:fma\.rn|mad|mul|add|sub)\.f64", text)
 
 
-SKIPPING = TraversalConfig("woop", 2, "count", skipping=True, stack=StackConfig(8))
+SKIPPED = TraversalConfig("woop", 2, "count", variant=SKIPPING, stack=StackConfig(8))
 EXACT = TraversalConfig("woop", 2, "exact", stack=StackConfig(8))
 THROUGH_INSTANCES = {
     "closest": lambda: instance_single.make_instance_kernel(TraversalConfig("woop", 2, stack=StackConfig(8)), "bvh", 8),
-    "skip": lambda: instance_single.make_instance_kernel(SKIPPING, "bvh", 8),
+    "skip": lambda: instance_single.make_instance_kernel(SKIPPED, "bvh", 8),
     "precise": lambda: instance_exact.make_exact_instance_kernel(EXACT, "bvh", 8),
 }
 

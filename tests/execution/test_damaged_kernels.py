@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -99,6 +101,29 @@ def test_a_cache_that_cannot_be_written_while_a_module_loads(tmp_path, monkeypat
     np.testing.assert_array_equal(out.numpy(), 4711)
     assert "wrt-kernels-" in wp.config.kernel_cache_dir
     assert capfd.readouterr().err.count("compiled kernels cannot be kept") == 1
+
+
+def test_a_full_cache_is_left_before_anything_is_compiled(tmp_path, monkeypatch, capfd):
+    """LLVM said "IO failure on output stream: No space left on device", and ended Python."""
+    full = str(tmp_path)
+    error = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", full)
+    monkeypatch.setattr(kernel_cache, "find_fault", lambda folder, wait=True: error if folder == full else None)
+
+    def fill(first: int, out: wp.array(dtype=int)):
+        out[first + wp.tid()] = 4712
+
+    def fill_more(first: int, out: wp.array(dtype=int)):
+        out[first + wp.tid()] = 4713
+
+    out = wp.zeros(3, dtype=int, device=CPU)
+    launch(specialised_kernel(fill), 3, [out], device=CPU)
+    np.testing.assert_array_equal(out.numpy(), 4712)
+    assert not [*tmp_path.iterdir()]
+    assert capfd.readouterr().err.count("compiled kernels cannot be kept ([Errno 28]") == 1
+    monkeypatch.setattr(kernel_cache, "find_fault", lambda folder, wait=True: error)
+    with pytest.raises(OSError, match=r"No space left on device: .*wrt-kernels-"):
+        launch(specialised_kernel(fill_more), 3, [out], device=CPU)
 
 
 class Module:

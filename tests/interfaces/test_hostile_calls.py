@@ -119,6 +119,16 @@ def test_pictures_that_cannot_be_written(tmp_path, monkeypatch):
     assert "choose a smaller --width or --height" in result.stderr
 
 
+def test_figures_that_cannot_be_written(tmp_path):
+    """Said before what takes minutes is measured."""
+    for words, command in COMMANDS.items():
+        for parameter in command.params:
+            if parameter.name in ("json_file", "plot_file"):
+                result = run(*words, parameter.opts[0], tmp_path / "none" / "figures")
+                assert_one_line(result, 2)
+                assert f"there is no folder '{tmp_path / 'none'}'" in result.stderr
+
+
 def test_values_of_scenes(tmp_path):
     """Literals nested without end are none of Python's, and long ones are not repeated in full."""
     too_many = run("info", "--scene", "atrium", "--option", "bays=(100000000,100000000)")

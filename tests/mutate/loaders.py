@@ -63,10 +63,31 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/meshes/files/stl_file.py",
-        old="if len(data) != HEADER + 4 + count * FACET.itemsize and _is_text(data):",
-        new="if _is_text(data):",
+        old=" or 0 in data[HEADER : HEADER + 4]:",
+        new=":",
         tests=f"{FILES}::test_what_is_in_the_file",
         promise='Binary STL that begins with "solid" is read as binary.',
+    ),
+    Mutation(
+        path="wrt/meshes/files/ply_rows.py",
+        old="2 if in_lf and data",
+        new="2 if data",
+        tests=f"{FILES}::test_what_is_in_the_file",
+        promise="Binary PLY begins behind the end of the header's last line.",
+    ),
+    Mutation(
+        path="wrt/meshes/files/ply_rows.py",
+        old='LAST_LINE = re.compile(rb"[\\r\\n][ \\t]*end_header',
+        new='LAST_LINE = re.compile(rb"end_header',
+        tests=f"{FILES}::test_what_is_in_the_file",
+        promise="Words in remarks of PLY do not end the header.",
+    ),
+    Mutation(
+        path="wrt/meshes/files/off_file.py",
+        old=' and b"NC" not in letters',
+        new="",
+        tests=f"{FILES}::test_colours_of_off_files_are_where_the_first_word_says",
+        promise="Colours of OFF files are where the first word says.",
     ),
     Mutation(
         path="wrt/meshes/files/gltf/document.py",

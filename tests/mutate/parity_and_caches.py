@@ -72,6 +72,13 @@ MUTATIONS = [
         promise="A kernel cache that cannot be written is replaced, also while a module loads",
     ),
     Mutation(
+        path="kernels/compilation/kernel_cache.py",
+        old="    leave_full_disk()\n    try:\n",
+        new="    try:\n",
+        tests=f"{DAMAGED}::test_a_full_cache_is_left_before_anything_is_compiled",
+        promise="A kernel cache without room is left before LLVM ends the process",
+    ),
+    Mutation(
         path="kernels/compilation/damaged_kernels.py",
         old="        if checksum(code, about).encode() != sealed:\n",
         new="        if False:\n",

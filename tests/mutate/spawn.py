@@ -31,7 +31,7 @@ MUTATIONS = [
         path="kernels/query/spawn.py",
         old="offset = OFFSET * reach(wp.vec3(near), mesh.low, mesh.high)",
         new="offset = OFFSET * reach(wp.vec3(near), mesh.low, mesh.high)\n"
-        "        offset += 2.4e-7 * wp.pow(float(wp.length(edge1)), 3.0) / float(wp.length(wp.cross(edge1, edge2)))",
+        "    found.offset += 2.4e-7 * wp.pow(float(wp.length(edge1)), 3.0) / float(wp.length(wp.cross(edge1, edge2)))",
         tests=f"{_NEAR_HITS}[1.0-near]",
         promise=_NEAR,
     ),

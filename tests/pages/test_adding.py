@@ -72,7 +72,7 @@ def odd(tmp_path_factory):
     sys.modules.pop("odd_crossings")
 
 
-ABLE = [(name, tree) for name, way in TRAVERSALS.items() for tree in way.each_hit if way.kinds is None]
+ABLE = [(name, tree) for name, way in TRAVERSALS.items() for tree, on in way.on.items() if on.each_hit and on.kinds is None]
 """Traversals and trees on which each hit is offered to a kind of query."""
 
 

@@ -24,8 +24,8 @@ def test_python_example(tmp_path, monkeypatch):
     names: dict = {"__name__": "readme"}
     exec(compile(code, "README.md", "exec"), names)
     assert names["hits"].is_hit.mean() > 0.3
-    assert names["dark"].shape == (1_000_000,)
-    assert 0.1 < names["dark"].mean() < 0.9
+    assert names["lit"].shape == (1_000_000,)
+    assert 0.1 < names["lit"].mean() < 0.9
     assert Image.open("model.png").size == (640, 480)
 
 

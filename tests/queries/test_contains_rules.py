@@ -99,8 +99,8 @@ def test_against_solid_angles(turned, device):
     [
         (tree, name)
         for name, way in TRAVERSALS.items()
-        for tree in way.each_hit
-        if tree != "none" and way.supports("winding", tree) and way.width is None
+        for tree, on in way.on.items()
+        if tree != "none" and on.each_hit and way.supports("winding", tree) and way.width is None
     ]
     + [("bvh", "brute")],
 )

@@ -13,6 +13,7 @@ from test_cuda_compiles import compile_to_ptx
 
 import wrt
 from wrt.cluster.identity.scene_hashes import scene_hash
+from wrt.kernels.answers import MASKED
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.materials.material import cutoff_of_image
@@ -314,5 +315,5 @@ def test_bad_filters():
 
 def test_cuda(tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "optimization_level", 1)  # what is asked is whether it compiles
-    config = TraversalConfig("woop", 2, masked=True)
+    config = TraversalConfig("woop", 2, variant=MASKED)
     assert ".entry" in compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](config).module, tmp_path)

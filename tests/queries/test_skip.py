@@ -10,6 +10,7 @@ from test_cuda_compiles import FUSIBLE, compile_to_ptx
 
 import wrt
 from wrt.engine.facts.query_kinds import ANY, CLOSEST
+from wrt.kernels.answers import SKIPPING
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 
@@ -189,6 +190,8 @@ def test_bad_arguments(device):
 @pytest.mark.parametrize(("tree", "query"), [("bvh", ANY), ("kdtree", CLOSEST)])
 def test_cuda(tree, query, tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "optimization_level", 1)  # what is asked is whether it compiles
-    text = compile_to_ptx(TRAVERSALS["single"].kernels[tree](TraversalConfig("woop", 2, query, skipping=True)).module, tmp_path)
+    text = compile_to_ptx(
+        TRAVERSALS["single"].kernels[tree](TraversalConfig("woop", 2, query, variant=SKIPPING)).module, tmp_path
+    )
     assert ".entry" in text
     assert not FUSIBLE.search(text)

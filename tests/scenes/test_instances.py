@@ -28,7 +28,8 @@ FLAT = np.diag([1.0, 0.0, 1.0, 1.0])
 """A map that makes everything flat: it has no inverse."""
 
 TRAVERSALS = {
-    tree: [name for name, way in TABLE.items() if tree in way.two_level and way.width is None] for tree in ("bvh", "kdtree")
+    tree: [name for name, way in TABLE.items() if tree in way.on and way.on[tree].instances and way.width is None]
+    for tree in ("bvh", "kdtree")
 }
 """Those for trees of any width; of width 2: tests/traversals/test_persistent.py."""
 

@@ -82,6 +82,7 @@ ZEROS = {"count": 1 << 40, "type": "VEC3", "componentType": 5126, "sparse": {}}
 
 REFUSED = {
     "cut_in_a_facet.stl": (stl(SIDES)[:-20], "announces 12 triangles, and it holds 11 and 30 bytes of another"),
+    "cut_binary_facet.stl": (stl(SIDES, b"solid facet")[:-20], "announces 12 triangles, and it holds 11 and 30 bytes"),
     "cut_text.stl": (stl_text(SIDES)[:-60], "ends within a facet: 12 begin, and 11 are complete"),
     "four_corners.stl": (stl_text(SIDES).replace("    endloop", "vertex 1 1 1\nendloop", 1), "facet 0 has 4 corners"),
     "word.stl": (stl_text(SIDES).replace("vertex 1.0", "vertex one", 1), "'one', which is no number"),
@@ -158,6 +159,15 @@ def test_concave_polygons_of_any_size():
         areas = np.cross(b - a, c - a)[:, 2] / 2
         assert areas.min() > 0.0
         assert areas.sum() == pytest.approx(count * np.sin(2 * np.pi / count), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("first", "behind"), [("CNOFF", " 0 0 1 255 0 10"), ("NCOFF", " 255 0 10 255 0 0 1"), ("COFF", " 255 0 10")]
+)
+def test_colours_of_off_files_are_where_the_first_word_says(tmp_path, first, behind):
+    (tmp_path / "cube.off").write_text(off(CUBE, f"{first}\n", behind))
+    colors = TriangleMesh.load(tmp_path / "cube.off").materials.corner_color
+    np.testing.assert_allclose(colors, np.broadcast_to([1.0, 0.0, 0.00303527], (12, 3, 3)), rtol=1e-5)
 
 
 def test_faces_of_two_corners_are_left_out_with_a_warning(tmp_path):

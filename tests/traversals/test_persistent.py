@@ -131,7 +131,7 @@ def test_rays_skip_a_triangle(placed, device):
         for name in (NAME, "single"):
             plan = find_plan(scene.state, brought.facts, Query(kind, name)).plan
             hits = trace_skipping(scene.state, plan, brought.batch, kind, skipped)
-            found.append([getattr(hits, column).numpy() for column in ANSWERS[kind].columns])
+            found.append([getattr(hits, column).numpy() for column in ANSWERS[kind].stored.columns])
         for ours, theirs in zip(*found, strict=True):
             np.testing.assert_array_equal(ours, theirs)
     if not placed:

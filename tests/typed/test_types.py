@@ -11,9 +11,8 @@ import pytest
 
 from tests.typed.mypy_run import run_mypy
 from tests.typed.stubs import ROOT, checked_imports, modules_with_stubs, modules_with_tables, stub_of, table_of
-from wrt.imaging import picture_options
 from wrt.imaging.ambient_rendering import AmbientRendering
-from wrt.imaging.integrators.render_settings import RenderSettings
+from wrt.imaging.integrators import render_settings
 
 HERE = Path(__file__).parent
 
@@ -45,11 +44,11 @@ def test_no_stub_without_a_table():
 
 
 def test_options_of_pictures_are_those_that_there_are():
-    shared = set(picture_options.SharedOptions.__annotations__)
+    shared = set(render_settings.SharedOptions.__annotations__)
     keywords = {name for name, one in signature(AmbientRendering).parameters.items() if one.kind is one.KEYWORD_ONLY}
-    settings = {one.name for one in fields(RenderSettings)}
-    assert set(picture_options.AmbientOptions.__annotations__) == keywords
-    assert set(picture_options.SettingOptions.__annotations__) == settings
+    settings = {one.name for one in fields(render_settings.RenderSettings)}
+    assert set(render_settings.AmbientOptions.__annotations__) == keywords
+    assert set(render_settings.SettingOptions.__annotations__) == settings
     assert shared == keywords & settings
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import wrt
 from wrt import scenes
-from wrt.viewer.panels.scene_panel import polar, rotation
+from wrt.viewer.panels.scene_panel import polar
 from wrt.viewer.shared_scene import SharedScene
 
 
@@ -113,8 +113,6 @@ def test_turns_and_stretches_of_instances():
         np.testing.assert_allclose(turn @ rest, matrix, atol=1e-12)
         np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(turn) == pytest.approx(1.0)
-    half = np.sqrt(0.5)
-    np.testing.assert_allclose(rotation(np.array([half, 0.0, 0.0, half])) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 import wrt
 from wrt import scenes
 from wrt.imaging.image_files import to_bytes
-from wrt.viewer.pictures.cost_layers import tile_order
+from wrt.viewer.pictures.layers import tile_order
 from wrt.viewer.pictures.looks import LOOKS, make_picture
 from wrt.viewer.pictures.view_request import ViewRequest
 

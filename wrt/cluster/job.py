@@ -29,7 +29,7 @@ from wrt.query.batches.block_outputs import ATTRIBUTES, check_out, store
 from wrt.query.batches.block_work import BlockQuery
 from wrt.query.blocks import Blocks, Piece, joined
 from wrt.revisions import ANSWER_REVISION
-from wrt.scene.storage import UNREADABLE
+from wrt.scene.archives import UNREADABLE
 
 OTHER = {
     "shape": "rays of another shape",

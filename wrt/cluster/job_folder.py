@@ -28,8 +28,7 @@ import numpy as np
 from wrt.atomic_files import replaced
 from wrt.cluster.job_manifest import parse_manifest, signed
 from wrt.cluster.own_files import open_own, own_folder, refuse_link
-from wrt.scene.archives import read_archive, write_archive
-from wrt.scene.storage import UNREADABLE
+from wrt.scene.archives import UNREADABLE, read_archive, write_archive
 
 IN_A_FOLDER = 1000
 """Chunks in a folder: directories of millions of files are slow."""

@@ -42,9 +42,9 @@ from wrt.kernels.runtime.launch import as_device
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-from wrt.scene.archives import ALIGNED, ArrayPlace, array_places, read_archive
+from wrt.scene.archives import ALIGNED, ArrayPlace, array_places, checked_reading, read_archive
 from wrt.scene.mesh_state import MeshState
-from wrt.scene.storage import UNREADABLE, parse_scene, tree_key
+from wrt.scene.storage import parse_scene, tree_key
 
 if TYPE_CHECKING:
     from wrt.kernels.triangle.support.record_blocks import Record
@@ -134,16 +134,8 @@ class PartLoader:
             if known is not None and known.identity == identity and known.tree is not None:
                 return self._map(file, known, record)
             self._checked.pop(number, None)
-            try:
+            with checked_reading(path, f"part {number} of this scene", "restore it, or build the scene again"):
                 known, part = self._check(file, number, identity)
-            except PermissionError:
-                raise
-            except UNREADABLE as error:
-                reason = f"{type(error).__name__}: {error}"
-                raise ValueError(
-                    f"'{path}' is not part {number} of this scene, or it is damaged ({reason}); restore it, or build the scene "
-                    "again"
-                ) from error
             self._checked[number] = known
             return part or self._map(file, known, record)
 

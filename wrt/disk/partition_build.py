@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.atomic_files import named
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.disk.partition_files import (
     MAPPED,
@@ -256,13 +257,15 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 
     Raises:
         FileExistsError: `folder` exists and is not empty.
+        OSError: it cannot be written; the error names `folder`.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise FileExistsError(f"'{folder}' exists and is not an empty folder; choose another path, or delete it first")
     work = folder.with_name(f".{folder.name}.{new_mark()[:16]}")
     work.mkdir(parents=True)
     try:
-        yield work
+        with named(folder, work):
+            yield work
         if folder.exists():
             folder.rmdir()
         work.rename(folder)

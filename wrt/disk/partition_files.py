@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrt.scene.archives import read_archive, write_archive
-from wrt.scene.storage import UNREADABLE
+from wrt.scene.archives import check_format, checked_reading, read_archive, write_archive
 
 FORMAT = 1
 """Version of the list of parts; incremented when the contents change."""
@@ -115,22 +114,14 @@ def read_list(folder: Path) -> PartList:
         raise FileNotFoundError(
             f"no partitioned scene in '{folder}': there is no file '{LIST}'; make one with wrt.disk.PartitionedScene.build"
         )
-    try:
+    with checked_reading(path, "the list of a partitioned scene", "build it again"):
         arrays = read_archive(path)
         header = json.loads(str(arrays["header"]))
-        if header["partitioned"] != FORMAT:
-            raise ValueError(f"it has format {header['partitioned']}, and this version of wrt reads format {FORMAT}")
+        check_format(header["partitioned"], FORMAT)
         values = {name: arrays[name] for name in PartList.ARRAYS}
         parts = PartList(mark=header["mark"], names=tuple(header["names"]), **values)
         check_list(parts)
         return parts
-    except PermissionError:
-        raise
-    except UNREADABLE as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise ValueError(
-            f"'{path}' is not the list of a partitioned scene, or it is damaged ({reason}); build it again"
-        ) from error
 
 
 def check_list(parts: PartList) -> None:

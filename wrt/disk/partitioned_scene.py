@@ -1,4 +1,4 @@
-"""A scene larger than memory: its parts on disk, and the queries that load them."""
+"""A scene larger than memory: its parts on disk, the queries that load them, and what these refuse."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from wrt.builders.triangle_boxes import boxes_of
 from wrt.disk.cycling import cycle
 from wrt.disk.forwarding import forward
 from wrt.disk.part_cache import PartCache
-from wrt.disk.part_query_checks import check_test, check_traversal
 from wrt.disk.partition_build import build_parts
 from wrt.disk.partition_files import PartList, read_list
 from wrt.disk.queries_of_parts import CYCLE, PartQueries
@@ -25,6 +24,7 @@ from wrt.engine.facts.query_kinds import AUTO, Query
 from wrt.engine.facts.scene_settings import as_settings
 from wrt.engine.memory import empty
 from wrt.engine.plan.plan import stack_levels
+from wrt.engine.plan.plan_checks import check_culling, check_query
 from wrt.engine.plan.planner import DEFAULT_TEST
 from wrt.engine.rays.device_rays import DeviceRays, to_device
 from wrt.engine.rays.rays import Rays
@@ -32,6 +32,7 @@ from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout import bvh_nodes
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.simd.lanes import native_width
+from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.validation import as_bool, as_int
 from wrt.query.all_hits import part_of
@@ -39,6 +40,7 @@ from wrt.query.blocks import parse_memory, progress_bar
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.engine.facts.query_kinds import Query
     from wrt.engine.plan.plan import Plan
     from wrt.kernels.layout.ray_batch import HitBatch
 
@@ -299,7 +301,7 @@ def piece_of(batch: DeviceHits, kind: str, begin: int, end: int) -> HitBatch:
     if end - begin == batch.count:
         return batch.struct()
     piece = DeviceHits(end - begin, batch.device)
-    piece.__dict__.update({name: getattr(batch, name)[begin:end] for name in ANSWERS[kind].columns})
+    piece.__dict__.update({name: getattr(batch, name)[begin:end] for name in ANSWERS[kind].stored.columns})
     return piece.struct()
 
 
@@ -325,3 +327,45 @@ def as_folder(folder: str | Path) -> Path:
     if not isinstance(folder, (str, Path)):
         raise TypeError(f"folder must be a path, not {type(folder).__name__}")
     return Path(folder)
+
+
+def check_traversal(query: Query) -> None:
+    """Refuses a traversal that cannot answer a query in a part.
+
+    Raises:
+        TypeError: not a name.
+        ValueError: an unknown name; it does not walk BVHs, or does not answer the query.
+    """
+    if not isinstance(query.traversal, str):
+        raise TypeError(f"traversal must be a name, not {type(query.traversal).__name__}: a plan is for one tree")
+    if query.traversal == AUTO:
+        return
+    traversal = lookup(TRAVERSALS, query.traversal, "traversal")
+    tree = "bvh" if traversal.walks_tree else "none"
+    if tree not in traversal.trees:
+        able = ", ".join(name for name, entry in TRAVERSALS.items() if tree in entry.trees)
+        raise ValueError(f"traversal {traversal.name!r} does not walk a bvh, the tree of each part; choose from auto, {able}")
+    if traversal.needs_shared_origin:
+        raise ValueError(
+            f"traversal {traversal.name!r} takes rays from one point, and those in a part have their own; choose auto"
+        )
+    test = (
+        TRIANGLE_TESTS[DEFAULT_TEST]
+        if query.triangle_test == AUTO
+        else lookup(TRIANGLE_TESTS, query.triangle_test, "triangle_test")
+    )
+    check_query(query.kind, traversal, tree, test)
+    check_culling(query.cull_backfaces, traversal, tree)
+
+
+def check_test(triangle_test: str) -> None:
+    """Refuses tests with records for one origin.
+
+    Raises:
+        ValueError: it is one.
+    """
+    if triangle_test != AUTO and TRIANGLE_TESTS[triangle_test].record.per_origin:
+        raise ValueError(
+            f"triangle_test is {triangle_test!r}, whose records depend on the origin of all rays; a partitioned scene supports "
+            "the others, such as 'woop'"
+        )

@@ -81,7 +81,7 @@ class RayJob:
         self.device, self.parts = cache.settings.device, len(cache.parts)
         by_tree = query.traversal == AUTO or TRAVERSALS[query.traversal].walks_tree
         test = (
-            default_test(cache.settings.triangle_test, ANSWERS[query.kind].crossings)
+            default_test(cache.settings.triangle_test, ANSWERS[query.kind].rules.crossings)
             if query.triangle_test == AUTO
             else query.triangle_test
         )

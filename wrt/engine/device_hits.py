@@ -27,7 +27,9 @@ DTYPES = {name: column.dtype for name, column in COLUMNS.items()}
 BLOCK = {"uv": 0, "t": 8, "primitive": 12, "occluded": 0, "counts": 0}
 """Where each array begins in the block of a query's answers, in bytes a ray."""
 
-BLOCK_BYTES = {name: sum(wp.types.type_size_in_bytes(DTYPES[each]) for each in kind.columns) for name, kind in ANSWERS.items()}
+BLOCK_BYTES = {
+    name: sum(wp.types.type_size_in_bytes(DTYPES[each]) for each in kind.stored.columns) for name, kind in ANSWERS.items()
+}
 """Bytes a ray of that block."""
 
 
@@ -57,7 +59,7 @@ class DeviceHits:
     def new(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
         """Memory for the answers to a query."""
         hits = cls(count, device)
-        names = ANSWERS[query].columns
+        names = ANSWERS[query].stored.columns
         if device.is_cuda and count > 0 and names and not device.is_capturing:
             return cls.new_on_cuda(query, count, device)
         if names == HIT_COLUMNS and count > 0 and (count <= FEW_RAYS or device.is_cuda):
@@ -72,14 +74,14 @@ class DeviceHits:
     def new_on_host(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
         """The same on the CPU, while no graph is captured."""
         hits = cls(count, device)
-        hits._host = {name: empty_host(count, DTYPES[name]) for name in ANSWERS[query].columns}
+        hits._host = {name: empty_host(count, DTYPES[name]) for name in ANSWERS[query].stored.columns}
         return hits
 
     @classmethod
     def new_on_cuda(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
         """The same for some rays on CUDA, while no graph is captured."""
         hits = cls(count, device)
-        hits._block, hits._in_block = take_block(BLOCK_BYTES[query] * count, device), ANSWERS[query].columns
+        hits._block, hits._in_block = take_block(BLOCK_BYTES[query] * count, device), ANSWERS[query].stored.columns
         return hits
 
     @classmethod
@@ -152,13 +154,13 @@ class DeviceHits:
 
     def clear(self, query: str) -> None:
         """Sets the answers to a query to those of rays that miss."""
-        for name in ANSWERS[query].columns:
+        for name in ANSWERS[query].stored.columns:
             getattr(self, name).fill_(COLUMNS[name].miss)
 
     def write_to(self, arguments: Any, query: str) -> None:
         """Writes addresses and lengths of a query's arrays into the packed form of a `HitBatch` that has such arrays."""
         host = None if self._block is not None else self._host
-        for name in ANSWERS[query].columns:
+        for name in ANSWERS[query].stored.columns:
             field, values = getattr(arguments, name), host and host.get(name)
             field.data = values.ptr if type(values) is HostArray else self._address(name)
             field.shape[0] = self.count
@@ -179,7 +181,7 @@ class DeviceHits:
 
     def values(self, query: str, form: ResultForm) -> Any:
         """The answers to a query of one array, as in `result`."""
-        (name,) = ANSWERS[query].columns
+        (name,) = ANSWERS[query].stored.columns
         return self.result(name, form)
 
     def result(self, name: str, form: ResultForm) -> Any:

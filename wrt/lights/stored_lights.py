@@ -15,8 +15,7 @@ import numpy as np
 from wrt.lights.device_lights import Light, check_lights
 from wrt.lights.light_sources import AreaLight, DirectionalLight, PointLight, SpotLight
 from wrt.lights.sky_image import Sky
-from wrt.scene.archives import read_archive, write_archive
-from wrt.scene.storage import UNREADABLE
+from wrt.scene.archives import check_format, checked_reading, read_archive, write_archive
 
 FORMAT = 1
 
@@ -80,20 +79,12 @@ def load_lights(path: str | Path) -> tuple[Light, ...]:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"no file of lights at '{path}': check the path (now in '{Path.cwd()}')")
-    try:
+    with checked_reading(path, "a file of lights that wrt saved", "save it again"):
         arrays = read_archive(path)
         header = json.loads(str(arrays["lights"]))
-        if header["format"] != FORMAT:
-            raise ValueError(f"it has format {header['format']}, and this version of wrt reads format {FORMAT}")
+        check_format(header["format"], FORMAT)
         made = tuple(_light(number, dict(one), arrays) for number, one in enumerate(header["lights"]))
         return check_lights(made)
-    except PermissionError:
-        raise
-    except UNREADABLE as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise ValueError(
-            f"'{path}' is not a file of lights that wrt saved, or it is damaged ({reason}); save it again"
-        ) from error
 
 
 def _light(number: int, values: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Light:

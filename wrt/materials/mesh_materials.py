@@ -5,16 +5,19 @@ Everything is stored by triangle and corner, not by vertex: merging or splitting
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from wrt.kernels.validation import as_real_array, first_bad, host_array
-from wrt.materials.material import Material
+from wrt.materials.material import Material, Texture
 
-__all__ = ["MeshMaterials"]
+__all__ = ["MeshMaterials", "pack_materials", "unpack_materials"]
+
+AT_TRIANGLES = ("of_face", "corner_uv", "corner_color")
+"""Attributes that hold arrays of values at triangles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,3 +118,48 @@ def _joined(parts: list[np.ndarray | None], counts: Sequence[int], width: int, d
         for part, count in zip(parts, counts, strict=True)
     ]
     return np.concatenate(filled)
+
+
+def pack_materials(mesh: MeshMaterials) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+    """For files: JSON of each material, and arrays by name. Images are shared: a material has the number of its own."""
+    textures: dict[Texture, int] = {}
+    listed = []
+    for material in mesh.materials:
+        values = {field.name: getattr(material, field.name) for field in fields(Material)}
+        listed.append(
+            {
+                name: {"texture": textures.setdefault(value, len(textures)), "wrap": value.wrap}
+                if isinstance(value, Texture)
+                else value
+                for name, value in values.items()
+                if name != "alpha_cutoff" or value is not None  # without, files are as those of earlier versions
+            }
+        )
+    arrays = {f"texture.{number}": with_alpha(texture) for texture, number in textures.items()}
+    return listed, arrays | {name: getattr(mesh, name) for name in AT_TRIANGLES if getattr(mesh, name) is not None}
+
+
+def with_alpha(texture: Texture) -> np.ndarray:
+    """(H, W, 3) uint8, or (H, W, 4)."""
+    return texture.pixels if texture.alpha is None else np.dstack([texture.pixels, texture.alpha])
+
+
+def unpack_materials(listed: list[dict[str, Any]], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """The arguments of `TriangleMesh.with_materials`.
+
+    Raises:
+        TypeError, ValueError, KeyError: the values are no materials.
+    """
+    textures: dict[int, Texture] = {}
+
+    def value(stored: Any) -> Any:
+        if not isinstance(stored, dict):
+            return stored
+        number = int(stored["texture"])
+        if number not in textures:  # files of earlier versions have no "wrap"
+            textures[number] = Texture(arrays[f"texture.{number}"], wrap=stored.get("wrap", "repeat"))
+        return textures[number]
+
+    materials = [Material(**{name: value(stored) for name, stored in one.items()}) for one in listed]
+    of_face, uv, colors = (arrays.get(name) for name in AT_TRIANGLES)
+    return {"materials": materials, "of_face": of_face, "uv": uv, "colors": colors}

@@ -1,8 +1,8 @@
 """Contents of mesh files. PLY, OBJ and OFF are made here, because trimesh rounds: to float32 in PLY, where points far from 0
 move by decimetres, and to 8 or 10 decimals in text, where small meshes lose their shape. Other formats are left to trimesh.
 
-STL and glTF hold float32 by their standards. Where that moves vertices by more than a share of the mesh's size, a warning says
-by how much.
+STL and glTF hold float32 by their standards, and trimesh writes seven digits into Collada files. Where that moves vertices by
+more than a share of the mesh's size, a warning says by how much.
 """
 
 from __future__ import annotations
@@ -19,7 +19,26 @@ if TYPE_CHECKING:
 NOTICED = 2.0**-20
 """Share of a mesh's size by which float32 may move its vertices without a warning: sixteen times what it does near 0."""
 
-IN_FLOAT32 = ("stl", "glb", "gltf")
+
+def _float32(values: np.ndarray) -> np.ndarray:
+    """Values rounded to float32."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)
+
+
+def _seven_digits(values: np.ndarray) -> np.ndarray:
+    """Values rounded to seven decimal digits, up to an error of float64."""
+    unit = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(values), np.finfo(np.float64).tiny))) - 6.0)
+    return np.round(values / unit) * unit
+
+
+ROUNDING: Mapping[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
+    "stl": ("float32", _float32),
+    "glb": ("float32", _float32),
+    "gltf": ("float32", _float32),
+    "dae": ("seven digits", _seven_digits),
+}
+"""What formats hold, and what becomes of values in them."""
 
 
 def encode_mesh(mesh: trimesh.Trimesh, suffix: str) -> bytes:
@@ -48,19 +67,19 @@ def encode_mesh(mesh: trimesh.Trimesh, suffix: str) -> bytes:
 
 
 def warn_of_rounding(mesh: trimesh.Trimesh, suffix: str) -> None:
-    """Warns if a format in float32 moves vertices noticeably.
+    """Warns if a format moves vertices noticeably.
 
     Warns:
         UserWarning: it does.
     """
-    if suffix not in IN_FLOAT32:
+    if suffix not in ROUNDING:
         return
+    held, rounded = ROUNDING[suffix]
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    with np.errstate(over="ignore"):
-        moved = np.abs(vertices.astype(np.float32) - vertices).max()
+    moved = np.abs(rounded(vertices) - vertices).max()
     if moved > NOTICED * np.linalg.norm(np.ptp(vertices, axis=0)):
         warnings.warn(
-            f".{suffix} files hold float32, which moves vertices by up to {moved:.2g}; save a .ply, .obj or .off file, or move "
+            f".{suffix} files hold {held}, which moves vertices by up to {moved:.2g}; save a .ply, .obj or .off file, or move "
             "the mesh to 0 first (TriangleMesh.transformed)",
             stacklevel=4,
         )

@@ -190,7 +190,7 @@ class TriangleMesh:
             OSError: the file cannot be written.
 
         Warns:
-            UserWarning: the format (STL, glTF) holds float32, which moves the vertices.
+            UserWarning: the format moves the vertices: STL and glTF hold float32, Collada files seven digits.
         """
         suffix = Path(path).suffix.lower().lstrip(".")
         try:

@@ -38,7 +38,7 @@ def ray_values(scene: SceneState, rays: GivenRays, query: Query) -> Any:
         rays: the rays.
         query: of a kind whose answers are one array, such as "any" or "count".
     """
-    if ANSWERS[query.kind].once:
+    if ANSWERS[query.kind].rules.once:
         scene.require("count")
     found = answer(scene, rays, query) if query.skip is None else answer_skipping(scene, rays, query)
     return found.hits.values(query.kind, found.form)

@@ -191,6 +191,9 @@ class Queries(BlockQueries, PointQueries):
         """Whether each ray hits anything. The search ends at the first hit found.
 
             dark = scene.occluded(points, toward_light, t_max=1.0)
+            lit = hits.faces(d) & ~scene.occluded(hits.spawn(d), d)  # the fronts of surfaces that were hit
+
+        A ray to a light behind a surface leaves its back, where nothing may be in the way: `wrt.Hits.faces` tells these apart.
 
         Args:
             origins: (..., 3), or a `wrt.Rays`, which replaces the first four arguments.

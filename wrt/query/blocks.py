@@ -277,31 +277,33 @@ def joined(parts: list[Any]) -> Any:
     return np.concatenate([as_array(part) for part in parts])
 
 
-def blocks_of(
-    scene: Any,
-    method: str,
-    source: Source,
-    *,
-    memory: int | str = MEMORY,
-    progress: bool = False,
-    executor: Any = None,
-    reduce: Any = None,
-    axis: Any = None,
-    mask: Any = None,
-    environment: Any = None,
-    skip: Any = None,
-    **options: Any,
-) -> Blocks:
-    """The blocks of a batch, each answered by a method of a scene with these options and with its rows of mask, environment
-    and skip.
+class How(NamedTuple):
+    """How a batch is answered; arguments of `wrt.Scene.intersect_blocks`."""
+
+    memory: int | str
+    progress: bool
+    executor: Any
+    reduce: Any
+    axis: Any
+
+
+def blocks_of(scene: Any, method: str, source: Source, how: How, columns: Mapping[str, Any], options: dict[str, Any]) -> Blocks:
+    """The blocks of a batch, each answered by a method of a scene.
+
+    Args:
+        scene: a `wrt.Scene`.
+        method: its name.
+        source: the rays or points.
+        how: they are answered.
+        columns: options of which each ray may have its own value; None for none.
+        options: others.
 
     Raises:
         TypeError, ValueError: as `wrt.Scene.intersect_blocks`.
     """
-    given = {"mask": mask, "environment": environment, "skip": skip}
-    columns = {name: as_column(values, name, scene, source) for name, values in given.items() if values is not None}
-    progress = as_bool("progress", progress)
+    own = {name: as_column(values, name, scene, source) for name, values in columns.items() if values is not None}
+    progress = as_bool("progress", how.progress)
     if "precise" in options:
         options["precise"] = as_bool("precise", options["precise"])
-    query = BlockQuery(method, options, as_block_reduction(reduce, axis, method in HIT_QUERIES))
-    return Blocks(BlockWork(scene, query, None, columns, 0), source, memory, progress, as_workers(executor))
+    query = BlockQuery(method, options, as_block_reduction(how.reduce, how.axis, method in HIT_QUERIES))
+    return Blocks(BlockWork(scene, query, None, own, 0), source, how.memory, progress, as_workers(how.executor))

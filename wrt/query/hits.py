@@ -188,8 +188,8 @@ class Hits(Generic[ArrayT]):
         away from them, too. An origin is at most 6.7e-6 times this extent away from the point of the hit.
 
             d = ...  # (N, 3), or (samples, N, 3)
-            dark = scene.occluded(hits.spawn(d), d)
-            lit = hits.faces(d) & ~dark  # of a surface that is lit on its front only
+            lit = hits.faces(d) & ~scene.occluded(hits.spawn(d), d)  # a surface is lit on its front only
+            through = scene.intersect(hits.spawn(-hits.normal), -hits.normal)  # a ray that leaves the back
 
         A direction may point to the back of a surface. Such a ray starts behind it, as refracted light does, and what it
         meets tells nothing about the front: `faces` says which directions point to the front.

@@ -22,6 +22,7 @@ from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.plan.choices import find_plan
 from wrt.engine.plan.plan import kernel_factory, plan_for_query, stack_levels, traversal_config, traversal_of
 from wrt.engine.rays.ray_integers import as_integers
+from wrt.kernels.answers import SKIPPING
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.leaf import Counters
@@ -77,7 +78,7 @@ def trace_skipping(scene: SceneState, plan: Plan, rays: RayBatch, kind: str, ski
     """
     device = scene.device
     hits, counters = DeviceHits.new(kind, rays.count, device), counter_rows(no_work(Counters, device.alias))
-    config = replace(traversal_config(plan, scene, kind, False), skipping=True)
+    config = replace(traversal_config(plan, scene, kind, False), variant=SKIPPING)
     if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
         from wrt.engine.launch.persistent_launch import kernel_and_trees, next_ray
 

@@ -15,9 +15,11 @@ import os
 import struct
 import threading
 import zipfile
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, BinaryIO, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -35,10 +37,40 @@ LOCAL_HEADER, ZIP64, EXTRA_HEADER = 30, 20, 4
 PADDING = 0xD935
 """Identifier of a field that aligns the contents of a member, as Android's archives have it."""
 
+UNREADABLE = (ValueError, TypeError, KeyError, RuntimeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
+"""Exceptions that reading a damaged archive may raise."""
+
 _parsing = threading.Lock()
 """Held while the header of an array is parsed. CPython 3.11 may raise a SystemError when two threads parse literals at the
 same time (CPython issue 106905).
 """
+
+
+@contextmanager
+def checked_reading(path: Path, what: str, remedy: str) -> Iterator[None]:
+    """Inside the `with` block, a file is read: what any fault of it raises becomes one error with a remedy.
+
+    Raises:
+        PermissionError: the file may not be read.
+        ValueError: it is not what it should be, or it is damaged.
+    """
+    try:
+        yield
+    except PermissionError:
+        raise
+    except UNREADABLE as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(f"'{path}' is not {what}, or it is damaged ({reason}); {remedy}") from error
+
+
+def check_format(found: Any, known: int) -> None:
+    """Refuses a file whose format this version does not read.
+
+    Raises:
+        ValueError: it is another format.
+    """
+    if found != known:
+        raise ValueError(f"it has format {found}, and this version of wrt reads format {known}")
 
 
 def checksum(arrays: Mapping[str, np.ndarray]) -> str:

@@ -33,6 +33,12 @@ if TYPE_CHECKING:
     from wrt.scene.updates import UpdateReport
 
 
+ANALYSES = (
+    "ambient_occlusion bake clearance closest_pair distance_grid exposure overlapping_triangles sample_surface shape_diameter "
+    "sign_rule signed_distance thickness viewshed visible_faces winding_number"
+)
+"""Functions of `wrt.analysis` that take a scene, where some look for methods."""
+
 MOVED_TO_STATE = frozenset(
     {
         "area_trees",
@@ -282,9 +288,7 @@ class Scene(Queries, Members):
         def __getattr__(self, name: str) -> Any:
             """Members that are now those of `state`; each use warns."""
             if name not in MOVED_TO_STATE:
-                from wrt import analysis
-
-                where = f"; it is wrt.analysis.{name}(scene, ...)" if name in analysis.__all__ else ""
+                where = f"; it is wrt.analysis.{name}(scene, ...)" if name in ANALYSES.split() else ""
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}{where}", name=name, obj=self)
             warnings.warn(
                 f"wrt.Scene.{name} is now scene.state.{name}; the old name goes with the next release",

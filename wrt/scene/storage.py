@@ -15,8 +15,6 @@ from __future__ import annotations
 import hashlib
 import json
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
@@ -31,12 +29,12 @@ from wrt.accelerators.accelerator import ACCELERATORS, Accelerator
 from wrt.accelerators.cuda_trees import for_device
 from wrt.builders.tree import BuildStats, Bvh, KdTree
 from wrt.builders.tree_check import check_tree
-from wrt.materials.stored_materials import pack_materials, unpack_materials
+from wrt.materials.mesh_materials import pack_materials, unpack_materials
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.node_graph import NOWHERE, NodeGraph
 from wrt.revisions import TREE_REVISION
-from wrt.scene.archives import read_archive, write_archive
+from wrt.scene.archives import UNREADABLE, check_format, checked_reading, read_archive, write_archive
 
 if TYPE_CHECKING:
     from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
@@ -59,9 +57,6 @@ OPTIONAL = ("layout", "pairs")
 
 INSTANCE_FIELDS = ("transform", "mask", "environment")
 """What a file holds of each instance besides the number of its mesh."""
-
-UNREADABLE = (ValueError, TypeError, KeyError, RuntimeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
-"""Exceptions that reading a damaged archive may raise."""
 
 
 class TreeSource(Protocol):
@@ -294,13 +289,8 @@ def load_scene(path: str | Path) -> Stored:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"no scene file at '{path}': check the path (now in '{Path.cwd()}')")
-    try:
+    with checked_reading(path, "a scene that wrt saved", "save it again"):
         return parse_scene(read_archive(path))
-    except PermissionError:
-        raise
-    except UNREADABLE as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise ValueError(f"'{path}' is not a scene that wrt saved, or it is damaged ({reason}); save it again") from error
 
 
 def parse_scene(arrays: dict[str, np.ndarray]) -> Stored:
@@ -310,8 +300,7 @@ def parse_scene(arrays: dict[str, np.ndarray]) -> Stored:
         ValueError, TypeError, KeyError, RuntimeError: the arrays are not those of a scene.
     """
     header = json.loads(str(arrays["wrt"]))
-    if header["format"] != FORMAT:
-        raise ValueError(f"it has format {header['format']}, and this version of wrt reads format {FORMAT}")
+    check_format(header["format"], FORMAT)
     names = header["names"]
     ups = header.get("up", [None] * len(names))  # files written before meshes had one
     meshes = [

@@ -80,15 +80,14 @@ def boxes_at(triangles: TriangleBoxes, ids: np.ndarray) -> TriangleBoxes:
 @native.func_native(
     "bins.h",
     "const float *from = references.data, *plane = planes.data;\n"
-    f"wrt::find_block<{LANES}>(from, begin, end, plane, pairs.data, ranges.data, limit, keys.data, values.data);",
+    f"wrt::find_block<{LANES}>(from, begin, end, plane, tree.pair.data, tree.range.data, limit, keys.data, values.data);",
 )
 def find_block(
     references: wp.array(dtype=float),
     begin: int,
     end: int,
+    tree: BinaryTree,
     planes: wp.array(dtype=float),
-    pairs: wp.array(dtype=int),
-    ranges: wp.array(dtype=wp.vec2i),
     limit: int,
     keys: wp.array2d(dtype=float),
     values: wp.array2d(dtype=int),
@@ -120,7 +119,7 @@ def find_leaves(
     """Item: a block of LANES triangles. Writes the keys of their leaves, and their ids."""
     begin = (first + wp.tid()) * LANES
     end = wp.min(begin + LANES, count)
-    find_block(references, begin, end, planes, tree.pair, tree.range, limit, keys, values)
+    find_block(references, begin, end, tree, planes, limit, keys, values)
 
 
 @wp.kernel

@@ -39,7 +39,7 @@ def make_log_kernel(config: TraversalConfig) -> wp.Kernel:
     ray's first visit in `words`. Nothing is stored in `hits`.
     """
     Search, begin, leaf = logged_search(config.triangle_test), begin_search(config.triangle_test), make_leaf(config)
-    load = config.answer.load
+    load = config.answer.stored.load
 
     @wp.func
     def note(word: int, search: wp.ref[Search]):

@@ -232,7 +232,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     """The kernel for one specialisation; `accelerated` selects AEPSA."""
     search = make_search(config, accelerated)
     trace_packet = packet_step(config, KdNodes, make_packet_kdtree_walk(config), make_kdtree_walk(config), MIXED_AXES)
-    store, counting = config.answer.store, config.counters
+    store, counting = config.answer.stored.store, config.counters
     packet_rays, large, levels, split = config.packet.rays, rays_per_item(config), config.tiles.levels, config.tiles.split
     small = config.tiles.packets * packet_rays
     size, memory_size = packet_layout(config).size, walk_memory(config)

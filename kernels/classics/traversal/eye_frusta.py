@@ -296,7 +296,7 @@ def make_eye_frusta_kernel(config: TraversalConfig) -> wp.Kernel:
     config = replace(config, packet=replace(config.packet, shared_origin=True))
     layout, waiting = packet_layout(config), most_waiting(config)
     gather, order, walk = gather_directions(layout), frustum_at(layout.rays), make_walk(config)
-    clear, store = clear_packet(layout), store_packet(layout, config.answer.ends_at_first)
+    clear, store = clear_packet(layout), store_packet(layout, config.answer.rules.ends_at_first)
     packet_rays, size, memory, counting = layout.rays, layout.size, lane_memory(waiting), config.counters
 
     def multi_frusta(

@@ -126,7 +126,7 @@ def make_omnidirectional_kernel(config: TraversalConfig) -> wp.Kernel:
     layout = packet_layout(config)
     load, store = (
         load_packet(layout, CullingTraits.SLOPES in CULLINGS[config.packet.culling].traits),
-        store_packet(layout, config.answer.ends_at_first),
+        store_packet(layout, config.answer.rules.ends_at_first),
     )
     enter, split = enter_cell(layout), split_cell(layout)
     visit, counting, size_of_packet, P = leaf_of_cell(config), config.counters, layout.size, config.packet.rays

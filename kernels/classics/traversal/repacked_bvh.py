@@ -165,7 +165,7 @@ def make_leaf(config: TraversalConfig, moved: bool) -> wp.Function:
     """`wp.func(tree, triangles, node, lane, met, packet, bounds, memory, work)`: tests the leaf that `met` rays meet."""
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
     inspect, test_leaf, test_few = culling.leaf(layout), leaf_step(config), few_rays_step(config)
-    shorten = shorten_rays(layout, moved, config.answer.ends_at_first)
+    shorten = shorten_rays(layout, moved, config.answer.rules.ends_at_first)
 
     @wp.func
     def visit(
@@ -240,7 +240,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
     """
     culling, layout, inner = CULLINGS[config.packet.culling], packet_layout(config), halved(config)
     cull_boxes, nearest, list_meeting = culling.boxes(layout), nearest_child(config.width), list_rays(layout)
-    visit, shorten = make_leaf(config, moved), shorten_rays(layout, moved, config.answer.ends_at_first)
+    visit, shorten = make_leaf(config, moved), shorten_rays(layout, moved, config.answer.rules.ends_at_first)
     descend = make_descent(config, inner) if inner else visit  # without smaller packets, never called
     repacks, smaller = inner is not None, inner.packet.rays if inner else 0
     width, counting, row = config.width, config.counters, config.stack.levels * config.width
@@ -303,7 +303,8 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
 def make_repacked_bvh_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
-    load, store = load_packet(layout, CullingTraits.SLOPES in culling.traits), store_packet(layout, config.answer.ends_at_first)
+    load = load_packet(layout, CullingTraits.SLOPES in culling.traits)
+    store = store_packet(layout, config.answer.rules.ends_at_first)
     start, walk = culling.start(layout), make_walk(config, False)
     packet_rays, size, memory_size, counting = config.packet.rays, layout.size, walk_memory(config), config.counters
 

@@ -127,7 +127,7 @@ def gather_rays(first: int, rays: RayBatch, order: wp.array(dtype=int), sorted_r
 @cache
 def make_scatter(query: str) -> wp.Kernel:
     """The kernel that copies the answer of a ray back to its place; lists of hits stay. Item: a place in the order."""
-    copy = ANSWERS[query].copy
+    copy = ANSWERS[query].stored.copy
 
     def scatter(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, hits: HitBatch):
         place = first + wp.tid()

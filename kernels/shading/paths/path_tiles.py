@@ -24,7 +24,7 @@ from wrt.kernels.shading.wavefront.path_step import UNKNOWN, follow_path
 from wrt.kernels.shading.wavefront.path_step_simd import ARRAYS, LIGHTS, SAMPLES, SURFACES, PathStep
 from wrt.kernels.shading.wavefront.picture import Film, develop_pixel
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
-from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, fetch_hits
+from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, StepArrays, fetch_hits, step_arrays
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 
@@ -34,7 +34,7 @@ exact_module(__name__)
 @cache
 def make_path_tile_step_simd(width: int) -> Any:
     """`path_tile_step_simd` for the given number of lanes."""
-    writer = "wrt::Appended{following, lit_slot, rays, to, entry}"
+    writer = "wrt::Appended{following, lit_slot, arrays.rays, to, entry}"
 
     @native.func_native(
         "path_step.h", in_lanes(f"wrt::shade_paths<{width}>({ARRAYS}, step, first, {writer})", SURFACES, LIGHTS, SAMPLES)
@@ -43,18 +43,14 @@ def make_path_tile_step_simd(width: int) -> Any:
         first: int,
         step: PathStep,
         scene: LitScene,
-        source: PixelSamples,
-        wave: Wave,
-        queue: RayQueue,
-        hits: HitBatch,
-        rays: Gathered,
+        arrays: StepArrays,
         lit_slot: wp.array(dtype=int),
         following: RayQueue,
         to: wp.ref[int],
         entry: wp.ref[int],
     ) -> wp.uint32:
         """Does the step of the simple ones among the rays first .. first + width - 1, which all exist, and returns one bit for
-        each. Appends paths that go on to `following` at place `to`, and shadow rays to `rays` at place `entry`; both places are
+        each. Appends paths that go on to `following` at place `to`, and shadow rays at place `entry`; both places are
         moved on, and up to width places from there on are written.
         """
         ...
@@ -98,16 +94,17 @@ def make_step_tile() -> wp.Kernel:
         to = int(begin)
         entry = int(begin)
         here = int(begin)
+        arrays = step_arrays(begin, source, wave, queue, hits, rays)
         fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, stop))
         while here < stop:
             last = wp.min(here + lanes, stop)
             fetch_hits(scene, hits, here + AHEAD, wp.min(last + AHEAD, stop))
             done = wp.uint32(0)
             if lanes > 1 and here + WIDTH <= stop:
-                done = path_tile_step_simd(here, step, scene, source, wave, queue, hits, rays, lit_slot, following, to, entry)
+                done = path_tile_step_simd(here, step, scene, arrays, lit_slot, following, to, entry)
             for i in range(here, last):
                 if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
-                    found = follow_path(i, UNKNOWN, to, entry, step, scene, source, wave, queue, hits, rays, following)
+                    found = follow_path(i, UNKNOWN, to, entry, step, scene, arrays, following)
                     if found >= 2:
                         lit_slot[entry] = queue.slot[i]
                         entry += 1

@@ -25,10 +25,10 @@ from wrt.kernels.shading.sampling import MIX_1
 from wrt.kernels.shading.wavefront.lane_code import in_lanes, same
 from wrt.kernels.shading.wavefront.path_step_simd import ARRAYS, SURFACES
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
-from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, fetch_hits
+from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, StepArrays, fetch_hits, step_arrays
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene, sky_light
-from wrt.kernels.shading.wavefront.tree_step import ShadowList, TreeStep, shade_ray
+from wrt.kernels.shading.wavefront.tree_step import SentRays, ShadowList, TreeStep, sent_rays, shade_ray
 
 exact_module(__name__)
 
@@ -36,26 +36,19 @@ exact_module(__name__)
 @cache
 def make_tree_step_simd(width: int) -> Any:
     """`tree_step_simd` for the given number of lanes."""
-    call = f"wrt::shade_trees<{width}>({ARRAYS}, step, first, begin, child, scratch, is_alive)"
+    call = f"wrt::shade_trees<{width}>({ARRAYS}, step, first, arrays.begin, child, sent.queue, sent.is_alive)"
 
     @native.func_native("tree_step.h", in_lanes(call, SURFACES, same(MIX_1=int(MIX_1))))
     def tree_step_simd(
         first: int,
-        begin: int,
         child: int,
         step: TreeStep,
         scene: LitScene,
-        source: PixelSamples,
-        wave: Wave,
-        queue: RayQueue,
-        hits: HitBatch,
-        rays: Gathered,
-        scratch: RayQueue,
-        is_alive: wp.array(dtype=int),
+        arrays: StepArrays,
+        sent: SentRays,
     ) -> wp.uint32:
-        """Does the step of the simple ones among the rays first .. first + width - 1 of a queue that begins at `begin`, and
-        returns one bit for each. The rays that follow go to the places from 2 `child` on. What it writes for the others is to
-        be overwritten.
+        """Does the step of the simple ones among the rays first .. first + width - 1 of the queue, and returns one bit for
+        each. The rays that follow go to the places from 2 `child` on. What it writes for the others is to be overwritten.
         """
         ...
 
@@ -101,17 +94,18 @@ def shade_tile(
     to = int(begin)
     entry = int(begin)
     here = int(begin)
+    arrays = step_arrays(begin, source, wave, queue, hits, rays)
+    sent = sent_rays(scratch, is_alive)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, stop))
     while here < stop and to + 2 * WIDTH <= end and entry + light_count * WIDTH <= end:
         fetch_hits(scene, hits, here + AHEAD, wp.min(here + AHEAD + WIDTH, stop))
         last = wp.min(here + WIDTH, stop)
         done = wp.uint32(0)
         if here + WIDTH <= stop:
-            done = tree_step_simd(here, begin, child, step, scene, source, wave, queue, hits, rays, scratch, is_alive)
+            done = tree_step_simd(here, child, step, scene, arrays, sent)
         for i in range(here, last):
             if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
-                at = child + i - here
-                entry = shade_ray(i, begin, at, entry, step, scene, source, wave, queue, hits, rays, scratch, is_alive, listed)
+                entry = shade_ray(i, child + i - here, entry, step, scene, arrays, sent, listed)
         if not step.is_last:
             to = append_rays(child, child + last - here, scratch, is_alive, following, to)
         here = last
@@ -156,20 +150,20 @@ def end_tile(
 
 
 @native.func_native(
-    "ray_queues.h", "wrt::gather_trees(begin, stop, shadows, first_light, light_count, slot, blocked, rays, listed);"
+    "ray_queues.h", "wrt::gather_trees(begin, stop, shadows, lights[0], lights[1], slot, blocked, rays, listed);"
 )
 def gather_range(
     begin: int,
     stop: int,
     shadows: int,
-    first_light: int,
-    light_count: int,
+    lights: wp.vec2i,
     slot: wp.array(dtype=int),
     blocked: wp.array(dtype=wp.bool),
     rays: Gathered,
     listed: ShadowList,
 ):
-    """Adds the light of the rays begin .. stop - 1 to their samples, in the order of `ray_queue.gather`: light by light."""
+    """Adds the light of the rays begin .. stop - 1 to their samples, in the order of `ray_queue.gather`: light by light.
+    lights: number of the first one, and how many."""
     ...
 
 
@@ -189,4 +183,5 @@ def gather_tile(
     """Adds the light of a generation of a tile to its samples; `light_count` lights from `first_light` on. Item: a tile
     memory."""
     memory = first + wp.tid()
-    gather_range(memory * room, stop, memories.shadows[memory], first_light, light_count, slot, blocked, rays, listed)
+    lights = wp.vec2i(first_light, light_count)
+    gather_range(memory * room, stop, memories.shadows[memory], lights, slot, blocked, rays, listed)

@@ -11,25 +11,25 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, is_finite
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.shading.bsdf.material_table import MaterialAtHit
 from wrt.kernels.shading.bsdf.scattering import is_single, largest, sample_scattering
 from wrt.kernels.shading.emitters.environment import find_interval
 from wrt.kernels.shading.emitters.light_table import entry_probability
-from wrt.kernels.shading.shading_point import ShadingPoint, leaving_origin, shading_point
+from wrt.kernels.shading.shading_point import leaving_origin, shading_point
 from wrt.kernels.shading.wavefront.path_step_simd import WIDTH, PathStep, path_step_simd
 from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, PixelSamples, pixel_point, single_number
 from wrt.kernels.shading.wavefront.ray_at_hit import (
     AHEAD,
-    RayAtHit,
     SampleKey,
+    ShadedHit,
+    StepArrays,
     fetch_hits,
     ray_at_hit,
     sample_key,
+    step_arrays,
 )
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import (
     Arrival,
-    Boundary,
     LitScene,
     arriving_light,
     boundary_of,
@@ -63,9 +63,7 @@ def sampled_light(
     scene: LitScene,
     source: PixelSamples,
     key: SampleKey,
-    ray: RayAtHit,
-    point: ShadingPoint,
-    material: MaterialAtHit,
+    hit: ShadedHit,
 ):
     """Radiance of one light, chosen by power, that may be scattered along a ray."""
     entry = int(0)
@@ -76,17 +74,17 @@ def sampled_light(
         )
         probability = entry_probability(scene.lights, entry)
     place = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation)
-    return arriving_light(scene, point, material, -ray.direction, entry, place, probability, True)
+    return arriving_light(scene, hit.point, hit.material, -hit.ray.direction, entry, place, probability, True)
 
 
 @wp.func(inline=True)
-def pass_through(ray: RayAtHit, point: ShadingPoint, boundary: Boundary, to: int, following: RayQueue):
+def pass_through(hit: ShadedHit, to: int, following: RayQueue):
     """Lets a ray go on through a boundary that is none to it."""
-    following.direction[to] = ray.direction
-    following.weight[to] = ray.weight
-    following.density[to] = ray.density
-    following.media[to] = boundary.media_beyond
-    following.origin[to] = leaving_origin(point, True)
+    following.direction[to] = hit.ray.direction
+    following.weight[to] = hit.ray.weight
+    following.density[to] = hit.ray.density
+    following.media[to] = hit.boundary.media_beyond
+    following.origin[to] = leaving_origin(hit.point, True)
     return 1
 
 
@@ -95,17 +93,16 @@ def scatter(
     step: PathStep,
     source: PixelSamples,
     key: SampleKey,
-    ray: RayAtHit,
-    point: ShadingPoint,
-    material: MaterialAtHit,
-    boundary: Boundary,
+    hit: ShadedHit,
     to: int,
     following: RayQueue,
 ):
     """Sends a path on in a sampled direction; 1 unless it ends here."""
+    ray = hit.ray
+    point = hit.point
     lobe = single_number(key.pixel, key.sample, 3 * step.generation + 1)
     spot = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation + 1)
-    scattered = sample_scattering(material, point.normal, -ray.direction, spot, lobe)
+    scattered = sample_scattering(hit.material, point.normal, -ray.direction, spot, lobe)
     toward = scattered.direction
     if scattered.density == 0.0:
         toward = kept_above(toward, point.face_normal, scattered.is_transmitted)
@@ -124,7 +121,7 @@ def scatter(
         following.direction[to] = toward
         following.weight[to] = share
         following.density[to] = scattered.density
-        following.media[to] = wp.where(scattered.is_transmitted, boundary.media_beyond, ray.media)
+        following.media[to] = wp.where(scattered.is_transmitted, hit.boundary.media_beyond, ray.media)
         following.origin[to] = leaving_origin(point, scattered.is_transmitted)
     return alive
 
@@ -137,11 +134,7 @@ def follow_path(
     entry: int,
     step: PathStep,
     scene: LitScene,
-    source: PixelSamples,
-    wave: Wave,
-    queue: RayQueue,
-    hits: HitBatch,
-    rays: Gathered,
+    arrays: StepArrays,
     following: RayQueue,
 ):
     """Does the step of ray i. A constant `known` other than `UNKNOWN` leaves the code for such rays only.
@@ -149,7 +142,8 @@ def follow_path(
     The ray that follows is written to place `to`, and the shadow ray to place `entry`. Returns 1 if the path goes on, plus 2 if
     the shadow ray may bring light.
     """
-    ray = ray_at_hit(scene, queue, hits, i)
+    rays = arrays.rays
+    ray = ray_at_hit(scene, arrays.queue, arrays.hits, i)
     density = wp.where(step.samples_lights, ray.density, 0.0)
     found = wp.vec3()
     arrival = Arrival()
@@ -171,13 +165,18 @@ def follow_path(
         if not step.is_last:
             boundary = boundary_of(scene, material, ray.media, point.is_front)
             material.ratio = boundary.ratio
+            hit = ShadedHit()
+            hit.ray = ray
+            hit.point = point
+            hit.material = material
+            hit.boundary = boundary
             if not boundary.is_real:
-                alive = pass_through(ray, point, boundary, to, following)
+                alive = pass_through(hit, to, following)
             else:
-                key = sample_key(source, wave, ray.slot)
+                key = sample_key(arrays.source, arrays.wave, ray.slot)
                 if step.samples_lights and scene.lights.count > 0 and not is_single(material):
-                    arrival = sampled_light(step, scene, source, key, ray, point, material)
-                alive = scatter(step, source, key, ray, point, material, boundary, to, following)
+                    arrival = sampled_light(step, scene, arrays.source, key, hit)
+                alive = scatter(step, arrays.source, key, hit, to, following)
     rays.radiance[ray.slot] = rays.radiance[ray.slot] + found
     if not step.is_last:
         following.slot[to] = ray.slot
@@ -213,16 +212,17 @@ def path_step(
     begin = start + (first + wp.tid()) * group
     end = wp.min(begin + group, stop)
     size = wp.where(group > 1, WIDTH, 1)
+    arrays = step_arrays(0, source, wave, queue, hits, rays)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
     here = int(begin)
     while here < end:
         fetch_hits(scene, hits, here + AHEAD, wp.min(here + AHEAD + size, end))
         done = wp.uint32(0)
         if size > 1 and here + size <= end:
-            done = path_step_simd(here, step, scene, source, wave, queue, hits, rays, following, is_alive)
+            done = path_step_simd(here, step, scene, arrays, following, is_alive)
         for i in range(here, wp.min(here + size, end)):
             if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
-                found = follow_path(i, UNKNOWN, i, i, step, scene, source, wave, queue, hits, rays, following)
+                found = follow_path(i, UNKNOWN, i, i, step, scene, arrays, following)
                 if not step.is_last:
                     is_alive[i] = found & 1
         here += size

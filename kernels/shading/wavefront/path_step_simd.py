@@ -18,7 +18,6 @@ from typing import Any
 import warp as wp
 
 from wrt.kernels.compilation.target import lane_width
-from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.spawn import INSET
 from wrt.kernels.runtime import native
 from wrt.kernels.shading.bsdf.ggx import MIN_ALPHA
@@ -34,8 +33,9 @@ from wrt.kernels.shading.emitters.light_table import (
 )
 from wrt.kernels.shading.surface import OFFSET
 from wrt.kernels.shading.wavefront.lane_code import in_lanes, same
-from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, RANDOM, SOBOL, PixelSamples
-from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
+from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, RANDOM, SOBOL
+from wrt.kernels.shading.wavefront.ray_at_hit import StepArrays
+from wrt.kernels.shading.wavefront.ray_queue import RayQueue
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 
 SURFACES = same(OFFSET=OFFSET, INSET=INSET, MIN_ALPHA=MIN_ALPHA, DIFFUSE=DIFFUSE, MIRROR=MIRROR, DIELECTRIC=DIELECTRIC)
@@ -55,8 +55,8 @@ LIGHTS = same(
 SAMPLES = same(SOBOL=SOBOL, RANDOM=RANDOM, FIRST_BOUNCE=FIRST_BOUNCE, PER_BOUNCE=PER_BOUNCE)
 """C++: those of `random_numbers.h`."""
 
-ARRAYS = "wrt::StepArrays{scene, source, wave, queue, hits, rays}"
-"""C++: what a step reads and writes."""
+ARRAYS = "wrt::StepArrays{scene, arrays.source, arrays.wave, arrays.queue, arrays.hits, arrays.rays}"
+"""C++: the scene and the `StepArrays` of a step."""
 
 
 @wp.struct
@@ -76,18 +76,14 @@ class PathStep:
 @cache
 def make_path_step_simd(width: int) -> Any:
     """`path_step_simd` for the given number of lanes."""
-    call = f"wrt::shade_paths<{width}>({ARRAYS}, step, first, wrt::InPlace{{following, is_alive, rays}})"
+    call = f"wrt::shade_paths<{width}>({ARRAYS}, step, first, wrt::InPlace{{following, is_alive, arrays.rays}})"
 
     @native.func_native("path_step.h", in_lanes(call, SURFACES, LIGHTS, SAMPLES))
     def path_step_simd(
         first: int,
         step: PathStep,
         scene: LitScene,
-        source: PixelSamples,
-        wave: Wave,
-        queue: RayQueue,
-        hits: HitBatch,
-        rays: Gathered,
+        arrays: StepArrays,
         following: RayQueue,
         is_alive: wp.array(dtype=int),
     ) -> wp.uint32:

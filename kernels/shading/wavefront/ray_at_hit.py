@@ -4,9 +4,11 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
+from wrt.kernels.shading.bsdf.material_table import MaterialAtHit
+from wrt.kernels.shading.shading_point import ShadingPoint
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples, pixel_hash
-from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
-from wrt.kernels.shading.wavefront.scene_light import LitScene, absorbed
+from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave, pixel_of
+from wrt.kernels.shading.wavefront.scene_light import Boundary, LitScene, absorbed
 
 
 @wp.struct
@@ -24,6 +26,42 @@ class RayAtHit:
     """-1 for a miss."""
     t: float
     uv: wp.vec2
+
+
+@wp.struct
+class ShadedHit:
+    """A hit, with all that decides about its light and the rays that follow."""
+
+    ray: RayAtHit
+    point: ShadingPoint
+    material: MaterialAtHit
+    boundary: Boundary
+
+
+@wp.struct
+class StepArrays:
+    """What a step reads, and where its light goes."""
+
+    begin: int
+    """Place of the generation's first ray in the queue."""
+    source: PixelSamples
+    wave: Wave
+    queue: RayQueue
+    hits: HitBatch
+    rays: Gathered
+
+
+@wp.func(inline=True)
+def step_arrays(begin: int, source: PixelSamples, wave: Wave, queue: RayQueue, hits: HitBatch, rays: Gathered):
+    """The arrays of a step, from the arguments of a kernel."""
+    arrays = StepArrays()
+    arrays.begin = begin
+    arrays.source = source
+    arrays.wave = wave
+    arrays.queue = queue
+    arrays.hits = hits
+    arrays.rays = rays
+    return arrays
 
 
 @wp.func(inline=True)

@@ -23,6 +23,7 @@ from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, DIFFUSE, GLOSSY, MIRROR, Materials
 from wrt.kernels.shading.wavefront.path_step import MISSED, PathStep, follow_path
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
+from wrt.kernels.shading.wavefront.ray_at_hit import step_arrays
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave, move_ray
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 
@@ -119,9 +120,10 @@ def make_stream_step(known: int) -> wp.Kernel:
     ):
         """Does the step of path tracing for list `number` of a stream. Item: a stream."""
         item = first + wp.tid()
+        arrays = step_arrays(0, source, wave, queue, hits, rays)
         for place in range(streams.ends[item, number], streams.ends[item, number + 1]):
             i = streams.order[place]
-            found = follow_path(i, wp.static(known), i, i, step, scene, source, wave, queue, hits, rays, following)
+            found = follow_path(i, wp.static(known), i, i, step, scene, arrays, following)
             if not step.is_last:
                 is_alive[i] = found & 1
 

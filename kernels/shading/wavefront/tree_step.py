@@ -30,15 +30,16 @@ from wrt.kernels.shading.wavefront.path_step import kept_above
 from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, PixelSamples, pixel_point, single_number
 from wrt.kernels.shading.wavefront.ray_at_hit import (
     AHEAD,
-    RayAtHit,
     SampleKey,
+    ShadedHit,
+    StepArrays,
     fetch_hits,
     ray_at_hit,
     sample_key,
+    step_arrays,
 )
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import (
-    Boundary,
     LitScene,
     arriving_light,
     boundary_of,
@@ -96,6 +97,24 @@ class ShadowList:
     """(S,) the light."""
 
 
+@wp.struct
+class SentRays:
+    """The rays that follow."""
+
+    queue: RayQueue
+    is_alive: wp.array(dtype=int)
+    """Whether each place has a ray that goes on."""
+
+
+@wp.func(inline=True)
+def sent_rays(queue: RayQueue, is_alive: wp.array(dtype=int)):
+    """The rays that follow, from the arguments of a kernel."""
+    sent = SentRays()
+    sent.queue = queue
+    sent.is_alive = is_alive
+    return sent
+
+
 @wp.func
 def queue_branch(slot: wp.array(dtype=int), begin: int, i: int):
     """Number of a ray among those of its sample in a queue that begins at `begin`."""
@@ -112,15 +131,22 @@ def queue_branch(slot: wp.array(dtype=int), begin: int, i: int):
 
 
 @wp.func(inline=True)
-def light_place(step: TreeStep, scene: LitScene, source: PixelSamples, key: SampleKey, branch: int, entry: int):
+def branch_key(arrays: StepArrays, i: int):
+    """The key of ray i of the queue: rays of one sample and generation differ."""
+    key = sample_key(arrays.source, arrays.wave, arrays.queue.slot[i])
+    key.pixel += wp.uint32(queue_branch(arrays.queue.slot, arrays.begin, i)) * MIX_1
+    return key
+
+
+@wp.func(inline=True)
+def light_place(step: TreeStep, scene: LitScene, source: PixelSamples, key: SampleKey, entry: int):
     """The point in [0, 1)^2 at which a light is sampled: its middle, if samples do not have their own."""
     place = wp.vec2(0.5, 0.5)
     if step.distributed or scene.lights.kind[entry] >= TRIANGLES:
         dimension = FIRST_BOUNCE + PER_BOUNCE * step.generation
         if entry > 0:
             dimension = LIGHT_DIMENSIONS + 64 * step.generation + entry
-        own = key.pixel + wp.uint32(branch) * MIX_1  # rays of one sample and generation differ
-        place = pixel_point(source, own, key.sample, dimension)
+        place = pixel_point(source, key.pixel, key.sample, dimension)
     return place
 
 
@@ -173,14 +199,13 @@ def send(
     step: TreeStep,
     key: SampleKey,
     child: Child,
-    ray: RayAtHit,
-    point: ShadingPoint,
-    boundary: Boundary,
+    hit: ShadedHit,
     at: int,
     following: RayQueue,
 ):
     """Writes a ray to its place; 1 if it goes on. Roulette takes a random number of the place's own."""
-    share = wp.cw_mul(ray.weight, child.weight)
+    point = hit.point
+    share = wp.cw_mul(hit.ray.weight, child.weight)
     max_share = largest(share)
     alive = int(0)
     if max_share > 0.0 and is_finite(share) and wp.length_sq(child.direction) > 0.5:
@@ -195,9 +220,9 @@ def send(
         following.direction[at] = kept_above(child.direction, point.face_normal, child.is_transmitted)
         following.weight[at] = share
         following.density[at] = 0.0
-        following.media[at] = wp.where(child.is_transmitted, boundary.media_beyond, ray.media)
+        following.media[at] = wp.where(child.is_transmitted, hit.boundary.media_beyond, hit.ray.media)
         following.origin[at] = leaving_origin(point, child.is_transmitted)
-        following.slot[at] = ray.slot
+        following.slot[at] = hit.ray.slot
     return alive
 
 
@@ -206,31 +231,29 @@ def send_children(
     step: TreeStep,
     source: PixelSamples,
     key: SampleKey,
-    ray: RayAtHit,
-    point: ShadingPoint,
-    material: MaterialAtHit,
-    boundary: Boundary,
+    hit: ShadedHit,
     i: int,
-    following: RayQueue,
-    is_alive: wp.array(dtype=int),
+    sent: SentRays,
 ):
-    """Writes the reflected and the refracted ray of hit i, and whether they go on."""
+    """Writes the reflected and the refracted ray of a hit to the places 2 i and 2 i + 1, and whether they go on."""
+    material = hit.material
+    out = -hit.ray.direction
     place = wp.vec2()
     if step.distributed and material.alpha > 0.0:
         place = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation + 1)
-    if not boundary.is_real:
+    if not hit.boundary.is_real:
         passing = Child()
-        passing.direction = ray.direction
+        passing.direction = hit.ray.direction
         passing.weight = wp.vec3(1.0, 1.0, 1.0)
         passing.is_transmitted = True
-        is_alive[2 * i + 1] = send(step, key, passing, ray, point, boundary, 2 * i + 1, following)
+        sent.is_alive[2 * i + 1] = send(step, key, passing, hit, 2 * i + 1, sent.queue)
     else:
         if material.kind == MIRROR or material.kind == GLOSSY or material.kind == DIELECTRIC:
-            child = reflected_child(step, material, point, -ray.direction, place)
-            is_alive[2 * i] = send(step, key, child, ray, point, boundary, 2 * i, following)
+            child = reflected_child(step, material, hit.point, out, place)
+            sent.is_alive[2 * i] = send(step, key, child, hit, 2 * i, sent.queue)
         if material.kind == DIELECTRIC:
-            child = refracted_child(step, material, point, -ray.direction, place)
-            is_alive[2 * i + 1] = send(step, key, child, ray, point, boundary, 2 * i + 1, following)
+            child = refracted_child(step, material, hit.point, out, place)
+            sent.is_alive[2 * i + 1] = send(step, key, child, hit, 2 * i + 1, sent.queue)
 
 
 @wp.func(inline=True)
@@ -240,17 +263,14 @@ def write_light(
     scene: LitScene,
     source: PixelSamples,
     key: SampleKey,
-    branch: int,
-    ray: RayAtHit,
-    point: ShadingPoint,
-    material: MaterialAtHit,
+    hit: ShadedHit,
     i: int,
     rays: Gathered,
 ):
-    """Writes the radiance that a light may give at hit i, and its shadow ray."""
-    place = light_place(step, scene, source, key, branch, entry)
-    found = arriving_light(scene, point, material, -ray.direction, entry, place, 1.0, False)
-    rays.lit[i] = wp.cw_mul(ray.weight, found.radiance)
+    """Writes the radiance that a light may give at a hit, and its shadow ray, to place i."""
+    place = light_place(step, scene, source, key, entry)
+    found = arriving_light(scene, hit.point, hit.material, -hit.ray.direction, entry, place, 1.0, False)
+    rays.lit[i] = wp.cw_mul(hit.ray.weight, found.radiance)
     rays.shadow_origin[i] = found.origin
     rays.shadow_direction[i] = found.segment
 
@@ -258,32 +278,27 @@ def write_light(
 @wp.func(inline=True)
 def shade_ray(
     i: int,
-    begin: int,
     child: int,
     entry: int,
     step: TreeStep,
     scene: LitScene,
-    source: PixelSamples,
-    wave: Wave,
-    queue: RayQueue,
-    hits: HitBatch,
-    rays: Gathered,
-    following: RayQueue,
-    is_alive: wp.array(dtype=int),
+    arrays: StepArrays,
+    sent: SentRays,
     listed: ShadowList,
 ):
-    """Does the step of ray i of a queue that begins at `begin`.
+    """Does the step of ray i of the queue.
 
     Writes the light that needs no shadow ray to place i, and the rays that follow to the places 2 `child` and 2 `child` + 1.
     Light and shadow rays of lights go to place `entry`; or, if the list has room, those that may bring light to the places
     from `entry` on. Returns the place after them.
     """
-    ray = ray_at_hit(scene, queue, hits, i)
+    rays = arrays.rays
+    ray = ray_at_hit(scene, arrays.queue, arrays.hits, i)
     emitted = crossed_lights(scene, ray.weight, 0.0, ray.origin, ray.direction, ray.t)
     place = int(entry)
     if not step.is_last:
-        is_alive[2 * child] = 0
-        is_alive[2 * child + 1] = 0
+        sent.is_alive[2 * child] = 0
+        sent.is_alive[2 * child + 1] = 0
     if ray.primitive < 0:
         emitted += sky_light(scene, ray.weight, 0.0, ray.direction)
     else:
@@ -296,19 +311,22 @@ def shade_ray(
         if not is_single(material) and material.kind != DIELECTRIC:
             emitted += wp.cw_mul(wp.cw_mul(ray.weight, (1.0 - material.metallic) * material.color), step.ambient)
         if not step.is_last:
-            branch = queue_branch(queue.slot, begin, i)
-            key = sample_key(source, wave, ray.slot)
+            hit = ShadedHit()
+            hit.ray = ray
+            hit.point = point
+            hit.material = material
+            hit.boundary = boundary
+            key = branch_key(arrays, i)
             if boundary.is_real and not is_single(material):
                 for light in range(step.first_light, step.light_end):
                     if light != step.unlit:
-                        write_light(step, light, scene, source, key, branch, ray, point, material, place, rays)
+                        write_light(step, light, scene, arrays.source, key, hit, place, rays)
                         lit = rays.lit[place]
                         if listed.ray.shape[0] > 0 and (lit[0] != 0.0 or lit[1] != 0.0 or lit[2] != 0.0):
                             listed.ray[place] = i
                             listed.light[place] = light
                             place += 1
-            key.pixel += wp.uint32(branch) * MIX_1  # rays of one sample and generation differ
-            send_children(step, source, key, ray, point, material, boundary, child, following, is_alive)
+            send_children(step, arrays.source, key, hit, child, sent)
     rays.emitted[i] = emitted
     return place
 
@@ -334,13 +352,15 @@ def tree_step(
     a group of the rays start .. stop - 1. `listed` is empty."""
     begin = start + (first + wp.tid()) * group
     end = wp.min(begin + group, stop)
+    arrays = step_arrays(0, source, wave, queue, hits, rays)
+    sent = sent_rays(following, is_alive)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
     for i in range(begin, end):
         fetch_hits(scene, hits, i + AHEAD, wp.min(i + AHEAD + 1, end))
         if not step.is_last:
             rays.lit[i] = wp.vec3()
             rays.shadow_direction[i] = wp.vec3()
-        shade_ray(i, 0, i, i, step, scene, source, wave, queue, hits, rays, following, is_alive, listed)
+        shade_ray(i, i, i, step, scene, arrays, sent, listed)
 
 
 @wp.kernel
@@ -362,6 +382,7 @@ def shade_by_light(
     1."""
     begin = start + (first + wp.tid()) * group
     end = wp.min(begin + group, stop)
+    arrays = step_arrays(0, source, wave, queue, hits, rays)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
     for i in range(begin, end):
         fetch_hits(scene, hits, i + AHEAD, wp.min(i + AHEAD + 1, end))
@@ -375,6 +396,8 @@ def shade_by_light(
                 boundary = boundary_of(scene, material, ray.media, point.is_front)
                 material.ratio = boundary.ratio
                 if boundary.is_real:
-                    key = sample_key(source, wave, ray.slot)
-                    branch = queue_branch(queue.slot, 0, i)
-                    write_light(step, entry, scene, source, key, branch, ray, point, material, i, rays)
+                    hit = ShadedHit()
+                    hit.ray = ray
+                    hit.point = point
+                    hit.material = material
+                    write_light(step, entry, scene, source, branch_key(arrays, i), hit, i, rays)

@@ -197,7 +197,7 @@ def leaf_phase(config: TraversalConfig) -> wp.Function:
     Walks = walks(lane_count(config))
     test_block = block_step(config)
     skip_leaf_blocks = skip_blocks(lane_count(config), config.width)
-    any_hit = config.answer.ends_at_first
+    any_hit = config.answer.rules.ends_at_first
 
     @wp.func
     def test_leaves(
@@ -271,7 +271,7 @@ def make_lockstep_kernel(config: TraversalConfig) -> wp.Kernel:
     count, run = lane_count(config), rays_per_item(config)
     Walks, refill_lane, advance_lanes = walks(count), make_refill(config), advance(count, counting)
     pop_lanes, compact_log = pop(count), compact(count)
-    test_leaves, store = leaf_phase(config), config.answer.store
+    test_leaves, store = leaf_phase(config), config.answer.stored.store
     all_lanes = (1 << count) - 1
 
     def lockstep_kdtree(

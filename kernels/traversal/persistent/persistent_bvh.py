@@ -33,7 +33,7 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.answers import all_crossings, any_hit, closest_hit, crossing_count, next_crossing, winding_number
+from wrt.kernels.answers import SKIPPING, all_crossings, any_hit, closest_hit, crossing_count, next_crossing, winding_number
 from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTriangles
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime import native
@@ -61,9 +61,12 @@ INSTANCE_BLOCKS = 12
 """The same through instances, whose walks need more registers: 80 a thread."""
 
 
-def launch_threads(device: wp.Device, rays: int) -> int:
-    """Threads of a launch for this many rays: at most all that a CUDA device runs at a time."""
-    return min(rays, device.sm_count * BLOCKS * BLOCK)
+def launch_threads(device: wp.Device, count: int, blocks: int = BLOCKS) -> int:
+    """Threads of a launch for this many rays or points: at most all that a CUDA device runs at a time.
+
+    blocks: of a multiprocessor, as the kernel is bounded to.
+    """
+    return min(count, device.sm_count * blocks * BLOCK)
 
 
 ANSWER_CLASSES = {
@@ -109,7 +112,7 @@ def make_walk_kernel(
         blocks: of a multiprocessor.
     """
     Tree, Triangles = types
-    flags = f"{int(config.cull_backfaces)}, {int(config.skipping)}, {int(config.counters)}"
+    flags = f"{int(config.cull_backfaces)}, {int(config.variant == SKIPPING)}, {int(config.counters)}"
     options = f"{places}, wrt::{ANSWER_CLASSES[config.query]}, {flags}"
     form = f"{FETCH}, {KEEP}, {STEPS}, {int(config.persistent.from_zero)}"
     walks = f"wrt::walks_of<{options}>({space}, rays, hits, counters, next.skipped)"

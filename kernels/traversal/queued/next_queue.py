@@ -61,7 +61,7 @@ def make_advance(width: int, levels: int, query: str, counting: bool = False) ->
         counting: whether the nodes of the upper tree are counted.
     """
     test_boxes, Lanes, stack_size = intersected_boxes(width), lanes(width), levels * (width - 1) + 1
-    bound_of = ANSWERS[query].bound
+    bound_of = ANSWERS[query].stored.bound
 
     def advance_rays(
         first: int,

@@ -120,7 +120,7 @@ def make_list_live(query: str) -> wp.Kernel:
     Item: a slice of `size` pairs of those from `begin` to `end`. Its rays are written to `live` from item * size on, in order,
     and their number to `counts`.
     """
-    bound_of = ANSWERS[query].bound
+    bound_of = ANSWERS[query].stored.bound
 
     def list_live(
         first: int,

@@ -54,7 +54,7 @@ def make_queued_bvh_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel that traces each waiting ray through its subtree. Item: a place in the order."""
     Search, begin, leaf = leaf_search(config.triangle_test), begin_search(config.triangle_test), make_leaf(config)
     walk_keys = make_key_walk(config, config.stack.levels, Search, leaf)
-    load, store, counting = config.answer.load, config.answer.store, config.counters
+    load, store, counting = config.answer.stored.load, config.answer.stored.store, config.counters
 
     def queued_bvh(
         first: int,

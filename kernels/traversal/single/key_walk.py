@@ -33,7 +33,8 @@ def make_key_walk(
         visit: `wp.func(tree, child, search, hits, i, best, work) -> best`: processes a leaf.
         enter_node: `wp.func(node, search)`: for measurements, is called at each inner node; None for nothing.
     """
-    width, counting, any_hit, Results = max(config.width, 2), config.counters, config.answer.ends_at_first, config.answer.Search
+    width, counting = max(config.width, 2), config.counters
+    any_hit, Results = config.answer.rules.ends_at_first, config.answer.search.State
     test_boxes, nearest, row, noting = ray_boxes(width), nearest_child(width), levels * width, enter_node is not None
 
     @wp.func

@@ -108,7 +108,7 @@ def make_leaf_loop(config: TraversalConfig, Tree: type) -> wp.Function:
 
     leaf: `Leaf` that ray i is in. cells: the ray in the space of the tree. search: of the triangles, in theirs.
     """
-    LeafSearch, nearest, Results = leaf_search(config.triangle_test), config.answer.nearest, config.answer.Search
+    LeafSearch, nearest, Results = leaf_search(config.triangle_test), config.answer.nearest, config.answer.search.State
     test_block = block_step(config) if nearest else make_leaf_step(config, Tree)
     width, counting = config.width, config.counters
 
@@ -143,7 +143,7 @@ def make_leaf_loop(config: TraversalConfig, Tree: type) -> wp.Function:
 @cache
 def make_leaf(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, child, search, hits, i, best, work) -> best`: tests the triangles of a leaf."""
-    LeafSearch, Results = leaf_search(config.triangle_test), config.answer.Search
+    LeafSearch, Results = leaf_search(config.triangle_test), config.answer.search.State
     test_blocks = make_leaf_loop(config, WideNodes)
 
     @wp.func
@@ -218,7 +218,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
     begin, test_leaf = begin_search(config.triangle_test), make_leaf(config)
     step, stacked = inner_step(config), stack_of(config)
     open_stack, pop, local = stacked.open, stacked.pop, stacked.local
-    counting, any_hit, Results = config.counters, config.answer.ends_at_first, config.answer.Search
+    counting, any_hit, Results = config.counters, config.answer.rules.ends_at_first, config.answer.search.State
 
     @wp.func
     def walk_with_stack(
@@ -254,7 +254,8 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
 @cache
 def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
     """The walk with a row of keys per level."""
-    LeafSearch, Results, begin = leaf_search(config.triangle_test), config.answer.Search, begin_search(config.triangle_test)
+    LeafSearch, begin = leaf_search(config.triangle_test), begin_search(config.triangle_test)
+    Results = config.answer.search.State
     walk_keys = make_key_walk(config, config.stack.levels, LeafSearch, make_leaf(config))
 
     @wp.func

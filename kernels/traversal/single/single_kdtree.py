@@ -155,11 +155,11 @@ def node_order(single: SingleConfig) -> tuple[wp.Function, wp.Function, int]:
 def make_kdtree_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    nearest, Results, begin = config.answer.nearest, config.answer.Search, begin_search(config.triangle_test)
+    nearest, Results, begin = config.answer.nearest, config.answer.search.State, begin_search(config.triangle_test)
     test_block = block_step(config) if nearest else make_leaf_step(config, KdNodes)
     step = step_guessing if config.coherent else step_selecting
     load, children_of, root = node_order(config.single)
-    width, counting, any_hit = config.width, config.counters, config.answer.ends_at_first
+    width, counting, any_hit = config.width, config.counters, config.answer.rules.ends_at_first
     forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
     remembering = config.mailbox != NONE
 

@@ -26,10 +26,10 @@ def make_ray_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Part
             instances (`wrt.kernels.traversal.two_level.instance_single.make_instance_walk`).
         Parts: type of the array of geometries that instances place; None for a walk on one level.
     """
-    if config.answer.Given is not None:
+    if config.answer.search.Given is not None:
         return make_variant_kernel(config, Tree, walk, Parts)
-    store, counting, two_level = config.answer.store, config.counters, Parts is not None
-    lists, Triangles = two_level and bool(config.answer.listed), Parts if two_level else TriangleBlocks
+    store, counting, two_level = config.answer.stored.store, config.counters, Parts is not None
+    lists, Triangles = two_level and bool(config.answer.stored.listed), Parts if two_level else TriangleBlocks
 
     def single_ray(
         first: int,
@@ -58,14 +58,14 @@ def make_ray_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Part
 
 
 def make_variant_kernel(config: TraversalConfig, Tree: type, walk: wp.Function, Parts: Any = None) -> wp.Kernel:
-    """The same for a variant of a kind of query (`AnswerKind.Given`): each ray ignores one triangle, or passes through holes.
+    """The same for a variant of a kind of query (`Search.Given`): each ray ignores one triangle, or passes through holes.
 
     After the counters it gets what the variant needs: `skipped`, (N,) the ignored triangle of each ray, or (n,) for rays in
     rows of n that share them by column, -1 for none, numbered through all instances; or `AlphaMasks`.
     """
     answer, counting, two_level = config.answer, config.counters, Parts is not None
-    store, begin, Given = answer.store, answer.begin, answer.Given
-    lists, Triangles = two_level and bool(answer.listed), Parts if two_level else TriangleBlocks
+    store, begin, Given = answer.stored.store, answer.search.begin, answer.search.Given
+    lists, Triangles = two_level and bool(answer.stored.listed), Parts if two_level else TriangleBlocks
 
     def variant_ray(
         first: int,

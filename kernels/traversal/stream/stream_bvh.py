@@ -56,9 +56,9 @@ BELOW_ALL_KEYS = wp.constant(-0x80000000)
 
 def child_order(config: TraversalConfig) -> int:
     """Which child of a node is visited first."""
-    if config.answer.ends_at_first:
+    if config.answer.rules.ends_at_first:
         return FAR if config.coherent else NONE
-    return NEAR if config.answer.front_to_back else NONE
+    return NEAR if config.answer.rules.front_to_back else NONE
 
 
 @cache

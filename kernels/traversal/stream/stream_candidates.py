@@ -121,7 +121,7 @@ def evaluates_in_lanes(config: TraversalConfig) -> bool:
 def lane_form(config: TraversalConfig) -> str:
     """C++ template arguments of what evaluates candidates, where `evaluates_in_lanes`."""
     test = TRIANGLE_TESTS[config.triangle_test]
-    return f"{test.native}, {config.width}, {test.record.components}, {int(config.answer.ends_at_first)}, {LIST_LANES}"
+    return f"{test.native}, {config.width}, {test.record.components}, {int(config.answer.rules.ends_at_first)}, {LIST_LANES}"
 
 
 @cache
@@ -157,7 +157,7 @@ def scalar_test_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, stream, k, slot, hits, i)`: evaluates one candidate, of ray k of the stream and i of the batch."""
     StreamRay, RayState = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test].ray_state
     get, candidate = get_ray(config.triangle_test), triangle_step(config)
-    any_hit, nearest, accept = config.answer.ends_at_first, config.answer.nearest, config.answer.accept
+    any_hit, nearest, accept = config.answer.rules.ends_at_first, config.answer.nearest, config.answer.search.accept
 
     @native.func_native(
         "lanes.h",
@@ -240,7 +240,7 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
 def line_lanes(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, block, state) -> mask`: which triangles of a block the line of a ray meets."""
     test, Lanes = TRIANGLE_TESTS[config.triangle_test], lanes(config.width)
-    RayState, forms = test.ray_state, test.forms(config.answer.crossings, config.answer.oriented)
+    RayState, forms = test.ray_state, test.forms(config.answer.rules.crossings, config.answer.rules.oriented)
     intersect_block = (forms.line_test or forms.block_test)(config.width)
 
     @wp.func
@@ -263,7 +263,7 @@ def line_filter(config: TraversalConfig) -> wp.Function:
     """
     test, width, counting = TRIANGLE_TESTS[config.triangle_test], config.width, config.counters
     StreamRay, RayState, get = stream_ray(config.triangle_test), test.ray_state, get_ray(config.triangle_test)
-    append, intersect_lines = append_candidates(width, not config.answer.ends_at_first), line_lanes(config)
+    append, intersect_lines = append_candidates(width, not config.answer.rules.ends_at_first), line_lanes(config)
 
     @wp.func
     def find_candidates(

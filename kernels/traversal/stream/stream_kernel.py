@@ -164,12 +164,12 @@ def store_stream(config: TraversalConfig) -> wp.Function:
     """`wp.func(stream, size, begin, count, hits)`: writes the results of the rays begin .. begin + count - 1, of which `size`
     are in the stream; the others miss."""
     StreamRay, number_of = stream_ray(config.triangle_test), ray_number(config.triangle_test)
-    store_one = config.answer.store
+    store_one = config.answer.stored.store
 
-    @native.func_native("lanes.h", "\n".join(_MISSES[name] for name in config.answer.columns))
+    @native.func_native("lanes.h", "\n".join(_MISSES[name] for name in config.answer.stored.columns))
     def store_misses(begin: int, count: int, hits: HitBatch): ...
 
-    if config.answer.ends_at_first:
+    if config.answer.rules.ends_at_first:
 
         @native.func_native(
             "lanes.h",

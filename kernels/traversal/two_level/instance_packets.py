@@ -128,7 +128,7 @@ def trace_left_rays(config: TraversalConfig) -> wp.Function:
     layout = packet_layout(config)
     needs_single_ray, active = packet_splitting.needs_single_ray(layout), is_active(layout)
     continue_ray = ray_continuation(config, WideNodes, make_bvh_walk(config))
-    store, packet_rays = store_candidate(layout, config.answer.ends_at_first), config.packet.rays
+    store, packet_rays = store_candidate(layout, config.answer.rules.ends_at_first), config.packet.rays
     own_origins = 0 if config.packet.shared_origin else 1
 
     @wp.func
@@ -170,7 +170,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
     cache_leaf, trace_left, merge = (
         occluder.cache_leaf(layout),
         trace_left_rays(config),
-        merge_hits(layout, config.answer.ends_at_first),
+        merge_hits(layout, config.answer.rules.ends_at_first),
     )
 
     @wp.func
@@ -195,7 +195,7 @@ def make_instance_packet_kernel(config: TraversalConfig, levels: int) -> wp.Kern
     levels: greatest number of inner nodes on a path of the upper tree.
     """
     load_and_bound, visit, cull = packet_loader(config), make_visit(config), cull_boxes(packet_layout(config))
-    next_root, store = next_group(config), store_rays(packet_layout(config), config.answer.ends_at_first)
+    next_root, store = next_group(config), store_rays(packet_layout(config), config.answer.rules.ends_at_first)
     width, packet_rays, size, run = config.width, config.packet.rays, packet_layout(config).size, rays_per_item(config)
     row, nearest = levels * config.width, nearest_child(config.width)
 

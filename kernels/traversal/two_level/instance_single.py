@@ -102,7 +102,8 @@ def join_answers(config: TraversalConfig) -> wp.Function:
     """`wp.func(first, found, t_min, hits, i, best) -> best`: joins what a walk found in an instance, whose triangles are
     numbered from `first` on, and what was found before."""
     answer = config.answer
-    join, renumber, lists, Results = answer.join, answer.renumber, bool(answer.listed), answer.Search
+    join, renumber = answer.instances.join, answer.instances.renumber
+    lists, Results = bool(answer.stored.listed), answer.search.State
 
     @wp.func
     def join_found(first: int, found: BestHit, t_min: float, hits: wp.ref[Results], i: int, best: BestHit):
@@ -131,7 +132,8 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
     """`wp.func(tree, child, search, hits, i, best, work) -> best`: visits a leaf of the upper tree, for `make_key_walk`."""
     InstanceSearch, walk, join = instance_search(kind), WALKS[kind][1](config), join_answers(config)
     width = max(config.width, 2)  # children per node of the upper tree
-    within, numbered, Results = config.answer.within, config.answer.within is not None, config.answer.Search
+    within, Results = config.answer.instances.within, config.answer.search.State
+    numbered = within is not None
 
     @wp.func
     def visit(
@@ -169,7 +171,7 @@ def make_instance_walk(config: TraversalConfig, kind: str, levels: int) -> wp.Fu
         kind: tree kind of the geometries, a key of `PARTS`.
         levels: greatest number of inner nodes on a path of the upper tree.
     """
-    Part, InstanceSearch, Results = PARTS[kind], instance_search(kind), config.answer.Search
+    Part, InstanceSearch, Results = PARTS[kind], instance_search(kind), config.answer.search.State
     walk_keys = make_key_walk(config, levels, InstanceSearch, make_visit(config, kind))
 
     @wp.func

@@ -250,7 +250,7 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
 def make_round_merge(query: str) -> wp.Kernel:
     """The kernel that merges what a ray was answered in a round, and shortens the ray. Item: a ray of the round."""
     answer = ANSWERS[query]
-    merge, bound_of, names_triangles = answer.merge, answer.bound, answer.names_triangles
+    merge, bound_of, names_triangles = answer.stored.merge, answer.stored.bound, answer.names_triangles
 
     def merge_round(
         first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
@@ -271,5 +271,5 @@ def make_round_merge(query: str) -> wp.Kernel:
 
 
 for merged in batch_kinds():
-    if merged.merge is not None:
+    if merged.stored.merge is not None:
         make_round_merge(merged.name)

@@ -82,7 +82,7 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
         test_leaf: tests a leaf, as that of `make_leaf_loop` does.
     """
     step = step_guessing if config.coherent else step_selecting
-    counting, any_hit = config.counters, config.answer.ends_at_first
+    counting, any_hit = config.counters, config.answer.rules.ends_at_first
 
     @wp.func
     def walk_cells(
@@ -154,7 +154,7 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
 @cache
 def make_linked_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
-    begin, crossing = begin_search(config.triangle_test), config.answer.crossings
+    begin, crossing = begin_search(config.triangle_test), config.answer.rules.crossings
     levels = max(config.stack.levels, MAX_TREE_DEPTH)
     walk_cells = make_cell_walk(config, levels, leaf_search(config.triangle_test), make_leaf_loop(config, KdNodes))
 

@@ -9,7 +9,15 @@ from typing import Any
 
 import click
 
-from wrt.bench.commands.command_options import json_option, load_model, progress, table_console, usage_errors, write_json
+from wrt.bench.commands.command_options import (
+    json_option,
+    load_model,
+    plot_option,
+    progress,
+    table_console,
+    usage_errors,
+    write_json,
+)
 from wrt.bench.core.benchmark_results import ModelResult, Question, Report, machine
 from wrt.bench.core.workloads import ORDERS, WORKLOADS, WorkloadMaker
 from wrt.bench.peers.peer_table import DEFAULT_PEERS, PEERS, make_peers
@@ -72,7 +80,7 @@ class BenchCommand(click.Command):
 @click.option("--builders/--no-builders", default=True, show_default=True, help="Compare builds.")
 @click.option("--startup/--no-startup", default=True, show_default=True, help="Compare start-up in fresh processes.")
 @json_option
-@click.option("--plot", "plot_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write a picture.")
+@plot_option
 def bench(
     model: str | None,
     workloads: tuple[str, ...],

@@ -29,10 +29,24 @@ LINE_SECONDS = 10.0
 SCENE_OPTIONS = {"teapot": {"level": 32, "ground": False}}
 """Where a scene's defaults do not suit: the teapot's ground would fill every view."""
 
+
+class FigureFile(click.Path):
+    """A file that is written at the end, in a folder that is there at the start."""
+
+    def __init__(self) -> None:
+        super().__init__(dir_okay=False, writable=True, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """The path."""
+        path = Path(str(super().convert(value, param, ctx)))
+        if not path.parent.is_dir():
+            self.fail(f"there is no folder '{path.parent}' to write '{path.name}' to; create it first", param, ctx)
+        return path
+
+
 threads_option = click.option("--threads", type=Whole(1, MAX_THREADS), help="CPU threads. [all cores]")
-json_option = click.option(
-    "--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures."
-)
+json_option = click.option("--json", "json_file", type=FigureFile(), help="Write all figures.")
+plot_option = click.option("--plot", "plot_file", type=FigureFile(), help="Write a picture.")
 
 
 def load_model(name: str) -> TriangleMesh:

@@ -12,6 +12,7 @@ import click
 from wrt.bench.commands.command_options import (
     json_option,
     load_model,
+    plot_option,
     progress,
     table_console,
     threads_option,
@@ -30,7 +31,7 @@ from wrt.kernels.runtime.launch import get_num_threads
 @click.command("scaling")
 @click.argument("model", default="teapot")
 @click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Rounds per number of threads.")
-@click.option("--plot", "plot_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write a picture.")
+@plot_option
 @click.option("--embree/--no-embree", default=True, show_default=True, help="Time Embree 3 and 4 too, where found.")
 @threads_option
 @json_option

@@ -102,7 +102,7 @@ def trace_lazily(tree: LazyKdTree, rays: RayBatch, hits: DeviceHits, query: str,
     from wrt.kernels.traversal.single.lazy_requests import TO_ANY, TO_HIT, UNTRACED
 
     answer = ANSWERS[query]
-    query_range = TO_HIT if answer.shortens else TO_ANY
+    query_range = TO_HIT if answer.rules.shortens else TO_ANY
     if not answer.nearest:
         while len(request_cells(tree, tree.current, rays, hits, int(UNTRACED), ALL_CELLS)):
             pass

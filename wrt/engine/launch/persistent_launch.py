@@ -13,6 +13,7 @@ from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTrian
 from wrt.kernels.runtime.launch import kept, specialise
 from wrt.kernels.traversal.persistent.next_ray import NextRay, counter_of
 from wrt.kernels.traversal.persistent.persistent_bvh import (
+    BLOCKS,
     launch_threads,
     make_persistent_instance_kernel,
     make_persistent_kernel,
@@ -55,11 +56,18 @@ def kernel_and_trees(scene: SceneState, config: TraversalConfig) -> tuple[wp.Ker
     return specialise(make_persistent_kernel, config), [*binary_tree(scene)]
 
 
-def next_ray(device: wp.Device, rays: int, skipped: wp.array | None = None) -> NextRay:
-    """The counter for the next launch on the device's current stream, for this many rays; skipped: what they ignore."""
+def next_ray(device: wp.Device, count: int, skipped: wp.array | None = None, blocks: int = BLOCKS) -> NextRay:
+    """The counter for the next launch on the device's current stream, for this many rays or points.
+
+    Args:
+        device: of the launch.
+        count: of rays or points.
+        skipped: triangles that rays ignore, as in `NextRay`.
+        blocks: as in `launch_threads`.
+    """
     counter = NextRay()
     counter.number = counter_of(device)
-    counter.threads = launch_threads(device, rays) if device.is_cuda else 0
+    counter.threads = launch_threads(device, count, blocks) if device.is_cuda else 0
     if skipped is not None:
         counter.skipped = skipped
     return counter

@@ -221,7 +221,7 @@ class Staging:
         self.rays, self.hits = new_rays(FEW_RAYS, device), DeviceHits.new(kind, FEW_RAYS, device)
         arrays = self.rays.origins, self.rays.directions, self.rays.t_min, self.rays.t_max
         self._inputs = [array.numpy() for array in arrays]
-        self._outputs = [(name, getattr(self.hits, name).numpy()) for name in ANSWERS[kind].columns]
+        self._outputs = [(name, getattr(self.hits, name).numpy()) for name in ANSWERS[kind].stored.columns]
         self.shape: tuple[int, ...] | None = None
         self.inputs: list[np.ndarray] = []
         self.outputs: list[tuple[str, np.ndarray]] = []

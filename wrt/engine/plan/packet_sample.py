@@ -40,7 +40,8 @@ def measure_overlap(scene: SceneState, rays: RayBatch, packet: int, query: str) 
     """
     found = np.zeros(3, dtype=np.int32)
     result = wp.array(found, dtype=int, device=scene.device, copy=False)
-    inputs = [sampled_scene(scene), rays, packet, SAMPLED_PACKETS, SAMPLED_RAYS, int(ANSWERS[query].ends_at_first), result]
+    any_hit = int(ANSWERS[query].rules.ends_at_first)
+    inputs = [sampled_scene(scene), rays, packet, SAMPLED_PACKETS, SAMPLED_RAYS, any_hit, result]
     PreparedLaunch(sample_kernel(scene), inputs, scene.device).run(1, Chunks())
     steps, different, count = found.tolist()
     return Overlap(different / steps, steps / count) if count else Overlap(1.0, 0.0)

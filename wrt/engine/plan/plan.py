@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from wrt.engine.facts.wide_trees import wide_tree
 from wrt.engine.free_list import FreeList
-from wrt.kernels.answers import ANSWERS
+from wrt.kernels.answers import ANSWERS, MASKED, PLAIN
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS, Traversal
 from wrt.kernels.traversal.capabilities import Capabilities
@@ -128,14 +128,14 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
     families: dict[str, Any] = {}
     if Capabilities.PACKETS in traversal.capabilities:
         able = Capabilities.NON_TEMPORAL in traversal.capabilities and not scene.instances
-        non_temporal = plan.non_temporal and able and ANSWERS[query].shortens
+        non_temporal = plan.non_temporal and able and ANSWERS[query].rules.shortens
         families["packet"] = PacketConfig(plan.packet, plan.shared_origin, plan.culling, non_temporal)
     if Capabilities.STREAMS in traversal.capabilities:
         families["stream"] = StreamConfig(plan.stream)
     if traversal.walks_boxes(plan.accelerator) or (scene.only_single and traversal.walks_tree):
         levels = stack_levels(walked_tree(plan, scene).depth)
         families["stack"] = StackConfig(levels, CUDA_BLOCK if scene.device.is_cuda else 0)
-    if traversal.walks_tree and ANSWERS[query].once:
+    if traversal.walks_tree and ANSWERS[query].rules.once:
         families["shared_leaves"] = scene.shares_leaves
     return TraversalConfig(
         plan.triangle_test,
@@ -145,7 +145,7 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
         counters,
         plan.mailbox,
         plan.cull_backfaces,
-        masked=scene.alpha_masks is not None,
+        variant=PLAIN if scene.alpha_masks is None else MASKED,
         **families,
     )
 
@@ -170,7 +170,7 @@ def kernel_factory(plan: Plan, scene: SceneState) -> Callable[[TraversalConfig],
     """The factory of the kernel that carries out a plan on the scene's tree."""
     if scene.only_single and plan.accelerator != "none":
         return scene.tree.kernel_factory
-    return traversal_of(plan).kernels[plan.accelerator]
+    return traversal_of(plan).on[plan.accelerator].make_kernel
 
 
 def traversal_of(plan: Plan) -> Traversal:
@@ -181,7 +181,7 @@ def traversal_of(plan: Plan) -> Traversal:
 def plan_for_query(plan: Plan, query: str) -> Plan:
     """The plan as a query runs it: a triangle test may name another test for any-hit queries."""
     other = TRIANGLE_TESTS[plan.triangle_test].any_hit
-    return replace(plan, triangle_test=other) if ANSWERS[query].ends_at_first and other else plan
+    return replace(plan, triangle_test=other) if ANSWERS[query].rules.ends_at_first and other else plan
 
 
 def walked_tree(plan: Plan, scene: SceneState) -> KdTree | Bvh:

@@ -44,8 +44,7 @@ def can_answer(
     bool."""
     kind = scene.tree if traversal.walks_tree else "none"
     return (
-        kind in traversal.kernels
-        and traversal.supports(query, kind)
+        traversal.supports(query, kind)
         and (triangle_test is None or traversal.takes_test(triangle_test))
         and (not cull_backfaces or traversal.culls_backfaces(kind))
         and (not scene.instances or traversal.supports_through_instances(query, kind, scene.is_cuda))
@@ -53,7 +52,7 @@ def can_answer(
         and (Capabilities.WIDE_FORM not in traversal.capabilities or scene.can_be_wide)
         and has_width(scene, traversal)
         and sees_masks(scene, traversal, query)
-        and (Capabilities.SHARED_LEAVES in traversal.capabilities or not ANSWERS[query].once or not scene.shares_leaves)
+        and (Capabilities.SHARED_LEAVES in traversal.capabilities or not ANSWERS[query].rules.once or not scene.shares_leaves)
     )
 
 
@@ -79,7 +78,7 @@ def check_answer(
 
 def sees_masks(scene: SceneFacts, traversal: Traversal, query: str) -> bool:
     """Whether a traversal decides hits of a query by the alpha masks of a scene, if it has any."""
-    able = Capabilities.ALPHA_MASKS in traversal.capabilities and not ANSWERS[query].oriented
+    able = Capabilities.ALPHA_MASKS in traversal.capabilities and not ANSWERS[query].rules.oriented
     return able or not scene.has_masks
 
 
@@ -103,7 +102,7 @@ def check_leaves(scene: SceneFacts, query: str, traversal: Traversal) -> None:
     Raises:
         ValueError: the scene's BVH was built with spatial splits.
     """
-    if ANSWERS[query].once and scene.shares_leaves and Capabilities.SHARED_LEAVES not in traversal.capabilities:
+    if ANSWERS[query].rules.once and scene.shares_leaves and Capabilities.SHARED_LEAVES not in traversal.capabilities:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if Capabilities.SHARED_LEAVES in entry.capabilities)
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on a BVH with spatial splits; "
@@ -188,14 +187,12 @@ def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest,
             name
             for name, entry in TRAVERSALS.items()
             for kind in (tree, "none")
-            if kind in entry.trees
-            and entry.supports(query, kind)
-            and (has_width(scene, entry) if scene else entry.width is None)
+            if entry.supports(query, kind) and (has_width(scene, entry) if scene else entry.width is None)
         )
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on a {tree}; choose from auto, {able}"
         )
-    if ANSWERS[query].crossings and test.crossing is None:
+    if ANSWERS[query].rules.crossings and test.crossing is None:
         able = ", ".join(name for name, entry in TRIANGLE_TESTS.items() if entry.crossing is not None)
         raise ValueError(
             f"triangle_test {test.name!r} may count a crossing at an edge twice or not at all; choose from auto, {able}"

@@ -77,7 +77,7 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     """A new plan for these rays; arguments and errors as in `find_plan`."""
     kind, given, triangle_test, cull_backfaces = query[:4]
     known = scene.facts
-    wanted = default_test(known.triangle_test, ANSWERS[kind].crossings) if triangle_test == AUTO else triangle_test
+    wanted = default_test(known.triangle_test, ANSWERS[kind].rules.crossings) if triangle_test == AUTO else triangle_test
     test = lookup(TRIANGLE_TESTS, wanted, "triangle_test")
     if given == AUTO:
         situation = situation_of(known, rays, kind, cull_backfaces, has_wide_form=wide_form_pays(scene, rays))
@@ -237,7 +237,7 @@ def packet_vectors(scene: SceneFacts, rays: RayFacts, query: str, traversal: Tra
     if is_dense(scene, rays, limits.crowded):
         return max(CROWDED_PACKET // scene.width, PACKET_VECTORS)
     measured = scene.tree == "bvh" and traversal.walks_boxes("bvh")
-    large = is_dense(scene, rays, MANY_RAYS_PER_TRIANGLE) or (ANSWERS[query].ends_at_first and not scene.instances)
+    large = is_dense(scene, rays, MANY_RAYS_PER_TRIANGLE) or (ANSWERS[query].rules.ends_at_first and not scene.instances)
     return limits.large_packet if measured and large else PACKET_VECTORS
 
 
@@ -267,7 +267,7 @@ def best_culling(scene: SceneFacts, dense: bool, traversal: Traversal, test: Tri
 def stores_past_caches(scene: SceneFacts, rays: RayFacts, query: str) -> bool:
     """Whether packets write closest hits by non-temporal stores: so numerous that few of them would be in a cache when read."""
     has_stores = not scene.is_cuda and platform.machine().lower() in ("x86_64", "amd64")
-    return has_stores and ANSWERS[query].shortens and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
+    return has_stores and ANSWERS[query].rules.shortens and not scene.instances and 2 * HIT_BYTES * rays.count >= l3_bytes()
 
 
 def choose_order(scene: SceneState, rays: RayFacts, traversal: Traversal, test: TriangleTest) -> str:

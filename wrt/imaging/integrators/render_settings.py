@@ -1,10 +1,10 @@
-"""How a picture is made: one object for all integrators."""
+"""How a picture is made: one object for all integrators; and all options of pictures by keyword, for type checkers."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -123,3 +123,53 @@ class RenderSettings:
         if unknown:
             raise TypeError(f"integrator {integrator!r} has no option {unknown[0]!r}; its options are {', '.join(known)}")
         return replace(self, **options)
+
+
+class SharedOptions(TypedDict, total=False):
+    """Of all integrators."""
+
+    samples: int | None
+    smooth: bool
+    crease_angle: float
+    seed: int
+    traversal: str
+    triangle_test: str
+
+
+class AmbientOptions(SharedOptions, total=False):
+    """Of "ambient": keywords of `wrt.pictures.AmbientRendering`."""
+
+    light: Any
+    light_color: Any
+    shadows: bool
+    ambient_samples: int
+    ambient_distance: float | None
+    ambient_radius: int
+    ambient_color: Any
+    albedo: Any
+    background: Any
+    tile_pixels: int | None
+
+
+class SettingOptions(SharedOptions, total=False):
+    """Of the others: fields of `wrt.pictures.RenderSettings`."""
+
+    depth: int
+    sampler: str
+    pixel_filter: str
+    lens_radius: float
+    focus_distance: float | None
+    fresnel: str
+    threshold: float
+    roulette: bool
+    sample_lights: bool
+    ambient: Any
+    max_radiance: float
+    exposure: float
+    tone_mapping: str
+    wave: int
+    texture_memory: int | None
+
+
+class PictureOptions(AmbientOptions, SettingOptions, total=False):
+    """Of any integrator."""

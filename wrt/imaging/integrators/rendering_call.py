@@ -9,7 +9,7 @@ import numpy as np
 
 from wrt.imaging.ambient_rendering import AmbientRendering
 from wrt.imaging.integrators import INTEGRATORS
-from wrt.imaging.picture_options import AmbientOptions
+from wrt.imaging.integrators.render_settings import AmbientOptions
 from wrt.imaging.sampled_picture import Camera, SampledPicture
 from wrt.scene.scene import Scene
 from wrt.tables import one_of
@@ -17,9 +17,8 @@ from wrt.tables import one_of
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from wrt.imaging.integrators.render_settings import RenderSettings
+    from wrt.imaging.integrators.render_settings import PictureOptions, RenderSettings
     from wrt.imaging.integrators.scene_motion import Motion
-    from wrt.imaging.picture_options import PictureOptions
 
 __all__ = ["new_picture", "render"]
 

@@ -34,7 +34,7 @@ from wrt.tables import one_of
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from wrt.imaging.picture_options import SettingOptions
+    from wrt.imaging.integrators.render_settings import SettingOptions
 
 __all__ = ["LAYERS", "Rendering"]
 

@@ -18,8 +18,7 @@ import numpy as np
 
 from wrt.meshes.mesh import TriangleMesh
 from wrt.revisions import ANSWER_REVISION, SAMPLE_REVISION
-from wrt.scene.archives import read_archive, write_archive
-from wrt.scene.storage import UNREADABLE
+from wrt.scene.archives import checked_reading, read_archive, write_archive
 
 FILM = (("film", (3,)), ("squares", ()))
 """Arrays of the file, float32, and the shape of a pixel."""
@@ -87,15 +86,11 @@ def read_samples(path: Path, key: str, samples: int, pixels: int) -> tuple[int, 
     """
     if not path.is_file():
         raise FileNotFoundError(f"no samples at '{path}': check the path (now in '{Path.cwd()}')")
-    try:
+    with checked_reading(path, "a file of samples", "render the picture from the start"):
         arrays = read_archive(path)
         found, done = str(arrays["key"]), int(arrays["done"])
         revisions = tuple(arrays["revisions"].tolist()) if "revisions" in arrays else None  # 0.1.0 wrote none
         shaped = all(arrays[name].dtype == np.float32 and arrays[name].shape == (pixels, *shape) for name, shape in FILM)
-    except PermissionError:
-        raise
-    except UNREADABLE as error:
-        raise ValueError(f"'{path}' holds no samples, or is damaged ({error}); render the picture from the start") from error
     if revisions != REVISIONS:
         raise ValueError(
             f"'{path}' is of another version of wrt, whose samples may differ (revisions {revisions or 'none'}, here "

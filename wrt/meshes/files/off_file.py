@@ -1,7 +1,8 @@
 """OFF: vertices and polygons as text, with colours of vertices (COFF).
 
-The first word tells what a vertex has: C for a colour of three or four numbers, N for a normal, ST for texture coordinates. A
-vertex is its line's first three numbers. Colours of faces are skipped. Files in four or n dimensions, and binary ones, are
+The first word tells what a vertex has: C for a colour of three or four numbers, N for a normal, ST for texture coordinates, in
+any order. A vertex is its line's first three numbers; then come the normal, the colour and the texture coordinates. MeshLab
+writes NC and the colour before the normal. Colours of faces are skipped. Files in four or n dimensions, and binary ones, are
 refused.
 
 References: geometry-center-1996.
@@ -24,7 +25,7 @@ from wrt.meshes.up_axis import stated_up
 
 __all__ = ["read_off"]
 
-FIRST_WORD = re.compile(rb"(?P<st>ST)?(?P<color>C)?(?P<normal>N)?(?P<four>4)?(?P<n>n)?OFF(?P<binary> BINARY)?(?=[ \n]|$)")
+FIRST_WORD = re.compile(rb"(?P<letters>(?:ST|[CN4n])*)OFF(?P<binary> BINARY)?(?=[ \n]|$)")
 
 
 def read_off(data: bytes, source: MeshSource) -> FileMesh:
@@ -38,24 +39,23 @@ def read_off(data: bytes, source: MeshSource) -> FileMesh:
     word = FIRST_WORD.match(text)
     if word is None:
         raise ValueError(f"it begins with {text[:20].decode(errors='replace')!r} and not with the word OFF")
-    for group, what in (
-        ("four", "vertices of four coordinates"),
-        ("n", "vertices of any dimension"),
-        ("binary", "binary numbers"),
+    letters = word["letters"]
+    for is_so, what in (
+        (b"4" in letters, "vertices of four coordinates"),
+        (b"n" in letters, "vertices of any dimension"),
+        (word["binary"], "binary numbers"),
     ):
-        if word[group]:
+        if is_so:
             raise ValueError(f"its first word '{word[0].decode()}' announces {what}, which are not read; save it as plain OFF")
     text = re.sub(rb"\n[ \n]*\n", b"\n", text[word.end() :].lstrip())
     counts_line, _, body = text.partition(b"\n")
     counts = parse_numbers(counts_line, np.int64, "the line of counts")
     if len(counts) < 2 or counts.min() < 0:
         raise ValueError("it has no line with the numbers of vertices and faces")
-    return _mesh(body, int(counts[0]), int(counts[1]), word, remarks, source)
+    return _mesh(body, int(counts[0]), int(counts[1]), letters, remarks, source)
 
 
-def _mesh(
-    body: bytes, vertex_count: int, face_count: int, word: re.Match[bytes], remarks: list[str], source: MeshSource
-) -> FileMesh:
+def _mesh(body: bytes, vertex_count: int, face_count: int, letters: bytes, remarks: list[str], source: MeshSource) -> FileMesh:
     words = words_per_line(body)
     if len(words) < vertex_count + face_count:
         raise ValueError(
@@ -92,22 +92,22 @@ def _mesh(
     places, _ = triangulate(vertices, whole, lengths)
     mesh = FileMesh(vertices, whole[places], up=stated_up(remarks))
     if source.materials is not False:
-        mesh.materials = _materials(numbers, first[:vertex_count], words[:vertex_count], word, mesh.faces, source)
+        mesh.materials = _materials(numbers, first[:vertex_count], words[:vertex_count], letters, mesh.faces, source)
     return mesh
 
 
 def _materials(
-    numbers: np.ndarray, first: np.ndarray, words: np.ndarray, word: re.Match[bytes], faces: np.ndarray, source: MeshSource
+    numbers: np.ndarray, first: np.ndarray, words: np.ndarray, letters: bytes, faces: np.ndarray, source: MeshSource
 ) -> MeshMaterials | None:
     """Colours and texture coordinates of vertices, which stand behind positions and normals."""
-    at = 3 + 3 * bool(word["normal"])
-    least, behind = int(words.min()), 2 * bool(word["st"])
+    at = 3 + 3 * (b"N" in letters and b"NC" not in letters)
+    least, behind = int(words.min()), 2 * (b"ST" in letters)
     colors = uv = None
-    if word["color"] and least >= at + 3 + behind:
+    if b"C" in letters and least >= at + 3 + behind:
         given = numbers[first[:, None] + np.arange(at, at + 3)]
         levels = given / 255.0 if np.nanmax(given, initial=0.0) > 1.0 else given
         colors = np.ascontiguousarray(to_linear(checked_colors(levels, "colours of vertices", source))[faces])
-    if word["st"] and least >= at + behind:
+    if b"ST" in letters and least >= at + behind:
         uv = checked_uv(numbers[(first + words - 2)[:, None] + np.arange(2)][faces], source)
     if colors is None and uv is None:
         return None

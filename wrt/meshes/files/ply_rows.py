@@ -9,6 +9,7 @@ References: turk-1994.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +20,9 @@ __all__ = ["Element", "Header", "List", "read_elements", "read_header"]
 
 MAX_HEADER = 1 << 20
 """Bytes of the file in which the header must end."""
+
+LAST_LINE = re.compile(rb"[\r\n][ \t]*end_header[ \t]*(?=[\r\n]|$)")
+"""In remarks, the word does not end a header."""
 
 MAX_ROW = 1 << 12
 """Properties of an element."""
@@ -81,11 +85,12 @@ def read_header(data: bytes) -> Header:
     """
     if not data[:4].rstrip().lower() == b"ply":
         raise ValueError("it does not begin with the line 'ply'")
-    end = data.find(b"end_header", 0, MAX_HEADER)
-    if end < 0:
+    end = LAST_LINE.search(data, 0, MAX_HEADER)
+    if end is None:
         raise ValueError("its header has no line 'end_header'; is the file complete?")
     order, elements, comments = None, [], []
-    for line in data[:end].decode("latin-1").splitlines()[1:]:
+    lines = re.split(r"\r\n|\r|\n", data[: end.start()].decode("latin-1"))  # remarks in UTF-8 hold what Unicode ends lines at
+    for line in lines[1:]:
         words = line.split()
         if not words:
             continue
@@ -105,9 +110,8 @@ def read_header(data: bytes) -> Header:
         raise ValueError("its header has no line 'format'")
     if any(len(element.properties) > MAX_ROW for element in elements):
         raise ValueError(f"an element has more than {MAX_ROW} properties")
-    after = end + len(b"end_header")
-    after += data[after : after + 1] == b" "
-    size = after + (2 if data[after : after + 2] == b"\r\n" else 1)
+    in_lf = b"\n" in data[: end.start() + 2]  # behind a header with "\r" alone, a "\n" is the first byte of the rows
+    size = end.end() + (2 if in_lf and data[end.end() : end.end() + 2] == b"\r\n" else 1)
     return Header(order, elements, comments, size)
 
 

@@ -1,7 +1,8 @@
 """STL, binary and text. Triangles have vertices of their own, three each; normals and attributes are not read.
 
 A file is binary if it has the length that its number of triangles asks for, whatever its first word: many programs write
-"solid" into the 80 bytes before that number. Else it is text if it says so and has a facet.
+"solid" into the 80 bytes before that number. Else it is text if it says so, has a facet, and has no zero byte in the place of
+that number, as binary files of fewer than 2^24 triangles have.
 """
 
 from __future__ import annotations
@@ -11,12 +12,15 @@ import re
 import numpy as np
 
 from wrt.meshes.files.mesh_source import FileMesh, MeshSource
-from wrt.meshes.files.text_lines import parse_numbers, plain_text, ranges, without, words_of
+from wrt.meshes.files.text_lines import as_utf_8, parse_numbers, plain_text, ranges, without, words_of
 from wrt.meshes.up_axis import stated_up
 
 __all__ = ["read_stl"]
 
 HEADER = 80
+FIRST_FACET = re.compile(rb" facet +(normal( +[^ \n]+){3}[ \n]+)?outer ")
+"""Where the name of a solid ends, if all is on one line. Names may have any words in them."""
+
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -27,8 +31,10 @@ def read_stl(data: bytes, source: MeshSource) -> FileMesh:
         ValueError: it is no STL file, is cut off, has no triangles, or facets of another number of corners.
     """
     count = int.from_bytes(data[HEADER : HEADER + 4], "little") if len(data) >= HEADER + 4 else 0
-    if len(data) != HEADER + 4 + count * FACET.itemsize and _is_text(data):
-        corners, remarks = _text_corners(data), data[: 1 << 12].decode("latin-1").splitlines()
+    is_binary = len(data) == HEADER + 4 + count * FACET.itemsize
+    text = b"" if is_binary else as_utf_8(data)
+    if _is_text(text):
+        corners, remarks = _text_corners(text), text[: 1 << 12].decode("latin-1").splitlines()
         remarks = [line.lstrip().removeprefix("#") for line in remarks if line.lstrip().startswith("#")]
     else:
         corners = _binary_corners(data, count, source)
@@ -38,8 +44,9 @@ def read_stl(data: bytes, source: MeshSource) -> FileMesh:
 
 
 def _is_text(data: bytes) -> bool:
-    begin = data[:512].removeprefix(b"\xef\xbb\xbf").lstrip().lower()
-    return begin.startswith((b"solid", b"#", b"facet")) and re.search(rb"(?i)\bfacet\b", data) is not None
+    if not data[:512].lstrip().lower().startswith((b"solid", b"#", b"facet")) or 0 in data[HEADER : HEADER + 4]:
+        return False
+    return re.search(rb"(?i)\bfacet\b", data) is not None
 
 
 def _binary_corners(data: bytes, count: int, source: MeshSource) -> np.ndarray:
@@ -66,7 +73,7 @@ def _binary_corners(data: bytes, count: int, source: MeshSource) -> np.ndarray:
 
 def _text_corners(data: bytes) -> np.ndarray:
     """(F, 3, 3) float64, of all solids."""
-    text = without(plain_text(data).lower(), b"solid", lambda before: before in b" \nd", b" facet ")
+    text = without(plain_text(data).lower(), b"solid", lambda before: before in b" \nd", FIRST_FACET)
     array = np.frombuffer(text + bytes(8), dtype=np.uint8)
     begins, ends = words_of(text)
 

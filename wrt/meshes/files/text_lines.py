@@ -10,21 +10,28 @@ from collections.abc import Callable
 
 import numpy as np
 
-__all__ = ["TextLines", "parse_numbers", "plain_text", "ranges", "without", "words_of", "words_per_line"]
+__all__ = ["TextLines", "as_utf_8", "parse_numbers", "plain_text", "ranges", "without", "words_of", "words_per_line"]
 
 BLANKS = bytes.maketrans(b"\t\v\f", b"   ")
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+def as_utf_8(data: bytes) -> bytes:
+    """A text without a byte order mark; one that begins with that of UTF-16 is converted.
+
+    Raises:
+        ValueError: it is UTF-16 and broken.
+    """
+    return data.decode("utf-16").encode() if data.startswith(UTF_16) else data.removeprefix(b"\xef\xbb\xbf")
 
 
 def plain_text(data: bytes) -> bytes:
     """Text with "\\n" at the end of each line, blanks between words, and no comments behind a blank or at the start of a line.
 
     Raises:
-        ValueError: it is UTF-16 and broken.
+        ValueError: errors as in `as_utf_8`.
     """
-    if data.startswith(UTF_16):
-        data = data.decode("utf-16").encode()
-    data = data.removeprefix(b"\xef\xbb\xbf")
+    data = as_utf_8(data)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     data = data.translate(BLANKS)
@@ -36,14 +43,14 @@ def plain_text(data: bytes) -> bytes:
     return data if data.endswith(b"\n") else data + b"\n"
 
 
-def without(data: bytes, word: bytes, begins: Callable[[bytes], bool], stop: bytes | None = None) -> bytes:
+def without(data: bytes, word: bytes, begins: Callable[[bytes], bool], stop: re.Pattern[bytes] | None = None) -> bytes:
     """A text without what begins with a word, up to the end of the line.
 
     Args:
         data: the text.
         word: with which a piece begins.
         begins: whether one does, by the character before it (b"" at the start of the text).
-        stop: another word at which it ends; None for none.
+        stop: what it ends at, if that begins on the same line; None for nothing.
     """
     pieces, kept, at = [], 0, data.find(word)
     while at >= 0:
@@ -51,8 +58,8 @@ def without(data: bytes, word: bytes, begins: Callable[[bytes], bool], stop: byt
         if begins(data[max(at - 1, 0) : at]):
             line = data.find(b"\n", at)
             end = len(data) if line < 0 else line
-            other = -1 if stop is None else data.find(stop, at, end)
-            end = end if other < 0 else other
+            other = None if stop is None else stop.search(data, at)
+            end = end if other is None else min(end, other.start())
             pieces.append(data[kept:at])
             kept = end
         at = data.find(word, end)

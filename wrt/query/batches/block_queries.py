@@ -8,7 +8,7 @@ import numpy as np
 
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.query.batches.block_rows import as_source
-from wrt.query.blocks import MEMORY, blocks_of
+from wrt.query.blocks import MEMORY, How, blocks_of
 from wrt.query.query_options import chosen, lists_options
 
 if TYPE_CHECKING:
@@ -83,24 +83,9 @@ class BlockQueries:
                 reduction or axis. Values and types of arrays are checked block by block.
             RuntimeError: later, if the workers that took a block died each time.
         """
-        source, options = (
-            as_source(origins, directions, t_min, t_max),
-            chosen(traversal=traversal, triangle_test=triangle_test, precise=precise),
-        )
-        return blocks_of(
-            self,
-            "intersect",
-            source,
-            memory=memory,
-            progress=progress,
-            executor=executor,
-            reduce=reduce,
-            axis=axis,
-            mask=mask,
-            environment=environment,
-            skip=skip,
-            **options,
-        )
+        source, how = as_source(origins, directions, t_min, t_max), How(memory, progress, executor, reduce, axis)
+        options = chosen(traversal=traversal, triangle_test=triangle_test, precise=precise)
+        return blocks_of(self, "intersect", source, how, {"mask": mask, "environment": environment, "skip": skip}, options)
 
     @lists_options
     def occluded_blocks(
@@ -138,21 +123,9 @@ class BlockQueries:
         Raises:
             TypeError, ValueError, RuntimeError: as `intersect_blocks`.
         """
-        source, options = as_source(origins, directions, t_min, t_max), chosen(traversal=traversal, triangle_test=triangle_test)
-        return blocks_of(
-            self,
-            "occluded",
-            source,
-            memory=memory,
-            progress=progress,
-            executor=executor,
-            reduce=reduce,
-            axis=axis,
-            mask=mask,
-            environment=environment,
-            skip=skip,
-            **options,
-        )
+        source, how = as_source(origins, directions, t_min, t_max), How(memory, progress, executor, reduce, axis)
+        options = chosen(traversal=traversal, triangle_test=triangle_test)
+        return blocks_of(self, "occluded", source, how, {"mask": mask, "environment": environment, "skip": skip}, options)
 
     @lists_options
     def count_blocks(
@@ -190,21 +163,9 @@ class BlockQueries:
         Raises:
             TypeError, ValueError, RuntimeError: as `intersect_blocks`.
         """
-        source, options = as_source(origins, directions, t_min, t_max), chosen(traversal=traversal, triangle_test=triangle_test)
-        return blocks_of(
-            self,
-            "count",
-            source,
-            memory=memory,
-            progress=progress,
-            executor=executor,
-            reduce=reduce,
-            axis=axis,
-            mask=mask,
-            environment=environment,
-            skip=skip,
-            **options,
-        )
+        source, how = as_source(origins, directions, t_min, t_max), How(memory, progress, executor, reduce, axis)
+        options = chosen(traversal=traversal, triangle_test=triangle_test)
+        return blocks_of(self, "count", source, how, {"mask": mask, "environment": environment, "skip": skip}, options)
 
     @lists_options
     def closest_point_blocks(
@@ -249,16 +210,5 @@ class BlockQueries:
             raise ValueError(f"max_distance {own} does not broadcast to points {np.shape(points)}") from None
         if not shape:
             raise ValueError("points must have a leading axis to cut into blocks: pass points of shape (N, 3)")
-        return blocks_of(
-            self,
-            "closest_point",
-            source,
-            memory=memory,
-            progress=progress,
-            executor=executor,
-            reduce=reduce,
-            axis=axis,
-            mask=mask,
-            environment=environment,
-            precise=precise,
-        )
+        how, columns = How(memory, progress, executor, reduce, axis), {"mask": mask, "environment": environment}
+        return blocks_of(self, "closest_point", source, how, columns, {"precise": precise})

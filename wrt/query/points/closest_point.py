@@ -116,11 +116,11 @@ def has_packed_nodes(scene: SceneState) -> bool:
 def search_packed(scene: SceneState, points: PointBatch, found: NearestBatch) -> None:
     """Finds what is nearest to points in one tree, by persistent threads."""
     from wrt.engine.launch.persistent_launch import binary_tree, next_ray
-    from wrt.kernels.points.packed_points import make_packed_points_kernel
+    from wrt.kernels.points.packed_points import BLOCKS, make_packed_points_kernel
 
     scene.require_opaque("a query of points")
     kernel = specialise(make_packed_points_kernel, stack_levels(scene.tree.depth))
-    counter = next_ray(scene.device, points.count)
+    counter = next_ray(scene.device, points.count, blocks=BLOCKS)
     items = counter.threads if scene.device.is_cuda else points.count
     launch(kernel, items, [*binary_tree(scene), points, found, counter], device=scene.device, chunk=256, longest=4096)
 

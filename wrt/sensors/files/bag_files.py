@@ -72,7 +72,7 @@ def write_bag(path: str | Path, topics: Mapping[str, Iterable[LidarScan | Camera
                     data = store.serialize_cdr(message, names[topic])
                     writer.write(opened[topic], seconds * 10**9 + nanoseconds, data)
         except sqlite3.Error as error:
-            raise OSError(f"'{path}' cannot be written ({error}); is the disk full?") from error
+            raise OSError(str(error)) from error
 
 
 def check_topic(topic: str, measured: list[Any]) -> str:

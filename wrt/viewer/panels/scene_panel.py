@@ -174,6 +174,8 @@ class ScenePanel:
         self._instance.on_update(self._place_gizmo)
 
     def _place_gizmo(self, event: Any) -> None:
+        from viser.transforms import SO3
+
         if not self._moves.value:
             self._server.scene.remove_by_name(GIZMO)
             self.gizmo = None
@@ -187,13 +189,13 @@ class ScenePanel:
             fixed=True,
             translation_limits=((-1e30, 1e30),) * 3,
             position=tuple(map(float, np.asarray(instance.transform)[:3, 3])),  # type: ignore[arg-type]
-            wxyz=quaternion(turn),
+            wxyz=tuple(map(float, SO3.from_matrix(turn).wxyz)),  # type: ignore[arg-type]
             depth_test=False,
         )
 
         def moved(event: Any) -> None:
             matrix = np.eye(4)
-            matrix[:3, :3] = rotation(np.asarray(gizmo.wxyz)) @ stretch
+            matrix[:3, :3] = SO3(np.asarray(gizmo.wxyz)).as_matrix() @ stretch
             matrix[:3, 3] = gizmo.position
             try:
                 self._shared.move(index, matrix)
@@ -222,22 +224,3 @@ def polar(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     u, _, v = np.linalg.svd(matrix)
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     return turn, turn.T @ matrix
-
-
-def rotation(wxyz: np.ndarray) -> np.ndarray:
-    """(3, 3) of a unit quaternion."""
-    w, x, y, z = wxyz / np.linalg.norm(wxyz)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def quaternion(turn: np.ndarray) -> tuple[float, float, float, float]:
-    """w, x, y, z of a rotation (3, 3)."""
-    from viser.transforms import SO3
-
-    return tuple(map(float, SO3.from_matrix(turn).wxyz))  # type: ignore[return-value]

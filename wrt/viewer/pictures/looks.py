@@ -1,4 +1,4 @@
-"""What a picture shows, by name: light, or a layer (`wrt.viewer.pictures.layers`), or cost (`wrt.viewer.pictures.cost_layers`).
+"""What a picture shows, by name: light, or a layer: values or costs (`wrt.viewer.pictures.layers`).
 
 The last sample of light completes the picture of `wrt.render` with the same arguments, bit for bit.
 """
@@ -15,8 +15,7 @@ from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.integrators.rendering_call import new_picture
 from wrt.kernels.runtime.launch import get_num_threads, use_threads
 from wrt.scene.scene import Scene
-from wrt.viewer.pictures.cost_layers import PacketsTakenApart, PacketWork, RayWork
-from wrt.viewer.pictures.layers import Depth, Ids, Normals, as_bytes
+from wrt.viewer.pictures.layers import Depth, Ids, Normals, PacketsTakenApart, PacketWork, RayWork, as_bytes
 from wrt.viewer.pictures.view_request import ViewRequest
 
 __all__ = ["BEAUTY", "LOOKS", "Light", "make_picture"]

@@ -111,7 +111,7 @@ def few_rays_step(config: TraversalConfig) -> wp.Function:
 
     Their number is `ray_count`. The leaf has `count` triangles, from block `first` on.
     """
-    layout, any_hit = packet_layout(config), config.answer.ends_at_first
+    layout, any_hit = packet_layout(config), config.answer.rules.ends_at_first
     extract, store, count_work = extract_ray(layout), store_ray(layout, any_hit), count_few_rays(config)
     RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
     test_block = block_step(replace(config, single=SingleConfig()))

@@ -75,9 +75,9 @@ def joined_misses(config: TraversalConfig) -> wp.Function:
     Returns their number; 0 if they have to be traced.
     """
     layout, packet_rays = packet_layout(config), config.packet.rays
-    store = store_together(layout, config.answer.ends_at_first, config.packet.non_temporal)
+    store = store_together(layout, config.answer.rules.ends_at_first, config.packet.non_temporal)
     count_misses, fetch = root_misses(config), fetch_ahead(layout)
-    fetches = not config.answer.ends_at_first and not config.packet.non_temporal
+    fetches = not config.answer.rules.ends_at_first and not config.packet.non_temporal
 
     @wp.func
     def miss_together(
@@ -134,7 +134,7 @@ def joined_occlusion(config: TraversalConfig) -> wp.Function:
 def may_cover(config: TraversalConfig) -> bool:
     """Whether packets may be occluded together."""
     certain = TRIANGLE_TESTS[config.triangle_test].packet_form.certain
-    return config.answer.ends_at_first and certain and not config.cull_backfaces
+    return config.answer.rules.ends_at_first and certain and not config.cull_backfaces
 
 
 @cache

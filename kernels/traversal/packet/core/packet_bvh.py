@@ -133,8 +133,8 @@ def make_packet_bvh_walk(config: TraversalConfig) -> wp.Function:
     fetch = fetch_kept(layout)
     box_tests = config.width * (config.packet.rays if CullingTraits.EVERY_RAY in culling.traits else 1)
     mailbox_size = MAILBOXES[config.mailbox].size
-    cached_leaf, cache_leaf, any_hit = occluder.cached_leaf(layout), occluder.cache_leaf(layout), config.answer.ends_at_first
-    width, counting = config.width, config.counters
+    cached_leaf, cache_leaf = occluder.cached_leaf(layout), occluder.cache_leaf(layout)
+    width, counting, any_hit = config.width, config.counters, config.answer.rules.ends_at_first
     row = config.stack.levels * config.width
     max_steps = (MAX_STEPS_UNSPLIT if config.packet.shared_origin else MAX_STEPS_PER_RAY) * config.packet.rays
 

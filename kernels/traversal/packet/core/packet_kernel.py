@@ -54,7 +54,7 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
     layout = packet_layout(config)
     cull_triangles = CULLINGS[config.packet.culling].triangles(layout)
     culling, keep_fronts = config.cull_backfaces, keep_front_faces(layout)
-    test_triangles = test_block(layout, config.answer.ends_at_first, culling)
+    test_triangles = test_block(layout, config.answer.rules.ends_at_first, culling)
     count_active, lanes_per_triangle = active_lanes(layout), lanes_tested(layout)
     filter_tested = MAILBOXES[config.mailbox].filter(config.width)
     width, counting = config.width, config.counters
@@ -110,7 +110,7 @@ def load_hit(layout: PacketLayout) -> wp.Function:
 def ray_continuation(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
     """`wp.func(tree, triangles, packet, k, ray, hits, i, work) -> best`: traces ray k of a packet, a valid one, up to its best
     hit so far; walk_ray: see `trace_single_rays`."""
-    load, any_hit = load_hit(packet_layout(config)), config.answer.ends_at_first
+    load, any_hit = load_hit(packet_layout(config)), config.answer.rules.ends_at_first
 
     @wp.func
     def continue_ray(
@@ -147,7 +147,7 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
     found, and search up to there. walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`. `work` is the work done for
     the packet so far; it is added to that of the first ray.
     """
-    store, counting, packet_rays = config.answer.store, config.counters, config.packet.rays
+    store, counting, packet_rays = config.answer.stored.store, config.counters, config.packet.rays
     needs_single_ray = packet_splitting.needs_single_ray(packet_layout(config))
     continue_ray = ray_continuation(config, Tree, walk_ray)
 
@@ -180,7 +180,7 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
 
 def reverses_bounds(config: TraversalConfig, reversible: bool) -> bool:
     """Whether packets may be bounded as seen from the ends of their rays; reversible: as in `packet_step`."""
-    occlusion = config.answer.ends_at_first and not config.packet.shared_origin
+    occlusion = config.answer.rules.ends_at_first and not config.packet.shared_origin
     return reversible and CullingTraits.REVERSIBLE in CULLINGS[config.packet.culling].traits and occlusion
 
 
@@ -297,8 +297,8 @@ def packet_step(
     """
     layout, parts, culling = packet_layout(config), not config.packet.shared_origin, CULLINGS[config.packet.culling]
     load = load_packet(layout, CullingTraits.SLOPES in culling.traits, later, reverses_bounds(config, reversible))
-    store, fetch = store_packet(layout, config.answer.ends_at_first, config.packet.non_temporal), fetch_hits(layout)
-    fetches = not config.answer.ends_at_first and not config.packet.non_temporal
+    store, fetch = store_packet(layout, config.answer.rules.ends_at_first, config.packet.non_temporal), fetch_hits(layout)
+    fetches = not config.answer.rules.ends_at_first and not config.packet.non_temporal
     single_rays, counting = trace_single_rays(config, Tree, walk_ray), config.counters
     trace = trace_packet(config, Tree, walk_packet, mixed_axes, reversible, later)
 
