@@ -186,8 +186,10 @@ def named(path: str | Path, temporary: Path | None = None) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno is None:  # of NumPy and Pillow, which tell how many bytes were written, or nothing
+        if type(error) is OSError and error.errno is None:  # of NumPy and Pillow, which tell how much was written, or nothing
             raise OSError(f"'{path}' cannot be written ({error}); is the disk full?") from error
+        if error.errno is None:  # of reading
+            raise
         if error.filename is None or temporary in (Path(error.filename), *Path(error.filename).parents):
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise

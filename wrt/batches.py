@@ -16,6 +16,7 @@ _HOME = {
     "GeneratedRays": "wrt.query.batches.block_rows",
     "Histogram": "wrt.query.batches.reductions",
     "Reduction": "wrt.query.batches.reductions",
+    "WeightedSum": "wrt.query.batches.weighted_sums",
 }
 
 __all__ = [*_HOME]

@@ -2,6 +2,7 @@
 from wrt.query.batches.block_rows import GeneratedRays as GeneratedRays
 from wrt.query.batches.reductions import Histogram as Histogram
 from wrt.query.batches.reductions import Reduction as Reduction
+from wrt.query.batches.weighted_sums import WeightedSum as WeightedSum
 from wrt.query.blocks import Blocks as Blocks
 
 __all__ = [
@@ -9,4 +10,5 @@ __all__ = [
     "GeneratedRays",
     "Histogram",
     "Reduction",
+    "WeightedSum",
 ]

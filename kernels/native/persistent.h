@@ -71,6 +71,7 @@ template <class Top> inline CUDA_CALLABLE int root_of(const Top& top, int enviro
 {
     if (environment < 0) return top.root;
     int low = 0, high = top.environments.shape[0];
+    if (environment < high && top.environments.data[environment] == environment) return top.roots.data[environment];
     while (high - low > 1) {
         const int middle = (low + high) / 2;
         (top.environments.data[middle] <= environment ? low : high) = middle;
@@ -127,6 +128,24 @@ template <class All, bool FROM_ZERO> struct Walk {
             scale * ray.reach, t_min(), best.t);
     }
 
+    /// Aims ray i at the upper level, whose extent is in the arguments, or in the device's memory if a graph updates it.
+    CUDA_CALLABLE GivenRay aim_above(const All& all, int i)
+    {
+        const auto& upper = all.space.top;
+        struct {
+            decltype(upper.tree.low) low, high;
+        } box = {upper.tree.low, upper.tree.high};
+        float scale = upper.slack_scale;
+        if (upper.extent.shape[0] > 0) {
+            const float* const extent = (const float*)upper.extent.data;
+            for (int axis = 0; axis < 3; ++axis) box.low.c[axis] = extent[axis], box.high.c[axis] = extent[axis + 3];
+            scale = extent[6];
+        }
+        const GivenRay given = given_ray(box, all.rays, i);
+        aim(given, scale);
+        return given;
+    }
+
     static CUDA_CALLABLE bool is_valid(const GivenRay& ray, float t_min, float t_max)
     {
         return is_ray(
@@ -143,8 +162,7 @@ template <class All, bool FROM_ZERO> struct Walk {
         int root = 0;
         if constexpr (All::NESTED) {
             const auto& upper = all.space.top;
-            const GivenRay given = given_ray(upper.tree, all.rays, i);
-            aim(given, upper.slack_scale);
+            const GivenRay given = aim_above(all, i);
             root = root_of(upper, environment_of(all.rays, i));
             node = root >= 0 && is_valid(given, t_min(), best.t) ? root : DONE;
         } else {
@@ -205,7 +223,7 @@ template <class All, bool FROM_ZERO> struct Walk {
         if constexpr (All::NESTED) {
             if (comes_back) {
                 instance = -1;
-                aim(given_ray(all.space.top.tree, all.rays, number), all.space.top.slack_scale);
+                aim_above(all, number);
             } else if (instance < 0) {
                 go_in(all, word, stack);
             } else {

@@ -90,11 +90,22 @@ template <class Kind, int U, class Top, class Parts> struct PointInstances {
         return own ? top.roots.data[low] : top.shared_root;
     }
 
+    /// The point at the upper level, whose extent is in the arguments, or in the device's memory if a graph updates it.
+    inline CUDA_CALLABLE SearchPoint seen_above(float px, float py, float pz) const
+    {
+        if (top.extent.shape[0] == 0) return point_in(top.tree.low, top.tree.high, px, py, pz);
+        struct {
+            float c[3];
+        } low, high;
+        for (int axis = 0; axis < 3; ++axis) low.c[axis] = top.extent.data[axis], high.c[axis] = top.extent.data[axis + 3];
+        return point_in(low, high, px, py, pz);
+    }
+
     /// Whether the point, relative to the scene's centre, can find anything.
     inline CUDA_CALLABLE bool enter(double px, double py, double pz, unsigned seen, int environment)
     {
         x = px, y = py, z = pz, mask = seen, tried = -1, root = root_of(environment);
-        point = point_in(top.tree.low, top.tree.high, (float)x, (float)y, (float)z);
+        point = seen_above((float)x, (float)y, (float)z);
         return (point.slack == point.slack) & (root >= 0);
     }
 

@@ -22,12 +22,11 @@ from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays, rounded_ray, search_for, store_exact
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
-from wrt.kernels.traversal.two_level.instance_single import PARTS, InstanceTree, root_of
+from wrt.kernels.traversal.two_level.instance_single import PARTS, InstanceTree, root_of, upper_slabs
 
 exact_module(__name__)
 
@@ -132,7 +131,7 @@ def make_exact_instance_kernel(config: TraversalConfig, kind: str, levels: int) 
             search.center = center
             search.ray = ray
             search.mask = ray_mask(seen, i)
-            slabs = ray_slabs(ray.origin, ray.direction, top.slack_scale * reach(ray.origin, top.tree.low, top.tree.high))
+            slabs = upper_slabs(top, ray)
             work = Counters()
             walk_keys(top.tree, root, slabs, ray.t_min, search, exact, i, start(ray.t_max), work)
         store_exact(hits, i, exact)

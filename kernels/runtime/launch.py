@@ -32,6 +32,7 @@ import warp as wp
 from wrt.kernels.compilation import module_compiler
 from wrt.kernels.compilation.cores import available_cores
 from wrt.kernels.compilation.kernel_cache import init_warp
+from wrt.kernels.compilation.local_memory import reserve_local_memory
 from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.cuda_commands import launch_again
@@ -316,6 +317,7 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
     else:
         for kernel in kernels:
             module_compiler.load_modules([kernel.module], device, cuda_block(kernel))
+            reserve_local_memory(kernel, device, cuda_block(kernel))
     _loaded.update((kernel, device.alias) for kernel in kernels)
 
 

@@ -53,10 +53,31 @@ def test_a_step_writes_its_file(cell):
 
 def test_sums_are_those_of_the_rays():
     court = whole_jobs.Court(0.03, 2)
-    rays, sums, months, folder = (contender.run() for contender in whole_jobs.sun_contenders(court)[:4])
+    rays, sums, shade, months, folder = (contender.run() for contender in whole_jobs.sun_contenders(court)[:5])
     np.testing.assert_array_equal(sums, rays.sum(axis=0))
+    np.testing.assert_array_equal(shade.sum(axis=1), sums)
     lit = len(court.suns) - sums
     assert months.shape == (len(lit), 12)
     assert np.abs(months.sum(axis=1) - lit).mean() < 0.05 * lit.mean()  # other origins, and suns behind the floor
-    np.testing.assert_array_equal(folder, sums)
-    assert whole_jobs.rays_of("sun", court) == rays.size
+    np.testing.assert_array_equal(folder, shade)
+    assert court.rays("sun") == rays.size
+
+
+def test_checks_of_a_print_are_those_of_trimesh():
+    made = [contender.run() for contender in whole_jobs.print_contenders(whole_jobs.Print(0.01, 2))[1:3]]
+    for own, other in zip(*made, strict=True):
+        if np.size(own) == 1:
+            assert own == pytest.approx(other, rel=1e-6)
+        elif own.dtype == bool:
+            assert (own == other).mean() > 0.99
+        else:
+            np.testing.assert_allclose(np.median(own), np.median(other), rtol=1e-3)
+
+
+def test_ranges_of_environments_are_those_of_warp():
+    worlds = whole_jobs.Worlds(0.01, 2)
+    own, other = whole_jobs.world_contenders(worlds)[1:]
+    ranges = own.run()
+    worlds.move()  # back, so that the next step is the same again
+    assert 0.1 < np.isfinite(ranges).mean() < 0.9
+    np.testing.assert_allclose(ranges, other.run(), rtol=1e-4)

@@ -279,18 +279,37 @@ def test_the_command_that_goes_on_with_a_job(place):
     (place / "job" / "chunks" / "0000" / "0000000.npz").unlink()
     shown = CliRunner().invoke(main, ["job", "status", str(place / "job")])
     assert shown.exit_code == 0
-    command = f"wrt job run {place / 'job.toml'}"
-    assert f"not running: {command} goes on with it" in shown.output
-    done = CliRunner().invoke(main, ["job", "run", str(place / "job")])
-    assert done.exit_code == 0, done.output
-    assert "1 of 1 blocks" in done.output
+    assert f"not running: wrt job resume {place / 'job'} goes on with it" in shown.output
+    for command in ("run", "resume"):
+        (place / "job" / "chunks" / "0000" / "0000000.npz").unlink(missing_ok=True)
+        done = CliRunner().invoke(main, ["job", command, str(place / "job")])
+        assert done.exit_code == 0, done.output
+        assert "1 of 1 blocks" in done.stdout
+        assert " rays of " in done.stderr  # a line of progress: this is no terminal
     assert json.loads(CliRunner().invoke(main, ["job", "status", "--json", str(place / "job")]).output)["done"] == 1
     (place / "job" / "chunks" / "0000" / "0000000.npz").unlink()
     (place / "job.toml").rename(place.parent / "job.toml")
     assert "no job file beside it names it" in called("job", "run", place / "job")
+    assert "no job file beside it names it" in called("job", "resume", place / "job")
     shown = CliRunner().invoke(main, ["job", "status", str(place / "job")])
     assert "the script or the job file that began it goes on with it" in shown.output
     assert "has no job" in called("job", "run", place)
+
+
+def test_weights_of_a_job_file(place):
+    """Sums in groups; an error names the table, and weights of another query are refused."""
+    np.save(place / "suns.npy", np.random.default_rng(1).normal(size=(6, 3)))
+    months = np.arange(6) % 2 == np.arange(2)[:, None]
+    np.save(place / "months.npy", np.int64(months))
+    given = JOB + '[rays]\norigins = "origins.npy"\ndirections = "suns.npy"\nouter = true\n[output]\nfile = "sums.npy"\n'
+    (place / "job.toml").write_text(given + '[reduce]\nby = "sum"\naxis = 1\nweights = "months.npy"\n')
+    run_job_file(place / "job.toml", False)
+    scene = wrt.Scene.load(place / "scene.npz", device="cpu")
+    dark = scene.occluded(np.load(place / "origins.npy")[:, None], np.load(place / "suns.npy"))
+    np.testing.assert_array_equal(np.load(place / "sums.npy"), dark @ months.T.astype(float))
+    shutil.rmtree(place / "job")
+    assert "[reduce] weights" in fails(place, given + '[reduce]\nby = "mean"\naxis = 1\nweights = "months.npy"\n')
+    assert "there is no file" in fails(place, given + '[reduce]\nby = "sum"\naxis = 1\nweights = "none.npy"\n')
 
 
 def test_closest_points(place):

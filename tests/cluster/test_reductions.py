@@ -68,6 +68,52 @@ def test_sums_of_floats_are_exact(kind):
             assert np.float64(total).tobytes() == np.float64(expected + 0.0).tobytes()
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_weighted_sums(scene, rays, axis, tmp_path):
+    """In groups, along either axis: those of rational numbers, the same bits for any blocks, also from a job's folder."""
+    rng = np.random.default_rng(3)
+    dark = scene.occluded(*rays)
+    count = dark.shape[axis]
+    weights = rng.uniform(-1.0, 1.0, (4, count)) * 10.0 ** rng.integers(-12, 12, (4, 1))
+    weights[1] = np.arange(count) % 3 == 0
+    reduction = wrt.batches.WeightedSum(weights)
+    whole = scene.occluded_blocks(*rays, reduce=reduction, axis=axis).result()
+    assert whole.shape == (dark.shape[1 - axis], 4)
+    for rows, flags in zip(whole[:10], np.moveaxis(dark, axis, 1)[:10], strict=True):
+        exact = [float(sum(map(Fraction, one[flags].tolist()), Fraction(0))) for one in weights]
+        scale = np.abs(weights).sum(axis=1)
+        np.testing.assert_allclose(rows, exact, rtol=0, atol=2.0**-51 * scale.max() * count)
+        assert rows[1] == exact[1]  # whole numbers stay so
+    for size in (1, 7, 33):
+        memory = BYTES_PER_RAY * size * dark.shape[1]
+        parts = scene.occluded_blocks(*rays, reduce=reduction, axis=axis, memory=memory)
+        np.testing.assert_array_equal(parts.result(), whole)
+    job = wrt.cluster.Job(tmp_path / "job", parts)
+    np.testing.assert_array_equal(job.run(most=1).run().result(), whole)
+    with pytest.raises(ValueError, match="other options"):
+        wrt.cluster.Job(tmp_path / "job", scene.occluded_blocks(*rays, reduce=wrt.batches.WeightedSum(-weights), axis=axis))
+    one = scene.occluded_blocks(*rays, reduce=wrt.batches.WeightedSum(weights[1]), axis=axis).result()
+    np.testing.assert_array_equal(one, whole[:, 1])
+    lit = scene.intersect_blocks(*rays, reduce={"is_hit": wrt.batches.WeightedSum(weights[1])}, axis=axis).result()
+    assert lit["is_hit"].shape == one.shape
+
+
+def test_weights_that_do_not_fit(scene, rays):
+    for wrong in ([], [[]], [np.nan], [1e308, 1e308], [[[1.0]]]):
+        with pytest.raises(ValueError, match="weights"):
+            wrt.batches.WeightedSum(wrong)
+    with pytest.raises(TypeError, match="weights"):
+        wrt.batches.WeightedSum(["a"])
+    with pytest.raises(ValueError, match="one axis of this length"):
+        scene.occluded_blocks(*rays, reduce=wrt.batches.WeightedSum(np.ones(50)), axis=0)
+    with pytest.raises(ValueError, match="one axis of this length"):
+        scene.occluded_blocks(*rays, reduce=wrt.batches.WeightedSum(np.ones(3000)))
+    with pytest.raises(TypeError, match="booleans"):
+        scene.count_blocks(*rays, reduce=wrt.batches.WeightedSum(np.ones(60)), axis=0).result()
+    tiny = wrt.batches.WeightedSum([5e-324, 1e-310])
+    assert tiny.finish(tiny.part(np.array([True, False]), (0,))) == 5e-324
+
+
 def test_sums_of_what_is_not_finite():
     """As NumPy adds them: an infinity, NaN of both, NaN of one."""
     values = np.float32([[1, np.inf, 2], [np.inf, -np.inf, 0], [np.nan, 1, 1], [3, 4, 5]])

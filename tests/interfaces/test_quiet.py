@@ -41,6 +41,13 @@ def test_a_missing_driver_is_no_news_and_other_lines_stay(capfd, monkeypatch):
     assert capfd.readouterr().err == target.NO_DRIVER.decode() + "\n"
 
 
+def test_rays_of_a_camera_before_any_scene_are_quiet():
+    """They started Warp with its warning that there is no driver."""
+    code = "import wrt; wrt.PinholeCamera(2, 2, position=(0, -3, 1), look_at=(0, 0, 0)).rays()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert target.NO_DRIVER.decode() not in done.stderr
+
+
 @pytest.mark.parametrize(
     ("before", "environment"),
     [

@@ -8,8 +8,6 @@ import re
 from importlib.resources import files
 from operator import attrgetter
 
-import pytest
-
 import wrt
 
 ELSEWHERE = re.compile(r"\b[Aa]s (in|there)\b")
@@ -87,16 +85,16 @@ def test_some_names_are_public():
     assert set(dir(wrt)) == set(wrt.__all__)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_documented(name):
+def test_documented():
     """By a docstring of its own, whose first line is a sentence, or, for attributes, in that of the class."""
-    owner, attribute = owner_of(name)
-    if owner is not None and in_class_docstring(owner, attribute):
-        return
-    text = inspect.getdoc(NAMES[name])
-    assert text, f"wrt.{name} has no docstring"
-    first = text.split("\n\n")[0]
-    assert first.endswith((".", ":", ".)")), f"the docstring of wrt.{name} does not begin with a sentence: {first!r}"
+    wrong = []
+    for name, member in NAMES.items():
+        owner, attribute = owner_of(name)
+        if owner is None or not in_class_docstring(owner, attribute):
+            first = (inspect.getdoc(member) or "").split("\n\n")[0]
+            if not first.endswith((".", ":", ".)")):
+                wrong.append((name, first))
+    assert not wrong, "docstrings that are missing, or do not begin with a sentence"
 
 
 CALLED = [name for name, member in NAMES.items() if callable(member) or isinstance(member, (classmethod, staticmethod))]
@@ -104,17 +102,19 @@ BY_MODULE = [name for name in CALLED if name.startswith("device.")]
 """What a user's own kernels call: the module's docstring explains it together."""
 
 
-@pytest.mark.parametrize("name", [name for name in CALLED if name not in (*ANSWERS, *BY_MODULE)])
-def test_arguments_are_explained(name):
+def test_arguments_are_explained():
     """Each parameter is named in the docstring, or that refers to another; and each has a type."""
-    member = getattr(NAMES[name], "__func__", NAMES[name])
-    text, parameters = inspect.getdoc(member) or "", inspect.signature(member).parameters
     several = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    own = [key for key, parameter in parameters.items() if key not in ("self", "cls") and parameter.kind not in several]
-    missing = [key for key in own if not re.search(rf"\b{key}\b", text)]
-    assert not missing or ELSEWHERE.search(text), f"the docstring of wrt.{name} does not explain {', '.join(missing)}"
-    untyped = [key for key in own if parameters[key].annotation is inspect.Parameter.empty]
-    assert not untyped, f"wrt.{name}: {', '.join(untyped)} have no type"
+    missing, untyped = [], []
+    for name in (name for name in CALLED if name not in (*ANSWERS, *BY_MODULE)):
+        member = getattr(NAMES[name], "__func__", NAMES[name])
+        text, parameters = inspect.getdoc(member) or "", inspect.signature(member).parameters
+        own = [key for key, one in parameters.items() if key not in ("self", "cls") and one.kind not in several]
+        if not ELSEWHERE.search(text):
+            missing += [f"{name}({key})" for key in own if not re.search(rf"\b{key}\b", text)]
+        untyped += [f"{name}({key})" for key in own if parameters[key].annotation is inspect.Parameter.empty]
+    assert not missing, "arguments that the docstring does not explain"
+    assert not untyped, "arguments without a type"
 
 
 def test_typed():

@@ -145,8 +145,8 @@ def check_sun_hours(names):
 
 def check_shadows(names):
     """The point light and the area light leave some points in light and some in shadow, and see the same points."""
-    assert 0.05 < names["lit"].mean() < 0.95
-    assert names["fraction"].shape == names["lit"].shape
+    assert 0.05 < names["dark"].mean() < 0.95
+    assert names["fraction"].shape == names["dark"].shape
     assert names["fraction"].min() == 0.0
     assert names["fraction"].max() == 1.0
     assert 0.0 < ((names["fraction"] > 0.0) & (names["fraction"] < 1.0)).mean() < 0.5
@@ -172,13 +172,13 @@ def check_moving(names):
 def check_large_scenes(names):
     assert names["scene"].part_count > 10
     assert names["again"].memory < names["again"].bytes / 2
-    assert (names["lit"] <= (names["crossings"] > 0)).all()
+    assert (names["dark"] <= (names["crossings"] > 0)).all()
 
 
 def check_large_batches(names):
     expected = names["scene"].intersect([0, 0, 2], names["lidar"])
     np.testing.assert_array_equal(names["t"], expected.t)
-    np.testing.assert_array_equal(names["lit"], expected.t <= 1.0)
+    np.testing.assert_array_equal(names["dark"], expected.t <= 1.0)
     assert len(list(Path("trees").iterdir())) == 1
     np.testing.assert_array_equal(names["again"].intersect([0, 0, 2], names["lidar"]).t, expected.t)
 

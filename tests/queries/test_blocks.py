@@ -14,6 +14,7 @@ from conftest import mixed_rays
 import wrt
 from wrt.engine.rays.device_rays import to_device
 from wrt.engine.rays.rays import Rays
+from wrt.query.batches import block_limits
 from wrt.query.blocks import BYTES_PER_RAY, parse_memory
 
 COUNT = 3000
@@ -215,6 +216,22 @@ def test_progress(scene, rays, capsys):
     for _ in scene.occluded_blocks(iter([rays]), progress=True):
         break
     assert capsys.readouterr().out == ""
+
+
+def test_progress_in_a_log(capsys, monkeypatch):
+    """Without a terminal: a line after the first block, one a minute, and one at the end, which say how far it is."""
+    now = [0.0]
+    monkeypatch.setattr(block_limits, "perf_counter", lambda: now[0])
+    with block_limits.progress_bar(True, 1_000, start=400) as advance:
+        for _ in range(6):
+            now[0] += 25.0
+            advance(100)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(" rays")[0].split()[-1] for line in lines] == ["500", "800", "1,000"]
+    assert lines[1].endswith("800 rays of 1,000 (80.0%), 0.0 M/s, 0.8 min left")
+    with block_limits.progress_bar(True, None) as advance:
+        advance(2_000_000)
+    assert "min left" not in capsys.readouterr().err
 
 
 def test_amounts_of_memory():

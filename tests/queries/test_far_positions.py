@@ -133,6 +133,9 @@ def test_mesh_files_keep_vertices_or_warn(tmp_path, suffix, scale):
         with pytest.warns(UserWarning, match=rf"\.{suffix} files hold {held}, which moves vertices by up to 0\.") as warned:
             mesh.save(path)
         assert warned[0].filename == __file__
+        said = float(re.search(r"by up to ([0-9.e-]+)", str(warned[0].message))[1])
+        again = wrt.TriangleMesh.load(path)
+        assert np.abs(again.vertices[again.faces] - vertices[mesh.faces]).max() == pytest.approx(said, rel=0.05)
     else:
         mesh.save(path)
     assert [one.name for one in tmp_path.iterdir()] == [f"mesh.{suffix}"]  # all .gltf files of a folder had the same buffers

@@ -61,12 +61,29 @@ def rays(scene) -> tuple[np.ndarray, np.ndarray]:
     return mixed_rays(scene.flattened(), 6000)
 
 
+def inverse_of(map: np.ndarray) -> np.ndarray:
+    """The inverse of a (3, 3) map by elimination with row pivots, in the order in which instances have theirs computed."""
+    rows = np.concatenate([map, np.eye(3)], axis=1)
+    for column in range(3):
+        for row in range(column + 1, 3):
+            if abs(rows[row, column]) > abs(rows[column, column]):
+                rows[[row, column]] = rows[[column, row]]
+        for row in range(column + 1, 3):
+            rows[row] -= (rows[row, column] / rows[column, column]) * rows[column]
+    for row in (2, 1, 0):
+        for known in range(row + 1, 3):
+            rows[row, 3:] -= rows[row, known] * rows[known, 3:]
+        rows[row, 3:] /= rows[row, row]
+    np.testing.assert_allclose(rows[:, 3:], np.linalg.inv(map), rtol=0, atol=1e-12 * np.abs(rows[:, 3:]).max())
+    return rows[:, 3:]
+
+
 def asked_alone(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray) -> list[tuple[np.ndarray, ...]]:
     """(t, triangle, uv, count) of every instance, by brute force on the rays as its map takes them, rounded at the end."""
     answers = []
     for instance, number in zip(scene.instances, scene.geometry_ids, strict=True):
         part = scene.state.parts[number]
-        inverse = np.linalg.inv(instance.transform[:3, :3])
+        inverse = inverse_of(instance.transform[:3, :3])
         place = instance.transform[:3, :3] @ part.center + instance.transform[:3, 3]
         with np.errstate(all="ignore"):
             relative = (origins.astype(np.float64) - scene.center) - (place - scene.center)

@@ -277,6 +277,18 @@ def test_missing_and_broken_images_are_named(tmp_path):
     assert mesh.materials.of_face.tolist() == [0] * 12 + [1]
 
 
+def test_images_that_nothing_places_are_named(tmp_path):
+    """Surfaces became plain without a word."""
+    write_image(tmp_path / "wood.png")
+    (tmp_path / "cube.ply").write_bytes(ply(CUBE, head="comment TextureFile wood.png\n"))
+    with pytest.warns(UserWarning, match=r"no texture coordinates to place the image 'wood.png'"):
+        assert TriangleMesh.load(tmp_path / "cube.ply").materials is None
+    (tmp_path / "wood.mtl").write_text("newmtl wood\nmap_Kd wood.png\n")
+    (tmp_path / "cube.obj").write_text("mtllib wood.mtl\nusemtl wood\n" + obj(CUBE))
+    with pytest.warns(UserWarning, match=r"the material 'wood' has an image, and the mesh has no texture coordinates"):
+        assert TriangleMesh.load(tmp_path / "cube.obj", materials=True).materials.materials[0].color_texture is None
+
+
 def test_colours_and_coordinates_that_are_nan_are_named(tmp_path):
     vertex = POSITION + "property float red\nproperty float green\nproperty float blue\n"
     text = ply(CUBE, vertex=vertex).decode()

@@ -4,6 +4,7 @@
 #include "clusters.h"
 #include "corner_bounds.h"
 #include "events.h"
+#include "instance_updates.h"
 #include "light_raster.h"
 #include "merging.h"
 
@@ -25,6 +26,9 @@ struct Vec4 {
 };
 struct Vec3d {
     double c[3];
+};
+struct Map {
+    double data[3][3];
 };
 template <class T> struct Rows {
     T* data;
@@ -162,6 +166,15 @@ void merged(const MergedTree& tree, const Mesh& mesh, int* found)
 {
     merge_from(tree, 0, 3, true);
     reduce_corners(mesh.vertices.data, mesh.faces.data, 3, 1, 0, found);
+}
+
+void moved(const Map& map, const Vec3d& origin, double* numbers, long long* found, float* bounds)
+{
+    bound_by_team(numbers, 8, 0, 8, map, origin, numbers, 4, 0, 0, 1);
+    keep_least(found, ordered_bits(step_below(numbers[0])));
+    add_all(numbers, of_ordered(found[0]) + power_above(numbers[1]));
+    refit_lane(bounds, 0, 1, 1, 2);
+    meet_block();
 }
 
 void lit(const Vec3d& a, const Vec3d& b, const Vec3d& c, int* words, unsigned long long* entries)

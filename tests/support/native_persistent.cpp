@@ -56,6 +56,7 @@ struct Top {
     Array<int> order, environments, roots;
     Array<Place> placements;
     float slack_scale;
+    Array<float> extent;
     int root, shared_root;
 };
 struct Part {

@@ -53,3 +53,8 @@ def mistakes(mesh: wrt.TriangleMesh, scene: wrt.Scene, origins: np.ndarray, dire
     rig = wrt.sensors.Rig([wrt.sensors.Lidar.preset("velodyne_vlp_16")])  # mistake: arg-type
     rig.measure(scene, origins, seed="one")  # mistake: arg-type
     wrt.TriangleMesh.from_heightmap(origins, spaceing=1.0)  # mistake: call-arg
+    wrt.PinholeCamera(640, 480, position="front", look_at=(0, 0, 0))  # mistake: arg-type
+    wrt.PinholeCamera.framing(mesh, 640, 480, up="z")  # mistake: arg-type
+    wrt.lights.PointLight((0, 0, 1), intensity="bright")  # mistake: arg-type
+    wrt.analysis.exposure(scene, hits, "sun")  # mistake: arg-type
+    wrt.sensors.look_at((0, 0, 1), camera)  # mistake: arg-type

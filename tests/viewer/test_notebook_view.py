@@ -33,7 +33,7 @@ while not (viewer.sessions and all(session.is_idle for session in viewer.session
 
 @pytest.fixture(scope="module")
 def notebook():
-    """Runs cells: run(source) -> outputs."""
+    """Runs cells behind those that show a viewer: run(source) -> outputs. `run.shown` are the outputs of these."""
     made = nbformat.v4.new_notebook()
     client = nbclient.NotebookClient(made, timeout=120)
 
@@ -44,6 +44,7 @@ def notebook():
 
     with client.setup_kernel():
         run(MAKE)
+        run.shown = run(SHOW)
         yield run
         run("viewer.close()")
 
@@ -55,7 +56,7 @@ def text_of(outputs, kind):
 
 def test_shows_itself_in_the_cell(notebook):
     """`wrt.view` returns at once in a notebook, and what it returns is shown as a frame with its address."""
-    outputs = notebook(SHOW)
+    outputs = notebook.shown
     assert len(outputs) == 1  # viser's greeting used to come first
     frame = text_of(outputs, "text/html")
     url = re.search('src="([^"]+)"', frame)[1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from wrt.analysis.analysis_arguments import state_of
 from wrt.kernels.validation import as_direction, as_float, as_int, as_numbers
 
 if TYPE_CHECKING:
+    from wrt.engine.rays.array_types import ArrayLike
     from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
     from wrt.scene.scene import Scene
 
@@ -51,7 +52,13 @@ def visible_faces(scene: Scene, camera: PinholeCamera | OrthographicCamera, *, s
 
 
 def viewshed(
-    scene: Scene, points: Any, observers: Any, *, eye_height: float = 1.7, target_height: float = 0.0, up: Any = (0, 0, 1)
+    scene: Scene,
+    points: ArrayLike,
+    observers: ArrayLike,
+    *,
+    eye_height: float = 1.7,
+    target_height: float = 0.0,
+    up: ArrayLike = (0, 0, 1),
 ) -> np.ndarray:
     """Which points of a terrain are seen by observers who stand on it.
 

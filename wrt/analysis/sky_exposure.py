@@ -19,6 +19,7 @@ from wrt.kernels.shading.surface import Surface
 from wrt.kernels.validation import as_bool, as_direction, as_float, as_int, as_numbers, first_bad
 
 if TYPE_CHECKING:
+    from wrt.engine.rays.array_types import ArrayLike, Numbers
     from wrt.query.hits import Hits
     from wrt.scene.scene import Scene
 
@@ -30,7 +31,7 @@ STREAM = "stream"
 """The traversal of rays to given directions, on the CPU."""
 
 
-def sky_directions(count: int, *, up: Any = (0, 0, 1)) -> np.ndarray:
+def sky_directions(count: int, *, up: ArrayLike = (0, 0, 1)) -> np.ndarray:
     """(count, 3) float32 unit vectors above the horizon, evenly by solid angle: a Fibonacci lattice.
 
     Args:
@@ -49,7 +50,9 @@ def sky_directions(count: int, *, up: Any = (0, 0, 1)) -> np.ndarray:
     return found.astype(np.float32)
 
 
-def exposure(scene: Scene, surface: Hits, directions: Any, *, weights: Any = None, cosine: bool = False) -> np.ndarray:
+def exposure(
+    scene: Scene, surface: Hits, directions: ArrayLike, *, weights: Numbers | None = None, cosine: bool = False
+) -> np.ndarray:
     """How much of given directions, to the sun or the sky, the front of a surface sees.
 
     The sum of the weights of those that are in front of it and not hidden.

@@ -8,6 +8,7 @@
     wrt list                        every builder, traversal, triangle test and built-in scene
     wrt warm                        compiles the kernels of the default paths ahead
     wrt tune model.ply              finds out which engines are the fastest on this machine
+    wrt release                     a wheel with compiled kernels, and a source distribution
     wrt job run job.toml            a resumable batch of rays
     wrt bench bunny.ply             against other ray tracers
 
@@ -118,6 +119,7 @@ for command in (
     LazyCommand("list", "wrt.cli.figures", "list_tables", "Lists every algorithm with its paper, and the built-in scenes."),
     LazyCommand("warm", "wrt.cli.warm", "warm", "Compiles the kernels of the default paths ahead."),
     LazyCommand("tune", "wrt.bench.commands.tune_command", "tune", "Finds out which engines are the fastest on this machine."),
+    LazyCommand("release", "wrt.cli.release", "release", "Makes a wheel with compiled kernels, and a source distribution."),
     LazyCommand("job", "wrt.cli.jobs", "job", "Runs resumable batches of rays, and shows their progress."),
     LazyCommand("bench", "wrt.bench.commands.benchmark", "bench", "Compares wrt with other ray tracers, on the same rays."),
 ):

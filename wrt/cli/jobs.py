@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,15 +24,34 @@ def job() -> None:
 def run_command(file: Path, outside: bool) -> None:
     """Runs the job of FILE, a TOML file, or goes on with it; see the guide about clusters.
 
-    FILE may also be the folder of a job, beside its TOML file. Progress is shown on stderr if that is a terminal. Ctrl-C ends
-    the job after the blocks under way. Run job files of people whom you trust, or without a function and Dask: see the page
-    about security.
+    FILE may also be the folder of a job, beside its TOML file. Progress is shown on stderr: a bar in a terminal, and in a log
+    file a line a minute. Ctrl-C ends the job after the blocks under way. Run job files of people whom you trust, or
+    without a function and Dask: see the page about security.
     """
-    from wrt.cluster.job_file import job_file_of, run_job_file
+    from wrt.cluster.job_file import job_file_of
 
-    file = job_file_of(file) if file.is_dir() else file
+    run_file(job_file_of(file) if file.is_dir() else file, outside)
+
+
+@job.command("resume")
+@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--allow-output-outside", "outside", is_flag=True, help="As in wrt job run.")
+def resume_command(folder: Path, outside: bool) -> None:
+    """Goes on with the job in FOLDER, by the job file beside it; blocks that are done are not computed again.
+
+    A job that a script began is resumed by running that script again: the folder does not hold its scene and its rays.
+    """
+    from wrt.cluster.job_file import job_file_of
+
+    run_file(job_file_of(folder), outside)
+
+
+def run_file(file: Path, outside: bool) -> None:
+    """Runs the job of a file and says how far it is then."""
+    from wrt.cluster.job_file import run_job_file
+
     start_warp(None)
-    click.echo(status_line(run_job_file(file, sys.stderr.isatty(), outside).status))
+    click.echo(status_line(run_job_file(file, True, outside).status))
 
 
 @job.command("status")
@@ -67,6 +85,7 @@ def remedy(folder: Path) -> str:
     from wrt.cluster.job_file import job_file_of
 
     try:
-        return f"wrt job run {quote(str(job_file_of(folder)))} goes on with it"
+        job_file_of(folder)
+        return f"wrt job resume {quote(str(folder))} goes on with it"
     except (ImportError, OSError, ValueError):
         return "the script or the job file that began it goes on with it"

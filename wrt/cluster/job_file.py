@@ -20,6 +20,7 @@
     [reduce]
     by = "sum"                          # of closest hits and points: by = {t = "min"}
     axis = 1
+    # weights = "months.npy"            # of "occluded", with by = "sum": (G, D) sums in groups, as `wrt.batches.WeightedSum`
 
     [executor]
     kind = "processes"                  # or "none", "threads", "dask"
@@ -55,6 +56,7 @@ from wrt.meshes.mesh import TriangleMesh
 from wrt.query.batches.block_outputs import ATTRIBUTES
 from wrt.query.batches.block_rows import GeneratedRays
 from wrt.query.batches.block_work import HIT_QUERIES
+from wrt.query.batches.weighted_sums import WeightedSum
 from wrt.query.batches.workers import ProcessPool, Workers
 from wrt.scene.scene import Scene
 
@@ -83,7 +85,8 @@ def run_job_file(path: Path, progress: bool, outside: bool = False) -> Job:
     arrays = load_points(given["points"], base) if query == "closest_point" else load_rays(given["rays"], base)
     limits = {**given["rays"], **given["points"]}
     bounds = {name: float(limits[name]) for name in ("t_min", "t_max", "max_distance") if name in limits}
-    options = {"reduce": reduce.get("by"), "axis": as_axis(reduce.get("axis")), **given["options"]}
+    by = WeightedSum(load_array(reduce["weights"], "[reduce] weights", base)) if "weights" in reduce else reduce.get("by")
+    options = {"reduce": by, "axis": as_axis(reduce.get("axis")), **given["options"]}
     if "memory" in given:
         options["memory"] = given["memory"]
     with executor_of(given["executor"], base, places["executor", "folder"]) as executor:
@@ -192,7 +195,7 @@ def load_points(given: Mapping[str, Any], base: Path) -> tuple[Any]:
 
 
 def load_array(given: Any, name: str, base: Path) -> Any:
-    """Vectors of a job file: from a file, or numbers that stand in it.
+    """Vectors or weights of a job file: from a file, or numbers that stand in it.
 
     Raises:
         FileNotFoundError: there is no such file.

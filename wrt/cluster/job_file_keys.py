@@ -165,7 +165,7 @@ KEYS: Mapping[str, Mapping[str, Check]] = {
         "shape": shape,
     },
     "points": {"positions": vectors, "max_distance": farthest},
-    "reduce": {"by": reduction, "axis": axis},
+    "reduce": {"by": reduction, "axis": axis, "weights": text},
     "executor": {
         "kind": one_of(KINDS),
         "workers": threads,
@@ -233,6 +233,8 @@ def check_keys(given: dict[str, Any], path: Path) -> None:
     (check_points if given.get("query") == "closest_point" else check_rays)(given, path)
     if "axis" in given["reduce"] and "by" not in given["reduce"]:
         raise ValueError(f"[reduce] in '{path}' has an axis and no by; name what to do along it, such as by = 'sum'")
+    if "weights" in given["reduce"] and (given["reduce"].get("by"), given.get("query", "occluded")) != ("sum", "occluded"):
+        raise ValueError(f"[reduce] weights in '{path}' are for by = 'sum' of query = 'occluded'; leave them out")
     of_hits = given.get("query") in HIT_QUERIES
     if isinstance(given["reduce"].get("by", ""), dict) != of_hits and "by" in given["reduce"]:
         kind = "a table such as {t = 'min'}" if of_hits else "one name, such as 'sum'"

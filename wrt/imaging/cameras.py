@@ -20,6 +20,7 @@ import warp as wp
 
 from wrt.engine.rays.rays import Rays
 from wrt.imaging.view_frames import check_pose, corners_of, default_view, frame_of, nearest_view
+from wrt.kernels.compilation.kernel_cache import init_warp
 from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.shading.pixel_rays import View, orthographic_origins, pinhole_directions
 from wrt.kernels.validation import as_float, as_int, as_point
@@ -27,6 +28,8 @@ from wrt.meshes.up_axis import default_up
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from wrt.engine.rays.array_types import ArrayLike
 
 __all__ = ["OrthographicCamera", "PinholeCamera"]
 
@@ -42,7 +45,7 @@ class _Camera:
         forward, right, up: (3,) float64, orthogonal unit vectors.
     """
 
-    def __init__(self, width: int, height: int, position: Any, look_at: Any, up: Any) -> None:
+    def __init__(self, width: int, height: int, position: ArrayLike, look_at: ArrayLike, up: ArrayLike) -> None:
         self.width = as_int("width", width, 1)
         self.height = as_int("height", height, 1)
         if self.width * self.height > _MAX_PIXELS:
@@ -52,7 +55,7 @@ class _Camera:
         self.forward, self.right, self.up = frame_of(self.look_at - self.position, as_point("up", up))
 
     @classmethod
-    def from_opencv(cls, width: int, height: int, pose: Any, **options: Any) -> Self:
+    def from_opencv(cls, width: int, height: int, pose: ArrayLike, **options: Any) -> Self:
         """A camera at a pose of OpenCV, ROS or COLMAP: x to the right, y down, z forward.
 
         Args:
@@ -68,7 +71,7 @@ class _Camera:
         return cls._at(width, height, check_pose("pose", pose), 1.0, options)
 
     @classmethod
-    def from_opengl(cls, width: int, height: int, pose: Any, **options: Any) -> Self:
+    def from_opengl(cls, width: int, height: int, pose: ArrayLike, **options: Any) -> Self:
         """A camera at a pose of OpenGL, glTF, trimesh or NeRF data: x to the right, y up, looking along -z.
 
         Args:
@@ -112,6 +115,7 @@ class _Camera:
             TypeError: an argument is not a whole number.
             ValueError: a value out of range.
         """
+        init_warp()
         device = wp.get_device("cpu")
         refuse_capture("rays in NumPy arrays", device)
         rays = self.rays_on(device, 0, self.width * self.height, pixel_offset(sample, samples, seed))
@@ -175,7 +179,14 @@ class PinholeCamera(_Camera):
     """
 
     def __init__(
-        self, width: int, height: int, *, fov: float = 45.0, position: Any, look_at: Any, up: Any = (0.0, 0.0, 1.0)
+        self,
+        width: int,
+        height: int,
+        *,
+        fov: float = 45.0,
+        position: ArrayLike,
+        look_at: ArrayLike,
+        up: ArrayLike = (0.0, 0.0, 1.0),
     ) -> None:
         super().__init__(width, height, position, look_at, up)
         self.fov = check_fov(fov)
@@ -187,7 +198,7 @@ class PinholeCamera(_Camera):
         )
 
     @classmethod
-    def from_blender(cls, width: int, height: int, matrix_world: Any, *, angle: float) -> PinholeCamera:
+    def from_blender(cls, width: int, height: int, matrix_world: ArrayLike, *, angle: float) -> PinholeCamera:
         """The view of a perspective camera of Blender, with the sensor fit "AUTO" and no shift.
 
         Args:
@@ -214,8 +225,8 @@ class PinholeCamera(_Camera):
         height: int,
         *,
         fov: float = 45.0,
-        towards: Any = None,
-        up: Any = None,
+        towards: ArrayLike | None = None,
+        up: ArrayLike | None = None,
         margin: float = 0.05,
     ) -> PinholeCamera:
         """A camera that shows all of a mesh or scene, as large as the image allows.
@@ -282,7 +293,14 @@ class OrthographicCamera(_Camera):
     """
 
     def __init__(
-        self, width: int, height: int, *, view_height: float, position: Any, look_at: Any, up: Any = (0.0, 0.0, 1.0)
+        self,
+        width: int,
+        height: int,
+        *,
+        view_height: float,
+        position: ArrayLike,
+        look_at: ArrayLike,
+        up: ArrayLike = (0.0, 0.0, 1.0),
     ) -> None:
         super().__init__(width, height, position, look_at, up)
         self.view_height = _check_number("view_height", view_height)
@@ -292,7 +310,7 @@ class OrthographicCamera(_Camera):
             )
 
     @classmethod
-    def from_blender(cls, width: int, height: int, matrix_world: Any, *, ortho_scale: float) -> OrthographicCamera:
+    def from_blender(cls, width: int, height: int, matrix_world: ArrayLike, *, ortho_scale: float) -> OrthographicCamera:
         """The view of an orthographic camera of Blender, with the sensor fit "AUTO" and no shift.
 
         Args:

@@ -55,7 +55,7 @@ class Mover:
 
         Args:
             state: the old one.
-            moves: rows, transforms, inverses and masks, as `Moves` names them.
+            moves: rows, transforms and masks, as `Moves` names them.
             boxes: are changed.
             arrays: table, low, high, bounds of the tree, and extremes; are changed.
         """
@@ -105,7 +105,6 @@ def move_few(
     moves = {
         "rows": rows.astype(np.int32),
         "transforms": transforms,
-        "inverses": np.linalg.inv(transforms[:, :3, :3]),
         "masks": np.array([instances[row].mask for row in rows], dtype=np.uint32),
     }
     boxes, table, tree, extremes = state.boxes.copied(), state.table.copy(), state.tree, np.empty(EXTREMES + 2)

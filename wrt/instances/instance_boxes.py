@@ -62,8 +62,8 @@ class InstanceBoxes:
     norms: np.ndarray
 
     @classmethod
-    def of(cls, transforms: np.ndarray, numbers: np.ndarray, covers: Covers) -> InstanceBoxes:
-        """Computes them.
+    def of(cls, transforms: np.ndarray, numbers: np.ndarray, covers: Covers) -> tuple[InstanceBoxes, np.ndarray]:
+        """Computes them, and the (N, 3, 3) inverses of the linear parts of the transforms.
 
         Args:
             transforms: (N, 4, 4).
@@ -71,15 +71,14 @@ class InstanceBoxes:
             covers: of the meshes.
         """
         count, cpu = len(transforms), wp.get_device("cpu")
-        made = cls(np.empty((count, 3)), np.empty((6, count)), np.empty(count))
+        made, inverses = cls(np.empty((count, 3)), np.empty((6, count)), np.empty(count)), np.empty((count, 3, 3))
         bounded = BoundedInstances()
         bounded.origin = on_device(made.origin, wp.vec3d, cpu)
         bounded.corners, bounded.norms = (on_device(values, wp.float64, cpu) for values in (made.box, made.norms))
         maps = on_device(np.ascontiguousarray(transforms), wp.mat44d, cpu)
-        inverses = on_device(np.linalg.inv(transforms[:, :3, :3]), wp.mat33d, cpu)
-        inputs = [maps, inverses, on_device(numbers.astype(np.int32), int, cpu), covers.struct, bounded]
-        launch(bound_instances, count, inputs, device=cpu, chunk=4)
-        return made
+        inputs = [maps, on_device(numbers.astype(np.int32), int, cpu), covers.struct, bounded]
+        launch(bound_instances, count, [*inputs, on_device(inverses, wp.mat33d, cpu)], device=cpu, chunk=4)
+        return made, inverses
 
     @cached_property
     def extremes(self) -> list[float]:
@@ -134,10 +133,11 @@ class InstanceBoxes:
         )
 
 
-def write_maps(table: np.ndarray, rows: Any, transforms: np.ndarray) -> None:
-    """Writes the maps of some instances, (M, 4, 4) transforms, into a (N,) table of `Placement`; not their origins."""
+def write_maps(table: np.ndarray, rows: Any, transforms: np.ndarray, inverses: np.ndarray) -> None:
+    """Writes the maps of some instances, (M, 4, 4) transforms and (M, 3, 3) inverses, into a (N,) table of `Placement`; not
+    their origins."""
     table["to_scene"][rows] = transforms[:, :3, :3]
-    table["to_object"][rows] = np.linalg.inv(transforms[:, :3, :3])
+    table["to_object"][rows] = inverses
 
 
 @dataclass
@@ -148,8 +148,9 @@ class UpperTree(common.Bvh):
         parts_depth: the greatest depth of the trees of meshes, for traversals whose stacks serve both levels.
         forest: its nodes on the host.
         environments, roots: on the device, as in the forest.
-        corners: the boxes of the instances, (N, 3) float32 each.
+        corners: the boxes of the instances, (N, 3) float32 each; None, as `host`, after a move on the device.
         host: (nodes, 6, W) `bounds` on the host.
+        extent: as in `InstanceTree`, in the memory of a graph that moves instances; else None.
         built_cost: of the forest (`InstanceForest.cost`) when it was built.
         cost: the same now; None if it was not computed.
     """
@@ -160,6 +161,7 @@ class UpperTree(common.Bvh):
     roots: wp.array | None = None
     corners: tuple[np.ndarray, np.ndarray] | None = None
     host: np.ndarray | None = None
+    extent: wp.array | None = None
     built_cost: float = 0.0
     cost: float | None = None
 
@@ -286,4 +288,19 @@ def cover(part: SceneState) -> np.ndarray:
     ranked = points[order].astype(np.float64)
     corners = np.stack([np.minimum.reduceat(ranked, begins), np.maximum.reduceat(ranked, begins)])
     choices = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, 8)
-    return np.concatenate([np.stack([corners[c, :, axis] for axis, c in enumerate(choice)], axis=1) for choice in choices.T])
+    return np.concatenate([outermost(corners[choice, :, range(3)].T, 2.0 * choice - 1.0) for choice in choices.T])
+
+
+def outermost(points: np.ndarray, signs: np.ndarray) -> np.ndarray:
+    """Those of (P, 3) points that no other one exceeds in all three coordinates times their (3,) signs.
+
+    A corner of a cell is farthest of its cell only along directions of its own signs, along which another such corner that
+    exceeds it is as far or farther, in rounded arithmetic too. So boxes stay the same without it.
+    """
+    ranked = points * signs
+    ranked = ranked[np.argsort(-ranked.sum(axis=1), kind="stable")]
+    for others in (ranked[:FEW_MOVED], None):
+        by = ranked if others is None else others
+        is_below = (by[:, None] >= ranked).all(axis=2) & (by[:, None] > ranked).any(axis=2)
+        ranked = ranked[~is_below.any(axis=0)]
+    return ranked * signs

@@ -7,13 +7,16 @@ rays pass through them, so that they cast no shadow. For a light that does, give
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wrt.kernels.validation import as_bool, as_direction, as_float, as_point
 from wrt.materials.material import Color, as_color
 from wrt.meshes.placement import MAX_COORDINATE
+
+if TYPE_CHECKING:
+    from wrt.engine.rays.array_types import ArrayLike, Numbers
 
 __all__ = ["AreaLight", "DirectionalLight", "PointLight", "SpotLight"]
 
@@ -42,7 +45,7 @@ class PointLight:
         ValueError: a value that is not finite, or negative; a position beyond 2^120.
     """
 
-    def __init__(self, position: Any, intensity: Any = 1.0) -> None:
+    def __init__(self, position: ArrayLike, intensity: Numbers = 1.0) -> None:
         self.position = place("position", position)
         self.intensity: Color = as_color("intensity", intensity)
 
@@ -64,7 +67,13 @@ class SpotLight(PointLight):
     """
 
     def __init__(
-        self, position: Any, look_at: Any, intensity: Any = 1.0, *, angle: float = 30.0, inner: float | None = None
+        self,
+        position: ArrayLike,
+        look_at: ArrayLike,
+        intensity: Numbers = 1.0,
+        *,
+        angle: float = 30.0,
+        inner: float | None = None,
     ) -> None:
         super().__init__(position, intensity)
         self.direction = as_direction("look_at - position", as_point("look_at", look_at) - self.position)
@@ -88,7 +97,7 @@ class DirectionalLight:
         ValueError: a value that is not finite, or negative; no direction.
     """
 
-    def __init__(self, direction: Any, irradiance: Any = 1.0) -> None:
+    def __init__(self, direction: ArrayLike, irradiance: Numbers = 1.0) -> None:
         self.direction = as_direction("direction", direction)
         self.irradiance: Color = as_color("irradiance", irradiance)
 
@@ -119,7 +128,9 @@ class AreaLight:
     two_sided: bool
 
     @classmethod
-    def rectangle(cls, corner: Any, edge1: Any, edge2: Any, radiance: Any = 1.0, *, two_sided: bool = False) -> AreaLight:
+    def rectangle(
+        cls, corner: ArrayLike, edge1: ArrayLike, edge2: ArrayLike, radiance: Numbers = 1.0, *, two_sided: bool = False
+    ) -> AreaLight:
         """A parallelogram; its front is the side of edge1 x edge2.
 
         Args:
@@ -133,7 +144,9 @@ class AreaLight:
         return cls._flat("rectangle", corner, edge1, edge2, radiance, two_sided)
 
     @classmethod
-    def triangle(cls, a: Any, b: Any, c: Any, radiance: Any = 1.0, *, two_sided: bool = False) -> AreaLight:
+    def triangle(
+        cls, a: ArrayLike, b: ArrayLike, c: ArrayLike, radiance: Numbers = 1.0, *, two_sided: bool = False
+    ) -> AreaLight:
         """A triangle; its front is the side from which its corners are in counter-clockwise order.
 
         Args:
@@ -147,7 +160,7 @@ class AreaLight:
         return cls._flat("triangle", a, place("b", b) - a, place("c", c) - a, radiance, two_sided)
 
     @classmethod
-    def sphere(cls, center: Any, radius: float, radiance: Any = 1.0) -> AreaLight:
+    def sphere(cls, center: ArrayLike, radius: float, radiance: Numbers = 1.0) -> AreaLight:
         """A sphere, which emits outward; it lights nothing inside it.
 
         Args:

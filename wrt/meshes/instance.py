@@ -201,29 +201,29 @@ def matrices_of(transforms: wp.array) -> np.ndarray:
     return matrices
 
 
-def check_environment(environment: Any, name: str = "environment") -> int:
+def check_environment(environment: Any) -> int:
     """Checks that an environment is an int from -1 to 2^31 - 1.
 
     Raises:
         TypeError: not an int.
         ValueError: out of range.
     """
-    environment = as_int(name, environment)
+    environment = as_int("environment", environment)
     if not EVERY <= environment <= MAX_ENVIRONMENT:
-        raise ValueError(f"{name} is {environment}; it must be from 0 to 2**31 - 1, or -1 for all environments")
+        raise ValueError(f"environment is {environment}; it must be from 0 to 2**31 - 1, or -1 for all environments")
     return environment
 
 
-def check_mask(mask: Any, name: str = "mask") -> int:
+def check_mask(mask: Any) -> int:
     """Checks that a mask is an int from 0 to 2^32 - 1.
 
     Raises:
         TypeError: not an int.
         ValueError: out of range.
     """
-    mask = as_int(name, mask)
+    mask = as_int("mask", mask)
     if not 0 <= mask <= MAX_MASK:
-        raise ValueError(f"{name} is {mask}; it must be from 0 to 2**32 - 1, bits combined as 1 << 0 | 1 << 3")
+        raise ValueError(f"mask is {mask}; it must be from 0 to 2**32 - 1, bits combined as 1 << 0 | 1 << 3")
     return mask
 
 

@@ -84,7 +84,7 @@ class Blocks:
             self.shape = rows_shape(source, "the rays")
             self.work = replace(work, rays=source, axes=len(self.shape))
             if work.query.reduction is not None:
-                work.query.reduction.axes(len(self.shape))
+                work.query.reduction.check(self.shape)
 
     def __repr__(self) -> str:
         return f"Blocks(shape={self.shape}, memory={self._bytes} bytes)"

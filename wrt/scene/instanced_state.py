@@ -22,12 +22,13 @@ from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.engine.facts.query_cache import QueryCache
 from wrt.engine.facts.scene_state import SceneState, Settings, new_mark
+from wrt.instances.device_moves import DeviceMoves, MovedInstances, fetched, move_on_device, transforms_on
 from wrt.instances.few_moves import MOST_AT_ONCE, move_few
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, UpperTree, build_upper, cover, on_device, write_maps
 from wrt.instances.instance_tables import first_triangles, geometry_table, part_table, upper_struct
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
-from wrt.kernels.runtime.launch import kept, use_threads
+from wrt.kernels.runtime.launch import kept, refuse_capture, use_threads
 from wrt.meshes.instance import Instance, as_instances, check_environment, check_extent, check_mask, check_transforms
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.node_graph import NodeGraph
@@ -56,6 +57,8 @@ class InstancedState(SceneState):
         moved: instances that moved since the upper level was built or its cost measured, of those in trees of several nodes.
         last_update: of the tree of the mesh whose vertices the last update moved; None if it moved none.
         graph: the nodes on which instances hang; None if the scene was made without a graph.
+        device_moves: the arrays of instances that moved on the device; then `table` is None.
+        triangles: of all instances together.
     """
 
     refused: ClassVar[dict[str, str]] = {
@@ -71,11 +74,13 @@ class InstancedState(SceneState):
     moved: int = 0
     last_update: UpdateReport | None = None
     graph: NodeGraph | None = None
+    device_moves: DeviceMoves | None = None
+    triangles: int = 0
 
     @property
     def triangle_count(self) -> int:
         """Number of triangles of all instances together."""
-        return int(sum(self.mesh_states[number].triangle_count for number in self.geometry_ids))
+        return self.triangles
 
     @property
     def parts(self) -> tuple[MeshState, ...]:
@@ -161,7 +166,15 @@ class InstancedState(SceneState):
             )
         if vertices is None and transform is None and mask is None and environment is None:
             raise TypeError("there is nothing to update; pass vertices, transform, mask or environment")
-        chosen = self.chosen(index)
+        chosen = None if is_all(index, len(self.instances)) else self.chosen(index)
+        if vertices is None and mask is None and environment is None:
+            moved = self._moved_on_device(chosen, transform)
+            if moved is not None:
+                return moved
+        refuse_capture("such an update", self.device)
+        if self.device_moves is not None:
+            return self.on_host().updated(index, vertices, transform, mask, policy, environment)
+        chosen = np.arange(len(self.instances)) if chosen is None else chosen
         matrices = None if transform is None else check_transforms(transform, len(chosen))
         mask = None if mask is None else check_mask(mask)
         environment = None if environment is None else check_environment(environment)
@@ -179,6 +192,40 @@ class InstancedState(SceneState):
             if environment is not None:
                 return self.with_instances(tuple(instances), self.graph)
             return self._moved(tuple(instances), chosen if len(chosen) == 1 else np.unique(chosen))
+
+    def _moved_on_device(self, rows: np.ndarray | None, transform: Any) -> InstancedState | None:
+        """The state after instances have moved by transforms on its device; None if they go through the host.
+
+        rows: (M,) the instances; None for all.
+        """
+        count, device = len(self.instances) if rows is None else len(rows), self.device
+        given = None if device.is_cpu and count <= MOST_AT_ONCE else transforms_on(device, transform, count)
+        if given is None:
+            return None
+        is_known = rows is None or (self.device_moves is not None and self.device_moves.has_chosen(rows))
+        if not is_known and len(np.unique(rows)) < count:
+            return None
+        forest = self.tree.forest
+        moved = self.moved + (forest.layered_count if rows is None else int(np.count_nonzero(forest.layered[rows])))
+        is_due = 2 * moved > forest.layered_count and not device.is_capturing
+        with use_threads(self.num_threads):
+            done = move_on_device(self, rows, given, is_due)
+            if done is None:
+                return None
+            device_moves, boxes, placements, tree = done
+            if not (device.is_capturing or boxes.are_resolved):
+                return None
+            base = self.instances.base if isinstance(self.instances, MovedInstances) else self.instances
+            instances: Any = MovedInstances(base, device_moves.transforms)
+            state = assemble(self, instances, boxes, None, tree, 0 if is_due else moved, placements, device_moves)
+            if is_due and state.tree.is_degraded:
+                state = state.on_host()
+                return place(state, state.instances, state.boxes, state.table, None, 0)
+        return state
+
+    def on_host(self) -> InstancedState:
+        """This state with all that the host needs of it, if its instances moved on the device."""
+        return self if self.device_moves is None else replace(self, **fetched(self))
 
     def chosen(self, index: Any) -> np.ndarray:
         """(M,) numbers of the instances that a caller means: an index, or several; errors as in `wrt.Scene.update`."""
@@ -221,11 +268,12 @@ class InstancedState(SceneState):
                 return assemble(self, instances, *found, moved)
         transforms = np.array([instances[row].transform for row in rows])
         numbers = np.array([self.geometry_ids[row] for row in rows])
-        boxes = self.boxes.with_rows(rows, InstanceBoxes.of(transforms, numbers, self.covers))
+        moved_boxes, inverses = InstanceBoxes.of(transforms, numbers, self.covers)
+        boxes = self.boxes.with_rows(rows, moved_boxes)
         if not boxes.are_resolved:
             check_extent(instances, self.geometry_ids, [part.meshes[0] for part in self.mesh_states])
         table = self.table.copy()
-        write_maps(table, rows, transforms)
+        write_maps(table, rows, transforms, inverses)
         table["mask"][rows] = [instances[row].mask for row in rows]
         return place(self, instances, boxes, table, self.tree, moved, rows)
 
@@ -235,6 +283,8 @@ class InstancedState(SceneState):
         Raises:
             ValueError: as `wrt.moving.InstancedScene`.
         """
+        if self.device_moves is not None:
+            return self.on_host().with_instances(instances, graph)
         known = {}
         for given, state, points in zip(self.given, self.mesh_states, self.covers.each, strict=True):
             known[id(given)] = known[id(state.meshes[0])] = state, points
@@ -250,6 +300,11 @@ class InstancedState(SceneState):
             return replace(self, graph=graph)
         moved = self.updated(rows, None, graph.world[graph.node_of[rows]], None, None)
         return replace(moved, graph=graph)
+
+
+def is_all(index: Any, count: int) -> bool:
+    """Whether an index names all instances in their order, as a range."""
+    return type(index) is range and index == range(count)
 
 
 def build_instanced_state(geometry: Any, settings: Settings, cache: Any) -> InstancedState:
@@ -311,9 +366,9 @@ def place_instances(
     """The state of instances of meshes: builds the upper level; errors as in `first_triangles`."""
     first = first_triangles(states, geometry_ids)
     transforms, known = np.array([instance.transform for instance in instances]), Covers.of(covers, states)
-    boxes = InstanceBoxes.of(transforms, np.array(geometry_ids), known)
+    boxes, inverses = InstanceBoxes.of(transforms, np.array(geometry_ids), known)
     table: Any = np.zeros(len(instances), dtype=Placement.numpy_dtype())  # type: ignore[attr-defined]
-    write_maps(table, slice(None), transforms)
+    write_maps(table, slice(None), transforms, inverses)
     table["geometry"], table["first"] = geometry_ids, first[:-1]
     table["mask"] = [instance.mask for instance in instances]
     mesh = SceneMesh()
@@ -333,6 +388,7 @@ def place_instances(
         boxes=boxes,
         table=table,
         given=tuple(state.meshes[0] for state in states),
+        triangles=int(first[-1]),
     )
     return place(blank, instances, boxes, table, None, 0)
 
@@ -376,15 +432,17 @@ def assemble(
     old: InstancedState,
     instances: tuple[Instance, ...],
     boxes: InstanceBoxes,
-    table: np.ndarray,
+    table: np.ndarray | None,
     tree: UpperTree,
     moved: int,
+    placements: wp.array | None = None,
+    device_moves: DeviceMoves | None = None,
 ) -> InstancedState:
-    """As `place`, with all that is on the host; the table has origins, and the tree is around the boxes."""
+    """As `place`; the table has origins, and the tree is around the boxes. Without a table, the placements are given."""
     mesh, center = SceneMesh(), boxes.frame[0]
     mesh.geometry_first, mesh.geometries = old.device_mesh.geometry_first, old.device_mesh.geometries
     mesh.center, mesh.low, mesh.high = wp.vec3d(*center), tree.low, tree.high
-    mesh.placements = on_device(table, Placement, old.settings.device)
+    mesh.placements = on_device(table, Placement, old.settings.device) if placements is None else placements
     if old.built_tree is not None and old.tree.forest is tree.forest:
         cache = old.cache.of_moved()
     else:
@@ -401,4 +459,5 @@ def assemble(
         moved=moved,
         cache=cache,
         last_update=None,
+        device_moves=device_moves,
     )

@@ -145,7 +145,8 @@ class Scene(Queries, Members):
                 are NaN or infinite, triangles that spread too far (as for the class), a transform or a mask in a scene
                 without instances, one that `wrt.Instance` refuses, or an unknown name. The scene is then unchanged.
         """
-        refuse_capture("an update", self.device)
+        if transform is None or self.device.is_cpu:  # those on a CUDA device can be part of a graph
+            refuse_capture("an update", self.device)
         self.state = self.state.updated(index, vertices, transform, mask, as_policy(rebuild), environment)
 
     def updating(self, *args: Any, threads: int = 1, **options: Any) -> AbstractContextManager[None]:
@@ -241,7 +242,7 @@ class Scene(Queries, Members):
     @property
     def instances(self) -> tuple[Instance, ...]:
         """The instances of a scene of two levels, in the order of instance ids; empty in a scene of meshes."""
-        return self.state.instances
+        return tuple(self.state.instances)
 
     @property
     def geometry_ids(self) -> tuple[int, ...]:

@@ -34,10 +34,11 @@ def sliced(state: InstancedState, chosen: list[int], transforms: np.ndarray) -> 
     Raises:
         ValueError: as `wrt.Scene.update`.
     """
+    state = state.on_host()
     slices, moving, count = len(transforms), np.array(chosen), len(state.instances)
     matrices = check_transforms(transforms.reshape(-1, 4, 4), slices * len(chosen))
     numbers = np.tile(np.array(state.geometry_ids)[moving], slices)
-    moved = InstanceBoxes.of(matrices, numbers, state.covers)
+    moved, inverses = InstanceBoxes.of(matrices, numbers, state.covers)
     still = np.setdiff1d(np.arange(count), moving)
     boxes = joined(state.boxes, still, moved)
     if not boxes.are_resolved:
@@ -49,7 +50,7 @@ def sliced(state: InstancedState, chosen: list[int], transforms: np.ndarray) -> 
     rows = (np.arange(slices)[:, None] * count + moving).ravel()
     table, center = np.tile(state.table, slices), np.array(boxes.frame[0])
     table["origin"] = np.tile(state.boxes.origin - center, (slices, 1))
-    write_maps(table, rows, matrices)
+    write_maps(table, rows, matrices, inverses)
     table["origin"][rows] = moved.origin - center
     environments = np.concatenate([np.full(len(still), -1), np.repeat(np.arange(slices), len(chosen))]).astype(np.int32)
     old, device = state.tree, state.device

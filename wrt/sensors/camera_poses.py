@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wrt.imaging.view_frames import check_pose
 from wrt.sensors.checks import check_matrix, check_real
 
+if TYPE_CHECKING:
+    from wrt.engine.rays.array_types import ArrayLike
+
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From the optical frame to OpenGL's, whose y points up and whose z points backward; and back."""
 
 
-def pose_from_opengl(pose: Any) -> np.ndarray:
+def pose_from_opengl(pose: ArrayLike) -> np.ndarray:
     """The pose of a camera of OpenGL, glTF, trimesh or Blender, which looks along -z, with y up.
 
         images = camera.capture(scene, wrt.sensors.pose_from_opengl(np.array(blender_camera.matrix_world)))
@@ -30,7 +33,7 @@ def pose_from_opengl(pose: Any) -> np.ndarray:
     return check_pose("pose", pose) @ FLIP
 
 
-def pose_from_extrinsics(extrinsics: Any) -> np.ndarray:
+def pose_from_extrinsics(extrinsics: ArrayLike) -> np.ndarray:
     """The pose of a camera, from its optical frame to the world, of OpenCV's extrinsics, which map the world to that frame.
 
     Args:
@@ -59,7 +62,7 @@ def _no_view(forward: np.ndarray, up: np.ndarray) -> str:
     return f"up is parallel to the view, as for a camera that looks straight down; pass another direction, such as up={other}"
 
 
-def look_at(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> np.ndarray:
+def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> np.ndarray:
     """The pose of a camera's optical frame at a position, with the target on its axis.
 
     Args:

@@ -38,9 +38,9 @@ class LidarPreset:
     attributes: Callable[..., Attributes]
 
 
-def threshold(reflectance: float, range: float, reference_range: float = 10.0) -> float:
+def threshold(reflectance: float, range: float) -> float:
     """The intensity of a surface of some reflectance, met at a right angle, at the greatest range at which it is detected."""
-    return reflectance * (reference_range / range) ** 2
+    return reflectance * (10.0 / range) ** 2  # 10 m: the default of `Lidar.reference_range`
 
 
 def velodyne_vlp16(*, rate: float = 10.0, **options: Any) -> Attributes:

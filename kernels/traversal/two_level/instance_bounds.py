@@ -79,12 +79,45 @@ def linear_part(transform: wp.mat44d):
 
 
 @wp.func
+def inverse_map(m: wp.mat33d):
+    """The inverse by elimination with row pivots: the same bits on every device, as no library is asked."""
+    left = m
+    right = wp.identity(n=3, dtype=wp.float64)
+    for column in range(3):
+        for row in range(column + 1, 3):
+            if wp.abs(left[row, column]) > wp.abs(left[column, column]):
+                for k in range(3):
+                    kept = left[row, k]
+                    left[row, k] = left[column, k]
+                    left[column, k] = kept
+                    kept = right[row, k]
+                    right[row, k] = right[column, k]
+                    right[column, k] = kept
+        for row in range(column + 1, 3):
+            factor = left[row, column] / left[column, column]
+            for k in range(3):
+                left[row, k] = left[row, k] - factor * left[column, k]
+                right[row, k] = right[row, k] - factor * right[column, k]
+    for k in range(3):
+        right[2, k] = right[2, k] / left[2, 2]
+        right[1, k] = (right[1, k] - left[1, 2] * right[2, k]) / left[1, 1]
+        right[0, k] = ((right[0, k] - left[0, 1] * right[1, k]) - left[0, 2] * right[2, k]) / left[0, 0]
+    return right
+
+
+@wp.func
+def scene_origin(transform: wp.mat44d, center: wp.vec3d):
+    """Where a transform puts the centre of a mesh."""
+    return linear_part(transform) * center + wp.vec3d(transform[0, 3], transform[1, 3], transform[2, 3])
+
+
+@wp.func
 def bound_instance(
     transform: wp.mat44d, to_object: wp.mat33d, mesh: int, cover: CoverPoints, i: int, bounded: BoundedInstances
 ):
     """Writes where instance i is, by its transform and the inverse of its linear part."""
     to_scene = linear_part(transform)
-    origin = to_scene * cover.centers[mesh] + wp.vec3d(transform[0, 3], transform[1, 3], transform[2, 3])
+    origin = scene_origin(transform, cover.centers[mesh])
     bounded.origin[i] = origin
     bounded.norms[i] = norm(to_scene) * norm(to_object)
     bound_points(cover.points, cover.begins[mesh], cover.begins[mesh + 1], to_scene, origin, bounded.corners, i)
@@ -94,11 +127,12 @@ def bound_instance(
 def bound_instances(
     first: int,
     transforms: wp.array(dtype=wp.mat44d),
-    to_object: wp.array(dtype=wp.mat33d),
     mesh: wp.array(dtype=int),
     cover: CoverPoints,
     bounded: BoundedInstances,
+    to_object: wp.array(dtype=wp.mat33d),
 ):
-    """Writes where an instance is. Item: an instance."""
+    """Writes where an instance is, and the inverse of its map. Item: an instance."""
     i = first + wp.tid()
+    to_object[i] = inverse_map(linear_part(transforms[i]))
     bound_instance(transforms[i], to_object[i], mesh[i], cover, i, bounded)

@@ -8,7 +8,13 @@ import warp as wp
 
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.two_level.instance_bounds import BoundedInstances, CoverPoints, bound_instance, linear_part
+from wrt.kernels.traversal.two_level.instance_bounds import (
+    BoundedInstances,
+    CoverPoints,
+    bound_instance,
+    inverse_map,
+    linear_part,
+)
 
 exact_module(__name__)
 
@@ -29,8 +35,6 @@ class Moves:
     rows: wp.array(dtype=int)
     """(M,) their numbers."""
     transforms: wp.array(dtype=wp.mat44d)
-    inverses: wp.array(dtype=wp.mat33d)
-    """(M,) inverses of the linear parts."""
     masks: wp.array(dtype=wp.uint32)
     center: wp.vec3d
     """Of the scene."""
@@ -131,9 +135,9 @@ def move_instances(
     for k in range(moves.rows.shape[0]):
         i = moves.rows[k]
         placement = table[i]
-        bound_instance(moves.transforms[k], moves.inverses[k], placement.geometry, cover, i, bounded)
         placement.to_scene = linear_part(moves.transforms[k])
-        placement.to_object = moves.inverses[k]
+        placement.to_object = inverse_map(placement.to_scene)
+        bound_instance(moves.transforms[k], placement.to_object, placement.geometry, cover, i, bounded)
         placement.origin = bounded.origin[i] - moves.center
         placement.mask = moves.masks[k]
         table[i] = placement

@@ -27,6 +27,7 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.instance_maps import Placement, SceneRay, object_ray
 from wrt.kernels.layout.kdtree_nodes import KdNodes
+from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.leaf import Counters
@@ -48,6 +49,8 @@ class InstanceTree:
     placements: wp.array(dtype=Placement)
     slack_scale: float
     """Factor of a ray's reach for the slack of the boxes."""
+    extent: wp.array(dtype=float)
+    """(7,) in place of the lowest and highest corner of all boxes and of `slack_scale`, if a graph updates them; else empty."""
     root: int
     """Node above all instances."""
     shared_root: int
@@ -79,6 +82,19 @@ PARTS = {"bvh": BvhPart, "kdtree": KdTreePart}
 
 
 @wp.func
+def upper_slabs(top: InstanceTree, ray: Ray):
+    """Prepares a ray of the scene for tests of the upper tree's boxes."""
+    low = top.tree.low
+    high = top.tree.high
+    scale = top.slack_scale
+    if top.extent.shape[0] > 0:
+        low = wp.vec3(top.extent[0], top.extent[1], top.extent[2])
+        high = wp.vec3(top.extent[3], top.extent[4], top.extent[5])
+        scale = top.extent[6]
+    return ray_slabs(ray.origin, ray.direction, scale * reach(ray.origin, low, high))
+
+
+@wp.func
 def root_of(top: InstanceTree, environment: int):
     """The node at which rays of an environment start; -1 if they see no instance."""
     root = top.root
@@ -86,6 +102,8 @@ def root_of(top: InstanceTree, environment: int):
         root = top.shared_root
         low = int(0)
         high = top.environments.shape[0]
+        if environment < high and load_int(top.environments, environment) == environment:  # as where none is left out
+            return load_int(top.roots, environment)
         while high - low > 1:
             middle = (low + high) / 2
             if load_int(top.environments, middle) <= environment:
@@ -188,7 +206,7 @@ def make_instance_walk(config: TraversalConfig, kind: str, levels: int) -> wp.Fu
         root = root_of(top, seen.environment)
         if root < 0:
             return best
-        slabs = ray_slabs(ray.origin, ray.direction, top.slack_scale * reach(ray.origin, top.tree.low, top.tree.high))
+        slabs = upper_slabs(top, ray)
         search = InstanceSearch()
         search.top = top
         search.parts = parts

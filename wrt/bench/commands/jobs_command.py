@@ -30,10 +30,11 @@ from wrt.cli.number_types import Real, Whole
 def jobs_command(
     names: Sequence[str], size: float, rounds: int, process: bool, threads: int | None, json_file: Path | None
 ) -> None:
-    """Times whole jobs: a scan, an image, a table, a robot's step, hours of sun; all, or those of NAMES.
+    """Times whole jobs: a scan, an image, a table, a robot's step, hours of sun, checks before a print, a picture in glass, a
+    step of 2,048 environments; all, or those of NAMES.
 
-    The first line of a job is its rays alone, and ratios are to them, round by round. Open3D and trimesh with embreex do the
-    same with NumPy, where they are installed.
+    The first line of a job is its rays alone, and ratios are to them, round by round. Open3D, trimesh with embreex, Mitsuba and
+    wp.Mesh do the same, with NumPy where that is needed and where they are installed.
     """
     with progress() as on_turn, usage_errors():
         found = measure_jobs(names or [*JOBS], size, rounds, threads, process, on_turn)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from time import perf_counter
 from typing import Any
 
 from wrt.bench.comparisons.auto_cases import KINDS, SIZES, Case, cases
@@ -118,7 +117,7 @@ def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn
         seconds[engine] = clock() - start
     on_turn(AUTO)
     runs[AUTO] = partial(ask, scene, case, AUTO)
-    settle(runs[AUTO])
+    settle(runs[AUTO], clock)
     least = min(seconds.values())
     contenders = [Contender(one, runs[one]) for one in runs if one in (AUTO, chosen) or seconds[one] < HOPELESS * least]
     query = None if peer is None else peer.query(case.workload)
@@ -153,10 +152,10 @@ def class_of_case(scene: Scene, case: Case) -> str:
     return class_name(scene.state.facts, rays.facts, ANY if case.is_occlusion else CLOSEST)
 
 
-def settle(run: Callable[[], Any]) -> None:
+def settle(run: Callable[[], Any], clock: Callable[[], float]) -> None:
     """Calls "auto" until it has learned."""
-    until, calls = perf_counter() + LEARNING_SECONDS, 0
-    while perf_counter() < until or calls < LEARNING_CALLS:
+    until, calls = clock() + LEARNING_SECONDS, 0
+    while clock() < until or calls < LEARNING_CALLS:
         run()
         calls += 1
 

@@ -1,5 +1,7 @@
 """Whole jobs beside their rays: scans, images, tables, sun hours and a robot's step, and the same by today's tools.
 
+Jobs around models, a print, a picture and environments, are in `wrt.bench.comparisons.model_jobs`.
+
 A job is more than its rays: they are fired, and what they meet becomes ranges, points, labels, tables and files. The first
 contender of a job traces the same rays and nothing else, so that ratios to it say what the rest costs.
 """
@@ -18,13 +20,21 @@ from typing import Any
 import numpy as np
 
 from wrt import scenes, sensors
+from wrt.bench.comparisons.model_jobs import (
+    RAYS,
+    Glass,
+    Print,
+    Worlds,
+    picture_contenders,
+    print_contenders,
+    world_contenders,
+)
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene
 
 INSTANCES = 20
-RAYS = "rays alone"
 
 
 @dataclass(frozen=True)
@@ -34,7 +44,7 @@ class JobTimes:
     Attributes:
         job: its name.
         rays: number of its rays.
-        timings: of its contenders, `RAYS` first.
+        timings: of its contenders, the rays alone first.
         process: seconds of a fresh process that does it once; None if it was not timed.
     """
 
@@ -45,7 +55,7 @@ class JobTimes:
 
     def rows(self) -> list[dict[str, Any]]:
         """The figures as plain data: seconds, and ratios to the rays alone, round by round."""
-        base = self.timings[RAYS]
+        base = next(iter(self.timings.values()))
         found: list[dict[str, Any]] = []
         for name, timing in self.timings.items():
             row: dict[str, Any] = {"job": self.job, "contender": name, "rays": self.rays, "error": timing.error}
@@ -87,6 +97,11 @@ class Cell:
         pixels = np.stack(np.meshgrid(np.arange(float(width)), np.arange(float(height))), axis=-1)
         axes = lens.unproject(pixels)[1]
         self.camera_rays = [(view[:3, 3].copy(), _turned(axes, view)) for view in self.views]
+
+    def rays(self, name: str) -> int:
+        """Number of rays of a job in the cell."""
+        lidar, image = len(self.lidar.pattern), self.camera.width * self.camera.height
+        return {"capture": image, "step": 2 * image + lidar}.get(name, lidar)
 
     def open3d(self) -> Callable[[tuple[np.ndarray, np.ndarray]], dict[str, np.ndarray]]:
         """What traces rays in Open3D's scene of the same meshes, and makes points of the hits.
@@ -215,12 +230,17 @@ class Court:
         suns = np.stack([np.sin(turn), 0.4 * np.ones_like(turn), np.cos(turn)], axis=-1)
         self.suns = (suns / np.linalg.norm(suns, axis=1, keepdims=True)).astype(np.float32)
 
+    def rays(self, name: str) -> int:
+        """Number of rays: from each place to each sun."""
+        return len(self.points) * len(self.suns)
+
 
 def sun_contenders(court: Court) -> list[Contender]:
     """Hours of sun: sums for each place, in memory, in a folder from which the job can be resumed, and by groups of weights.
 
     Rays of one sun are neighbours: they are parallel, and those of one place are not."""
     from wrt.analysis import exposure
+    from wrt.batches import WeightedSum
     from wrt.cluster import Job
 
     months = np.float64(np.arange(len(court.suns)) % 12 == np.arange(12)[:, None])
@@ -228,9 +248,13 @@ def sun_contenders(court: Court) -> list[Contender]:
     def sums() -> Any:
         return court.scene.occluded_blocks(court.points, court.suns[:, None], reduce="sum", axis=0)
 
+    def by_months() -> Any:
+        reduce = WeightedSum(months)
+        return court.scene.occluded_blocks(court.points, court.suns[:, None], reduce=reduce, axis=0)
+
     def in_folder() -> np.ndarray:
         with tempfile.TemporaryDirectory() as folder:
-            return Job(Path(folder) / "job", sums()).run().result()
+            return Job(Path(folder) / "job", by_months()).run().result()
 
     def by_trimesh() -> np.ndarray:
         shape = len(court.points), len(court.suns), 3
@@ -251,18 +275,22 @@ def sun_contenders(court: Court) -> list[Contender]:
     return [
         Contender(RAYS, lambda: court.scene.occluded(court.points, court.suns[:, None])),
         Contender("sums", lambda: sums().result()),
+        Contender("sums of 12 months", lambda: by_months().result()),
         Contender("exposure of 12 months", lambda: exposure(court.scene, court.floor, court.suns, weights=months)),
-        Contender("sums in a folder", in_folder),
+        Contender("sums of 12 months in a folder", in_folder),
         Contender("trimesh + embreex", by_trimesh),
     ]
 
 
-JOBS: dict[str, tuple[type[Cell] | type[Court], Callable[[Any], list[Contender]]]] = {
+JOBS: dict[str, tuple[Callable[[float, int | None], Any], Callable[[Any], list[Contender]]]] = {
     "scan": (Cell, scan_contenders),
     "capture": (Cell, capture_contenders),
     "table": (Cell, table_contenders),
     "step": (Cell, step_contenders),
     "sun": (Court, sun_contenders),
+    "print": (Print, print_contenders),
+    "picture": (Glass, picture_contenders),
+    "worlds": (Worlds, world_contenders),
 }
 """Jobs by name: where they are, and who does them."""
 
@@ -274,13 +302,14 @@ def measure_jobs(
 
     Args:
         names: keys of `JOBS`.
-        size: as in `Cell` and `Court`.
+        size: as in `Cell`, `Court`, `Print`, `Glass` and `Worlds`.
         rounds: in which contenders take turns.
         threads: as in `Cell`.
         process: whether to time fresh processes, too.
         on_turn: told what is under way.
     """
-    found, places = [], {}
+    found: list[JobTimes] = []
+    places: dict[Any, Any] = {}
 
     def told(job: str) -> Callable[[str], None]:
         return lambda who: on_turn(f"{job}, {who}")
@@ -291,16 +320,8 @@ def measure_jobs(
             places[place] = place(size, threads)
         made = places[place]
         timings = take_turns(contenders(made), rounds, on_turn=told(name))
-        found.append(JobTimes(name, rays_of(name, made), timings, time_process(name, size) if process else None))
+        found.append(JobTimes(name, made.rays(name), timings, time_process(name, size) if process else None))
     return found
-
-
-def rays_of(name: str, place: Any) -> int:
-    """Number of rays of a job."""
-    if name == "sun":
-        return len(place.points) * len(place.suns)
-    lidar, image = len(place.lidar.pattern), place.camera.width * place.camera.height
-    return {"capture": image, "step": 2 * image + lidar}.get(name, lidar)
 
 
 def run_alone(name: str, size: float) -> None:

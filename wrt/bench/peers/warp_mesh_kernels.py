@@ -49,3 +49,25 @@ def mesh_nearest(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), nearest: wp.a
     i = wp.tid()
     found = wp.mesh_query_point_no_sign(mesh, points[i], 1.0e10)
     nearest[i] = wp.mesh_eval_position(mesh, found.face, found.u, found.v)
+
+
+@wp.kernel
+def nearest_of_bodies(
+    mesh: wp.uint64,
+    to_body: wp.array2d(dtype=wp.mat44),
+    directions: wp.array(dtype=wp.vec3),
+    t_max: float,
+    t: wp.array2d(dtype=float),
+):
+    """Item: an environment and a ray from its origin. to_body: (environments, bodies), from the world to each body."""
+    world, ray = wp.tid()
+    nearest = t_max
+    found = float(wp.inf)
+    for body in range(to_body.shape[1]):
+        matrix = to_body[world, body]
+        start = wp.transform_point(matrix, wp.vec3())
+        hit = wp.mesh_query_ray(mesh, start, wp.transform_vector(matrix, directions[ray]), nearest)
+        if hit.result:
+            nearest = hit.t
+            found = hit.t
+    t[world, ray] = found

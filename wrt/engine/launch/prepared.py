@@ -118,6 +118,8 @@ class PreparedQuery:
             point_at(upper.tree.bounds, scene.tree.bounds)
             upper.tree.low[:], upper.tree.high[:] = scene.tree.low[:], scene.tree.high[:]
             point_at(upper.placements, scene.device_mesh.placements)
+            extent = scene.tree.extent
+            upper.extent.data, upper.extent.shape[0] = (0, 0) if extent is None else (extent.ptr, extent.size)
             upper.slack_scale, self._used = scene.boxes.slack_scale, (scene.tree, scene.device_mesh)
         else:
             self._launch.replace(TREE, scene.upper())

@@ -57,6 +57,7 @@ class Contest:
 
     __slots__ = (
         "_guess",
+        "_has_rivals",
         "_query",
         "_rays",
         "_shown_for",
@@ -75,7 +76,7 @@ class Contest:
         self._rays, self._query, self._guess, self.learner = rays, query, guess, learner
         self.chosen, self.current = {guess.name: guess}, guess
         self.left = self._untimed = 0
-        self.has_asked = False
+        self.has_asked = self._has_rivals = False
         self.origin: tuple[float, float, float] | None = None
         self.reach = 0.0
         self.shown: Plan = guess.plan
@@ -94,7 +95,7 @@ class Contest:
 
     def turn(self, scene: SceneState) -> ChosenPlan:
         """The plan for the next call, which will be timed."""
-        if len(self.chosen) == 1 and self.learner.best != self._guess.name:
+        if self.learner.best not in self.chosen:
             self.find_rivals(scene)
         name = self.learner.turn(self.ways())
         one = self.chosen.get(name)
@@ -131,7 +132,8 @@ class Contest:
     def renew(self, guess: ChosenPlan) -> None:
         """Takes what the rules say now."""
         if guess is not self._guess:
-            self._guess, self.chosen = guess, {guess.name: guess}
+            others = {name: one for name, one in self.chosen.items() if name != guess.name}
+            self._guess, self.chosen = guess, {guess.name: guess, **others}
         self.learner.guessed(guess.name)
         self.left = 0
 
@@ -145,10 +147,11 @@ class Contest:
 
     def find_rivals(self, scene: SceneState) -> list[ChosenPlan]:
         """Adds the other plans to `chosen`; those that are not ready."""
-        if len(self.chosen) == 1:
+        if not self._has_rivals:
+            self._has_rivals = True
             plans = rival_plans(scene, self._rays, self._query, self._guess.plan)
             some = [chosen_plan(scene, plan, self._rays.count, self._query.kind) for plan in plans]
-            self.chosen = {self._guess.name: self._guess, **{one.name: one for one in some if one.name != self._guess.name}}
+            self.chosen = {**{one.name: one for one in some}, **self.chosen}
             self.learner.keep_to(self.chosen)
         return [one for one in self.chosen.values() if not one.ready and one is not self._guess]
 

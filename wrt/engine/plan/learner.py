@@ -101,10 +101,10 @@ class Learner:
                 self._is_sure = False
             return self._queue[0] if self._queue else self.best
 
-    def is_due(self, ways: Iterable[str]) -> bool:
-        """Whether a trial of these ways would begin now."""
+    def is_due(self, ways: Iterable[str], turns: float = TURNS) -> bool:
+        """Whether a trial of these ways would begin now, in which each has this many turns: parts are less than one."""
         with self._lock:
-            return not self._queue and self._is_due([*ways])
+            return not self._queue and self._is_due([*ways], turns)
 
     def tell(self, way: str, rays: int, seconds: float, calls: int = 1) -> None:
         """What a call took.
@@ -176,24 +176,24 @@ class Learner:
         self._has_changed, self._slow = True, 0
         self._queue, self._seen = [], {}
 
-    def _is_due(self, ways: list[str]) -> bool:
+    def _is_due(self, ways: list[str], turns: float = TURNS) -> bool:
         if len(ways) < 2 or self.best not in ways or self.spent < FIRST_SECONDS:
             return False
         if not self.trials:
             return True
         calls, share = (FEWEST_CHANGED, CHANGED_SHARE) if self._has_changed else (FEWEST_CALLS, AGED_SHARE)
-        affordable = self.lost <= CHANGED_SHARE * self.spent and self._cost(ways) <= share * self._since
+        affordable = self.lost <= CHANGED_SHARE * self.spent and self._cost(ways, turns) <= share * self._since
         return affordable and self._calls >= calls
 
-    def _cost(self, ways: list[str]) -> float:
-        """Seconds that a trial will lose, by what is known of the ways."""
+    def _cost(self, ways: list[str], turns: float) -> float:
+        """Seconds that a trial of this many turns will lose, by what is known of the ways."""
         usual = self.usual or 0.0
         if not usual:
             return 0.0
         least = max(usual, self.rates.get(self.best, 0.0))  # the rates of others changed, too
         ratios = [self.rates.get(way, least) / least for way in ways if way != self.best]
-        turns = sum((ratio - 1.0) * (1 if ratio >= HOPELESS else TURNS) for ratio in ratios if ratio > 1.0)
-        return turns * self._since / max(self._calls, 1)
+        calls = sum((ratio - 1.0) * (turns / TURNS if ratio >= HOPELESS else turns) for ratio in ratios if ratio > 1.0)
+        return calls * self._since / max(self._calls, 1)
 
     def _take(self, way: str, rays: int, seconds: float) -> None:
         """A turn of a trial."""

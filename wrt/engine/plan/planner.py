@@ -66,8 +66,11 @@ stores (notebooks/records/2026-11-24-streams.md).
 MIN_RAYS_TO_REORDER = 1 << 16
 """Smallest batch whose rays are sorted before tracing."""
 
-MOST_RIVALS = 2
+MOST_RIVALS = 3
 """Plans that are compared with the one of the rules: each costs time, and kernels."""
+
+MANY = 1 << 30
+"""More rays, triangles or instances than any limit."""
 
 CACHED_BYTES = 1 << 24
 """Bytes of triangle records that the caches of a core hold. Rays are not sorted for scenes with fewer."""
@@ -159,16 +162,18 @@ def choose_traversal(scene: SceneFacts, situation: Situation, triangle_test: str
 
 def rival_plans(scene: SceneState, rays: RayFacts, query: Query, plan: Plan) -> list[Plan]:
     """A plan of the rules, and at most `MOST_RIVALS` others: packets with the other culling, and what the rules choose for a
-    sample that shares more or less, and for other numbers of triangles or of instances."""
+    sample that shares more or less, and for other numbers of rays, of triangles or of instances. Short rays take the same way,
+    however different they are, so packets are compared for incoherent rays, too."""
     known, kind, found = scene.facts, query.kind, {plan.engine: plan}
     told = situation_of(known, rays, kind, query.cull_backfaces)
     if told.prefers_single:
         return [plan]
-    together, parted = told._replace(overlap=Overlap(0.0, 0.0)), told._replace(overlap=Overlap(1.0, 0.0))
-    others = [together] if told.coherent else []
-    others += [parted, parted._replace(triangles=1, lanes=16), parted._replace(triangles=1 << 30)]
+    together, parted = told._replace(coherent=True, overlap=Overlap(0.0, 0.0)), told._replace(overlap=Overlap(1.0, 0.0))
+    many = parted._replace(rays=MANY)
+    walks = [parted, many._replace(triangles=1, lanes=16), many._replace(triangles=MANY)]
     if told.instances:
-        others += [parted._replace(instances=1), parted._replace(instances=1 << 30)]
+        walks += [parted._replace(instances=1), parted._replace(instances=MANY)]
+    others = [together, *walks] if told.coherent else [*walks, together]
     test = plan.triangle_test
     if plan.culling and rays.shared_origin:
         for dense in (True, False):

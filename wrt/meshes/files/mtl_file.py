@@ -72,6 +72,10 @@ def read_materials_of(
         if entry.image is not None and has_uv:
             wrap = ("clamp", "clamp") if entry.clamps else ("repeat", "repeat")
             texture = images.of_file(entry.image, f"material '{name}'", wrap)
+        elif entry.image is not None:
+            source.warn(
+                f"the material '{name}' has an image, and the mesh has no texture coordinates to place it; it is left out"
+            )
         color = np.ones(3) if texture is not None else to_linear(np.clip(entry.color, 0.0, 1.0))
         found[name] = Material(color=color, color_texture=texture), UvMap() if texture is None else entry.map
     return found

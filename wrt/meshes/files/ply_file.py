@@ -115,9 +115,11 @@ def _materials(
     if colors is None and only_faces:
         colors = _colors(found["face"], elements["face"], source)
         corner_colors = None if colors is None else np.repeat(colors[face][:, None], 3, axis=1)
-    uv = checked_uv(uv, source)
     images = FileImages(source)
     name = next((text.partition(" ")[2].strip() for text in header.comments if text.startswith("TextureFile ")), None)
+    if name is not None and uv is None:
+        source.warn(f"it has no texture coordinates to place the image '{name}', which is left out")
+    uv = checked_uv(uv, source)
     texture = None if name is None or uv is None else images.of_file(name, "TextureFile")
     if texture is not None:
         return MeshMaterials((Material(color=1.0, color_texture=texture),), corner_uv=uv)

@@ -70,9 +70,9 @@ class BlockQueries:
                 None for this process, one block after the other. Each worker needs the memory of a block for each task it runs
                 at a time. Hits that come from another process are as those of a pickle.
             reduce: what is kept of the answers: "sum", "mean", "min", "max", "any", "all", a `wrt.batches.Histogram`, a
-                function(values, axes) that keeps the first axis, or an object with the methods of `wrt.batches.Reduction`. Of
-                closest hits, a dict from attributes to these, such as {"t": "min"}. Integers are summed as int64; sums of
-                floats are exact, and rounded once. None keeps the answers.
+                `wrt.batches.WeightedSum`, a function(values, axes) that keeps the first axis, or an object with the methods of
+                `wrt.batches.Reduction`. Of closest hits, a dict from attributes to these, such as {"t": "min"}. Integers are
+                summed as int64; sums of floats are exact, and rounded once. None keeps the answers.
             axis: axes of the rays' leading shape along which answers are reduced: an int, several, or None for all. Without the
                 first axis among them, blocks have reduced rows; with it, only `result` gives the answer.
             traversal, triangle_test, precise: as in `intersect`.

@@ -52,8 +52,9 @@ class BlockQuery:
     options: Mapping[str, Any]
     reduction: BlockReduction | None
 
-    def answer(self, scene: Any, rays: Rays, columns: Mapping[str, Any]) -> Any:
-        """The answer to the rays of a block: hits, an array, states of reductions, or reduced rows."""
+    def answer(self, scene: Any, rays: Rays, columns: Mapping[str, Any], first: int = 0) -> Any:
+        """The answer to the rays of a block, whose first row has the number `first`: hits, an array, states of reductions, or
+        reduced rows."""
         given = {
             name: values.on(scene.device) if isinstance(values, SkippedTriangles) else values
             for name, values in columns.items()
@@ -65,7 +66,7 @@ class BlockQuery:
         if self.reduction is None:
             return found
         dimensions = len(rays.shape)
-        states = self.reduction.part(found, dimensions)
+        states = self.reduction.part(found, dimensions, first)
         return states if self.merges_rows(dimensions) else self.reduction.finish(states)
 
     @property
@@ -120,7 +121,7 @@ class BlockWork:
             whole = {name: opened(values) for name, values in vars(self.rays).items() if name not in sent}
             rays = Rays(**{**{name: self._cut(name, values, rows, sent) for name, values in whole.items()}, **rays_of(sent)})
         deliver = self.deliver if self.examine is None else self.examine(self, rows, rays, cut, sent)
-        answer = self.query.answer(self.scene, rays, cut)
+        answer = self.query.answer(self.scene, rays, cut, rows.start)
         return answer if deliver is None else deliver(rows, answer)
 
     def _cut(self, name: str, values: Any, rows: slice, sent: Mapping[str, Any]) -> Any:

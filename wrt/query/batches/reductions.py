@@ -17,6 +17,7 @@ import warp as wp
 from wrt.kernels.validation import as_numbers
 from wrt.query.batches.block_outputs import ATTRIBUTES
 from wrt.query.batches.exact_sums import ExactSum, exact_sum
+from wrt.query.batches.weighted_sums import WeightedSum
 
 
 class Reduction(Protocol):
@@ -218,12 +219,24 @@ class BlockReduction:
             raise ValueError(f"axis is {self.axis!r}, and rays have {dimensions} leading axes, numbered from 0; name each once")
         return tuple(axes)
 
-    def part(self, answer: Any, dimensions: int) -> dict[str, Any]:
-        """The states of a block."""
-        axes = self.axes(dimensions)
-        return {
-            name: one.part(as_array(getattr(answer, name) if name else answer), axes) for name, one in self.reductions.items()
-        }
+    def check(self, shape: tuple[int, ...]) -> None:
+        """Whether a batch of a leading shape can be reduced.
+
+        Raises:
+            ValueError: there is no such axis, or weights are for another length.
+        """
+        axes = self.axes(len(shape))
+        for one in self.reductions.values():
+            if isinstance(one, WeightedSum):
+                one.check(shape, axes)
+
+    def part(self, answer: Any, dimensions: int, first: int) -> dict[str, Any]:
+        """The states of a block, whose first row has this number."""
+        axes, states = self.axes(dimensions), {}
+        for name, one in self.reductions.items():
+            values = as_array(getattr(answer, name) if name else answer)
+            states[name] = one.part(values, axes, first) if isinstance(one, WeightedSum) else one.part(values, axes)
+        return states
 
     def merge(self, one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
         """The states of two blocks together."""

@@ -1,0 +1,175 @@
+"""Instances whose transforms are Warp arrays on the scene's device: as if they had gone through the host, to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import assert_same_hits, mixed_rays
+from test_instances import BALL, BOX, FLAT
+
+import wrt
+from wrt.instances.instance_boxes import Covers, InstanceBoxes, cover, outermost
+from wrt.kernels.compilation import local_memory
+from wrt.meshes.instance import matrices_of
+from wrt.meshes.mesh import TriangleMesh
+
+COUNT = 60
+
+
+def poses(seed: int, spread: float = 8.0) -> np.ndarray:
+    """(COUNT, 7) float32: positions and quaternions of any length."""
+    rng = np.random.default_rng(seed)
+    return np.concatenate([rng.uniform(-spread, spread, (COUNT, 3)), rng.normal(size=(COUNT, 4))], axis=1).astype(np.float32)
+
+
+def scene_of(transforms: np.ndarray, worlds: int | None, device: str) -> wrt.Scene:
+    """Boxes and balls with masks, some of them in all environments."""
+    made = [
+        wrt.Instance(
+            BALL if number % 3 else BOX,
+            matrix,
+            mask=1 << number % 3,
+            environment=-1 if worlds is None or number % 10 == 0 else number % worlds,
+        )
+        for number, matrix in enumerate(transforms)
+    ]
+    return wrt.Scene(made, "bvh", device=device)
+
+
+def given(values: np.ndarray, kind: type, device: str) -> tuple[wp.array, np.ndarray]:
+    """Poses as an array on the device, and as float64 matrices."""
+    if kind is wp.transformf:
+        moved = wp.array(values, dtype=wp.transformf, device=device)
+        return moved, matrices_of(moved)
+    matrices = matrices_of(wp.array(values, dtype=wp.transformf, device="cpu")).astype(np.float32)
+    return wp.array(matrices, dtype=wp.float32, device=device), matrices.astype(np.float64)
+
+
+@pytest.mark.parametrize("worlds", [None, 4])
+@pytest.mark.parametrize("kind", [wp.transformf, wp.float32])
+def test_moves_on_the_device_equal_those_of_the_host(kind, worlds, device):
+    """Boxes, the centre, maps, nodes and hits; little motions keep the upper tree, others build it again."""
+    first, rng = matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), np.random.default_rng(1)
+    here, host = scene_of(first, worlds, device), scene_of(first, worlds, device)
+    rays = mixed_rays(host.flattened(), 3000)
+    seen = {} if worlds is None else {"environment": rng.integers(-1, worlds, len(rays[0]))}
+    near = poses(0) + np.float32(0.01) * poses(2)
+    for rows, values in ((range(COUNT), near), (rng.permutation(COUNT)[:40], poses(3)[:40]), (range(COUNT), poses(4, 20.0))):
+        moved, matrices = given(values, kind, device)
+        here.update(rows, transform=moved)
+        host.update(rows, transform=matrices)
+        kept, known = here.state.on_host(), host.state
+        assert kept.boxes.frame == known.boxes.frame
+        assert kept.boxes.extremes == known.boxes.extremes
+        for name in ("to_scene", "to_object", "origin", "mask", "first"):
+            np.testing.assert_array_equal(kept.table[name], known.table[name])
+        if here.state.device_moves is not None:
+            np.testing.assert_array_equal(here.state.tree.bounds.numpy(), known.tree.host.ravel())
+        assert (here.state.tree.low, here.state.tree.high) == (known.tree.low, known.tree.high)
+        assert_same_hits(here.intersect(*rays, mask=3, **seen), host.intersect(*rays, mask=3, **seen))
+    for one, other in zip(here.instances, host.instances, strict=True):
+        np.testing.assert_array_equal(one.transform, other.transform)
+        assert (one.mask, one.environment) == (other.mask, other.environment)
+    for scene in (here, host):  # what goes through the host finds what moved on the device
+        scene.update(5, transform=np.eye(4), mask=2)
+    assert_same_hits(here.intersect(*rays, **seen), host.intersect(*rays, **seen))
+
+
+def test_a_small_motion_stays_on_the_device(device):
+    """Neither transforms nor boxes are copied to the host, and the nodes stay."""
+    scene = scene_of(matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), None, device)
+    forest = scene.state.tree.forest
+    scene.update(range(COUNT), transform=wp.array(poses(0), dtype=wp.transformf, device=device))
+    state = scene.state
+    assert state.tree.forest is forest
+    assert state.table is None
+    assert "on_host" not in vars(state.instances)
+    assert not {"origin", "box", "norms"} & vars(state.boxes).keys()
+
+
+def test_a_refused_transform_changes_nothing(device):
+    """Singular, not finite, or none for an instance: with the message of the host."""
+    scene = scene_of(matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), None, device)
+    before, matrices = scene.state, given(poses(1), wp.float32, "cpu")[1]
+    for bad in (FLAT, np.full((4, 4), np.nan), np.eye(4) * 2.0):
+        matrices[7] = bad
+        with pytest.raises(ValueError, match="transform"):
+            scene.update(range(COUNT), transform=wp.array(matrices, dtype=wp.float32, device=device))
+        assert scene.state is before
+    with pytest.raises(ValueError, match="matrices for 60 instances"):
+        scene.update(range(COUNT), transform=wp.array(poses(1)[:50], dtype=wp.transformf, device=device))
+    assert scene.state is before
+
+
+def test_outermost_corners_bound_as_all_do():
+    """Boxes of maps are the same to the bit without the corners that others exceed."""
+    rng = np.random.default_rng(5)
+    mesh = TriangleMesh(rng.normal(size=(3000, 3)), rng.integers(0, 3000, (2000, 3)))
+    state = wrt.Scene([wrt.Instance(mesh)], device="cpu").state.mesh_states[0]
+    points = state.device_mesh.vertices.numpy()[mesh.referenced].astype(np.float64)
+    signs = np.array([1.0, -1.0, 1.0])
+    kept = outermost(points, signs)
+    assert 0 < len(kept) < len(points) / 4
+    assert not ((points * signs)[:, None] > (kept * signs)).all(axis=2).any()
+    transforms = np.tile(np.eye(4), (200, 1, 1))
+    transforms[:, :3] = rng.normal(size=(200, 3, 4))
+    few, all_corners = cover(state), np.concatenate([cover(state), corners_of_cells(points)])
+    one, other = (InstanceBoxes.of(transforms, np.zeros(200, int), Covers.of([own], [state]))[0] for own in (few, all_corners))
+    np.testing.assert_array_equal(one.box, other.box)
+
+
+def corners_of_cells(points: np.ndarray) -> np.ndarray:
+    """All corners of the boxes of points in the cells of an 8 x 8 x 8 grid."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    cell = ((points - low) / (high - low) * 8).astype(int).clip(0, 7) @ (64, 8, 1)
+    boxes = [(points[cell == one].min(axis=0), points[cell == one].max(axis=0)) for one in np.unique(cell)]
+    choices = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, 8).T
+    return np.concatenate([[np.array(box)[choice, range(3)] for choice in choices] for box in boxes])
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
+def test_a_step_in_one_graph():
+    """Moved, traced and read in a graph, which is launched with other transforms: as calls one by one, wherever they go."""
+    first = matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu"))
+    scene, other = scene_of(first, 4, "cuda:0"), scene_of(first, 4, "cuda:0")
+    rays = [wp.array(values, dtype=wp.vec3, device="cuda:0") for values in mixed_rays(other.flattened(), 3000)]
+    worlds = wp.array(np.arange(rays[0].size) % 4, dtype=int, device="cuda:0")
+    moving = wp.array(poses(0), dtype=wp.transformf, device="cuda:0")
+
+    def step(of: wrt.Scene) -> list[wp.array]:
+        of.update(range(COUNT), transform=moving)
+        hits = of.intersect(*rays, environment=worlds)
+        return [hits.t, hits.primitive_id, hits.instance_id, hits.uv, hits.normal]
+
+    with wp.ScopedCapture("cuda:0"), pytest.raises(RuntimeError, match="before the capture"):
+        scene.update(range(COUNT), transform=moving)
+    step(scene)
+    with wp.ScopedCapture("cuda:0") as capture:
+        found = step(scene)
+    for number, spread in enumerate((8.0, 9.0, 60.0, 2.0)):
+        wp.copy(moving, wp.array(poses(number, spread), dtype=wp.transformf, device="cuda:0"))
+        wp.capture_launch(capture.graph)
+        for one, expected in zip(found, step(other), strict=True):
+            np.testing.assert_array_equal(one.numpy(), expected.numpy())
+
+
+def test_local_memory_that_a_card_has_not_is_refused(monkeypatch):
+    """A launch that finds no memory for its stacks may give wrong answers in silence."""
+
+    class Kernel:
+        key = "packets"
+
+    class Card:
+        alias, ordinal, free_memory = "cuda:9", 9, 40_000_000_000
+
+    monkeypatch.setattr(local_memory, "_reserved", {})
+    monkeypatch.setattr(local_memory, "resident_threads", lambda ordinal: 270_336)
+    sizes = iter([100_000, 110_000, 240_000, 250_000])
+    monkeypatch.setattr(local_memory, "local_bytes", lambda *loaded: next(sizes))
+    for _ in range(3):  # what is reserved already serves the next kernel
+        local_memory.reserve_local_memory(Kernel, Card, 128)
+    monkeypatch.setattr(Card, "free_memory", 1_000_000_000)
+    with pytest.raises(MemoryError, match=r"packets needs 67\.6 GB of local memory .*cuda:9.* 1\.0 GB free"):
+        local_memory.reserve_local_memory(Kernel, Card, 128)
