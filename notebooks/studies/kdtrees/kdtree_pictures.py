@@ -190,9 +190,9 @@ def draw_comparison(axes: np.ndarray, found: Mapping[str, Sequence[BuilderFigure
         "SAH cost": lambda row: row.sah_ratio,
         "time to trace": lambda row: float(np.exp(np.mean(np.log([*row.trace_ratios.values()])))),
     }
-    points = {}
+    points, reference = {}, next(iter(found.values()))[0].builder
     for line, (label, value) in zip(axes, values.items(), strict=True):
-        line[0].set_ylabel(f"{label}, {next(iter(found.values()))[0].builder} = 1")
+        line[0].set_ylabel(f"{label}, {reference} = 1")
         for place, rows in zip(line, found.values(), strict=True):
             points[place] = {row.builder: (row.build_ratio, value(row)) for row in rows}
             x, y = np.array([*points[place].values()]).T
@@ -203,7 +203,7 @@ def draw_comparison(axes: np.ndarray, found: Mapping[str, Sequence[BuilderFigure
     for place, title in zip(axes[0], titles, strict=True):
         place.set_title(title, fontsize=10)
     for place in axes[1]:
-        place.set_xlabel("time to build")
+        place.set_xlabel(f"time to build, {reference} = 1")
     for place, named in points.items():
         for name, point in named.items():
             place.plot(*point, "o", color=color_of(name), markersize=5)
@@ -254,15 +254,17 @@ def label_points(
     Returns:
         The labels. Where there is no free place, a label covers as little as it can.
     """
+    from matplotlib.patheffects import withStroke
+
     figure = axes.figure
     figure.draw_without_rendering()
     pixels, frame = figure.dpi / 72.0, np.array(axes.get_window_extent().get_points()).ravel()
     places = {name: axes.transData.transform(point) for name, point in points.items()}
     taken = [np.concatenate([place - 4 * pixels, place + 4 * pixels]) for place in places.values()]
-    labels = []
+    labels, halo = [], [withStroke(linewidth=2.0, foreground="white")]
     for name in sorted(points, key=lambda name: -places[name][1]):
         color = color_of(name)
-        look = {"fontsize": size, "color": color, "ha": "center", "va": "center", "in_layout": False}
+        look = {"fontsize": size, "color": color, "ha": "center", "va": "center", "in_layout": False, "path_effects": halo}
         label = axes.annotate(name, points[name], (0, 0), textcoords="offset points", **look)
         extent = label.get_window_extent()
         half = np.array([extent.width, extent.height]) / 2.0 + 1.0
