@@ -17,6 +17,9 @@ constexpr float MAX_INVERSE = 67108864.0f;
 /// Least bound of t, 2^-100: positive, so that it may be compared as an integer, and above what may be lost in scaling.
 constexpr float LEAST_BOUND = 7.888609052210118e-31f;
 
+/// Words of a triangle: three vertices, each followed by a word; that of the first is the triangle's id.
+constexpr int TRIANGLE_WORDS = 12;
+
 /// What 16 bytes hold.
 struct Quad {
     float x, y, z, w;

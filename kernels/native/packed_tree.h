@@ -63,14 +63,14 @@ struct PackedTree {
     template <class Triangles>
     static CUDA_CALLABLE Triangle triangle_in(const Triangles& triangles, int slot, const SearchPoint& point)
     {
-        const float* const at = (const float*)triangles.corners.data + 12 * (size_t)slot;
+        const float* const at = (const float*)triangles.corners.data + TRIANGLE_WORDS * (size_t)slot;
         return less(load_quad(at), load_quad(at + 4), load_quad(at + 8), point);
     }
 
     template <class Triangles, class Kept>
     static CUDA_CALLABLE void search_around(const Triangles& triangles, int slot, const SearchPoint& point, Kept& kept)
     {
-        const float* const at = (const float*)triangles.corners.data + 12 * (size_t)slot;
+        const float* const at = (const float*)triangles.corners.data + TRIANGLE_WORDS * (size_t)slot;
         const Quad first = load_quad(at);
         const Triangle own = less(first, load_quad(at + 4), load_quad(at + 8), point);
         bool is_thin;

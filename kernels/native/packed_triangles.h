@@ -8,9 +8,6 @@
 namespace wrt {
 namespace {
 
-/// Words of a triangle: three vertices, each followed by a word; that of the first is the triangle's id.
-constexpr int TRIANGLE_WORDS = 12;
-
 /// A ray of a batch as it was given: read again at each hit, so that it need not stay in registers.
 struct GivenRay {
     float origin[3], direction[3], reach;

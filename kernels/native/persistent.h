@@ -3,6 +3,7 @@
 #pragma once
 #include "packed_exact.h"
 #include "persistent_threads.h"
+#include "upper_level.h"
 
 namespace wrt {
 namespace {
@@ -65,20 +66,6 @@ inline CUDA_CALLABLE InstanceTrees<Top, Parts> instance_trees(const Top& top, co
     return {top, parts};
 }
 
-/// The node at which rays of an environment start; -1 if they see no instance (`root_of` of
-/// wrt.kernels.traversal.two_level.instance_single).
-template <class Top> inline CUDA_CALLABLE int root_of(const Top& top, int environment)
-{
-    if (environment < 0) return top.root;
-    int low = 0, high = top.environments.shape[0];
-    if (environment < high && top.environments.data[environment] == environment) return top.roots.data[environment];
-    while (high - low > 1) {
-        const int middle = (low + high) / 2;
-        (top.environments.data[middle] <= environment ? low : high) = middle;
-    }
-    return high > low && top.environments.data[low] == environment ? top.roots.data[low] : top.shared_root;
-}
-
 /// A kernel's arguments and options. LEVELS: places of the stack; SKIPPING: whether ray i ignores triangle skipped[i % its length].
 template <int LEVELS_, class Answer_, bool CULLING_, bool SKIPPING_, bool COUNTING_, class Space, class Rays, class Hits,
     class Rows, class Skipped>
@@ -128,21 +115,12 @@ template <class All, bool FROM_ZERO> struct Walk {
             scale * ray.reach, t_min(), best.t);
     }
 
-    /// Aims ray i at the upper level, whose extent is in the arguments, or in the device's memory if a graph updates it.
+    /// Aims ray i at the upper level.
     CUDA_CALLABLE GivenRay aim_above(const All& all, int i)
     {
-        const auto& upper = all.space.top;
-        struct {
-            decltype(upper.tree.low) low, high;
-        } box = {upper.tree.low, upper.tree.high};
-        float scale = upper.slack_scale;
-        if (upper.extent.shape[0] > 0) {
-            const float* const extent = (const float*)upper.extent.data;
-            for (int axis = 0; axis < 3; ++axis) box.low.c[axis] = extent[axis], box.high.c[axis] = extent[axis + 3];
-            scale = extent[6];
-        }
-        const GivenRay given = given_ray(box, all.rays, i);
-        aim(given, scale);
+        const Extent above = extent_of(all.space.top);
+        const GivenRay given = given_ray(above, all.rays, i);
+        aim(given, above.slack_scale);
         return given;
     }
 

@@ -1,6 +1,7 @@
 // Where points are searched: in one tree, or in the trees of instances below a tree of their boxes.
 #pragma once
 #include "packed_tree.h"
+#include "upper_level.h"
 
 namespace wrt {
 namespace {
@@ -76,36 +77,12 @@ template <class Kind, int U, class Top, class Parts> struct PointInstances {
     {
     }
 
-    /// The node above the instances that a point of an environment sees; -1 if there is none.
-    inline CUDA_CALLABLE int root_of(int environment) const
-    {
-        if (environment < 0) return top.root;
-        int low = 0, high = top.environments.shape[0];
-        while (high - low > 1) {
-            const int middle = (low + high) / 2;
-            if (top.environments.data[middle] <= environment) low = middle;
-            else high = middle;
-        }
-        const bool own = high > low && top.environments.data[low] == environment;
-        return own ? top.roots.data[low] : top.shared_root;
-    }
-
-    /// The point at the upper level, whose extent is in the arguments, or in the device's memory if a graph updates it.
-    inline CUDA_CALLABLE SearchPoint seen_above(float px, float py, float pz) const
-    {
-        if (top.extent.shape[0] == 0) return point_in(top.tree.low, top.tree.high, px, py, pz);
-        struct {
-            float c[3];
-        } low, high;
-        for (int axis = 0; axis < 3; ++axis) low.c[axis] = top.extent.data[axis], high.c[axis] = top.extent.data[axis + 3];
-        return point_in(low, high, px, py, pz);
-    }
-
     /// Whether the point, relative to the scene's centre, can find anything.
     inline CUDA_CALLABLE bool enter(double px, double py, double pz, unsigned seen, int environment)
     {
-        x = px, y = py, z = pz, mask = seen, tried = -1, root = root_of(environment);
-        point = seen_above((float)x, (float)y, (float)z);
+        x = px, y = py, z = pz, mask = seen, tried = -1, root = root_of(top, environment);
+        const Extent above = extent_of(top);
+        point = point_in(above.low, above.high, (float)x, (float)y, (float)z);
         return (point.slack == point.slack) & (root >= 0);
     }
 

@@ -76,6 +76,7 @@ struct Top {
     WideTree tree;
     Array<int> order;
     Array<Placement> placements;
+    float slack_scale;
     Array<float> extent;
     int root, shared_root;
     Array<int> environments, roots;

@@ -151,8 +151,8 @@ def distance_grid(
 
 
 class HostCopy:
-    """What will be copied to the host. Its memory there is touched by another thread while a device computes: a third of the
-    time of a grid was spent on pages that the copy met for the first time (notebooks/records/2026-11-28-points-gpu.md)."""
+    """What will be copied to the host. Its memory there is touched by another thread while a device computes, for a copy takes
+    long where it is the first to touch a page (notebooks/records/2026-11-28-points-gpu.md)."""
 
     def __init__(self, values: wp.array) -> None:
         self._values = values

@@ -41,9 +41,11 @@ from wrt.kernels.traversal.two_level.instance_updates import (
 )
 from wrt.meshes.instance import Instance
 
-MATRICES = {wp.mat44f: wp.mat44f, wp.mat44d: wp.mat44d, wp.transformf: wp.transformf, wp.transformd: wp.transformd}
+MATRICES = (wp.mat44f, wp.mat44d, wp.transformf, wp.transformd)
+"""Types of arrays of transforms."""
 
 NUMBERS = {wp.float32: wp.mat44f, wp.float64: wp.mat44d}
+"""Those of arrays of numbers, (..., 4, 4)."""
 
 CUDA_DLPACK = 2
 """The number of CUDA devices in DLPack."""
@@ -55,8 +57,10 @@ MAX_SMALL = 4096
 """Lanes of a level up to which it is refitted by one block."""
 
 MAX_FREE = 4
+"""`Reports` of callers that are kept for the next one."""
 
 NO_ROWS = np.zeros(0, dtype=np.int64)
+"""Of an update of all instances."""
 
 
 def transforms_on(device: wp.Device, transforms: Any, count: int) -> wp.array | None:

@@ -101,8 +101,10 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
         ValueError: wrong shape, not finite, not affine, singular, too large or too small.
     """
     matrix = as_numbers(name, transform, finite=False)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise ValueError(f"{name} must be a finite (4, 4) matrix, not of shape {matrix.shape}: {matrix.tolist()}")
+    if matrix.shape != (4, 4):
+        raise ValueError(f"{name} must be a finite (4, 4) matrix, not of shape {matrix.shape}")
+    if not np.isfinite(matrix).all():
+        raise ValueError(f"{name} must be a finite (4, 4) matrix, not {matrix.tolist()}")
     if not (np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)) <= 1e-12).all():
         raise ValueError(f"{name} must be affine, its last row (0, 0, 0, 1); got {matrix[3].tolist()}")
     if is_surely_regular(matrix.ravel().tolist()):

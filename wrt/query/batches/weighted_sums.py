@@ -2,8 +2,8 @@
 
 Sums of float64 depend on their order, so that blocks of other sizes would have other results. So each weight is rounded to a
 multiple of one power of two, of which all sums have fewer than 53 bits: they are exact, in any order. The product of weights
-and booleans is by NumPy's own loops: threads of a BLAS wait for each other, which took ten times the CPU time where other
-programs use the cores, too (notebooks/records/2026-11-28-whole-jobs.md).
+and booleans is by NumPy's own loops: threads of a BLAS wait for each other, which takes long where other programs use the
+cores, too (notebooks/records/2026-11-28-whole-jobs.md).
 """
 
 from __future__ import annotations
