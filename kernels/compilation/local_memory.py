@@ -68,6 +68,9 @@ def reserve_local_memory(kernel: wp.Kernel, device: wp.Device, block: int) -> No
     if needed <= max(reserved, MIN_CHECKED):
         return
     free = device.free_memory
+    if needed - reserved > free and not device.is_capturing:
+        wp.synchronize_device(device)  # memory that was freed goes from Warp's pool back to the driver
+        free = device.free_memory
     if needed - reserved > free:
         raise MemoryError(
             f"{kernel.key} needs {needed / 1e9:.1f} GB of local memory for all threads of {device.alias}, which has "

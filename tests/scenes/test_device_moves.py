@@ -162,14 +162,23 @@ def test_local_memory_that_a_card_has_not_is_refused(monkeypatch):
         key = "packets"
 
     class Card:
-        alias, ordinal, free_memory = "cuda:9", 9, 40_000_000_000
+        alias, ordinal, free_memory, is_capturing = "cuda:9", 9, 30_000_000_000, False
 
+    def synchronize(device):
+        assert device is Card
+        waits.append(Card.free_memory)
+        Card.free_memory = freed
+
+    waits, freed = [], 40_000_000_000
+    monkeypatch.setattr(wp, "synchronize_device", synchronize)
     monkeypatch.setattr(local_memory, "_reserved", {})
     monkeypatch.setattr(local_memory, "resident_threads", lambda ordinal: 270_336)
     sizes = iter([100_000, 110_000, 240_000, 250_000])
     monkeypatch.setattr(local_memory, "local_bytes", lambda *loaded: next(sizes))
     for _ in range(3):  # what is reserved already serves the next kernel
         local_memory.reserve_local_memory(Kernel, Card, 128)
-    monkeypatch.setattr(Card, "free_memory", 1_000_000_000)
+    assert waits == [30_000_000_000]  # what was freed counts once the pool has given it back
+    freed = 1_000_000_000
+    monkeypatch.setattr(Card, "free_memory", freed)
     with pytest.raises(MemoryError, match=r"packets needs 67\.6 GB of local memory .*cuda:9.* 1\.0 GB free"):
         local_memory.reserve_local_memory(Kernel, Card, 128)
