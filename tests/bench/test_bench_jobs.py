@@ -64,6 +64,7 @@ def test_sums_are_those_of_the_rays():
 
 
 def test_checks_of_a_print_are_those_of_trimesh():
+    pytest.importorskip("embreex", reason="embreex is not installed: pip install 'wrt[test-all]'")
     made = [contender.run() for contender in whole_jobs.print_contenders(whole_jobs.Print(0.01, 2))[1:3]]
     for own, other in zip(*made, strict=True):
         if np.size(own) == 1:

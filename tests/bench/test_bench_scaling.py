@@ -60,6 +60,7 @@ def test_scaling(tmp_path):
 
 def test_the_peers_stand_beside_wrt_with_each_number_of_threads(monkeypatch, tmp_path):
     """Embree is asked the same rays, and builds with the threads of its column, no matter which were used before."""
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'wrt[test-all]'")
     found = [version for version in EMBREES if library(version) is not None]
     if not found:
         pytest.skip("neither Embree 3 nor Embree 4 is installed")

@@ -41,6 +41,7 @@ def test_all_methods_are_here():
 
 def test_signs_at_acute_edges():
     """Where the normal of one triangle is on the wrong side."""
+    pytest.importorskip("scipy", reason="trimesh mends normals by SciPy, which is not installed: pip install 'wrt[test-all]'")
     wedge = trimesh.Trimesh([[0, 0, 0], [4, 1, 0], [4, -1, 0.5], [4, 0, -1.5]], [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
     wedge.fix_normals()
     points = np.random.default_rng(2).normal(size=(2000, 3)) * 1.5

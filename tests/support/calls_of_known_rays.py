@@ -7,6 +7,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+import pytest
 from call_objects import AIM, Call, area, hits, known_scene, rays, scene
 
 import wrt
@@ -51,5 +52,6 @@ def known_ray_calls() -> Iterator[Call]:
 
 
 def found_areas(lines: tuple[np.ndarray, np.ndarray], options: dict[str, Any]) -> str:
+    pytest.importorskip("sklearn", reason="scikit-learn is not installed: pip install 'wrt[test-all]'")
     with mock.patch.object(influence_areas, "PAIRS", 50):  # whose clusters take most of the time
         return repr(wrt.known_rays.InfluenceAreas.from_rays(*lines, **options))
