@@ -229,6 +229,82 @@ def test_a_slab_of_coloured_glass(device):
     np.testing.assert_allclose(paths.mean(axis=(0, 1)), expected, rtol=3e-3)
 
 
+def reflected_share(cosine, index=1.5):
+    """Fresnel's equations for unpolarised light that enters glass."""
+    inside = np.sqrt(1 - (1 - cosine**2) / index**2)
+    across = (cosine - index * inside) / (cosine + index * inside)
+    along = (index * cosine - inside) / (index * cosine + inside)
+    return (across**2 + along**2) / 2
+
+
+def through_pane(cosine):
+    """Share of light that a clear pane lets through, over all internal reflections."""
+    share = reflected_share(cosine)
+    return (1 - share) / (1 + share)
+
+
+@pytest.mark.parametrize("degrees", [0, 60])
+def test_a_lamp_seen_through_a_pane(degrees):
+    """4 % are reflected at each side at normal incidence, 8.9 % at 60 degrees; nothing else shines."""
+    pane = boxes((-50, -50, 0), (50, 50, 0.02)).with_materials(wrt.Material("dielectric", color=1.0, index=1.5))
+    lamp = plane((-50, -50), (50, 50), z=-0.5).with_materials(wrt.Material(color=0.0, emission=2.0))
+    angle = np.radians(degrees)
+    camera = wrt.OrthographicCamera(
+        8, 8, view_height=0.1, position=(4 * np.sin(angle), 0, 4 * np.cos(angle)), look_at=(0, 0, 0), up=(0, 1, 0)
+    )
+    found = linear(wrt.Scene([pane, lamp]), camera, integrator="path", samples=1024, depth=20, lights=[])
+    np.testing.assert_allclose(found.mean(), 2.0 * through_pane(np.cos(angle)), rtol=4e-3)
+
+
+@pytest.mark.parametrize("asks", [True, False])
+def test_light_of_the_sky_through_a_pane(asks):
+    """A floor under a pane: shadow rays are blocked by it, and paths that pass it have the whole light of the sky."""
+    albedo, sky = 0.5, 3.0
+    pane = boxes((-500, -500, 1.0), (500, 500, 1.1)).with_materials(wrt.Material("dielectric", color=1.0, index=1.5))
+    floor = plane((-500, -500), (500, 500)).with_materials(wrt.Material(color=albedo))
+    camera = wrt.OrthographicCamera(8, 8, view_height=1, position=(0, 0, 0.5), look_at=(0, 0, 0), up=(0, 1, 0))
+    options = {"lights": [wrt.lights.Sky(sky)], "samples": 1024, "depth": 60, "sample_lights": asks}
+    found = linear(wrt.Scene([pane, floor]), camera, integrator="path", **options)
+    cosines = (np.arange(4000) + 0.5) / 4000
+    passes = (2 * cosines * through_pane(cosines)).mean()
+    np.testing.assert_allclose(found.mean(), albedo * sky * passes / (1 - albedo * (1 - passes)), rtol=6e-3)
+
+
+def test_a_lamp_behind_a_ball_of_glass():
+    """Light that a ball gathers on a floor is found by scattering only, whether lamps are sampled or not: the means agree
+    within their standard errors."""
+    ball = sphere(3, 0.6, (0, 0, 1.2)).with_materials(wrt.Material("dielectric", color=1.0, index=1.5))
+    floor = plane((-20, -20), (20, 20)).with_materials(wrt.Material(color=0.5))
+    lamp = wrt.lights.AreaLight.rectangle((-1, -1, 3), (0, 2, 0), (2, 0, 0), 4.0)
+    camera = wrt.OrthographicCamera(12, 12, view_height=1, position=(0, 0, 0.4), look_at=(0, 0, 0), up=(0, 1, 0))
+    options = {"lights": [lamp], "samples": 512, "sampler": "random", "depth": 12}
+    means = [
+        linear(wrt.Scene([ball, floor]), camera, integrator="path", seed=seed, sample_lights=asks, **options).mean(axis=-1)
+        for asks, seed in ((True, 0), (False, 10_000))
+    ]
+    difference = means[0] - means[1]
+    error = difference.std() / np.sqrt(difference.size)
+    assert abs(difference.mean()) < 4 * error < 0.1 * means[0].mean()
+
+
+def test_lights_that_glass_blocks_are_named(recwarn):
+    """Of the integrator that finds all other light; not of default lights, nor without glass, nor of lamps that are hit."""
+    glass = [sphere(1).with_materials(wrt.Material("dielectric")), plane((-4, -4), (4, 4), z=-1.0)]
+    camera = wrt.PinholeCamera(4, 4, position=(0, -5, 2), look_at=(0, 0, 0))
+    point, lamp = wrt.lights.PointLight((0, 0, 5)), wrt.lights.AreaLight.sphere((0, 0, 5), 0.5)
+    for bodies, lights, integrator in (
+        (glass, None, "path"),
+        (glass, [lamp, wrt.lights.Sky(1.0)], "path"),
+        (glass, [point], "whitted"),
+        (glass[1:], [point], "path"),
+    ):
+        wrt.pictures.Rendering(wrt.Scene(bodies), camera, integrator=integrator, lights=lights)
+    assert not recwarn.list
+    for light in (point, wrt.lights.SpotLight((0, 0, 5), (0, 0, 0)), wrt.lights.DirectionalLight((0, 0, -1))):
+        with pytest.warns(UserWarning, match=f"no path hits a {type(light).__name__}.*AreaLight"):
+            wrt.pictures.Rendering(wrt.Scene(glass), camera, integrator="path", lights=[wrt.lights.Sky(1.0), light])
+
+
 def stack_radiance(indices, thicknesses, absorptions):
     """The same for layers, by adding them one by one from below."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,12 @@ import warp as wp
 
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
 from wrt.imaging.image_files import save_exr, save_image
-from wrt.imaging.integrators.device_materials import scene_materials, shaded_mesh, tiled_materials
+from wrt.imaging.integrators.device_materials import (
+    SceneMaterials,
+    scene_materials,
+    shaded_mesh,
+    tiled_materials,
+)
 from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.imaging.integrators.render_settings import FRESNEL, INTEGRATORS, RenderSettings
 from wrt.imaging.integrators.saved_samples import NOT_IN_SAMPLES, fingerprint, read_samples, write_samples
@@ -25,6 +31,7 @@ from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 from wrt.kernels.validation import as_float
 from wrt.lights.device_lights import check_lights, device_lights
+from wrt.lights.light_sources import DirectionalLight, PointLight
 from wrt.lights.sky_image import Sky
 from wrt.materials.material import Material
 from wrt.scene.filtered_scene import given_filter
@@ -39,6 +46,11 @@ if TYPE_CHECKING:
 __all__ = ["LAYERS", "Rendering"]
 
 LAYERS = ("depth", "normal", "albedo", "primitive_id", "geometry_id", "instance_id", "material_id")
+
+NOT_HIT = (
+    "no path hits a {}: it does not shine through glass, and what is behind glass gets none of its light; give a "
+    "wrt.lights.AreaLight in its place, or leave panes out by scene.filtered(ignore=...)"
+)
 
 DEFAULT_SKY = ((0.79, 0.81, 0.83), (0.48, 0.59, 0.73), (0.2, 0.2, 0.2))
 """Horizon, zenith and ground, if there are neither lights nor emissive materials."""
@@ -75,6 +87,9 @@ class Rendering(SampledPicture):
     Raises:
         TypeError: an argument has a wrong type; an unknown option.
         ValueError: a value out of range, or an unknown name.
+
+    Warns:
+        UserWarning: "path" is asked for the light of points, spots or the sun in a scene with glass: none passes it.
     """
 
     wave_type = Wave
@@ -106,6 +121,8 @@ class Rendering(SampledPicture):
         given = None if lights is None else check_lights(lights)
         self._lights = _default_lights(camera, scene) if given is None and not found.emission.any() else given or ()
         self._found = found
+        if integrator == "path" and given:
+            _warn_of_glass(given, found)
         device = scene.device
         with use_threads(scene.num_threads):
             self._lit = LitScene()
@@ -368,6 +385,16 @@ def camera_model(camera: Camera, settings: RenderSettings, scene: Scene, samples
     model.lens_up = wp.vec3d(*(settings.lens_radius * camera.up))
     model.focus = focus  # type: ignore[assignment]
     return model
+
+
+def _warn_of_glass(lights: Sequence[Any], found: SceneMaterials) -> None:
+    """Says which of the lights that were given shine through no glass of the scene."""
+    unhit = next((light for light in lights if isinstance(light, (PointLight, DirectionalLight))), None)
+    if unhit is None:
+        return
+    glass = [number for number, material in enumerate(found.mesh.materials) if material.kind == "dielectric"]
+    if glass and np.isin(found.of_face, glass).any():
+        warnings.warn(NOT_HIT.format(type(unhit).__name__), stacklevel=3)
 
 
 def _default_lights(camera: Camera, scene: Scene) -> tuple[Any, ...]:
