@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from fractions import Fraction
 from functools import reduce as fold
 from operator import add
@@ -15,6 +14,7 @@ import wrt
 from wrt.cluster.stored_answers import pack_answer, unpack_answer
 from wrt.query.batches.exact_sums import exact_sum
 from wrt.query.batches.reductions import REDUCTIONS, OfRows, as_block_reduction
+from wrt.query.batches.weighted_sums import sums_of_columns
 from wrt.query.blocks import BYTES_PER_RAY
 
 
@@ -99,38 +99,16 @@ def test_weighted_sums(scene, rays, axis, tmp_path):
     assert lit["is_hit"].shape == one.shape
 
 
-def test_blocks_are_cut_along_an_axis_that_is_kept(scene, tmp_path):
-    """Where the state of a block would be large: the same bits for any cut, in memory and in folders, and small files there."""
-    rng = np.random.default_rng(5)
-    origins, directions = rng.uniform(-1, 1, (2, 40, 3)), rng.normal(size=(30, 1, 1, 3)).astype(np.float32)
-    reach, skip = rng.uniform(0.5, 2.0, (1, 2, 40)), rng.integers(-1, 50, (30, 2, 40)).astype(np.int32)
-    rays = origins, directions, 0.0, reach.astype(np.float32)
-    hits = scene.intersect(*rays, skip=skip)
-    weights = rng.uniform(size=(3, 30))
-    for number, (method, reduce, axis, expected) in enumerate(
-        (
-            ("occluded_blocks", wrt.batches.WeightedSum(weights), 0, np.tensordot(hits.is_hit, weights, (0, 1))),
-            ("occluded_blocks", "mean", 0, hits.is_hit.mean(axis=0)),
-            ("intersect_blocks", {"t": "min", "position": "sum"}, (0, 2), None),
-        )
-    ):
-        ask = lambda memory: getattr(scene, method)(*rays, skip=skip, reduce=reduce, axis=axis, memory=memory)  # noqa: B023, E731
-        by_rows, parts, whole = ask(500_000), ask(500_000), ask("1 GB")
-        by_rows.cut_along(0)
-        assert (parts.cut_shape, by_rows.cut_shape, parts.shape) == ((2, 30, 40), (30, 2, 40), (30, 2, 40))
-        jobs = [wrt.cluster.Job(tmp_path / f"{number}-{n}", one) for n, one in enumerate((parts, by_rows))]
-        results = [one.result() for one in (whole, parts, by_rows, *(job.run(most=1).run() for job in jobs))]
-        for found in results[1:]:
-            assert pickle.dumps(found) == pickle.dumps(results[0])
-        if expected is not None:
-            np.testing.assert_allclose(results[0], expected)
-        assert wrt.cluster.Job(jobs[0].folder.path, ask("1 GB")).status.is_complete  # cut as it began, whatever memory is now
-        with pytest.raises(ValueError, match="no rows"):
-            next(iter(parts))
-        with pytest.raises(ValueError, match="no rows"):
-            jobs[0].write(np.zeros(2))
-    own = scene.occluded_blocks(*rays, reduce=lambda values, axes: values.sum(axis=axes), axis=0, memory=500_000)
-    assert own.cut_shape == own.shape  # a caller's reduction gets the axes that it was told
+@pytest.mark.parametrize("shape", [(7, 3, 1), (130, 2, 257), (65, 600, 1), (0, 5, 2), (4, 0, 2)])
+def test_sums_of_columns_in_any_layout(shape):
+    """Tiles that are not full, more rows than are copied at a time, rows in no group and in all, and arrays without values."""
+    rng = np.random.default_rng(8)
+    values, weights = rng.random(shape) < 0.4, np.rint(rng.normal(0.0, 1e9, (3, shape[0])))
+    weights[:, ::3], weights[1, 1::3] = 0.0, 0.0
+    expected = np.tensordot(values.astype(float), weights, (0, 1)).reshape(-1, 3)
+    for layout in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):  # all give the same array, laid out in memory in another order
+        stored = np.ascontiguousarray(values.transpose(layout))
+        np.testing.assert_array_equal(sums_of_columns(stored.transpose(np.argsort(layout)), weights), expected)
 
 
 def test_weights_that_do_not_fit(scene, rays):

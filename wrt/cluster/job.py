@@ -26,6 +26,7 @@ from wrt.engine.rays.rays import Rays
 from wrt.kernels.validation import as_int
 from wrt.query.batches.block_limits import finished_before_interrupt, progress_bar
 from wrt.query.batches.block_outputs import ATTRIBUTES, check_out, store
+from wrt.query.batches.block_work import BlockQuery
 from wrt.query.blocks import Blocks, Piece, joined
 from wrt.revisions import ANSWER_REVISION
 from wrt.scene.archives import UNREADABLE
@@ -113,16 +114,13 @@ class Job:
             raise ValueError("attributes is for closest hits without reduce; leave it out")
         if not self.folder.has_manifest():
             self._try_query()
-            rows, front = blocks.ranges(blocks.cut_shape).step, {"front": axis} if (axis := blocks.work.query.front) else {}
-            wanted = self._wanted(rows)
+            rows = blocks.ranges(blocks.shape).step
+            wanted = self._wanted(query, rows)
             with self.folder.locked():
                 if not self.folder.has_manifest():
-                    self.folder.create({**wanted, "rows": rows, **front})
+                    self.folder.create({**wanted, "rows": rows})
         self.manifest = self.folder.manifest()
-        if (axis := self.manifest.get("front", 0)) != blocks.work.query.front:
-            self.blocks = blocks = copy(blocks)
-            blocks.cut_along(axis)
-        self._refuse_other(self._wanted(self.manifest["rows"]))
+        self._refuse_other(self._wanted(query, self.manifest["rows"]))
 
     def _try_query(self) -> None:
         """Asks the query with no rays, so that options which it refuses leave no folder behind. Functions are not called."""
@@ -130,9 +128,9 @@ class Job:
         if isinstance(work.rays, Rays):
             replace(work, query=replace(work.query, reduction=None)).run(slice(0, 0), {})
 
-    def _wanted(self, rows: int) -> dict[str, Any]:
+    def _wanted(self, query: BlockQuery, rows: int) -> dict[str, Any]:
         """What the manifest says of a job, but its rows; notes the hashes of the blocks, if the rays are hashed whole."""
-        work, shape, query = self.blocks.work, self.blocks.cut_shape, self.blocks.work.query
+        work, shape = self.blocks.work, self.blocks.shape
         self._hashes = hashes_of_blocks(work, shape[0], rows) if is_whole(work) else None
         return {
             "shape": list(shape),
@@ -183,7 +181,7 @@ class Job:
             return
         if self.folder.manifest() != self.manifest:
             raise ValueError(f"'{self.folder.path}' holds another job than before; make the job again")
-        each = math.prod(self.blocks.cut_shape[1:])
+        each = math.prod(self.blocks.shape[1:])
         blocks, rows = copy(self.blocks), [rows_of_block(self.manifest, number) for number in numbers]
         blocks.work = replace(blocks.work, scene=copy(blocks.work.scene))
         self._refuse_other_scene(blocks.work.scene)
@@ -225,8 +223,7 @@ class Job:
                 raise ValueError(f"{changed}; the answers of this run were removed")
 
     def answers(self) -> Iterator[tuple[slice, Any]]:
-        """The rows and answer of each block, from the files; those of damaged ones are computed again. Rows are those of the axis
-        along which the batch is cut (`wrt.query.batches.cut_axes`).
+        """The rows and answer of each block, from the files; those of damaged ones are computed again.
 
         Raises:
             RuntimeError: the job is not complete, or another client runs it.
@@ -278,7 +275,7 @@ class Job:
 
     def write(self, out: Any) -> int:
         """Writes the answer to arrays, block by block; arguments, result and errors as in `Blocks.write` and `answers`."""
-        if self.blocks.leaves_no_rows:
+        if self._merges():
             raise ValueError("reduce along the first axis leaves no rows; call result()")
         check_out(out, self._empty(), self.blocks.shape[0], exact=True)
         for rows, answer in self.answers():

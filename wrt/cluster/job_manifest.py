@@ -52,8 +52,6 @@ def parse_manifest(text: bytes) -> dict[str, Any]:
     for name, is_valid in FIELDS.items():
         if not is_valid(manifest[name]):
             raise ValueError(f"{name} is {manifest[name]!r:.60}")
-    if not is_count(manifest.get("front", 0), 0, len(manifest["shape"]) - 1):
-        raise ValueError(f"front is {manifest['front']!r:.60}")
     if manifest["checksum"] != checksum(manifest):
         raise ValueError("it was changed after it was written: its checksum differs")
     return manifest

@@ -122,12 +122,10 @@ def write_parquet(blocks: Blocks, folder: str | Path, attributes: Sequence[str] 
     Raises:
         ImportError: pyarrow is not installed.
         OSError: a file cannot be written.
-        ValueError: rows have several rays that are not reduced, the first axis is reduced, or the rays come from an iterator.
+        ValueError: rows have several rays that are not reduced, or the rays come from an iterator.
     """
     if blocks.shape is None:
         raise ValueError("rays from an iterator cannot be written by workers; pass arrays or wrt.batches.GeneratedRays")
-    if blocks.leaves_no_rows:
-        raise ValueError("reduce along the first axis leaves no rows; call result()")
     place = Path(folder).absolute()
     place.mkdir(parents=True, exist_ok=True)
     deliver = WriteTable(str(place), tuple(attributes))

@@ -23,7 +23,7 @@ from wrt.query.batches.block_limits import finished_before_interrupt, parse_memo
 from wrt.query.batches.block_outputs import TakeAttributes, check_out, for_workers, rows_together, store
 from wrt.query.batches.block_rows import GeneratedRays, Source, as_column, rows_of, rows_shape
 from wrt.query.batches.block_work import HIT_QUERIES, BlockQuery, BlockWork, Deliver, Examine, Submitter
-from wrt.query.batches.cut_axes import front_axis, with_front
+from wrt.query.batches.outer_batches import kept_axes_first
 from wrt.query.batches.reductions import as_array, as_block_reduction
 from wrt.query.batches.task_window import run_tasks
 from wrt.query.batches.workers import Workers, as_workers
@@ -65,9 +65,9 @@ class Blocks:
         shaded = scene.occluded_blocks(points[:, None], suns, reduce="sum", axis=1).result()
 
     Attributes:
-        shape: leading shape of the batch; None if the rays come from an iterator.
+        shape: leading shape of the batch, reduced axes last where they were put there (`wrt.query.batches.outer_batches`);
+            None if the rays come from an iterator.
         done: rows answered by the latest iteration or `write`; after a Ctrl-C, the row to resume at.
-        cut_shape: the shape with the axis in front along which the batch is cut (`wrt.query.batches.cut_axes`).
     """
 
     def __init__(
@@ -87,25 +87,6 @@ class Blocks:
             self.work = replace(work, rays=source, axes=len(self.shape))
             if work.query.reduction is not None:
                 work.query.reduction.check(self.shape)
-        self._given, self.cut_shape = self.work, self.shape
-        self.cut_along(None)
-
-    def cut_along(self, axis: int | None) -> None:
-        """Cuts the batch along an axis; None for the one that suits its reductions. Results do not depend on it.
-
-        Raises:
-            ValueError: the batch cannot be cut along this axis.
-        """
-        if self.shape is None:
-            return
-        axis = front_axis(self._given, self.shape, self._bytes // self._bytes_per_ray) if axis is None else axis
-        self.work = with_front(self._given, axis) if axis else self._given
-        self.cut_shape = (self.shape[axis], *self.shape[:axis], *self.shape[axis + 1 :])
-
-    @property
-    def leaves_no_rows(self) -> bool:
-        """Whether the first axis is reduced."""
-        return self.shape is not None and self._given.query.merges_rows(len(self.shape))
 
     def __repr__(self) -> str:
         return f"Blocks(shape={self.shape}, memory={self._bytes} bytes)"
@@ -118,7 +99,7 @@ class Blocks:
         """
         if self.shape is None:
             raise TypeError("rays from an iterator have no known number of blocks before the iterator ends")
-        return len(self.ranges(self.cut_shape))  # type: ignore[arg-type]
+        return len(self.ranges(self.shape))
 
     def __iter__(self) -> Iterator[Block]:
         self._refuse_merged("iterate over axes without the first one, or call result()")
@@ -190,7 +171,7 @@ class Blocks:
             ValueError: `together` rows are more than a block may have.
         """
         a_row = max(math.prod(shape[1:]), 1)
-        each = self._bytes_per_ray
+        each = BYTES_PER_RAY + MASK_BYTES * sum(np.ndim(values) > 0 for values in self.work.columns.values())
         rows = max(min(self._bytes // each, MAX_RAYS) // a_row, 1)
         if together > rows:
             raise ValueError(
@@ -198,10 +179,6 @@ class Blocks:
                 f"memory to {together * a_row * each:,} bytes"
             )
         return range(0, shape[0], rows - rows % together)
-
-    @property
-    def _bytes_per_ray(self) -> int:
-        return BYTES_PER_RAY + MASK_BYTES * sum(np.ndim(values) > 0 for values in self.work.columns.values())
 
     def _blocks(self, out: Any) -> Iterator[Block]:
         self.done = 0
@@ -251,10 +228,10 @@ class Blocks:
 
     def _pieces(self, together: int) -> Iterator[Piece]:
         """The rows of each block, and their rays if these come from an iterator."""
-        if self.cut_shape is not None:
-            ranges, each = self.ranges(self.cut_shape, together), math.prod(self.cut_shape[1:])
+        if self.shape is not None:
+            ranges, each = self.ranges(self.shape, together), math.prod(self.shape[1:])
             for begin in ranges:
-                rows = slice(begin, min(begin + ranges.step, self.cut_shape[0]))
+                rows = slice(begin, min(begin + ranges.step, self.shape[0]))
                 yield Piece(rows, (rows.stop - begin) * each, {})
             return
         first = 0
@@ -277,7 +254,7 @@ class Blocks:
         return self.work.query.merges_rows(self.work.axes)
 
     def _refuse_merged(self, remedy: str) -> None:
-        if self.leaves_no_rows:
+        if self.shape is not None and self._merges():
             raise ValueError(f"reduce along the first axis leaves no rows; {remedy}")
 
 
@@ -330,5 +307,7 @@ def blocks_of(scene: Any, method: str, source: Source, how: How, columns: Mappin
     progress = as_bool("progress", how.progress)
     if "precise" in options:
         options["precise"] = as_bool("precise", options["precise"])
-    query = BlockQuery(method, options, as_block_reduction(how.reduce, how.axis, method in HIT_QUERIES))
-    return Blocks(BlockWork(scene, query, None, own, 0), source, how.memory, progress, as_workers(how.executor))
+    reduction = as_block_reduction(how.reduce, how.axis, method in HIT_QUERIES)
+    source, columns, reduction = kept_axes_first(source, own, reduction)
+    query = BlockQuery(method, options, reduction)
+    return Blocks(BlockWork(scene, query, None, columns, 0), source, how.memory, progress, as_workers(how.executor))

@@ -274,7 +274,7 @@ def flatten_shared(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[i
 
 
 def broadcast(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """A contiguous copy of an array in another shape. Runs of equal vectors are written 64 at a time: NumPy writes one by one."""
+    """A contiguous copy of vectors in another shape. Runs of equal ones are written 64 at a time: NumPy writes one by one."""
     values = np.broadcast_to(values, shape)
     if len(shape) < 3 or values.strides[-2] or shape[-2] < 2 * RUN:
         return np.ascontiguousarray(values)

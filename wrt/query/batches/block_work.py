@@ -47,22 +47,15 @@ class BlockQuery:
             of rays, and whose greatest distances are their t_max.
         options: its options, but those that each ray may have of its own.
         reduction: what is made of the answers; None to keep them.
-        front: the axis of the caller's batch that was brought to the front (`wrt.query.batches.cut_axes`); rays are traced
-            where it was.
     """
 
     method: str
     options: Mapping[str, Any]
     reduction: BlockReduction | None
-    front: int = 0
 
     def answer(self, scene: Any, rays: Rays, columns: Mapping[str, Any], first: int = 0) -> Any:
         """The answer to the rays of a block, whose first row has the number `first`: hits, an array, states of reductions, or
         reduced rows."""
-        if self.front:
-            arrays = {**vars(rays), **columns}
-            back = {name: moved_back(values, self.front, name in ("origins", "directions")) for name, values in arrays.items()}
-            rays, columns = Rays(*(back[name] for name in vars(rays))), {name: back[name] for name in columns}
         given = {
             name: values.on(scene.device) if isinstance(values, SkippedTriangles) else values
             for name, values in columns.items()
@@ -75,7 +68,7 @@ class BlockQuery:
             return found
         dimensions = len(rays.shape)
         with use_threads(scene.num_threads):
-            states = self.reduction.part(found, dimensions, first, self.front)
+            states = self.reduction.part(found, dimensions, first)
         return states if self.merges_rows(dimensions) else self.reduction.finish(states)
 
     @property
@@ -86,13 +79,6 @@ class BlockQuery:
     def merges_rows(self, dimensions: int) -> bool:
         """Whether axis 0 of an N-dimensional batch is reduced, so that blocks must be merged."""
         return self.reduction is not None and self.reduction.axes(dimensions)[0] == 0
-
-
-def moved_back(values: Any, axis: int, is_vector: bool) -> Any:
-    """A view of an array whose first axis goes back to its place; numbers as they are."""
-    if isinstance(values, SkippedTriangles):
-        return SkippedTriangles(moved_back(values.numbers, axis, False))
-    return np.moveaxis(values, 0, axis) if np.ndim(values) > is_vector else values
 
 
 @dataclass(frozen=True)

@@ -230,16 +230,11 @@ class BlockReduction:
             if isinstance(one, WeightedSum):
                 one.check(shape, axes)
 
-    @property
-    def is_built_in(self) -> bool:
-        """Whether no reduction is a caller's, which may ask for the axes as they were."""
-        return all(isinstance(one, (Sum, Extreme, Histogram, WeightedSum)) for one in self.reductions.values())
-
-    def part(self, answer: Any, dimensions: int, first: int, front: int = 0) -> dict[str, Any]:
-        """The states of a block, whose first row has this number. front: the axis of the answer that comes to the front."""
+    def part(self, answer: Any, dimensions: int, first: int) -> dict[str, Any]:
+        """The states of a block, whose first row has this number."""
         axes, states = self.axes(dimensions), {}
         for name, one in self.reductions.items():
-            values = np.moveaxis(as_array(getattr(answer, name) if name else answer), front, 0)
+            values = as_array(getattr(answer, name) if name else answer)
             states[name] = one.part(values, axes, first) if isinstance(one, WeightedSum) else one.part(values, axes)
         return states
 

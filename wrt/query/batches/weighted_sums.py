@@ -2,7 +2,7 @@
 
 Sums of float64 depend on their order, so that blocks of other sizes would have other results. So each weight is rounded to a
 multiple of one power of two, of which all sums have fewer than 53 bits: they are exact, in any order, on all cores
-(`wrt.kernels.fields.weighted_sums`).
+(`wrt.kernels.fields.column_sums`).
 """
 
 from __future__ import annotations
@@ -94,13 +94,13 @@ class WeightedSum:
 
 
 def sums_of_columns(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(P, G) sums of the weights of the rows in which each column is true; P is the product of the lengths of the columns' axes.
+    """(P, G) sums of the weights of the rows in which each column is true; P is the product of the lengths of their axes.
 
     Args:
         values: (D, ...) booleans.
         weights: (G, D) whole numbers whose sums are exact.
     """
-    from wrt.kernels.fields.weighted_sums import TILE, BooleanColumns, WeightedRows, sum_columns
+    from wrt.kernels.fields.column_sums import TILE, BooleanColumns, WeightedRows, sum_columns
 
     length, host, columns, rows = len(values), wp.get_device("cpu"), BooleanColumns(), WeightedRows()
     size = values.size // length if length else math.prod(values.shape[1:])

@@ -12,7 +12,7 @@ from wrt.kernels.runtime.options import exact_module
 exact_module(__name__)
 
 TILE = 256
-"""Columns of a tile, as in weighted_sums.h."""
+"""Columns of a tile, as in column_sums.h."""
 
 
 @wp.struct
@@ -39,7 +39,7 @@ class BooleanColumns:
 
 
 @native.func_native(
-    "weighted_sums.h",
+    "column_sums.h",
     f"""static_assert(wrt::SUM_TILE == {TILE});
     const int begin = tile * {TILE}, left = sums.shape[1] - begin, count = left < {TILE} ? left : {TILE};
     wrt::sum_tile(

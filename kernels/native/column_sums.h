@@ -1,4 +1,4 @@
-// Sums of weights, in groups, of what is true: columns of booleans in tiles of neighbours (wrt.kernels.fields.weighted_sums).
+// Sums of weights, in groups, of what is true: columns of booleans in tiles of neighbours (wrt.kernels.fields.column_sums).
 #pragma once
 
 namespace wrt {
