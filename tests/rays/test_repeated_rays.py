@@ -7,8 +7,7 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.engine.rays.device_rays import broadcast
-from wrt.engine.rays.device_rays import repeated, repeats_of
+from wrt.engine.rays.device_rays import broadcast, repeated, repeats_of
 
 CENTER = np.array([100.0, -7.0, 0.25])
 
