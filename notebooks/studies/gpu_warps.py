@@ -125,7 +125,8 @@ def compare_ways(scene: Scene, size: int, rounds: int) -> list[WarpFigures]:
 def compare_warps(mesh: TriangleMesh, *, size: int = 1024, rounds: int = 15) -> list[WarpFigures]:
     """Packets, streams and frusta of a CUDA warp beside persistent threads, on the first CUDA device.
 
-    On a machine without one the same kernels run on the CPU, a ray at a time: their answers are compared, and times say nothing.
+    On a machine without one the same kernels run on the CPU, a ray at a time: their answers are compared, and times
+    say nothing.
     """
     devices = wp.get_cuda_devices()
     scene = Scene(mesh, Bvh(width=2, max_leaf_triangles=LEAF), device=devices[0] if devices else "cpu")

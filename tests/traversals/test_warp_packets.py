@@ -1,15 +1,15 @@
-"""Packets, streams and frusta of CUDA warps: the hits of persistent threads, to the bit, on every device. On the CPU their kernels
-trace rays one by one; what threads do together runs on CUDA, and is compiled for it everywhere."""
+"""Packets, streams and frusta of CUDA warps: the hits of persistent threads, to the bit, on every device. On the CPU
+their kernels trace rays one by one; what threads do together runs on CUDA, and is compiled for it everywhere."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from hostile_rays import KINDS, MESHES, HostileRays
-from studies.gpu_warps import BASE, Traced, compare_ways
 from test_cuda_compiles import assert_fuses_boxes_alone, compile_to_ptx
 
 import wrt
+from studies.gpu_warps import BASE, Traced, compare_ways
 from wrt.bench.core.workloads import CLOSEST, OCCLUSION, Workload
 from wrt.kernels.classics.studies.warp_packets import WARP, WAYS, make_kernel
 

@@ -1,8 +1,8 @@
 """Packets, streams and frusta as a GPU means them: the 32 threads of a CUDA warp go through a BVH together.
 
 On a CPU a packet saves loads and fills vector lanes. A GPU's threads are lanes by themselves: a warp whose threads walk alone
-issues one instruction for all that are at the same place, and loads a node once for those that want the same. What is left to win
-is that threads stay together, and what it costs is that each waits for all (Aila and Laine 2009).
+issues one instruction for all that are at the same place, and loads a node once for those that want the same. What is
+left to win is that threads stay together, and what it costs is that each waits for all (Aila and Laine 2009).
 
     packet    A warp is a packet of 32 rays with one stack in shared memory. All threads test the node that is next, by votes
               it is decided whether one of them goes to a child and which child most of them meet first (Guenther et al. 2007).
