@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 import warp as wp
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hostile_rays import KINDS, MESHES, HostileRays
-from test_cuda_compiles import assert_fuses_boxes_alone, compile_to_ptx
+from support.hostile_rays import KINDS, MESHES, HostileRays
+from support.ptx import assert_fuses_boxes_alone, compile_to_ptx
 
 import wrt
 from studies.gpu_warps import BASE, Traced, compare_ways
