@@ -75,10 +75,12 @@ template <bool FROM_ZERO, class Walk, class All> __device__ void walk_packet(con
     }
 }
 
-/// Bounds of the rays of a warp that start at one point. bounded: axes along which all of them go the same way.
+/// Bounds of the rays of a warp that start at one point and have the same main axis and direction along it. Coordinates are
+/// relative to the origin, and `turn`ed. least, most: slopes along the other axes, and on the main one 1 / direction, scaled.
 struct WarpFrustum {
-    float least[3], most[3], low[3], high[3];
-    bool bounded[3];
+    float origin[3], least[3], most[3], slack;
+    int main;
+    bool rises;
 };
 
 __device__ inline float least_of_warp(unsigned team, float x)
@@ -93,44 +95,51 @@ __device__ inline int most_of_warp(unsigned team, int x)
     return x;
 }
 
-/// The frustum of the lanes whose rays are not done; false if these start at different points.
-template <class Walk, class All>
-__device__ bool bound_warp(const All& all, const Walk& walk, unsigned team, WarpFrustum& frustum)
+/// The frustum of the lanes whose rays are not done; false if they have none.
+template <class Walk> __device__ bool bound_warp(const Walk& walk, float reach, unsigned team, WarpFrustum& frustum)
 {
-    const unsigned rays = __ballot_sync(team, walk.node != DONE);
     const bool asks = walk.node != DONE;
+    const unsigned rays = __ballot_sync(team, asks);
     const int leader = rays ? __ffs(rays) - 1 : 0;
-    GivenRay given = {};
-    if (asks) given = given_ray(all.space.tree, all.rays, walk.number);
-    const float slack = 2.0f * FILTER_SLACK * __shfl_sync(team, given.reach, leader);
-    bool same = true;
+    frustum.slack = 2.0f * FILTER_SLACK * __shfl_sync(team, reach, leader);
+    frustum.main = __shfl_sync(team, walk.turned_ray.main, leader);
+    bool same = !asks || walk.turned_ray.main == frustum.main;
     WRT_UNROLLED
     for (int axis = 0; axis < 3; ++axis) {
-        const float origin = __shfl_sync(team, given.origin[axis], leader), inverse = walk.filter.inverse[axis];
-        same &= !asks || given.origin[axis] == origin;
-        const float low = least_of_warp(team, asks ? inverse : WRT_INFINITY);
-        const float high = -least_of_warp(team, asks ? -inverse : WRT_INFINITY);
-        frustum.least[axis] = low, frustum.most[axis] = high;
-        frustum.bounded[axis] = low > 0.0f || high < 0.0f;
-        frustum.low[axis] = origin + slack, frustum.high[axis] = origin - slack;
+        const float own = asks ? walk.turned_ray.origin[axis] : 0.0f;
+        frustum.origin[axis] = __shfl_sync(team, own, leader);
+        same &= !asks || own == frustum.origin[axis];
+        const float inverse = frustum.main == 0 ? walk.filter.inverse[0]
+            : frustum.main == 1                 ? walk.filter.inverse[1]
+                                                : walk.filter.inverse[2];
+        const float slope = axis == 2 ? inverse : walk.turned_ray.shear[axis];
+        frustum.least[axis] = least_of_warp(team, asks ? slope : WRT_INFINITY);
+        frustum.most[axis] = -least_of_warp(team, asks ? -slope : WRT_INFINITY);
     }
-    return __all_sync(team, same);
+    frustum.rises = frustum.least[2] > 0.0f;
+    return __all_sync(team, same) && (frustum.rises || frustum.most[2] < 0.0f);
 }
 
-/// Where the first of the rays may enter a box, in their scaled t; more than `last` if none meets it before.
+/// Where the first of the rays may enter a box, in their scaled t; infinite if none meets it before `last`.
 __device__ inline float enter_box(const WarpFrustum& f, const float* low, const float* high, float last)
 {
-    float enter = 0.0f, leave = last;
+    float from[3], to[3];
+    turn(f.main, low[0], low[1], low[2], from);
+    turn(f.main, high[0], high[1], high[2], to);
     WRT_UNROLLED
     for (int axis = 0; axis < 3; ++axis) {
-        if (!f.bounded[axis]) continue;
-        const bool rises = f.least[axis] > 0.0f;
-        const float below = low[axis] - f.low[axis], above = high[axis] - f.high[axis];
-        const float front = rises ? below : above, back = rises ? above : below;
-        enter = most(enter, least(front * f.least[axis], front * f.most[axis]));
-        leave = least(leave, most(back * f.least[axis], back * f.most[axis]));
+        from[axis] = from[axis] - f.origin[axis] - f.slack;
+        to[axis] = to[axis] - f.origin[axis] + f.slack;
     }
-    return enter <= leave ? enter : WRT_INFINITY;
+    const float near = f.rises ? most(from[2], 0.0f) : least(to[2], 0.0f), far = f.rises ? to[2] : from[2];
+    bool meets = f.rises ? far >= near : far <= near;
+    WRT_UNROLLED
+    for (int axis = 0; axis < 2; ++axis) {  // at a place on the main axis, rays are from the least slope's to the greatest's
+        const float steep = f.rises ? f.most[axis] : f.least[axis], flat = f.rises ? f.least[axis] : f.most[axis];
+        meets &= from[axis] <= most(steep * near, steep * far) && to[axis] >= least(flat * near, flat * far);
+    }
+    const float enter = least(near * f.least[2], near * f.most[2]);
+    return meets && enter <= last ? enter : WRT_INFINITY;
 }
 
 /// A child that a frustum meets: its word, and where the first ray enters it; infinite if none does.
@@ -166,7 +175,9 @@ template <bool FROM_ZERO, class Walk, class All> __device__ void walk_frustum(co
     constexpr int ROOM = WARP * (All::LEVELS + 2);
     __shared__ int waiting[WARPS_OF_BLOCK][ROOM];
     WarpFrustum frustum;
-    if (!bound_warp(all, walk, team, frustum)) {
+    float reach = 0.0f;
+    if (walk.node != DONE) reach = given_ray(all.space.tree, all.rays, walk.number).reach;
+    if (!bound_warp(walk, reach, team, frustum)) {
         walk_packet<FROM_ZERO>(all, walk, team);
         return;
     }
@@ -200,7 +211,7 @@ template <bool FROM_ZERO, class Walk, class All> __device__ void walk_frustum(co
     }
 }
 
-/// Rays of a node that waits, from `begin` on; from `free` on, numbers may be written.
+/// Rays of a node that waits, from `begin` on; from `free` on, numbers may be written: before that, those of other nodes wait.
 struct StreamPart {
     int node;
     unsigned short begin, count, free;
@@ -250,8 +261,8 @@ __device__ int filter_part(const float* nodes, Memory& memory, const StreamPart&
         nearer += __popc(__ballot_sync(team, met.swaps));
     }
     const bool b_first = 2 * nearer > in_both;
-    const auto end = (unsigned short)(part.free + in_b), end_of_a = (unsigned short)(part.begin + in_a);
-    const StreamPart a = {at.left, part.begin, (unsigned short)in_a, b_first ? end_of_a : end},
+    const auto end = (unsigned short)(part.free + in_b);
+    const StreamPart a = {at.left, part.begin, (unsigned short)in_a, b_first ? part.free : end},
                      b = {at.right, part.free, (unsigned short)in_b, end};
     if (in_a && b_first) memory.parts[top++] = a;
     if (in_b) memory.parts[top++] = b;

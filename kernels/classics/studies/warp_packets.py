@@ -10,8 +10,9 @@ left to win is that threads stay together, and what it costs is that each waits 
     stream    A warp has 128 rays. At each node those that meet a child are written, by ballot and compaction, to a list of
               their own, and go on together: so threads are at work in all but the last 32 of each list (Garanzha and Loop
               2010 and Wald et al. 2007 filter streams, the former in breadth first order). Lists and rays are in shared memory.
-    frustum   The rays of a warp that start at one point have a frustum. Each thread tests it with the children of
-              another node, 32 nodes at a time; all rays are tested with the triangles of the leaves that are found.
+    frustum   The rays of a warp that start at one point, with the same main axis, have a frustum of four planes. Each
+              thread tests it with the children of another node, 32 nodes at a time; all rays are tested with the
+              triangles of the leaves that are found. Other rays are a packet.
 
 Rays, the filter of boxes and the triangle test are those of persistent threads, so hits are the same to the bit. On the CPU an
 item traces its rays one by one. What each takes on a card is in notebooks/records/2026-11-28-gpu-warps.md.
