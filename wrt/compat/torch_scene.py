@@ -70,8 +70,9 @@ def _of_numpy(values: np.ndarray) -> Any:
 class TensorResult:
     """A result of a query whose attributes and methods give tensors of PyTorch.
 
-    Attributes:
-        result: what they are read from, with Warp or NumPy arrays.
+    Args:
+        result: what they are read from, with Warp or NumPy arrays; kept as an attribute.
+        known: attributes that are tensors already.
     """
 
     def __init__(self, result: Any, known: dict[str, Any] | None = None) -> None:
