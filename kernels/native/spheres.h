@@ -33,21 +33,25 @@ inline CUDA_CALLABLE void point_box(const float* record, int components, int wid
     }
 }
 
+/// By which the filter enlarges points, as a fraction of their distance and radius; `wrt.kernels.clouds` has the proof.
+constexpr float POINT_MARGIN = 3.8146973e-6f;  // 2^-18
+
 /// The lanes of a block whose spheres the line of a ray may meet: no sphere that it meets is left out.
-template <int W, int COMPONENTS, class Line>
-inline CUDA_CALLABLE unsigned points_near(const float* records, int block, const Line& line)
+template <int W, int COMPONENTS, class Ray>
+inline CUDA_CALLABLE unsigned points_near(const float* records, int block, const Ray& ray)
 {
     const float* const record = records + (size_t)block * (COMPONENTS * W);
-    const float *const o = line.origin.c, *const e = line.unit.c;
-    int near[W];
+    const float *const o = ray.origin.c, *const e = ray.unit.c;
+    int near[block_lanes(W)] = {};
     WRT_FOR_LANES (i) {
         const float x = record[i] - o[0], y = record[W + i] - o[1], z = record[2 * W + i] - o[2];
-        const float radius = record[3 * W + i], limit = radius + line.margin;
+        const float radius = record[3 * W + i], size = ((WRT_ABS(x) + WRT_ABS(y)) + WRT_ABS(z)) + radius;
+        const float limit = radius + POINT_MARGIN * size;
         const float along = x * e[0] + y * e[1] + z * e[2];
         const float p = x - along * e[0], q = y - along * e[1], r = z - along * e[2];
         near[i] = ((radius > 0.0f) & !(p * p + q * q + r * r > limit * limit)) ? -1 : 0;
     }
-    return bits<W>(near);
+    return bits<block_lanes(W)>(near);
 }
 
 inline CUDA_CALLABLE double dot3(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
@@ -109,14 +113,15 @@ inline CUDA_CALLABLE Roots disc_root(const double* centre, const double* d, doub
 }
 
 /// t of a ray's first meeting with the point in a slot from t_min on; NaN for none. Writes the surface coordinates u and v.
-template <int W, int COMPONENTS, class Line>
-inline CUDA_CALLABLE float meet_point(const float* records, int slot, const Line& line, float& u, float& v)
+template <int W, int COMPONENTS, class Ray, class Slabs>
+inline CUDA_CALLABLE float meet_point(
+    const float* records, int slot, const Ray& ray, const Slabs& slabs, float t_min, float& u, float& v)
 {
     const float* const record = records + (size_t)(slot / W) * (COMPONENTS * W) + slot % W;
     double centre[3], d[3], normal[3];
     for (int a = 0; a < 3; ++a) {
-        centre[a] = (double)record[a * W] - (double)line.origin.c[a];
-        d[a] = line.direction.c[a];
+        centre[a] = (double)record[a * W] - (double)ray.origin.c[a];
+        d[a] = ray.direction.c[a];
         normal[a] = COMPONENTS == DISC ? record[(COMPONENTS - 3 + a) * W] : 0.0f;
     }
     const double radius = record[3 * W];
@@ -124,10 +129,10 @@ inline CUDA_CALLABLE float meet_point(const float* records, int slot, const Line
     if (roots.count == 0) return WRT_NAN;
     float low[3], high[3];
     point_box(record, COMPONENTS, W, low, high);
-    const Interval own = meet_box(low, high, box_ray(line.slabs), -WRT_INFINITY, WRT_INFINITY);
+    const Interval own = meet_box(low, high, box_ray(slabs), -WRT_INFINITY, WRT_INFINITY);
     if (!(own.enter <= own.leave)) return WRT_NAN;
     float t = clamped((float)roots.t[0], own);
-    const bool is_inside = (roots.count == 2) & !(t >= line.t_min);
+    const bool is_inside = (roots.count == 2) & !(t >= t_min);
     if (is_inside) t = clamped((float)roots.t[1], own);
     const double root = roots.t[is_inside ? 1 : 0];
     const double from[3] = {root * d[0] - centre[0], root * d[1] - centre[1], root * d[2] - centre[2]};

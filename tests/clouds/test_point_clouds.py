@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import wrt
+from wrt.engine.facts.facts import RayFacts
+from wrt.engine.facts.query_kinds import QUERIES
 from wrt.engine.plan import planner
 from wrt.sensors import PointCloud
 
@@ -132,17 +134,126 @@ def test_one_sphere(distance, radius, length, direction, aside):
     np.testing.assert_allclose(np.linalg.norm(hits.position - UTM), radius, rtol=1e-6, atol=steps)
 
 
-def test_scattered_rays_are_sorted(monkeypatch):
-    """In large clouds, as in large scenes."""
-    monkeypatch.setattr(planner, "MIN_RAYS_TO_REORDER", 500)
-    monkeypatch.setattr(planner, "CACHED_BYTES", 400 * 36)
-    cloud, rng = scattered("spheres"), np.random.default_rng(7)
-    rays = rng.uniform(-1, 1, (2, 3000, 3))
-    hits = cloud.intersect(*rays)
-    assert hits.plan.reorder == "cells"
-    np.testing.assert_array_equal(hits.primitive_id, cloud.intersect(*rays, brute_force=True).primitive_id)
-    np.testing.assert_array_equal(cloud.occluded(*rays), hits.is_hit)
-    assert scattered("spheres", 300).intersect(*rays).plan.reorder == "none"
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("traversal", ["single", "stream", "interleaved"])
+def test_every_traversal_gives_the_bits_of_brute_force(traversal, kind):
+    """Closest and any hits, counts and lists, of rays from a point and from anywhere."""
+    cloud = scattered(kind, at=UTM)
+    origins, directions = every_ray(cloud)
+    for rays in ((origins, directions, 0.0, 0.9), (UTM, directions), (origins[:7], directions[:7])):
+        closest, judge = (cloud.intersect(*rays, traversal=name) for name in (traversal, "brute"))
+        assert (closest.plan.traversal, judge.plan.traversal) == (traversal, "brute")
+        for name in ("t", "primitive_id", "uv"):
+            np.testing.assert_array_equal(getattr(closest, name), getattr(judge, name))
+        np.testing.assert_array_equal(cloud.occluded(*rays, traversal=traversal), judge.is_hit)
+        lists, all_points = (cloud.intersect_all(*rays, traversal=name) for name in (traversal, "brute"))
+        for name in ("t", "primitive_id", "count"):
+            np.testing.assert_array_equal(getattr(lists, name), getattr(all_points, name))
+        np.testing.assert_array_equal(cloud.count(*rays, traversal=traversal), lists.count)
+
+
+def test_auto_and_traversals_of_triangles():
+    """Many rays take turns, few go one by one; what traces triangles alone is refused by name, before a kernel runs."""
+    cloud = scattered("discs")
+    rays = np.random.default_rng(7).uniform(-1, 1, (2, 3000, 3))
+    assert cloud.intersect(*rays).plan.traversal in ("interleaved", "stream", "single")  # as measured
+    plan = cloud.intersect(*rays[:, :100]).plan
+    assert (plan.traversal, plan.triangle_test) == ("single", "discs")
+    assert planner.choose_plan(cloud.state, RayFacts(3000, (3000,)), QUERIES["closest"]).traversal == "interleaved"
+    for name in ("packet", "persistent", "queued"):
+        with pytest.raises(ValueError, match=r"a point cloud has none; choose from auto, brute, single, stream, interleaved"):
+            cloud.intersect(*rays[:, :9], traversal=name)
+    with pytest.raises(ValueError, match="unknown; choose from"):
+        cloud.count(*rays[:, :9], traversal="spheres")
+    with pytest.raises(TypeError, match="must be a name, not Plan"):
+        cloud.occluded(*rays[:, :9], traversal=plan)
+    with pytest.raises(ValueError, match="no brute force"):
+        cloud.intersect(*rays[:, :9], traversal="single", brute_force=True)
+    with pytest.raises(ValueError, match="triangle_test 'spheres' is unknown"):
+        wrt.Scene(trimesh.creation.box(), device="cpu").intersect(*rays[:, :9], triangle_test="spheres")
+
+
+@pytest.mark.parametrize("rebuild", ["auto", "always", "never"])
+def test_moving_points(rebuild, device):
+    """The answers of an updated cloud are those of a new one; hits that were found before stay."""
+    rng = np.random.default_rng(8)
+    points, radius, normals = rng.uniform(-1, 1, (500, 3)) + UTM, rng.uniform(0.02, 0.2, 500), rng.normal(size=(500, 3))
+    cloud = PointCloud(points, radius, device=device)
+    rays = every_ray(cloud)
+    before = cloud.intersect(*rays)
+    place = before.position.copy()
+    assert cloud.last_update is None
+
+    def check(*made):
+        other = PointCloud(*made, device=device)
+        one, new = cloud.intersect(*rays), other.intersect(*rays)
+        for name in ("t", "primitive_id", "uv", "normal"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(new, name))
+        judge = cloud.intersect(*rays, brute_force=True)
+        np.testing.assert_array_equal(judge.t, one.t)
+        assert 0.1 < one.is_hit.mean() < 0.95
+
+    for step in (0.01, 1.0):
+        points = points + rng.normal(scale=step, size=points.shape)
+        cloud.update(points, rebuild=rebuild)
+        check(points, radius)
+        assert cloud.last_update.action in {"auto": ("kept", "built"), "always": ("built",), "never": ("kept",)}[rebuild]
+    cloud.update(radius=2.0 * radius, rebuild=rebuild)
+    points = cloud.center + relative(cloud)[0].astype(float)
+    check(points, np.float32(2.0 * radius))
+    cloud.update(normals=normals, rebuild=rebuild)
+    check(points, np.float32(2.0 * radius), normals)
+    with pytest.raises(ValueError, match="one for each of 3 points"):
+        cloud.update(points[:3])
+    with pytest.raises(ValueError, match="not finite"):
+        cloud.update(points * np.nan)
+    check(points, np.float32(2.0 * radius), normals)
+    cloud.update(points[:300], 0.1, normals[:300], rebuild=rebuild)
+    check(points[:300], 0.1, normals[:300])
+    np.testing.assert_array_equal(before.position, place)
+    assert before.is_of(cloud.state)
+
+
+def test_reflectance_of_points():
+    """An intensity is that of a cloud of one reflectance, times that of the point that was met."""
+    cloud, rng = scattered("discs", at=UTM), np.random.default_rng(9)
+    values, pose = rng.uniform(0, 2, len(cloud)), np.eye(4)
+    pose[:3, 3] = UTM + np.array([3.0, 0, 0])
+    lidar = wrt.sensors.Lidar.preset("velodyne_vlp16").replace(min_range=0.0, threshold=0.0)
+    one, each = (lidar.scan(cloud, pose, reflectance=value) for value in (1.0, values))
+    seen = np.isfinite(one.range)
+    assert seen.sum() > 50
+    for name in ("range", "primitive_id", "geometry_id", "normal"):
+        np.testing.assert_array_equal(getattr(each, name), getattr(one, name))
+    np.testing.assert_allclose(each.intensity, one.intensity * np.where(seen, values[one.primitive_id], 0.0), rtol=1e-5)
+    lidar = lidar.replace(bundle=3, divergence=0.002, returns=2)
+    one, each = (lidar.scan(cloud, pose, reflectance=value) for value in (0.7, np.full(len(cloud), 0.7)))
+    np.testing.assert_array_equal(each.intensity, one.intensity)
+    assert (lidar.scan(cloud, pose, reflectance=values).intensity != one.intensity).any()
+    with pytest.raises(ValueError, match=r"one for each of 400 points"):
+        lidar.scan(cloud, pose, reflectance=np.ones(3))
+
+
+def test_tables_of_points():
+    table = np.zeros(3, dtype=[("x", "f8"), ("y", "f4"), ("z", "i4"), ("intensity", "u2")])
+    table["x"], table["y"], table["z"] = [1, 2, 3], [4, 5, 6], [7, 8, 9]
+    cloud = PointCloud(table, 0.5, device="cpu")
+    np.testing.assert_allclose(cloud.bounds, [[0.5, 3.5, 6.5], [3.5, 6.5, 9.5]])
+    with pytest.raises(ValueError, match="without x, y and z; its fields are y, z"):
+        PointCloud(table[["y", "z"]], 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("closest_point", "cKDTree"), ("contains", "enclose nothing"), ("save", "pickle"), ("filtered", "keep"), ("other", "")],
+)
+def test_what_clouds_have_not(name, said):
+    cloud = scattered("spheres", 5)
+    with pytest.raises(AttributeError, match=f"a PointCloud has no '{name}'.*{said}"):
+        getattr(cloud, name)
+    for place in (wrt.Scene, wrt.Instance):
+        with pytest.raises(TypeError, match="PointCloud"):
+            place(cloud)
 
 
 def test_sphere_closed_form(device):

@@ -220,6 +220,7 @@ def tangent_hits(traced: Traced, hits: DeviceHits, tangents: Callable[[DeviceHit
     from wrt.kernels.sensors.lidar_returns import Traced
 
     mesh, number, _ = tangents(hits)
+    traced.primitive = hits.primitive  # for `wrt.sensors.lidar.reflect_by_point`
     other = Traced()
     other.place, other.directions, other.t, other.primitive = traced.place, traced.directions, hits.t, number
     return other, mesh
