@@ -1,7 +1,7 @@
 """A ray and a point: the filter of W points, the decision about one, and the records and boxes of points.
 
-A record has the centre and the radius, and for discs the unit normal: 4 or 7 floats, in blocks as those of triangles
-(`wrt.kernels.triangle.support.record_blocks`).
+A record has the centre and the radius, for discs also the unit normal, and for boxes half the edges in place of the radius: 4, 7
+or 6 floats, in blocks as those of triangles (`wrt.kernels.triangle.support.record_blocks`).
 
 To traversals, points are a triangle test with records, a state of the ray and a filter of their own (`TESTS`). It is not among
 those that a caller may name: a scene has triangles or points.
@@ -25,7 +25,7 @@ from wrt.kernels.triangle.support.vectors import dot
 
 exact_module(__name__)
 
-SPHERE, DISC = 4, 7
+SPHERE, BOX, DISC = 4, 6, 7
 """Components of a record."""
 
 
@@ -35,9 +35,11 @@ class CloudPoints:
 
     centre: wp.array(dtype=wp.vec3)
     radius: wp.array(dtype=float)
-    """(N,), or (1,) for all."""
+    """(N,), or (1,) for all; not of boxes."""
     normal: wp.array(dtype=wp.vec3)
-    """(N,) unit vectors of discs; (0,) for spheres."""
+    """(N,) unit vectors of discs, or half the edges of boxes; (0,) for spheres."""
+    components: int
+    """`SPHERE`, `DISC` or `BOX`."""
 
 
 @wp.struct
@@ -102,7 +104,7 @@ class PointRecord(Record):
     """The record of a point.
 
     Attributes:
-        size: `SPHERE` or `DISC`.
+        size: `SPHERE`, `DISC` or `BOX`.
     """
 
     size: int = SPHERE
@@ -130,13 +132,13 @@ def point_test(name: str, components: int) -> TriangleTest:
     )
 
 
-TESTS = {"spheres": point_test("spheres", SPHERE), "discs": point_test("discs", DISC)}
+TESTS = {name: point_test(name, components) for name, components in (("spheres", SPHERE), ("discs", DISC), ("boxes", BOX))}
 """By name."""
 
 
 @native.func_native(
     "spheres.h",
-    f"""static_assert(wrt::SPHERE == {SPHERE} && wrt::DISC == {DISC});
+    f"""static_assert(wrt::SPHERE == {SPHERE} && wrt::DISC == {DISC} && wrt::BOX == {BOX});
     const float *const at = (const float*)points.centre.data, *const across = (const float*)points.normal.data;
     float* const to = records.data + (size_t)(slot / width) * components * width + slot % width;
     const int id = primitive.data[slot];

@@ -16,16 +16,19 @@ import wrt
 from wrt.engine.facts.facts import RayFacts
 from wrt.engine.facts.query_kinds import QUERIES
 from wrt.engine.plan import planner
+from wrt.kernels.clouds.cloud_test import BOX
 from wrt.sensors import PointCloud
 
 UTM = np.array([691_000.0, 5_334_000.0, 500.0])
-KINDS = ("spheres", "discs")
+KINDS = ("spheres", "discs", "boxes")
 
 
 def scattered(kind: str, count: int = 400, at: np.ndarray | float = 0.0, device: str = "cpu") -> PointCloud:
     """Points in a cube of 2, with radii of their own."""
     rng = np.random.default_rng(3)
     points, radius = rng.uniform(-1, 1, (count, 3)), rng.uniform(0.005, 0.2, count)
+    if kind == "boxes":
+        return PointCloud(points + at, rng.uniform(0.005, 0.1, (count, 3)), boxes=True, device=device)
     return PointCloud(points + at, radius, rng.normal(size=(count, 3)) if kind == "discs" else None, device=device)
 
 
@@ -50,8 +53,10 @@ def every_ray(cloud: PointCloud, count: int = 600) -> tuple[np.ndarray, np.ndarr
 
 
 def relative(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, radii and normals as the device holds them."""
+    """Points, radii and normals as the device holds them; of boxes half the edges for normals, and the least of them."""
     points = cloud.state.points
+    if points.components == BOX:
+        return points.centre.numpy(), points.normal.numpy().min(axis=1), points.normal.numpy()
     radius = np.broadcast_to(points.radius.numpy(), len(cloud))
     return points.centre.numpy(), radius, points.normal.numpy()
 
@@ -63,6 +68,10 @@ def roots(cloud: PointCloud, origins: np.ndarray, directions: np.ndarray) -> tup
         points, radius, normal = (array.astype(np.longdouble) for array in relative(cloud))
         x = points - (origins - cloud.center).astype(np.float32).astype(np.longdouble)[:, None]
         d = directions.astype(np.float32).astype(np.longdouble)[:, None]
+        if cloud.state.points.components == BOX:
+            sides = (x - normal) / d, (x + normal) / d
+            enter, leave = np.minimum(*sides).max(axis=-1), np.maximum(*sides).min(axis=-1)
+            return np.where(enter <= leave, enter, np.nan), np.where(enter <= leave, leave, np.nan)
         if len(normal):
             t = (x * normal).sum(-1) / (d * normal).sum(-1)
             met = ((t[..., None] * d - x) ** 2).sum(-1) <= radius**2
@@ -134,10 +143,9 @@ def test_one_sphere(distance, radius, length, direction, aside):
     np.testing.assert_allclose(np.linalg.norm(hits.position - UTM), radius, rtol=1e-6, atol=steps)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("traversal", ["single", "stream", "interleaved"])
+@pytest.mark.parametrize(("traversal", "kind"), [("stream", "spheres"), ("interleaved", "discs"), ("interleaved", "boxes")])
 def test_every_traversal_gives_the_bits_of_brute_force(traversal, kind):
-    """Closest and any hits, counts and lists, of rays from a point and from anywhere."""
+    """Closest and any hits, counts and lists, of rays from a point and from anywhere; of boxes closest hits alone."""
     cloud = scattered(kind, at=UTM)
     origins, directions = every_ray(cloud)
     for rays in ((origins, directions, 0.0, 0.9), (UTM, directions), (origins[:7], directions[:7])):
@@ -145,6 +153,8 @@ def test_every_traversal_gives_the_bits_of_brute_force(traversal, kind):
         assert (closest.plan.traversal, judge.plan.traversal) == (traversal, "brute")
         for name in ("t", "primitive_id", "uv"):
             np.testing.assert_array_equal(getattr(closest, name), getattr(judge, name))
+        if kind == "boxes":
+            continue
         np.testing.assert_array_equal(cloud.occluded(*rays, traversal=traversal), judge.is_hit)
         lists, all_points = (cloud.intersect_all(*rays, traversal=name) for name in (traversal, "brute"))
         for name in ("t", "primitive_id", "count"):
@@ -272,6 +282,29 @@ def test_sphere_closed_form(device):
         np.testing.assert_allclose(hits.position, [2, 0, 0], atol=1e-6)
 
 
+def test_box_closed_form(device):
+    """Sides, edges and corners; from inside, the far side; along a side."""
+    cloud = PointCloud([[3.0, 0, 0]], [[1.0, 2.0, 3.0]], boxes=True, device=device)
+    ahead = [1.0, 0, 0]
+    np.testing.assert_allclose(cloud.bounds, [[2, -2, -3], [4, 2, 3]])
+    begin = [[0.0, 0, 0], [3.0, 1, 1], [5.0, 0, 0], [0.0, 2, 3], [0.0, 2.001, 0]]
+    np.testing.assert_array_equal(cloud.intersect(begin, ahead).t, np.float32([2, 1, np.inf, 2, np.inf]))
+    hits = cloud.intersect([3.5, 0.5, 9.0], [0.0, 0, -2])
+    assert hits.t == 3.0
+    np.testing.assert_allclose(hits.normal, [0, 0, 1], atol=1e-7)
+    np.testing.assert_allclose(hits.position, [3.5, 0.5, 3], atol=1e-6)
+    np.testing.assert_allclose(cloud.intersect([3.0, 0, 0], [0.0, -1, 0]).normal, [0, -1, 0], atol=1e-7)  # outward, from inside
+    assert repr(cloud).startswith("PointCloud(1 boxes")
+    cubes = PointCloud([[0.0, 0, 0], [1, 0, 0]], 0.5, boxes=True, device=device)
+    assert cubes.intersect([0.5, 9.0, 0], [0.0, -1, 0]).primitive_id == 0  # they share a side
+    cubes.update(radius=[0.25, 0.5])
+    assert cubes.intersect([0.5, 9.0, 0], [0.0, -1, 0]).primitive_id == 1
+    with pytest.raises(ValueError, match="no normals"):
+        PointCloud([[0.0, 0, 0]], 0.5, [[0, 0, 1.0]], boxes=True)
+    with pytest.raises(ValueError, match="radius has the shape"):
+        PointCloud(np.zeros((4, 3)), np.ones((2, 3)), boxes=True)
+
+
 def test_disc_closed_form(device):
     cloud = PointCloud([[0.0, 0, 2]], 0.5, [[0, 0, -7.0]], device=device)
     up = [0.0, 0, 1]
@@ -326,6 +359,11 @@ def test_hits(kind):
     if kind == "spheres":
         across = (hits.position[met] - centre) / radius[ids, None]
         np.testing.assert_allclose(hits.normal[met], across, atol=1e-4)
+    elif kind == "boxes":
+        cube = (hits.position[met] - centre) / normals[ids]
+        np.testing.assert_allclose(np.abs(cube).max(axis=1), 1, atol=2e-4)  # positions are in float32 near UTM
+        np.testing.assert_allclose((cube * hits.normal[met]).sum(axis=1), 1, atol=2e-4)
+        assert set(np.unique(np.abs(hits.normal[met]).round(6))) == {0.0, 1.0}
     else:
         np.testing.assert_allclose(hits.normal[met], normals[ids], atol=1e-6)
         assert (np.linalg.norm(hits.position[met] - centre, axis=1) <= radius[ids] + 1e-6).all()

@@ -14,7 +14,7 @@ from wrt.builders import tree as common
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.engine.facts.scene_state import SceneState
 from wrt.engine.memory import empty, memory_for
-from wrt.kernels.clouds.cloud_test import DISC, SPHERE, CloudPoints, box_points, pack_points
+from wrt.kernels.clouds.cloud_test import BOX, DISC, SPHERE, CloudPoints, box_points, pack_points
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.simd.lanes import native_width
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from wrt.engine.device_hits import DeviceHits
     from wrt.engine.facts.facts import SceneFacts
     from wrt.engine.facts.scene_settings import Settings
+
+KINDS = {SPHERE: "spheres", DISC: "discs", BOX: "boxes"}
 
 CHUNK = 2048
 """Points that are worth a chunk of their own."""
@@ -66,18 +68,18 @@ class CloudState(SceneState):
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
         """What `place_cloud` makes the state of again."""
-        points, normals = self.points, self.points.normal
-        return points.centre.numpy(), self.center, points.radius.numpy(), normals.numpy() if len(normals) else None
+        points, kind = self.points, self.points.components
+        radius, normals = points.normal if kind == BOX else points.radius, points.normal if kind == DISC else None
+        return points.centre.numpy(), self.center, radius.numpy(), None if normals is None else normals.numpy()
 
     @cached_property
     def facts(self) -> SceneFacts:
         """What plans depend on."""
-        test = "discs" if len(self.points.normal) else "spheres"
-        return replace(super().facts, points=True, triangle_test=test)
+        return replace(super().facts, points=True, triangle_test=KINDS[self.points.components])
 
     def contents(self) -> str:
         """What is in the cloud, in words."""
-        return f"{self.triangle_count} {'discs' if len(self.points.normal) else 'spheres'}"
+        return f"{self.triangle_count} {self.facts.triangle_test}"
 
     def tangents(self, hits: DeviceHits) -> tuple[SceneMesh, wp.array, wp.array]:
         """Hits as triangles (`wrt.kernels.clouds.tangent_planes`), their numbers there, -1 for a miss, and weights of 0."""
@@ -101,12 +103,10 @@ class CloudTree:
     Attributes:
         tree: numbers points.
         records: (blocks * components * width,) points in the order of the leaves.
-        components: `SPHERE` or `DISC`.
     """
 
     tree: common.Bvh
     records: wp.array
-    components: int
 
     @classmethod
     def build(cls, points: CloudPoints, settings: Settings) -> CloudTree:
@@ -131,9 +131,8 @@ class CloudTree:
     @classmethod
     def of(cls, tree: common.Bvh, points: CloudPoints, settings: Settings) -> CloudTree:
         """A tree over points that are on the CPU."""
-        components = DISC if len(points.normal) else SPHERE
-        records = pack(points, tree.primitive.to("cpu"), tree.width, components).to(settings.device)
-        return cls(tree.to(settings.device), records, components)
+        records = pack(points, tree.primitive.to("cpu"), tree.width).to(settings.device)
+        return cls(tree.to(settings.device), records)
 
     @property
     def width(self) -> int:
@@ -186,17 +185,18 @@ class CloudTree:
 
 def point_boxes(points: CloudPoints) -> tuple[Boxes, np.ndarray, np.ndarray]:
     """The boxes of points that are on the CPU, and their (3, N) lower and upper corners."""
-    count, boxes, components = len(points.centre), Boxes(), DISC if len(points.normal) else SPHERE
-    alone = pack(points, wp.array(np.arange(count, dtype=np.int32), dtype=int, device="cpu"), 1, components)
+    count, boxes, components = len(points.centre), Boxes(), points.components
+    alone = pack(points, wp.array(np.arange(count, dtype=np.int32), dtype=int, device="cpu"), 1)
     boxes.low, boxes.high = (wp.empty((3, count), dtype=float, device="cpu") for _ in range(2))
     launch(box_points, count, [alone, components, boxes.low, boxes.high], device=boxes.low.device, chunk=CHUNK)
     return boxes, boxes.low.numpy(), boxes.high.numpy()
 
 
-def pack(points: CloudPoints, order: wp.array, width: int, components: int) -> wp.array:
+def pack(points: CloudPoints, order: wp.array, width: int) -> wp.array:
     """Records of points on the CPU, in blocks of a width; `order`: their numbers, -1 for unused lanes."""
-    records = wp.empty(len(order) * components, dtype=float, device="cpu")
-    launch(pack_points, len(order), [points, order, width, components, records], device=records.device, chunk=CHUNK)
+    records = wp.empty(len(order) * points.components, dtype=float, device="cpu")
+    inputs = [points, order, width, points.components, records]
+    launch(pack_points, len(order), inputs, device=records.device, chunk=CHUNK)
     return records
 
 
@@ -207,8 +207,8 @@ def build_cloud(
 
     Args:
         points: (N, 3) float64, finite.
-        radius: (N,) or (1,) float32, positive.
-        normals: (N, 3) unit vectors, or None for spheres.
+        radius: (N,) or (1,) float32, positive; of boxes (N, 3), half their edges.
+        normals: (N, 3) unit vectors of discs, or None.
         settings: of the cloud.
         move: as in `place_cloud`.
 
@@ -245,8 +245,11 @@ def place_cloud(
     """
     device, host, own, mesh = settings.device, CloudPoints(), CloudPoints(), SceneMesh()
     host.centre = wp.array(points, dtype=wp.vec3, device="cpu")
-    host.radius = wp.array(radius, dtype=float, device="cpu")
-    host.normal = wp.array(np.zeros((0, 3)) if normals is None else normals, dtype=wp.vec3, device="cpu")
+    is_box = radius.ndim == 2
+    host.radius = wp.array(np.zeros(1) if is_box else radius, dtype=float, device="cpu")
+    across = radius if is_box else np.zeros((0, 3)) if normals is None else normals
+    host.normal = wp.array(across, dtype=wp.vec3, device="cpu")
+    host.components = own.components = BOX if is_box else SPHERE if normals is None else DISC
     with use_threads(settings.num_threads):
         tree, report = (CloudTree.build(host, settings), None) if move is None else move(host, settings)
     own.centre, own.radius, own.normal = host.centre.to(device), host.radius.to(device), host.normal.to(device)

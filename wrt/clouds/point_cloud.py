@@ -47,7 +47,7 @@ MISSING = {
 
 
 class PointCloud:
-    """Points with a radius, in a tree, that rays meet: spheres, or discs across their normals.
+    """Points with a radius, in a tree, that rays meet: spheres, discs across their normals, or boxes along the axes.
 
         map = wrt.sensors.PointCloud(points, radius=0.05)
         hits = map.intersect(origins, directions)       # hits.primitive_id: which point
@@ -58,7 +58,7 @@ class PointCloud:
     cloud's longest side. Spheres and discs are no closed surface: rays pass between points whose radius is too small.
 
     A ray meets a sphere where it enters it; a ray that starts in one, or whose range does, meets its far side. Both sides of a
-    disc are met; one that is seen exactly edge-on is not. Of hits at the same t, the one with the smallest number is returned.
+    disc are met; one that is seen exactly edge-on is not. A box is met as a sphere is. Of hits at the same t, the one with the smallest number is returned.
 
     **Results** are those of `wrt.Scene`, with these differences: `primitive_id` numbers the points, `geometry_id` and
     `instance_id` are 0, -1 for a miss. `normal` points away from the centre of a sphere, whatever side is met, and is that of a
@@ -71,7 +71,9 @@ class PointCloud:
             such as `wrt.sensors.read_points` gives; or a trimesh.PointCloud.
         radius: of the points, a number or (N,), positive, in units of length. Half the distance between neighbours times 1.5
             closes a surface that was sampled evenly.
+            Of boxes half their edges, a number, (N,) for cubes, or (N, 3).
         normals: (N, 3), of any length but zero: points are discs across these. None: they are spheres.
+        boxes: whether points are boxes along the axes, such as the voxels of a map.
         device: a Warp device or its name; None for Warp's default device.
         num_threads: threads for the build and for queries on the CPU; None for `wrt.get_num_threads()`.
 
@@ -96,12 +98,15 @@ class PointCloud:
         radius: Numbers,
         normals: ArrayLike | None = None,
         *,
+        boxes: bool = False,
         device: str | wp.Device | None = None,
         num_threads: int | None = None,
     ) -> None:
         settings = as_settings(Bvh(), AUTO, device, num_threads)
         given = _as_points(points)
-        radii = _as_radii(radius, len(given))
+        radii = _as_radii(radius, len(given), as_bool("boxes", boxes))
+        if boxes and normals is not None:
+            raise ValueError("boxes lie along the axes and have no normals; leave out one of boxes and normals")
         self.state = build_cloud(given, radii, None if normals is None else _as_normals(normals, len(given)), settings)
 
     def __len__(self) -> int:
@@ -164,7 +169,7 @@ class PointCloud:
 
         Args:
             points: (N, 3) as in the class, of any number if `radius` is one number and there are no normals, or new ones.
-            radius: a number or (N,).
+            radius: a number or (N,), of boxes also (N, 3).
             normals: (N, 3); makes discs of spheres.
             rebuild: "auto": what has become too costly for rays is rebuilt; "always"; "never"; or a `wrt.moving.UpdatePolicy`.
 
@@ -174,7 +179,10 @@ class PointCloud:
         state, policy = self.state, as_policy(rebuild)
         relative, center, own_radius, own_normals = state.arrays()
         moved = relative.astype(np.float64) + center if points is None else _as_points(points)
-        radii = _as_radii(own_radius if radius is None else radius, len(moved))
+        is_box = own_radius.ndim == 2
+        radii = _as_radii(own_radius if radius is None else radius, len(moved), is_box)
+        if is_box and normals is not None:
+            raise ValueError("boxes lie along the axes and have no normals; make another PointCloud")
         if normals is not None or own_normals is not None:
             own_normals = _as_normals(own_normals if normals is None else normals, len(moved))
         same = len(moved) == len(relative)
@@ -351,14 +359,16 @@ def _as_points(points: Any) -> np.ndarray:
     return array
 
 
-def _as_radii(radius: Any, count: int) -> np.ndarray:
-    """(1,) or (N,) float32, positive."""
+def _as_radii(radius: Any, count: int, is_box: bool) -> np.ndarray:
+    """(1,) or (N,) float32, positive; (N, 3) of boxes."""
     array = np.atleast_1d(as_numbers("radius", radius, finite=False))
-    if array.shape not in ((1,), (count,)):
+    if is_box and array.shape in ((1,), (count,)):
+        array = np.broadcast_to(array[:, None], (count, 3))
+    if array.shape not in (((count, 3),) if is_box else ((1,), (count,))):
         raise ValueError(f"radius has the shape {array.shape}; pass one number, or one for each of {count} points")
     good = (array >= LEAST_RADIUS) & (array < INF)
     if not good.all():
-        first = int(np.argmin(good))
+        first = int(np.argmin(good.reshape(len(array), -1).all(axis=1)))
         raise ValueError(
             f"radius must be positive and finite, but that of point {first} is {array[first]}; points without extent are not "
             "met by rays: give half the distance between neighbours"

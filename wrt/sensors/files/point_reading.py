@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
+from wrt.meshes.files.mesh_source import read_regular_file
 from wrt.meshes.files.ply_rows import read_elements, read_header
 from wrt.sensors.files.pcd_file import read_pcd
 from wrt.sensors.files.table_fields import needed
 from wrt.tables import lookup
 
 __all__ = ["read_points"]
+
+WHAT = "a file of points"
 
 KITTI_TYPE = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
 
@@ -58,7 +62,7 @@ def read_points(path: str | Path) -> np.ndarray:
 
 
 def _ply(path: Path) -> np.ndarray:
-    data = path.read_bytes()
+    data = read_regular_file(path, WHAT)
     found, _ = read_elements(data, read_header(data), ("vertex",))
     columns = {name: values for name, values in found.get("vertex", {}).items() if isinstance(values, np.ndarray)}
     if not columns:
@@ -71,7 +75,7 @@ def _ply(path: Path) -> np.ndarray:
 
 
 def _kitti(path: Path) -> np.ndarray:
-    data = path.read_bytes()
+    data = read_regular_file(path, WHAT)
     if len(data) % KITTI_TYPE.itemsize:
         raise ValueError(f"it has {len(data)} bytes, no whole number of rows of four float32")
     return np.frombuffer(data, dtype=KITTI_TYPE).copy()
@@ -81,9 +85,9 @@ def _las(path: Path) -> np.ndarray:
     library = needed("laspy", "LAS files")
     if path.suffix.lower() == ".laz" and not library.LazBackend.detect_available():
         needed("lazrs", "LAZ files")
-    path.open("rb").close()  # a missing file is an OSError, whatever the library makes of it
+    data = read_regular_file(path, WHAT)
     try:
-        read = library.read(path)
+        read = library.read(io.BytesIO(data))
         columns = {name: np.asarray(read[name]) for name in read.point_format.dimension_names if name not in "XYZ"}
         columns = {axis: np.asarray(read[axis], dtype=np.float64) for axis in "xyz"} | columns
         count, announced = len(columns["x"]), read.header.point_count
@@ -100,7 +104,7 @@ def _las(path: Path) -> np.ndarray:
 READERS: Mapping[str, Callable[[Path], np.ndarray]] = {
     ".ply": _ply,
     ".bin": _kitti,
-    ".pcd": lambda path: read_pcd(path.read_bytes()),
+    ".pcd": lambda path: read_pcd(read_regular_file(path, WHAT)),
     ".las": _las,
     ".laz": _las,
 }
