@@ -1,7 +1,7 @@
 """A ray and a point: the filter of W points, the decision about one, and the records and boxes of points.
 
-A record has the centre and the radius, for discs also the unit normal, and for boxes half the edges in place of the radius: 4, 7
-or 6 floats, in blocks as those of triangles (`wrt.kernels.triangle.support.record_blocks`).
+A record has the centre and the radius, for discs also the unit normal, and for boxes half the edges in place of the radius: 4,
+7 or 6 floats, in blocks as those of triangles (`wrt.kernels.triangle.support.record_blocks`).
 
 To traversals, points are a triangle test with records, a state of the ray and a filter of their own (`TESTS`). It is not among
 those that a caller may name: a scene has triangles or points.

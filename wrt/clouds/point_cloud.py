@@ -58,13 +58,14 @@ class PointCloud:
     cloud's longest side. Spheres and discs are no closed surface: rays pass between points whose radius is too small.
 
     A ray meets a sphere where it enters it; a ray that starts in one, or whose range does, meets its far side. Both sides of a
-    disc are met; one that is seen exactly edge-on is not. A box is met as a sphere is. Of hits at the same t, the one with the smallest number is returned.
+    disc are met; one that is seen exactly edge-on is not. A box is met as a sphere is. Of hits at the same t, the one with the
+    smallest number is returned.
 
     **Results** are those of `wrt.Scene`, with these differences: `primitive_id` numbers the points, `geometry_id` and
-    `instance_id` are 0, -1 for a miss. `normal` points away from the centre of a sphere, whatever side is met, and is that of a
+    `instance_id` are 0, -1 for a miss. `normal` points outward from a sphere or a box, whatever side is met, and is that of a
     disc as given. `position` and `normal` have the precision of float32. `uv` says where on its point a ray has met it
     (`wrt.kernels.clouds`). `Hits.spawn` and `faces` work as on triangles, `smooth_normal`, `interpolate` and `uv_at` do not. Of
-    `plan`, the triangle test and the reason have no meaning.
+    `plan`, `triangle_test` is "spheres", "discs" or "boxes".
 
     Args:
         points: (N, 3) real numbers, at least one point, all finite; or a table, a structured array with the fields x, y and z,

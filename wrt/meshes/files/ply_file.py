@@ -48,7 +48,7 @@ def read_ply(data: bytes, source: MeshSource) -> FileMesh:
     ]
     if not parts or not sum(len(triangles) for triangles, _, _ in parts):
         raise ValueError(
-            "no triangles in it: it has neither faces nor triangle strips (of a cloud of points, read it with wrt.sensors.read_points)"
+            "no triangles in it: it has neither faces nor triangle strips (read a cloud of points with wrt.sensors.read_points)"
         )
     triangles = np.concatenate([triangles for triangles, _, _ in parts])
     mesh = FileMesh(vertices, triangles, up=stated_up(header.comments))
