@@ -17,7 +17,10 @@ inline CUDA_CALLABLE void copy_point(const float* points, const float* radii, bo
     for (int c = 0; c < components; ++c) {
         const size_t at = 3 * (size_t)id;
         const int own = components == BOX ? 3 : 4;
-        to[c * width] = id < 0 ? WRT_NAN : c < 3 ? points[at + c] : c >= own ? normals[at + c - own] : radii[one_radius ? 0 : id];
+        to[c * width] = id < 0 ? WRT_NAN
+            : c < 3            ? points[at + c]
+            : c >= own         ? normals[at + c - own]
+                               : radii[one_radius ? 0 : id];
     }
 }
 
@@ -50,7 +53,7 @@ inline CUDA_CALLABLE unsigned points_near(const float* records, int block, const
         float radius = record[3 * W + i];
         if (COMPONENTS == BOX) {
             const float p = radius, q = record[4 * W + i], r = record[5 % COMPONENTS * W + i];
-            radius = square_root(p * p + q * q + r * r);
+            radius = square_root(p * p + q * q + r * r) + 1e-22f;
         }
         const float size = ((WRT_ABS(x) + WRT_ABS(y)) + WRT_ABS(z)) + radius;
         const float limit = radius + POINT_MARGIN * size;

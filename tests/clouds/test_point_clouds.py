@@ -295,6 +295,10 @@ def test_box_closed_form(device):
     np.testing.assert_allclose(hits.position, [3.5, 0.5, 3], atol=1e-6)
     np.testing.assert_allclose(cloud.intersect([3.0, 0, 0], [0.0, -1, 0]).normal, [0, -1, 0], atol=1e-7)  # outward, from inside
     assert repr(cloud).startswith("PointCloud(1 boxes")
+    for half in (2.0**-126, 4e-23, 1e-19):  # their squares are not normal
+        tiny = PointCloud([[0.0, 0, 0]], half, boxes=True, device=device)
+        assert tiny.intersect([0.99 * half, 0.99 * half, -2.0], [0.0, 0, 1]).t == 2.0
+        assert tiny.intersect([0.99 * half, 0.99 * half, -2 * half], [0.0, 0, 1]).is_hit
     cubes = PointCloud([[0.0, 0, 0], [1, 0, 0]], 0.5, boxes=True, device=device)
     assert cubes.intersect([0.5, 9.0, 0], [0.0, -1, 0]).primitive_id == 0  # they share a side
     cubes.update(radius=[0.25, 0.5])

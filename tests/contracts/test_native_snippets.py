@@ -79,7 +79,7 @@ def make_all_kernels() -> list[wp.Kernel]:
     kernels += [
         make_multi_frusta_kernel(TraversalConfig(name, WIDTH), each) for name in ("woop", "wald") for each in (False, True)
     ]
-    kernels.append(make_cloud_kernel(replace(config, triangle_test="discs")))
+    kernels += [make(replace(config, triangle_test="discs")) for make in (make_cloud_kernel, streams["bvh"])]
     kernels += [make_winding_kernel(WIDTH), make_nearest_kernel(WIDTH), make_meeting_kernel(WIDTH)]
     kernels += [make_points_kernel(PointConfig(tree, WIDTH, task=task)) for tree in TREES for task in TASKS]
     kernels += [make_points_kernel(PointConfig(tree, WIDTH, instances=True)) for tree in TREES]
