@@ -5,7 +5,7 @@
 It says on which device and commit it runs, prints a summary by folder and the first line of each failure, and writes a dated
 record of what ran, one for each part. `--part 2/6` runs the second of six parts, which have whole files and about as many tests
 each: so a machine that is lent for minutes runs all, part after part. `--list` says which tests there are, and needs no device;
-those for each device found are listed for CUDA where there is one. `--commit` names the commit of a copy without its repository.
+those for each device found are listed for CUDA where there is one. `--commit` names the commit of a copy without a repository.
 The process ends as pytest does, and with 2 if there is no CUDA device, or tests are to run side by side.
 """
 
