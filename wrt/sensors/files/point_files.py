@@ -47,8 +47,8 @@ def write_points(path: str | Path, points: Any) -> None:
 
     Args:
         path: path of the file.
-        points: (N,) structured array with the fields x, y, z and any others, such as `LidarScan.to_structured` gives; in PCD files
-            (H, W), too: an organized cloud, whose misses are NaN.
+        points: (N,) structured array with the fields x, y, z and any others, such as `LidarScan.to_structured` gives; in PCD
+            files (H, W), too: an organized cloud, whose misses are NaN.
 
     Raises:
         TypeError: not a structured array with x, y and z.
