@@ -204,6 +204,10 @@ REFERENCES = {
         "J. Guenther, H. Friedrich, H.-P. Seidel, P. Slusallek: Interactive ray tracing of skinned animations. The Visual "
         "Computer 22(9), 2006."
     ),
+    "guenther-2007": (
+        "J. Guenther, S. Popov, H.-P. Seidel, P. Slusallek: Realtime ray tracing on GPU with BVH-based packet traversal. IEEE "
+        "Symposium on Interactive Ray Tracing 2007."
+    ),
     "haeberli-akeley-1990": (
         "P. Haeberli, K. Akeley: The accumulation buffer: hardware support for high-quality rendering. SIGGRAPH 1990."
     ),

@@ -302,7 +302,24 @@ def check_facades(names):
             np.testing.assert_allclose(np.moveaxis(stored.read(), 0, -1), names["on_map"], rtol=1e-6)
 
 
+def check_pytorch(names):
+    assert names["losses"][-1] < 0.1 * names["losses"][0]
+    assert names["depth"].isfinite().sum() == names["hits"].is_hit.sum() > 1000
+    assert names["vertices"].grad.shape == names["mesh"].vertices.shape
+
+
+def check_simulation(names):
+    """Crates are where the solver has them, and rays see those that have moved."""
+    places = names["body_q"].numpy()
+    np.testing.assert_array_equal([one.transform[2, 3] for one in names["scene"].instances], places[:, 2])
+    again = wrt.Scene(names["scene"].instances).intersect(names["eye"].numpy(), names["directions"].numpy())
+    np.testing.assert_array_equal(names["ranges"].numpy(), again.t)
+    assert (names["bodies"].numpy() < 64).mean() > 0.05
+
+
 CHECKS = {
+    "guides/pytorch.md": check_pytorch,
+    "guides/simulation.md": check_simulation,
     "guides/facades.md": check_facades,
     "start.md": check_start,
     "tutorial.md": check_tutorial,
