@@ -88,6 +88,18 @@ def check_drop_in(names):
     np.testing.assert_allclose(names["deep"], names["depth"], rtol=1e-4, atol=1e-5)
 
 
+def check_point_clouds(names):
+    """The scan is that of the mesh, to half a spacing for most beams; intensities are of points."""
+    scan, spacing = names["scan"], names["spacing"]
+    mesh = names["lidar"].scan(names["scene"], names["pose"])
+    both = np.isfinite(scan.range) & np.isfinite(mesh.range)
+    assert both.mean() > 0.5
+    assert (np.abs(scan.range - mesh.range)[both] < 1.5 * spacing).mean() > 0.95
+    assert len(np.unique(scan.intensity)) > 100
+    assert 0.1 < (names["shade"] > 0).mean() < 0.9
+    assert names["cloud"].last_update is not None
+
+
 def check_lidar(names):
     assert names["ranges"].shape == names["facing"].shape == (64, 720)
     assert names["sweep"].is_hit.mean() > 0.5
@@ -326,6 +338,7 @@ CHECKS = {
     "guides/queries.md": check_queries,
     "guides/drop_in.md": check_drop_in,
     "guides/lidar.md": check_lidar,
+    "guides/point_clouds.md": check_point_clouds,
     "guides/sensors.md": check_sensors,
     "guides/shadows.md": check_shadows,
     "guides/sun_hours.md": check_sun_hours,
