@@ -9,6 +9,7 @@ from conftest import assert_same_hits, mixed_rays
 from test_instances import BALL, BOX, FLAT
 
 import wrt
+from wrt.instances import device_moves
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, cover, outermost
 from wrt.kernels.compilation import local_memory
 from wrt.meshes.instance import matrices_of
@@ -46,9 +47,16 @@ def given(values: np.ndarray, kind: type, device: str) -> tuple[wp.array, np.nda
     return wp.array(matrices, dtype=wp.float32, device=device), matrices.astype(np.float64)
 
 
+@pytest.fixture(params=[False, True], ids=["new", "kept"])
+def keeps(request, monkeypatch):
+    """Whether moves take memory and packed kernels of states that are gone, as they do on CUDA."""
+    monkeypatch.setattr(device_moves, "keeps_moves", lambda device: request.param or device.is_cuda)
+    return request.param
+
+
 @pytest.mark.parametrize("worlds", [None, 4])
 @pytest.mark.parametrize("kind", [wp.transformf, wp.float32])
-def test_moves_on_the_device_equal_those_of_the_host(kind, worlds, device):
+def test_moves_on_the_device_equal_those_of_the_host(kind, worlds, keeps, device):
     """Boxes, the centre, maps, nodes and hits; little motions keep the upper tree, others build it again."""
     first, rng = matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), np.random.default_rng(1)
     here, host = scene_of(first, worlds, device), scene_of(first, worlds, device)
@@ -74,6 +82,28 @@ def test_moves_on_the_device_equal_those_of_the_host(kind, worlds, device):
     for scene in (here, host):  # what goes through the host finds what moved on the device
         scene.update(5, transform=np.eye(4), mask=2)
     assert_same_hits(here.intersect(*rays, **seen), host.intersect(*rays, **seen))
+
+
+def test_kept_memory_is_not_that_of_results(keeps, device):
+    """Memory of a state is used again only once nothing needs it: hits, moves and instances read what they were made for."""
+    start = matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu"))
+    scene, rays = scene_of(start, None, device), mixed_rays(scene_of(start, None, device).flattened(), 500)
+    kept, known, tables = [], [], set()
+    for number in range(9):
+        rows, seed = (range(COUNT), number) if number != 3 else (np.arange(20), 9)
+        values = (poses(0) + np.float32(0.002) * poses(seed))[: len(rows)]
+        scene.update(rows, transform=wp.array(values, dtype=wp.transformf, device=device))
+        tables.add(scene.state.device_mesh.placements.ptr)
+        hits, state = scene.intersect(*rays), scene.state
+        if number < 3:
+            kept.append((hits, state))
+            twin = scene_of(np.array([one.transform for one in state.on_host().instances]), None, device)
+            known.append(twin.intersect(*rays))
+    assert keeps is False or len(tables) < 9
+    for (hits, state), expected in zip(kept, known, strict=True):
+        np.testing.assert_array_equal(hits.t, expected.t)
+        np.testing.assert_array_equal(hits.normal, expected.normal)
+        np.testing.assert_array_equal(state.boxes.origin, state.device_moves.bounded.origin.numpy())
 
 
 def test_a_small_motion_stays_on_the_device(device):

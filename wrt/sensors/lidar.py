@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
@@ -13,13 +13,15 @@ import numpy as np
 import warp as wp
 
 from wrt.engine.facts.query_kinds import AUTO
-from wrt.kernels.runtime.launch import as_device, kept, refuse_capture, use_threads
-from wrt.kernels.validation import as_int, convert_fields
+from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
+from wrt.kernels.validation import as_bool, as_int, convert_fields
 from wrt.sensors.checks import as_time, check_at_least, check_real
+from wrt.sensors.device_poses import DevicePoses, as_poses
 from wrt.sensors.fired_rays import fire, spread_on
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
 from wrt.sensors.lidar_scan import LidarScan
+from wrt.sensors.outputs.hit_outputs import as_layers
 from wrt.sensors.outputs.measured_returns import MeasuredReturns
 from wrt.sensors.time_slices import (
     Bodies,
@@ -33,7 +35,8 @@ from wrt.sensors.time_slices import (
     slice_error,
     trace_slices,
 )
-from wrt.sensors.trajectory import Trajectory, as_poses
+from wrt.sensors.trajectory import Trajectory
+from wrt.sensors.values_on_devices import refuse_captured_scan, refuse_host_values, stays_on
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -163,14 +166,17 @@ class Lidar:
         environment: Any = None,
         traversal: Any = "auto",
         labels: Any = None,
-        seed: int | None = None,
+        seed: int | wp.array | None = None,
+        layers: Sequence[str] | None = None,
+        to_warp: bool | None = None,
     ) -> LidarScan:
         """Traces one scan. Every beam starts at the pose of the sensor at its own firing time.
 
         Args:
             scene: a `wrt.Scene`, or a `PointCloud`, which counts as one mesh. It is not changed, whatever moves.
             pose: (4, 4) from the sensor's frame to the world, or a `Trajectory` over the time of the scan; or (..., 4, 4) of
-                many sensors at rest, which measure in one call.
+                many sensors at rest, which measure in one call; or a Warp array (...) of `wp.transform` on the scene's device,
+                whose values are not checked.
             time: start of the scan, on the clock of the trajectories.
             motions: trajectories of instances, by their index. Their transforms in the scene are replaced.
             slices: number of time slices; instances stand still within a slice, where they are in the middle of it.
@@ -181,23 +187,32 @@ class Lidar:
             traversal: as in `wrt.Scene.intersect`.
             labels: (I,) integers >= 0, the semantic class of each instance (of each mesh, in a scene without instances).
             seed: of the noise, 0 to 2^64 - 1; the same seed gives the same noise, so pass another one for each
-                scan. None: no noise.
+                scan. A Warp array (1,) of uint64 on the scene's device holds the seed of this scan, and then that of the next,
+                greater by one. None: no noise.
+            layers: names of the layers that will be read, such as ("range", "instance_id"). None for all. NumPy arrays are
+                computed when they are first read; Warp arrays at once, so choosing them saves time and memory.
+            to_warp: whether results are Warp arrays on the scene's device; None: if the pattern or the poses are Warp arrays.
+
+        **Graphs.** A scan can be captured in a graph if its results are Warp arrays: each launch measures from where poses and
+        instances are then. Make the same scan once before. Poses that change, masks and environments of many sensors, labels
+        and reflectances are Warp arrays, too, and so is a seed, unless each launch shall have the same noise.
 
         Raises:
             TypeError: an argument of a wrong type.
             ValueError: an argument out of range, a trajectory that does not cover the scan, motions in a scene without
                 instances, or arrays on another device.
-            RuntimeError: a graph is being captured.
+            RuntimeError: a graph is being captured, which cannot repeat the scan.
         """
         from wrt.query.api import Queries
 
-        refuse_capture("a scan", scene.device)
-        path = as_poses(pose)
+        path, chosen = as_poses(pose), as_layers(layers, MeasuredReturns.KINDS)
+        to_warp = self.pattern.is_warp or isinstance(path, DevicePoses) if to_warp is None else as_bool("to_warp", to_warp)
+        refuse_captured_scan(scene.device, path, motions, to_warp)
         time = as_time(time)
         span = self.pattern.span
         begin, end = time + span[0], time + span[1]
         path.check_covers(begin, end, "the times of the scan")
-        detector, noise = self.detector(scene.device, as_reflectance(reflectance, scene)), as_noise(self, seed)
+        detector, noise = self.detector(scene.device, as_reflectance(reflectance, scene)), as_noise(self, seed, scene.device)
         motions = as_motions(motions, scene, begin, end)
         sensors = getattr(path, "shape", ())
         slices = check_slices(slices)
@@ -214,8 +229,9 @@ class Lidar:
             rays = SensorRays(*fired, self.bundle, shape, self.max_range, traversal, each, relative)
             found = list(trace_slices(copy(scene), rays, Bodies(motions, parts), parts))
             given = (beams, path.path(device), noise, detector), (count * len(self.pattern), self.returns, self.bundle)
-            layers = MeasuredReturns(found, *given, labels_on(labels, scene), scene.num_threads)
-        return LidarScan(self.pattern, layers, self.returns, path, time, slice_error(motions, scene, parts))
+            made = MeasuredReturns(found, *given, labels_on(labels, scene), scene.num_threads)
+        times = time, slice_error(motions, scene, parts)
+        return LidarScan(self.pattern, made, self.returns, path, times, to_warp, chosen)
 
     def device_beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
         """The beams, for kernels.
@@ -241,7 +257,7 @@ class Lidar:
         beams.start = wp.float64(time)
         return beams
 
-    def detector(self, device: wp.Device, reflectance: np.ndarray) -> Detector:
+    def detector(self, device: wp.Device, reflectance: np.ndarray | wp.array) -> Detector:
         """What the receiver detects, for kernels.
 
         Args:
@@ -250,7 +266,8 @@ class Lidar:
         """
         from wrt.kernels.sensors.lidar_returns import Detector
 
-        alone = float(reflectance[0]) if len(reflectance) == 1 else None
+        is_there = isinstance(reflectance, wp.array)
+        alone = float(reflectance[0]) if len(reflectance) == 1 and not is_there else None
         if (known := self._detectors.get((device.alias, alone))) is not None:
             return known
         detector = Detector()
@@ -258,7 +275,9 @@ class Lidar:
         detector.resolution, detector.exponent = self.range_resolution, self.range_exponent
         detector.reference_range, detector.extinction = self.reference_range, self.extinction
         detector.threshold, detector.returns, detector.keep = self.threshold, self.returns, KEEP[self.keep]
-        if alone is None:
+        if is_there:
+            detector.reflectance = reflectance
+        elif alone is None:
             detector.reflectance = wp.array(reflectance, dtype=float, device=device)
         else:
             detector.reflectance = one_reflectance(alone, device.alias)
@@ -280,8 +299,8 @@ def one_reflectance(value: float, device: str) -> wp.array:
         return wp.array([value], dtype=float, device=device)
 
 
-def as_reflectance(reflectance: Any, scene: Scene | PointCloud) -> np.ndarray:
-    """(1,) or (I,) float64.
+def as_reflectance(reflectance: Any, scene: Scene | PointCloud) -> np.ndarray | wp.array:
+    """(1,) or (I,) float64; a Warp array (I,) of float32 on the scene's device stays, and its values are not checked.
 
     Raises:
         TypeError: not real numbers.
@@ -289,8 +308,11 @@ def as_reflectance(reflectance: Any, scene: Scene | PointCloud) -> np.ndarray:
     """
     if type(reflectance) is float and reflectance == 1.0:  # the default, and every scan asks
         return WHITE
-    values = np.atleast_1d(check_real("reflectance", reflectance))
     count = labelled(scene)
+    if stays_on(scene.device, reflectance, wp.float32, (count,)):
+        return reflectance
+    refuse_host_values("reflectance", reflectance, wp.float32, scene.device)
+    values = np.atleast_1d(check_real("reflectance", reflectance))
     if values.shape not in ((1,), (count,)):
         raise ValueError(
             f"reflectance has the shape {np.shape(reflectance)}; pass one number, or one for each of {count} instances"
@@ -308,18 +330,26 @@ def no_noise() -> Noise:
     return Noise()
 
 
-def as_noise(lidar: Lidar, seed: int | None) -> Noise:
-    """The noise for kernels; none without a seed.
+def as_noise(lidar: Lidar, seed: Any, device: wp.Device) -> Noise:
+    """The noise for kernels; none without a seed. One on the device is taken, and the next number left there.
 
     Raises:
         TypeError: the seed is not a whole number.
         ValueError: it is out of range.
     """
-    from wrt.kernels.sensors.lidar_returns import Noise
+    from wrt.kernels.sensors.lidar_returns import Noise, take_seed
 
     if seed is None:
         return no_noise()
-    seed, noise = as_int("seed", seed, 0, (1 << 64) - 1), Noise()
+    noise = Noise()
     noise.range, noise.angle, noise.dropout = lidar.range_noise, lidar.angle_noise, lidar.dropout  # type: ignore[assignment]
+    if isinstance(seed, wp.array):
+        if seed.dtype is not wp.uint64 or seed.shape != (1,) or seed.device != device:
+            found = f"{seed.shape} of {seed.dtype.__name__} on {seed.device}"
+            raise ValueError(f"seed must be a number, or a Warp array (1,) of uint64 on {device}, not {found}")
+        noise.taken = wp.empty(1, dtype=wp.uint64, device=device)
+        launch(take_seed, 1, [seed, noise.taken], device=device)
+        return noise
+    seed = as_int("seed", seed, 0, (1 << 64) - 1)
     noise.key = wp.vec2ui(seed & 0xFFFFFFFF, seed >> 32)
     return noise

@@ -28,6 +28,7 @@ from wrt.instances.instance_boxes import on_device
 from wrt.kernels.validation import as_int, as_real_array
 from wrt.meshes.placement import check_index
 from wrt.sensors.trajectory import Trajectory
+from wrt.sensors.values_on_devices import refuse_host_values, repeated, stays_on
 
 if TYPE_CHECKING:
     from wrt.clouds.point_cloud import PointCloud
@@ -260,7 +261,8 @@ def for_each_ray(
     """What callers gave for each sensor, for each ray: a number or a Warp array; what is None is left out.
 
     Args:
-        given: by the name of the argument: None, a number, or integers that broadcast to the shape of the sensors.
+        given: by the name of the argument: None, a number, or integers that broadcast to the shape of the sensors. Warp arrays
+            of that shape on the device, uint32 or int32, stay there, and their values are not checked.
         sensors: leading shape of the sensors.
         beams: of a sensor.
         bundle: rays of a beam.
@@ -275,7 +277,12 @@ def for_each_ray(
     for name, values in given.items():
         if values is None:
             continue
-        array, (least, most, dtype) = as_real_array(name, values), LIMITS[name]
+        least, most, dtype = LIMITS[name]
+        if order is None and stays_on(device, values, dtype, sensors):
+            found[name] = repeated(values, beams * bundle)
+            continue
+        refuse_host_values(name, values, dtype, device)
+        array = as_real_array(name, values)
         if array.dtype.kind not in "iu":
             raise TypeError(f"{name} must hold integers, not {array.dtype}")
         if array.size and (array.min() < least or array.max() > most):
@@ -301,7 +308,7 @@ def labelled(scene: Scene | PointCloud) -> int:
 
 
 def labels_on(labels: Any, scene: Scene | PointCloud) -> wp.array:
-    """(I,) int32 on the scene's device, or (0,) for none.
+    """(I,) int32 on the scene's device, or (0,) for none; a Warp array of them there stays, and its values are not checked.
 
     Raises:
         TypeError: not integers.
@@ -309,7 +316,11 @@ def labels_on(labels: Any, scene: Scene | PointCloud) -> wp.array:
     """
     if labels is None:
         return no_order(scene.device.alias)
-    values, count = as_real_array("labels", labels), labelled(scene)
+    count = labelled(scene)
+    if stays_on(scene.device, labels, wp.int32, (count,)):
+        return labels
+    refuse_host_values("labels", labels, wp.int32, scene.device)
+    values = as_real_array("labels", labels)
     if values.dtype.kind not in "iu":
         raise TypeError(f"labels must hold integers, not {values.dtype}")
     if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
