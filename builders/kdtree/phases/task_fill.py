@@ -8,7 +8,7 @@ import warp as wp
 
 from wrt.builders.core.subtrees import Task
 from wrt.builders.kdtree.events.event_lists import EventLists
-from wrt.builders.kdtree.events.event_sort import CHUNK, Events, event_position, event_value
+from wrt.builders.kdtree.events.event_sort import Events, event_position, event_value
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
 from wrt.kernels.layout.unchecked import load_int, store_int, store_pair
 from wrt.kernels.runtime.options import exact_module
@@ -17,13 +17,13 @@ exact_module(__name__)
 
 
 @wp.kernel
-def count_task_triangles(first: int, triangles: int, membership: Membership, counts: wp.array2d(dtype=int)):
+def count_task_triangles(first: int, size: int, triangles: int, membership: Membership, counts: wp.array2d(dtype=int)):
     """Item: a chunk of triangles. Counts its triangles per task. counts: (chunks, live nodes)."""
     chunk = first + wp.tid()
     row = counts[chunk]
     for task in range(counts.shape[1]):
         row[task] = 0
-    for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
+    for triangle in range(chunk * size, wp.min(triangles, (chunk + 1) * size)):
         own = load_int(membership.node, triangle)
         for m in range(member_count(membership, own)):
             row[member(membership, own, m)] += 1
@@ -32,6 +32,7 @@ def count_task_triangles(first: int, triangles: int, membership: Membership, cou
 @wp.kernel
 def fill_task_triangles(
     first: int,
+    size: int,
     triangles: int,
     membership: Membership,
     tasks: wp.array(dtype=Task),
@@ -46,7 +47,7 @@ def fill_task_triangles(
     """
     chunk = first + wp.tid()
     row = places[chunk]
-    for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
+    for triangle in range(chunk * size, wp.min(triangles, (chunk + 1) * size)):
         own = load_int(membership.node, triangle)
         for m in range(member_count(membership, own)):
             task = member(membership, own, m)
