@@ -6,12 +6,22 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from test_many_sensors import BALL, GROUND, move
 
 import wrt
 from wrt.sensors import BrownConrady, Camera, Lidar, LidarPattern, Rig, Trajectory
 
+BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2, 0.5))
+GROUND = wrt.TriangleMesh([[-40, -40, -1], [40, -40, -1], [40, 40, -1], [-40, 40, -1]], [[0, 1, 2], [0, 2, 3]])
 PATTERN = LidarPattern.spinning(np.linspace(15, -25, 8), 64, rate=10.0)
+
+
+def move(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    """The (4, 4) matrix of a translation."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
 LIDAR = Lidar(pattern=PATTERN, range_noise=0.01, angle_noise=0.001, dropout=0.1)
 CAMERA = Camera(32, 24, BrownConrady.from_matrix([[20, 0, 16], [0, 20, 12], [0, 0, 1]]))
 MOUNT = np.array([[0.0, 0, 1, 0.2], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
