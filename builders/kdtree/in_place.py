@@ -82,8 +82,14 @@ CHUNKS_PER_THREAD = 4
 CUDA_THREADS = 1 << 14
 """Threads of a CUDA device that work at a time, at least."""
 
+MAX_CUDA_LEVELS = 14
+"""As `MAX_LEVELS`, on CUDA."""
+
 CUDA_TASKS = 512
 """Least number of live nodes at which the build switches to subtrees on CUDA, where each is one thread's."""
+
+BEST_TOGETHER = 64
+"""Chunks on CUDA among which one thread selects a node's best plane."""
 
 KERNELS = (emit_events, level_phase.search_planes, count_shared, fill_phase.fill_task_events, copy_subtrees)
 """One kernel of each module, compiled before the phases of the build are timed."""
@@ -174,9 +180,10 @@ class InPlaceLevels(Levels):
 
     def should_split(self) -> bool:
         """Until the nodes meet the target."""
+        most = MAX_CUDA_LEVELS if self.device.is_cuda else MAX_LEVELS
         triangles, target = self.nodes["frame"]["triangles"][~self.nodes["finished"]], self.target
         met = len(triangles) >= target.tasks and triangles.max() <= target.triangles
-        return len(triangles) > 0 and len(self.levels) < MAX_LEVELS and not met
+        return len(triangles) > 0 and len(self.levels) < most and not met
 
     def count_members(self) -> None:
         """Sets the triangle counts of the nodes to the actual numbers, because what is copied to them must fit. The counts of a
@@ -185,9 +192,11 @@ class InPlaceLevels(Levels):
         chunks = -(-self.count // size)
         members = wp.empty((chunks, len(self.nodes)), dtype=int, device=self.device)
         self.run(fill_phase.count_task_triangles, chunks, size, self.count, self.membership, members)
-        self.members = members.numpy()
-        """(chunks, nodes) triangles of each node in each chunk of triangles."""
-        self.nodes["frame"]["triangles"] = self.members.sum(axis=0)
+        totals = wp.zeros(len(self.nodes), dtype=int, device=self.device)
+        self.run(fill_phase.scan_columns, len(self.nodes), members, totals, chunk=16)
+        self.members = members
+        """(chunks, nodes) triangles of each node in the chunks of triangles before."""
+        self.nodes["frame"]["triangles"] = totals.numpy()
 
     def search(self) -> None:
         """Finds the best plane of every live node, in each chunk of events."""
@@ -211,7 +220,7 @@ class InPlaceLevels(Levels):
         before = wp.zeros((3, blocks, nodes), dtype=wp.vec2i, device=self.device)
         if blocks > 1:
             self.run(level_phase.sum_blocks, 3 * blocks, block_chunks, counts, before)
-            self.run(level_phase.scan_blocks, 3, before)
+            self.run(level_phase.scan_blocks, 3 * nodes, before, chunk=16)
         block_cost = wp.empty((3, blocks, nodes), dtype=float, device=self.device)
         work = [self.live, block_chunks, counts, before, block_cost]
         self.run(level_phase.scan_chunks, 3 * blocks, self.cost, self.events, *work)
@@ -221,7 +230,12 @@ class InPlaceLevels(Levels):
 
     def stop(self) -> None:
         """Takes the best plane of all chunks; a node becomes a leaf, or is split there."""
-        self.run(level_phase.decide, len(self.live), self.cost, self.limits, self.sweeps, self.live, chunk=16)
+        together = BEST_TOGETHER if self.device.is_cuda else 1
+        if together > 1:
+            _, chunks, nodes = self.sweeps.shape
+            self.run(level_phase.keep_best, 3 * -(-chunks // together) * nodes, together, self.sweeps)
+        inputs = [together, self.cost, self.limits, self.sweeps, self.live]
+        self.run(level_phase.decide, len(self.live), *inputs, chunk=16)
 
     def emit(self) -> None:
         """Lists the children, with the counts of the search."""
@@ -274,10 +288,9 @@ class InPlaceLevels(Levels):
         local = Membership()
         local.node = wp.empty(count, dtype=int, device=device)
         local.shared = wp.empty(len(self.membership.shared), dtype=int, device=device)
-        before = np.cumsum(self.members, axis=0) - self.members
-        places = wp.array(reservation.ranges["triangles_first"] + before, dtype=int, device=device)
-        inputs = [item_sizes(device).triangles, count, self.membership, tasks, places, local, lists]
-        self.run(fill_phase.fill_task_triangles, len(self.members), *inputs)
+        before = wp.clone(self.members)
+        inputs = [item_sizes(device).triangles, count, self.membership, tasks, before, local, lists]
+        self.run(fill_phase.fill_task_triangles, before.shape[0], *inputs)
         if self.parts:
             self.run(name_triangles, len(lists.triangle), self.parts.triangle, lists.triangle, chunk=4096)
         return local
@@ -288,10 +301,9 @@ class InPlaceLevels(Levels):
         chunks = cut_events(events, tasks)
         counts = wp.empty((3, chunks, tasks), dtype=int, device=self.device)
         self.run(fill_phase.count_task_events, 3 * chunks, events, self.membership, counts)
-        made = counts.numpy()
-        before = np.cumsum(made.reshape(-1, tasks), axis=0).reshape(made.shape) - made
-        places = reservation.ranges["lists_first"] + before
-        roots["first"], roots["count"] = places[:, 0].T, made.sum(axis=1).T
-        roots["top"] = reservation.ranges["lists_first"] + made.sum(axis=(0, 1))
-        inputs = [events, self.membership, local, wp.array(places, dtype=int, device=self.device), lists]
+        ends = wp.array(reservation.ranges["lists_first"], dtype=int, device=self.device)
+        self.run(fill_phase.scan_columns, tasks, counts.reshape((3 * chunks, tasks)), ends, chunk=16)
+        places = np.array([*(counts[axis, 0].numpy() for axis in range(3)), ends.numpy()])
+        roots["first"], roots["count"], roots["top"] = places[:3].T, np.diff(places, axis=0).T, places[3]
+        inputs = [events, self.membership, local, counts, lists]
         self.run(fill_phase.fill_task_events, 3 * chunks, *inputs)

@@ -48,7 +48,8 @@ def on(device: str, values: np.ndarray, dtype: type) -> wp.array:
 
 def layers_of(scan) -> dict[str, np.ndarray]:
     names = ("range", "intensity", "point") if hasattr(scan, "range") else ("depth", "camera_normal")
-    return {name: np.asarray(getattr(scan, name)) for name in (*names, "position", "normal", "instance_id", "semantic_id")}
+    found = {name: getattr(scan, name) for name in (*names, "position", "normal", "instance_id", "semantic_id")}
+    return {name: values.numpy() if isinstance(values, wp.array) else values for name, values in found.items()}
 
 
 def test_poses_on_the_device_are_those_of_the_host(device):

@@ -222,7 +222,7 @@ class Lidar:
         each = for_each_ray(seen_by, sensors, len(self.pattern), self.bundle, order, device)
         beams, shape = self.device_beams(device, order, time), (*sensors, *self.pattern.shape)
         with use_threads(scene.num_threads):
-            relative = not (motions or each) and traversal == AUTO and type(scene).intersect is Queries.intersect
+            relative = not motions and traversal == AUTO and type(scene).intersect is Queries.intersect
             counts = count, len(self.pattern) * self.bundle, self.pattern.offsets is None
             key = None if order is not None or self.pattern.is_warp else (self.pattern, self.bundle, self.divergence)
             fired = fire(beams, path, device, counts, scene.state.center if relative else None, key)

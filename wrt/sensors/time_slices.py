@@ -107,8 +107,7 @@ class SensorRays:
         t_max: end of their range.
         traversal: as in `wrt.Scene.intersect`.
         each: masks and environments: a number, or a Warp array (N,).
-        is_relative: whether origins are vec3, relative to the scene's centre. Then "auto" traces all rays at once, and
-            `each` is empty.
+        is_relative: whether origins are vec3, relative to the scene's centre. Then "auto" traces all rays at once.
     """
 
     origins: wp.array
@@ -123,12 +122,12 @@ class SensorRays:
     def hits(self, scene: Scene | PointCloud, begin: int, end: int, shape: tuple[int, ...], **each: Any) -> DeviceHits:
         """The closest hits of the rays of some beams in a leading shape."""
         shape, rays = (*shape, *((self.bundle,) if self.bundle > 1 else ())), (begin * self.bundle, end * self.bundle)
+        own = {n: part_of(v, *rays).reshape(shape) if isinstance(v, wp.array) else v for n, v in {**self.each, **each}.items()}
         if self.is_relative:
             state = scene.state
             given = self.origins, self.directions, self.t_max, shape, state.device, state.center
-            return closest_of_relative(state, relative_rays(*given))
+            return closest_of_relative(state, relative_rays(*given), own)
         origins = self.origins if self.origins.size == 1 else part_of(self.origins, *rays).reshape(shape)
-        own = {n: part_of(v, *rays).reshape(shape) if isinstance(v, wp.array) else v for n, v in {**self.each, **each}.items()}
         if not (isinstance(self.traversal, str) and self.traversal == AUTO):  # few options are checked in less time
             own["traversal"] = self.traversal
         directions = part_of(self.directions, *rays).reshape(shape)
@@ -183,7 +182,7 @@ def trace_slices(scene: Scene | PointCloud, rays: SensorRays, bodies: Bodies, pa
 
     if scene.state.tangents is not None and (rays.each or rays.traversal != AUTO):
         raise ValueError("mask, environment and traversal are for a wrt.Scene; of a point cloud, leave them out")
-    count, device, together, found = len(scene.instances), scene.device, False, None
+    count, device, together, found = len(scene.state.instances), scene.device, False, None
     few = len(parts) * count <= MAX_TOGETHER
     if bodies.chosen and len(parts) > 1 and few and all(one.environment < 0 for one in scene.instances):
         together = rays.each.get("environment") is None
@@ -304,7 +303,7 @@ def for_each_ray(
 
 def labelled(scene: Scene | PointCloud) -> int:
     """Number of instances, or of meshes in a scene without instances; 1 for a cloud."""
-    return max(len(scene.instances) or len(scene.meshes), 1)
+    return max(len(scene.state.instances) or len(scene.meshes), 1)
 
 
 def labels_on(labels: Any, scene: Scene | PointCloud) -> wp.array:
@@ -339,10 +338,10 @@ def as_motions(motions: Any, scene: Scene | PointCloud, begin: float, end: float
         return {}
     if not isinstance(motions, Mapping):
         raise TypeError(f"motions must be a dict from indices of instances to trajectories, not {type(motions).__name__}")
-    if not scene.instances:
+    if not scene.state.instances:
         raise ValueError("motions need instances, and this scene has none; put moving meshes into wrt.Instance")
     for number, body in motions.items():
-        check_index(number, len(scene.instances), "instance")
+        check_index(number, len(scene.state.instances), "instance")
         if not isinstance(body, Trajectory):
             raise TypeError(f"motions[{number}] must be a wrt.sensors.Trajectory, not {type(body).__name__}")
         body.check_covers(begin, end, f"motions[{number}]: the times of the scan")
