@@ -36,6 +36,8 @@ from wrt.kernels.traversal.two_level.instance_updates import (
     lay_out,
     make_place_instances,
     make_refit_levels,
+    mat34d,
+    mat34f,
     measure_nodes,
     refit_level,
     span_instances,
@@ -45,8 +47,13 @@ from wrt.meshes.instance import Instance
 MATRICES = (wp.mat44f, wp.mat44d, wp.transformf, wp.transformd)
 """Types of arrays of transforms."""
 
-NUMBERS = {wp.float32: wp.mat44f, wp.float64: wp.mat44d}
-"""Those of arrays of numbers, (..., 4, 4)."""
+NUMBERS = {
+    (wp.float32, 4): wp.mat44f,
+    (wp.float64, 4): wp.mat44d,
+    (wp.float32, 3): mat34f,
+    (wp.float64, 3): mat34d,
+}
+"""Those of arrays of numbers, (..., 4, 4) or (..., 3, 4), by the type of numbers and the number of rows."""
 
 CUDA_DLPACK = 2
 """The number of CUDA devices in DLPack."""
@@ -82,12 +89,12 @@ def transforms_on(device: wp.Device, transforms: Any, count: int) -> wp.array | 
         return None
     if transforms.dtype in MATRICES:
         found = transforms if transforms.ndim == 1 else None
-    elif transforms.dtype in NUMBERS and transforms.shape[-2:] == (4, 4) and transforms.ndim in (2, 3):
-        dtype = NUMBERS[transforms.dtype]
-        found = keep_alive(wp.array(ptr=transforms.ptr, dtype=dtype, shape=transforms.size // 16, device=device), transforms)
+    elif transforms.ndim in (2, 3) and transforms.shape[-1] == 4 and (transforms.dtype, transforms.shape[-2]) in NUMBERS:
+        dtype, size = NUMBERS[transforms.dtype, transforms.shape[-2]], transforms.size // (4 * transforms.shape[-2])
+        found = keep_alive(wp.array(ptr=transforms.ptr, dtype=dtype, shape=size, device=device), transforms)
     else:
         return None
-    is_one = found is not None and transforms.dtype in NUMBERS and transforms.ndim == 2
+    is_one = found is not None and found is not transforms and transforms.ndim == 2
     return found if found is not None and (found.size == count or is_one) else None
 
 
