@@ -82,10 +82,7 @@ CHUNKS_PER_THREAD = 4
 CUDA_THREADS = 1 << 14
 """Threads of a CUDA device that work at a time, at least."""
 
-MAX_CUDA_LEVELS = 14
-"""As `MAX_LEVELS`, on CUDA."""
-
-CUDA_TASKS = 512
+CUDA_TASKS = 1024
 """Least number of live nodes at which the build switches to subtrees on CUDA, where each is one thread's."""
 
 BEST_TOGETHER = 64
@@ -180,10 +177,9 @@ class InPlaceLevels(Levels):
 
     def should_split(self) -> bool:
         """Until the nodes meet the target."""
-        most = MAX_CUDA_LEVELS if self.device.is_cuda else MAX_LEVELS
         triangles, target = self.nodes["frame"]["triangles"][~self.nodes["finished"]], self.target
         met = len(triangles) >= target.tasks and triangles.max() <= target.triangles
-        return len(triangles) > 0 and len(self.levels) < most and not met
+        return len(triangles) > 0 and len(self.levels) < MAX_LEVELS and not met
 
     def count_members(self) -> None:
         """Sets the triangle counts of the nodes to the actual numbers, because what is copied to them must fit. The counts of a

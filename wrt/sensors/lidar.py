@@ -189,9 +189,11 @@ class Lidar:
             seed: of the noise, 0 to 2^64 - 1; the same seed gives the same noise, so pass another one for each
                 scan. A Warp array (1,) of uint64 on the scene's device holds the seed of this scan, and then that of the next,
                 greater by one. None: no noise.
-            layers: names of the layers that will be read, such as ("range", "instance_id"). None for all. NumPy arrays are
-                computed when they are first read; Warp arrays at once, so choosing them saves time and memory.
-            to_warp: whether results are Warp arrays on the scene's device; None: if the pattern or the poses are Warp arrays.
+            layers: names of the layers that will be read, such as ("range", "instance_id"): range, intensity, point, position,
+                instance_id, geometry_id, primitive_id, semantic_id, normal, radial_velocity. None for all. NumPy arrays are
+                computed when they are first read, Warp arrays at once.
+            to_warp: whether layers are Warp arrays on the scene's device instead of NumPy arrays; None: if the pattern or the
+                poses are.
 
         **Graphs.** A scan can be captured in a graph if its results are Warp arrays: each launch measures from where poses and
         instances are then. Make the same scan once before. Poses that change, masks and environments of many sensors, labels
@@ -230,8 +232,8 @@ class Lidar:
             found = list(trace_slices(copy(scene), rays, Bodies(motions, parts), parts))
             given = (beams, path.path(device), noise, detector), (count * len(self.pattern), self.returns, self.bundle)
             made = MeasuredReturns(found, *given, labels_on(labels, scene), scene.num_threads)
-        times = time, slice_error(motions, scene, parts)
-        return LidarScan(self.pattern, made, self.returns, path, times, to_warp, chosen)
+        error = slice_error(motions, scene, parts)
+        return LidarScan(self.pattern, made, self.returns, path, time, error, to_warp, chosen)
 
     def device_beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
         """The beams, for kernels.

@@ -43,7 +43,8 @@ class LidarScan(HitOutputs):
 
     Arrays have the pattern's leading shape (...), or (..., R) if the lidar keeps R > 1 returns; those of many sensors have the
     leading shape of their poses before it. They are NumPy arrays, each computed when it is first read, or Warp arrays on the
-    scene's device, computed at once (`Lidar.scan`). Reading a layer that was not chosen there raises a ValueError.
+    scene's device, if the pattern is made of these or `to_warp` says so. Reading a layer that was not among those that
+    `Lidar.scan` was asked for raises a ValueError.
 
     Attributes:
         range: float32 distance along the beam, with noise; inf for a miss.
@@ -72,11 +73,12 @@ class LidarScan(HitOutputs):
         layers: MeasuredReturns,
         kept: int,
         trajectory: Trajectory | StillPoses,
-        times: tuple[float, float],
+        start: float,
+        motion_error: float,
         to_warp: bool,
         chosen: Sequence[str] | None,
     ) -> None:
-        self.pattern, self.trajectory, (self.start, self.motion_error) = pattern, trajectory, times
+        self.pattern, self.trajectory, self.start, self.motion_error = pattern, trajectory, start, motion_error
         self._kept, self._beams = kept, (*getattr(trajectory, "shape", ()), *pattern.shape)
         super().__init__(layers, self._beams if kept == 1 else (*self._beams, kept), to_warp, chosen)
 

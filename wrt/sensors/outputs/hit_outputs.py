@@ -76,12 +76,12 @@ class TracedLayers:
         raise NotImplementedError
 
 
-def as_layers(layers: Any, kinds: Iterable[str]) -> tuple[str, ...] | None:
+def as_layers(layers: Any, known: Iterable[str]) -> tuple[str, ...] | None:
     """The layers to be made, by their names in kernels; None for all.
 
     Args:
-        layers: their public names.
-        kinds: all layers that can be made, by their names in kernels.
+        layers: public names, or None.
+        known: all layers, by their names in kernels.
 
     Raises:
         TypeError: not a sequence of names.
@@ -95,8 +95,8 @@ def as_layers(layers: Any, kinds: Iterable[str]) -> tuple[str, ...] | None:
         names = tuple(layers)
     except TypeError:
         raise TypeError(f"layers must be a sequence of names, not {type(layers).__name__}") from None
-    known = {public_name(name): name for name in kinds}
-    return tuple(dict.fromkeys(lookup(known, name, "layers") for name in names))
+    table = {public_name(name): name for name in known}
+    return tuple(dict.fromkeys(lookup(table, name, "layers") for name in names))
 
 
 class HitOutputs:
