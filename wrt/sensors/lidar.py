@@ -268,8 +268,7 @@ class Lidar:
         """
         from wrt.kernels.sensors.lidar_returns import Detector
 
-        is_there = isinstance(reflectance, wp.array)
-        alone = float(reflectance[0]) if len(reflectance) == 1 and not is_there else None
+        alone = float(reflectance[0]) if isinstance(reflectance, np.ndarray) and len(reflectance) == 1 else None
         if (known := self._detectors.get((device.alias, alone))) is not None:
             return known
         detector = Detector()
@@ -277,7 +276,7 @@ class Lidar:
         detector.resolution, detector.exponent = self.range_resolution, self.range_exponent
         detector.reference_range, detector.extinction = self.reference_range, self.extinction
         detector.threshold, detector.returns, detector.keep = self.threshold, self.returns, KEEP[self.keep]
-        if is_there:
+        if isinstance(reflectance, wp.array):
             detector.reflectance = reflectance
         elif alone is None:
             detector.reflectance = wp.array(reflectance, dtype=float, device=device)
