@@ -155,7 +155,7 @@ def check_has_integers(scene: SceneState, query: Query) -> None:
 
 
 def with_integers(scene: SceneState, rays: DeviceRays, query: Query) -> DeviceRays:
-    """The rays, with masks and environments of their query if it has some; errors as of `on_device`."""
+    """The rays, with masks and environments of their query if it has some; errors are those of `on_device`."""
     for integers, values in ((MASKS, query.mask), (ENVIRONMENTS, query.environment)):
         if values is not None:
             check_has_integers(scene, query)

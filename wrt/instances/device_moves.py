@@ -258,7 +258,7 @@ class KeptMove:
             wp.copy(to, values)
 
     def run(self, chosen: wp.array, given: wp.array, is_measured: bool) -> list[float]:
-        """Moves instances; arguments as of the kernels. Returns `Spanned.report`."""
+        """Moves instances; arguments are those of the kernels. Returns `Spanned.report`."""
         moving = chosen.size or self.count
         place = self._places.get(given.dtype)
         if place is None:

@@ -16,7 +16,7 @@ from wrt.engine.facts.query_kinds import AUTO
 from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
 from wrt.kernels.validation import as_bool, as_int, convert_fields
 from wrt.sensors.checks import as_time, check_at_least, check_real
-from wrt.sensors.device_poses import DevicePoses, as_poses
+from wrt.sensors.placed.device_poses import DevicePoses, as_poses
 from wrt.sensors.fired_rays import fire, spread_on
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
@@ -36,7 +36,7 @@ from wrt.sensors.time_slices import (
     trace_slices,
 )
 from wrt.sensors.trajectory import Trajectory
-from wrt.sensors.values_on_devices import refuse_captured_scan, refuse_host_values, stays_on
+from wrt.sensors.placed.values_on_devices import refuse_captured_scan, refuse_host_values, stays_on
 from wrt.tables import lookup
 
 if TYPE_CHECKING:

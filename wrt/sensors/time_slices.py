@@ -29,7 +29,7 @@ from wrt.kernels.runtime.launch import as_device, kept
 from wrt.kernels.validation import as_int, as_real_array
 from wrt.meshes.placement import check_index
 from wrt.sensors.trajectory import Trajectory
-from wrt.sensors.values_on_devices import refuse_host_values, repeated, stays_on
+from wrt.sensors.placed.values_on_devices import refuse_host_values, repeated, stays_on
 
 if TYPE_CHECKING:
     from wrt.clouds.point_cloud import PointCloud

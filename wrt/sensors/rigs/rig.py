@@ -11,7 +11,7 @@ import warp as wp
 
 from wrt.kernels.validation import as_int
 from wrt.sensors.checks import as_time
-from wrt.sensors.device_poses import DevicePoses, as_poses
+from wrt.sensors.placed.device_poses import DevicePoses, as_poses
 from wrt.sensors.image_sensor import Camera
 from wrt.sensors.lidar import Lidar
 from wrt.sensors.trajectory import StillPoses, Trajectory, as_trajectory
