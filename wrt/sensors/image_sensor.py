@@ -17,11 +17,12 @@ from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, convert_fields
 from wrt.sensors.camera_conversion import camera_of, lens_of
 from wrt.sensors.checks import as_time, check_at_least
-from wrt.sensors.placed.device_poses import DevicePoses, as_poses
 from wrt.sensors.fired_rays import fire, spread_on
 from wrt.sensors.lens_models import LensModel
 from wrt.sensors.outputs.captured_images import CameraImages, CapturedLayers
 from wrt.sensors.outputs.hit_outputs import as_layers
+from wrt.sensors.placed.device_poses import DevicePoses, as_poses
+from wrt.sensors.placed.values_on_devices import refuse_captured_scan, refuse_part
 from wrt.sensors.time_slices import (
     Bodies,
     SensorRays,
@@ -36,7 +37,6 @@ from wrt.sensors.time_slices import (
     trace_slices,
 )
 from wrt.sensors.trajectory import Trajectory, as_trajectory
-from wrt.sensors.placed.values_on_devices import refuse_captured_scan, refuse_part
 
 if TYPE_CHECKING:
     from wrt.clouds.point_cloud import PointCloud

@@ -11,9 +11,9 @@ import warp as wp
 
 from wrt.kernels.validation import as_int
 from wrt.sensors.checks import as_time
-from wrt.sensors.placed.device_poses import DevicePoses, as_poses
 from wrt.sensors.image_sensor import Camera
 from wrt.sensors.lidar import Lidar
+from wrt.sensors.placed.device_poses import DevicePoses, as_poses
 from wrt.sensors.trajectory import StillPoses, Trajectory, as_trajectory
 from wrt.tables import lookup
 
