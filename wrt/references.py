@@ -366,6 +366,7 @@ REFERENCES = {
     ),
     "owen-1995": "A. B. Owen: Randomly permuted (t,m,s)-nets and (t,s)-sequences. MCQMC 1995.",
     "parker-1999": "S. Parker, W. Martin, P.-P. J. Sloan, P. Shirley, B. Smits, C. Hansen: Interactive ray tracing. I3D 1999.",
+    "pcl-pcd": ("Point Cloud Library: The PCD (Point Cloud Data) file format, version 0.7."),
     "pharr-1997": (
         "M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. "
         "SIGGRAPH 1997."

@@ -58,6 +58,7 @@ def test_progress(scene, capsys):
     assert "4,096 points" in capsys.readouterr().err
 
 
+@pytest.mark.cuda
 def test_volume(scene):
     """On CUDA, a volume with the values; without CUDA, an error that says what to do."""
     grid = wrt.analysis.distance_grid(scene, 12)

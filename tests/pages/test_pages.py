@@ -88,6 +88,18 @@ def check_drop_in(names):
     np.testing.assert_allclose(names["deep"], names["depth"], rtol=1e-4, atol=1e-5)
 
 
+def check_point_clouds(names):
+    """The scan is that of the mesh, to half a spacing for most beams; intensities are of points."""
+    scan, spacing = names["scan"], names["spacing"]
+    mesh = names["lidar"].scan(names["scene"], names["pose"])
+    both = np.isfinite(scan.range) & np.isfinite(mesh.range)
+    assert both.mean() > 0.5
+    assert (np.abs(scan.range - mesh.range)[both] < 1.5 * spacing).mean() > 0.95
+    assert len(np.unique(scan.intensity)) > 100
+    assert 0.1 < (names["shade"] > 0).mean() < 0.9
+    assert names["cloud"].last_update is not None
+
+
 def check_lidar(names):
     assert names["ranges"].shape == names["facing"].shape == (64, 720)
     assert names["sweep"].is_hit.mean() > 0.5
@@ -326,6 +338,7 @@ CHECKS = {
     "guides/queries.md": check_queries,
     "guides/drop_in.md": check_drop_in,
     "guides/lidar.md": check_lidar,
+    "guides/point_clouds.md": check_point_clouds,
     "guides/sensors.md": check_sensors,
     "guides/shadows.md": check_shadows,
     "guides/sun_hours.md": check_sun_hours,
@@ -353,7 +366,11 @@ def test_every_page_with_code_is_checked():
     assert set(NOT_RUN) <= PAGES.keys()
 
 
-@pytest.mark.parametrize("page", RUN)
+ON_CARDS = ["guides/simulation.md", *(page for page in RUN if "<!-- needs: cuda -->" in PAGES[page])]
+"""Pages that run on a CUDA device where there is one."""
+
+
+@pytest.mark.parametrize("page", [pytest.param(page, marks=[pytest.mark.cuda] * (page in ON_CARDS)) for page in RUN])
 def test_code_runs(page, tmp_path, monkeypatch):
     """As a reader would run it. Blocks whose needs are missing are skipped with a message, and the others count."""
     wrt.scenes.build("teapot", level=6, ground=False).save(tmp_path / "model.ply")
