@@ -226,6 +226,22 @@ def test_chosen_layers_as_warp_arrays():
     np.testing.assert_array_equal(table, expected.to_structured("world"))
 
 
+def test_organized_clouds(tmp_path):
+    """PCD files have rows and columns, and NaN for misses; other formats have neither."""
+    scene = wrt.Scene(wall(6.0, 0.0, 50.0), device="cpu")
+    lidar = Lidar(pattern=LidarPattern.raster(12, 40, horizontal=90, vertical=30))
+    table = lidar.scan(scene, np.eye(4)).to_structured(organized=True)
+    wrt.sensors.write_points(tmp_path / "scan.pcd", table)
+    header, body = (tmp_path / "scan.pcd").read_bytes().split(b"DATA binary\n")
+    assert b"WIDTH 40\nHEIGHT 12\n" in header
+    assert b"POINTS 480\n" in header
+    found = np.frombuffer(body, dtype=table.dtype).reshape(12, 40)
+    assert 0.1 < np.isnan(found["x"]).mean() < 0.9
+    assert found.tobytes() == table.tobytes()
+    with pytest.raises(TypeError, match="PCD"):
+        wrt.sensors.write_points(tmp_path / "scan.ply", table)
+
+
 def test_open3d_reads_all_fields(tmp_path):
     """Also rings, which are uint16."""
     io = pytest.importorskip("open3d", reason="Open3D is not installed: pip install open3d").t.io

@@ -171,7 +171,9 @@ class Glass:
 
 
 def picture_contenders(place: Glass) -> list[Contender]:
-    """A path-traced picture with glass, from the meshes, with the tree's build."""
+    """A path-traced picture with glass, from the meshes, with the tree's build.
+
+    The camera rays are the same for each sample, and do not bounce: ratios to them say little."""
     from wrt.accelerators.tree_descriptions import KdTree
     from wrt.pictures import Rendering
 

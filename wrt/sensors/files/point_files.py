@@ -47,7 +47,8 @@ def write_points(path: str | Path, points: Any) -> None:
 
     Args:
         path: path of the file.
-        points: (N,) structured array with the fields x, y, z and any others, such as `LidarScan.to_structured` gives.
+        points: (N,) structured array with the fields x, y, z and any others, such as `LidarScan.to_structured` gives; in PCD
+            files (H, W), too: an organized cloud, whose misses are NaN.
 
     Raises:
         TypeError: not a structured array with x, y and z.
@@ -55,8 +56,8 @@ def write_points(path: str | Path, points: Any) -> None:
         ImportError: the library of the format is missing.
         OSError: the file cannot be written. The old one is as it was.
     """
-    points, path = as_table(points), Path(path)
-    write = lookup(WRITERS, path.suffix.lower(), "suffix of path")(points)
+    path = Path(path)
+    write = lookup(WRITERS, suffix := path.suffix.lower(), "suffix of path")(as_table(points, organized=suffix == ".pcd"))
     with replaced(path, streams=True) as file:
         write(file)
 
@@ -100,11 +101,12 @@ def _kitti(points: np.ndarray) -> Write:
 
 
 def _pcd(points: np.ndarray) -> Write:
-    table = packed(points, "PCD files")
+    table = packed(points.ravel(), "PCD files")
     kinds, count = [table.dtype[name] for name in table.dtype.names], len(table)
+    height, width = points.shape if points.ndim == 2 else (1, count)
     lines = ["# .PCD v0.7 - Point Cloud Data file format", "VERSION 0.7", f"FIELDS {' '.join(table.dtype.names)}"]
     lines += [f"SIZE {' '.join(str(kind.itemsize) for kind in kinds)}", f"TYPE {' '.join(kind.kind.upper() for kind in kinds)}"]
-    lines += [f"COUNT {' '.join('1' for _ in kinds)}", f"WIDTH {count}", "HEIGHT 1", "VIEWPOINT 0 0 0 1 0 0 0"]
+    lines += [f"COUNT {' '.join('1' for _ in kinds)}", f"WIDTH {width}", f"HEIGHT {height}", "VIEWPOINT 0 0 0 1 0 0 0"]
     return _with_header([*lines, f"POINTS {count}", "DATA binary"], table)
 
 

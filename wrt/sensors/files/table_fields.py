@@ -23,8 +23,12 @@ KNOWN = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 """Types of fields."""
 
 
-def as_table(points: Any) -> np.ndarray:
+def as_table(points: Any, organized: bool = False) -> np.ndarray:
     """(N,) structured array with x, y and z.
+
+    Args:
+        points: the array.
+        organized: whether it may have two dimensions.
 
     Raises:
         TypeError: another array.
@@ -32,10 +36,10 @@ def as_table(points: Any) -> np.ndarray:
     """
     points = np.asarray(points)
     names = points.dtype.names or ()
-    if not {"x", "y", "z"} <= set(names) or points.ndim != 1:
+    if not {"x", "y", "z"} <= set(names) or points.ndim not in ((1, 2) if organized else (1,)):
         raise TypeError(
-            "points must be an (N,) structured array with the fields x, y and z, such as scan.to_structured(), not of "
-            f"{points.dtype} and shape {points.shape}"
+            "points must be an (N,) structured array with the fields x, y and z, such as scan.to_structured() (in PCD files, "
+            f"(H, W), too), not of {points.dtype} and shape {points.shape}"
         )
     for name in names:
         if not re.fullmatch(r"[!-~]+", name):
