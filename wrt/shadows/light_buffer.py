@@ -40,7 +40,8 @@ class LightBuffer:
     """Shadows of a point light by its light buffer (Haines and Greenberg 1986).
 
         buffer = wrt.lights.LightBuffer(scene, (2, -3, 8))
-        dark = buffer.occluded(hits.spawn(...).origins)         # bool
+        points = hits.spawn((2, -3, 8) - hits.position)
+        dark = buffer.occluded(points)                          # bool
         same = scene.occluded(buffer.shadow_rays(points))       # bit for bit
 
     The directions around the light are divided into cells, and for each of them the triangles that a shadow ray can hit are
