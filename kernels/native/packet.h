@@ -228,7 +228,7 @@ template <int P> inline CUDA_CALLABLE float farthest(const float* t)
     return most < 0 ? -WRT_INFINITY : __builtin_bit_cast(float, most);
 }
 
-/// Updates `bounds.t_max` after rays have found hits; any-hit rays get no shorter, but done.
+/// Updates `bounds.t_max` after rays have found hits; any-hit rays are finished, not shortened.
 template <bool ANY_HIT, int P, int W, bool SHARED, class Bounds>
 inline CUDA_CALLABLE void shorten(const Packet<P, W, SHARED>& packet, Bounds& bounds)
 {

@@ -177,8 +177,9 @@ template <int P, int W, bool SHARED> inline CUDA_CALLABLE int main_axes_of(const
     return main_axes;
 }
 
-/// What is bounded. SLOPES: slopes, too; LATER: components of 1 / direction still hold directions, and what only tests need is
-/// still to be computed; ENDS: the ends of rays with origins of their own, too; PASSES: those of the triangle test.
+/// What is bounded. SLOPES: slopes, too; LATER: components of 1 / direction still hold directions, and values that only the
+/// triangle test reads are still to be computed; ENDS: the ends of rays with origins of their own, too; PASSES: those of the
+/// triangle test.
 template <int PASSES_, bool SLOPES_, bool LATER_ = false, bool ENDS_ = false> struct Bounding {
     static constexpr int PASSES = PASSES_;
     static constexpr bool SLOPES = SLOPES_, LATER = LATER_, ENDS = ENDS_;

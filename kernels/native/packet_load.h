@@ -42,8 +42,8 @@ inline CUDA_CALLABLE int set_tested(const Packet<P, W, SHARED>& packet, int k, f
     return main;
 }
 
-/// Fills the components of a packet. LATER: what only tests need is left for `finish_packet`, and the components of 1 /
-/// direction hold the direction. low, high: bounds of the tree.
+/// Fills the components of a packet. LATER: values that only the triangle test reads are left for `finish_packet`, and the
+/// components of 1 / direction hold the direction. low, high: bounds of the tree.
 template <bool LATER, int P, int W, bool SHARED, class Vec3, class Prepare>
 inline CUDA_CALLABLE void fill_packet(
     const Packet<P, W, SHARED>& packet, const RayArrays<P>& rays, const Vec3& low, const Vec3& high, const Prepare& prepare)

@@ -25,6 +25,7 @@ When all levels are known, one launch writes boxes, child words and leaf blocks.
 References: wald-2008; ylitie-2017.
 """
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -41,7 +42,7 @@ from wrt.builders.tree import BuildStats, Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_BLOCKS, leaf_child
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_module, kernels_together
 from wrt.kernels.runtime.workspace import read_ints, write
 from wrt.kernels.simd.boxes import INFINITY
 
@@ -113,9 +114,8 @@ def make_costs(heuristic: Heuristic) -> tuple[wp.Function, wp.Function]:
     return cost_as_leaf, least_cost
 
 
-@cache
-def make_solve(heuristic: Heuristic) -> wp.Kernel:
-    """The kernel that computes F for subtrees, and then for the pairs above them."""
+def make_solve(heuristic: Heuristic) -> Callable:
+    """The function of the kernel that computes F for subtrees, and then for the pairs above them."""
     rays_type, weigh_parent = heuristic.rays, heuristic.weigh_parent
     cost_as_leaf, _ = make_costs(heuristic)
 
@@ -159,12 +159,11 @@ def make_solve(heuristic: Heuristic) -> wp.Kernel:
                 pair = listed[pair]
             solve_pair(rules, rays, tree, costs, pair)
 
-    return specialised_kernel(solve)
+    return solve
 
 
-@cache
-def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
-    """The kernel that picks the children of the nodes of a level."""
+def make_pick_children(heuristic: Heuristic) -> Callable:
+    """The function of the kernel that picks the children of the nodes of a level."""
     rays_type = heuristic.rays
     cost_as_leaf, least_cost = make_costs(heuristic)
 
@@ -234,7 +233,13 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
             wide.pick[index, lane] = NO_NODE
         wide.first[index] = counts
 
-    return specialised_kernel(pick_children)
+    return pick_children
+
+
+@cache
+def search_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
+    """The two kernels that search for the cheapest wide tree: those of `make_solve` and `make_pick_children`."""
+    return kernels_together([make_solve(heuristic), make_pick_children(heuristic)], heuristic.rays.__name__)
 
 
 @wp.kernel
@@ -308,12 +313,12 @@ def write_nodes(
 
 def collapse_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
     """The kernels of a collapse, one per module, for loading them ahead of the build."""
-    return [make_solve(heuristic), make_pick_children(heuristic), scan_level]
+    return [search_kernels(heuristic)[0], scan_level]
 
 
 def solve_costs(binary: BinaryBuild, rules: BuildRules) -> None:
     """Writes F of all inner nodes to `binary.space`."""
-    solve, tree, rays, work = make_solve(binary.heuristic), binary.tree, binary.rays, binary.work
+    solve, tree, rays, work = search_kernels(binary.heuristic)[0], binary.tree, binary.rays, binary.work
     in_order = work.empty("in order", 0, int)
     work.launch(solve, len(binary.subtrees), [rules, rays, tree, binary.subtrees, in_order, binary.space], chunk=1)
     if binary.top is not None:
@@ -351,7 +356,7 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
         ValueError: the tree would have more than MAX_BLOCKS blocks.
     """
     tree, costs, rays, work = binary.tree, binary.space, binary.rays, binary.work
-    pick_children = make_pick_children(binary.heuristic)
+    _, pick_children = search_kernels(binary.heuristic)
     device, width = costs.device, config.cost.width
     rules = work.make("rules", 1, lambda _: config.struct())
     solve_costs(binary, rules)
