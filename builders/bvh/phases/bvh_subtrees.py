@@ -4,7 +4,6 @@ A node's references lie in one of two buffers. Its children's references are wri
 right child is pushed on a stack. Phases of a node: stop, search, partition, emit.
 """
 
-from collections.abc import Callable
 from functools import cache
 
 import warp as wp
@@ -29,7 +28,7 @@ from wrt.builders.bvh.phases.large_boxes import is_small
 from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import write_order, write_references, write_sizes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
-from wrt.kernels.runtime.options import kernels_together
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import INFINITY
 
 STACK = MAX_WIDE_DEPTH + 2
@@ -155,8 +154,8 @@ def make_references(
     centroid_domain(references, begin, end - begin, parts, 2 * chunk)
 
 
-def make_build_subtrees(heuristic: Heuristic) -> Callable:
-    """The function of the kernel that builds the tasks' subtrees."""
+def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel that builds the tasks' subtrees."""
     rays_type, build_subtree = heuristic.rays, make_build_subtree(heuristic)
 
     def build_subtrees(
@@ -180,10 +179,10 @@ def make_build_subtrees(heuristic: Heuristic) -> Callable:
             end = build_subtree(rules, rays, memory, stack, slot, task, tree)
             subtrees[number] = wp.vec2i(task.first + 1, end)
 
-    return build_subtrees
+    return specialised_kernel(build_subtrees, beside=heuristic.rays.__name__)
 
 
 @cache
 def subtree_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
     """What every build launches: the kernel of `make_build_subtrees`, and the one that writes references."""
-    return kernels_together([make_build_subtrees(heuristic), make_references], heuristic.rays.__name__)
+    return [make_build_subtrees(heuristic), specialised_kernel(make_references, beside=heuristic.rays.__name__)]

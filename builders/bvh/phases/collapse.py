@@ -25,7 +25,6 @@ When all levels are known, one launch writes boxes, child words and leaf blocks.
 References: wald-2008; ylitie-2017.
 """
 
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -42,7 +41,7 @@ from wrt.builders.tree import BuildStats, Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_BLOCKS, leaf_child
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, kernels_together
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.runtime.workspace import read_ints, write
 from wrt.kernels.simd.boxes import INFINITY
 
@@ -114,8 +113,8 @@ def make_costs(heuristic: Heuristic) -> tuple[wp.Function, wp.Function]:
     return cost_as_leaf, least_cost
 
 
-def make_solve(heuristic: Heuristic) -> Callable:
-    """The function of the kernel that computes F for subtrees, and then for the pairs above them."""
+def make_solve(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel that computes F for subtrees, and then for the pairs above them."""
     rays_type, weigh_parent = heuristic.rays, heuristic.weigh_parent
     cost_as_leaf, _ = make_costs(heuristic)
 
@@ -159,11 +158,11 @@ def make_solve(heuristic: Heuristic) -> Callable:
                 pair = listed[pair]
             solve_pair(rules, rays, tree, costs, pair)
 
-    return solve
+    return specialised_kernel(solve, beside=heuristic.rays.__name__)
 
 
-def make_pick_children(heuristic: Heuristic) -> Callable:
-    """The function of the kernel that picks the children of the nodes of a level."""
+def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel that picks the children of the nodes of a level."""
     rays_type = heuristic.rays
     cost_as_leaf, least_cost = make_costs(heuristic)
 
@@ -233,13 +232,13 @@ def make_pick_children(heuristic: Heuristic) -> Callable:
             wide.pick[index, lane] = NO_NODE
         wide.first[index] = counts
 
-    return pick_children
+    return specialised_kernel(pick_children, beside=heuristic.rays.__name__)
 
 
 @cache
 def search_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
     """The two kernels that search for the cheapest wide tree: those of `make_solve` and `make_pick_children`."""
-    return kernels_together([make_solve(heuristic), make_pick_children(heuristic)], heuristic.rays.__name__)
+    return [make_solve(heuristic), make_pick_children(heuristic)]
 
 
 @wp.kernel
