@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.append(str(ROOT / "tests" / "support"))
+sys.path.append(str(ROOT / "tests"))
 
-import import_graph  # noqa: E402
+from support import import_graph  # noqa: E402
 
 COLOURS = {"kernels": "#cfe3d4", "builders": "#f3e3c3", "wrt": "#d5e1f2"}
 

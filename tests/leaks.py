@@ -33,8 +33,8 @@ from wrt.engine.facts.query_kinds import CLOSEST, COUNT
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 
-sys.path.insert(0, str(Path(__file__).parent / "support"))
-from hostile_bodies import Body, bodies
+sys.path.insert(0, str(Path(__file__).parent))  # for support
+from support.hostile_bodies import Body, bodies
 
 RECORDS = Path(__file__).resolve().parents[1] / "notebooks" / "records"
 BATCH = 1 << 17

@@ -29,8 +29,8 @@ from tests.records import write_record
 from tests.soak import resident_bytes
 from wrt import scenes
 
-sys.path.insert(0, str(Path(__file__).parent / "support"))
-from viewer_page import STAGES, leave_at, left_over
+sys.path.insert(0, str(Path(__file__).parent))  # for support
+from support.viewer_page import STAGES, leave_at, left_over
 
 TOGETHER = 8
 """Clients at a time."""

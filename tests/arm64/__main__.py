@@ -15,7 +15,7 @@ sys.path[:0] = [str(ROOT / "tests"), str(ROOT)]
 
 import click  # noqa: E402
 from bits import digests  # noqa: E402
-from conftest import as_sample  # noqa: E402
+from support.selection import as_sample  # noqa: E402
 
 from arm64 import cases, sysroot  # noqa: E402
 

@@ -9,7 +9,7 @@ import numpy as np
 from bits.digests import digest
 from bits.hit_bits import hit_hashes
 from bits.tree_bits import builds, tree_hashes
-from conftest import SCENES
+from support.meshes import SCENES
 
 import wrt
 from wrt.imaging.integrators import INTEGRATORS

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import click
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for conftest
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for support
+
+import support.environment  # noqa: F401 (before wrt)
 
 from wrt.kernels.compilation.target import lane_width
 

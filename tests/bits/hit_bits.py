@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 
 import numpy as np
-from conftest import ENGINE_TESTS, SCENES, mixed_rays
+from support.algorithms import ENGINE_TESTS
+from support.hits import mixed_rays
+from support.meshes import SCENES
 
 import wrt
 from wrt.engine.facts.query_kinds import ALL, ANY, CLOSEST, COUNT

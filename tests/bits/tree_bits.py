@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator
 
-from conftest import SCENES
+from support.meshes import SCENES
 
 import wrt
 from wrt.builders import tree as trees

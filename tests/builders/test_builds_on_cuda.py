@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from conftest import DEVICES, SCENES, assert_same_hits, brute_force, mixed_rays
+from support.environment import DEVICES
+from support.hits import assert_same_hits, brute_force, mixed_rays
+from support.meshes import SCENES
 
 import wrt
 from wrt.builders.bvh import BVH_BUILDERS

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from conftest import SCENES, snapped_soup
+from support.built_kdtrees import boxes_of, build, hard_meshes, leaf_references, scattered_soup
+from support.meshes import SCENES, snapped_soup
 
 import wrt
 from wrt.builders.classics.kdtree import streaming
@@ -16,7 +17,6 @@ from wrt.builders.kdtree.events.event_sort import sorted_events
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.scan import scanning
 from wrt.builders.kdtree.update.kdtree_update import subtree_end
-from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import use_threads
 
@@ -25,39 +25,6 @@ EXACT = ("in_place", "nested", "sweep", "naive")
 
 PARALLEL = ("binned", "streaming")
 """Builders that scan references, on all threads."""
-
-
-def boxes_of(mesh: wrt.TriangleMesh):
-    device = wp.get_device("cpu")
-    vertices = wp.array(mesh.vertices.astype(np.float32), dtype=wp.vec3, device=device)
-    return triangle_boxes(vertices, wp.array(mesh.faces, dtype=wp.vec3i, device=device))
-
-
-def build(mesh: wrt.TriangleMesh, builder: str = "in_place", **options):
-    description = wrt.KdTree(builder=builder, **options)
-    config = description.config(width=8)
-    return KDTREE_BUILDERS[builder].build(boxes_of(mesh), config), config
-
-
-def scattered_soup(count: int, seed: int) -> wrt.TriangleMesh:
-    """Small random triangles all over a large cube."""
-    rng = np.random.default_rng(seed)
-    corners = rng.random((count, 1, 3)) * 40 + rng.random((count, 3, 3))
-    return wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
-
-
-def leaf_references(tree) -> np.ndarray:
-    """(2, references) the leaf's node and the triangle of every reference, sorted; lanes that hold none are marked."""
-    flat, primitive = unpack(tree), tree.primitive.numpy()
-    leaves = np.flatnonzero(flat.is_leaf)
-    counts = flat.triangles[leaves]
-    lanes = -(-counts // tree.width) * tree.width
-    lane = np.arange(lanes.sum()) - np.repeat(np.cumsum(lanes) - lanes, lanes)
-    triangle = primitive[np.repeat(flat.first_block[leaves] * tree.width, lanes) + lane]
-    used = lane < np.repeat(counts, lanes)
-    assert (triangle[~used] == -1).all()
-    references = np.stack([np.repeat(leaves, counts), triangle[used]])
-    return references[:, np.lexsort(references[::-1])]
 
 
 @wp.kernel(enable_backward=False)
@@ -331,25 +298,6 @@ def test_tiny_and_flat_meshes(builder, count):
         mesh = wrt.TriangleMesh(shaped.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
         tree, _ = build(mesh, builder, width=1, block_cost=3.0)
         assert set(leaf_references(tree)[1]) == set(range(count))
-
-
-def hard_meshes() -> dict[str, wrt.TriangleMesh]:
-    """Around the sizes at which searches change, and shapes that tempt builders to divide without end."""
-    rng = np.random.default_rng(7)
-    sizes = (31, 32, 33, 36, 37)
-    meshes = {f"{n} triangles": scattered_soup(n, seed=n) for n in sizes}
-    one = rng.random((1, 3, 3))
-    tiny = rng.random((3000, 1, 3)) * 0.01 + rng.random((3000, 3, 3)) * 1e-4
-    shapes = {
-        "identical": np.repeat(one, 3000, axis=0),
-        "across each other": np.insert(rng.random((3000, 3, 2)), 2, 0.5, axis=2),
-        "coplanar": np.insert(rng.random((3000, 1, 2)) + 0.05 * rng.random((3000, 3, 2)), 2, 0.5, axis=2),
-        "one huge, many tiny": np.concatenate([np.array([[[-1e3, 0, 0], [1e3, 0, 0], [0, 1e3, 1e3]]]), tiny]),
-        "needles": rng.random((2000, 1, 3)) + rng.normal(size=(2000, 3, 1)) + 0.02 * rng.random((2000, 3, 3)),
-    }
-    for name, corners in shapes.items():
-        meshes[name] = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
-    return meshes
 
 
 @pytest.mark.parametrize("builder", KDTREE_BUILDERS)

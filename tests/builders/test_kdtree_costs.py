@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from test_kdtree_builders import build
+from support.built_kdtrees import build
 
 import wrt
 from wrt.builders.cost import SplitCost, SurfaceAreaCost, axis_frame, plane_cost

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
-from conftest import SCENES
+from support.meshes import SCENES
 
 import wrt
 from studies.kdtrees.layout_comparison import (

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
-from conftest import SCENES
-from test_kdtree_builders import boxes_of, build, leaf_references
-from test_split_clipping import meets
+from support.built_kdtrees import boxes_of, build, leaf_references, meets
+from support.meshes import SCENES
 
 import wrt
 from wrt import scenes

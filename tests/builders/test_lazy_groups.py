@@ -7,8 +7,7 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
-from test_lazy_hierarchies import assert_brute, lazy_scene
-from test_lazy_kdtree import random_rays
+from support.lazy_scenes import assert_brute, lazy_scene, random_rays
 
 import wrt
 from wrt import scenes

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_kdtree_builders import boxes_of
-from test_lazy_kdtree import random_rays
+from support.built_kdtrees import boxes_of
+from support.lazy_scenes import assert_brute, lazy_scene, random_rays
 
 import wrt
 from wrt import scenes
@@ -44,18 +44,6 @@ def several(count: int, apart: float, seed: int = 3) -> list[wrt.TriangleMesh]:
         mesh = scenes.build("random_triangles", count=40 + 30 * number, size=0.1, seed=number)
         meshes.append(wrt.TriangleMesh(mesh.vertices + apart * rng.random(3), mesh.faces))
     return meshes
-
-
-def lazy_scene(meshes, hierarchy: str, **options) -> wrt.Scene:
-    return wrt.Scene(meshes, wrt.KdTree(builder="lazy", hierarchy=hierarchy), device="cpu", **options)
-
-
-def assert_brute(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray) -> None:
-    """Hits of a scene, bit by bit those of brute force."""
-    hits, brute = (scene.intersect(origins, directions, traversal=name) for name in ("single", "brute"))
-    assert 0.02 < brute.is_hit.mean() < 1.0
-    for name in ("t", "primitive_id", "uv"):
-        np.testing.assert_array_equal(getattr(hits, name), getattr(brute, name))
 
 
 @pytest.mark.parametrize("hierarchy", HIERARCHIES)

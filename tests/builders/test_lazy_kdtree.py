@@ -6,8 +6,9 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import SCENES
-from test_kdtree_builders import build, leaf_references
+from support.built_kdtrees import build, leaf_references
+from support.lazy_scenes import random_rays
+from support.meshes import SCENES
 
 import wrt
 from wrt import scenes
@@ -25,14 +26,6 @@ def small_cells(monkeypatch):
 
 def lazy_scene(mesh: wrt.TriangleMesh) -> wrt.Scene:
     return wrt.Scene(mesh, wrt.KdTree(builder="lazy"), device="cpu")
-
-
-def random_rays(mesh: wrt.TriangleMesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """From anywhere in the mesh's box to anywhere in it."""
-    rng = np.random.default_rng(seed)
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    origins, targets = low + (high - low) * rng.random((2, count, 3))
-    return origins, targets - origins
 
 
 def a_side(mesh: wrt.TriangleMesh) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ from copy import copy
 import numpy as np
 import pytest
 import warp as wp
-from test_bvh_builders import assert_same_tree, build, check, mesh_of
+from support.built_bvhs import assert_same_tree, build, check, mesh_of
 
 import wrt
 from wrt.builders.bvh.binned_bvh import BinnedBuilder

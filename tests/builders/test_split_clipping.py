@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import SCENES
-from test_kdtree_builders import build, hard_meshes, leaf_references
+from support.built_kdtrees import assert_leaves_list_what_they_meet, build, hard_meshes, leaf_references, part_in
+from support.meshes import SCENES
 
 import wrt
 from wrt import scenes
@@ -22,53 +22,10 @@ from wrt.builders.kdtree.scan import scanning
 from wrt.kernels.runtime.launch import use_threads
 
 
-def part_in(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(N, 3) the corners of a triangle's part in a box, both closed: by clipping in float64, written for these tests alone."""
-    polygon = corners.astype(np.float64)
-    for axis in range(3):
-        for sign, bound in ((1.0, low[axis]), (-1.0, high[axis])):
-            if len(polygon) == 0:
-                return polygon
-            inside = sign * (polygon[:, axis] - bound) >= 0.0
-            following, after = np.roll(polygon, -1, axis=0), np.roll(inside, -1)
-            clipped = []
-            for a, b, a_in, b_in in zip(polygon, following, inside, after, strict=True):
-                if a_in:
-                    clipped.append(a)
-                if a_in != b_in:
-                    share = (bound - a[axis]) / (b[axis] - a[axis])
-                    clipped.append(a + share * (b - a))
-            polygon = np.array(clipped).reshape(-1, 3)
-    return polygon
-
-
-def meets(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
-    """Whether a triangle has a point in a box."""
-    return len(part_in(corners, low, high)) > 0
-
-
 @pytest.mark.parametrize("builder", ["binned", "sweep"])
 @pytest.mark.parametrize("name", ["random_triangles", "degenerate"])
 def test_leaves_list_what_they_meet(builder, name):
-    """Every triangle that meets the inside of a leaf, and none that is further away than what cells are enlarged by."""
-    mesh = SCENES[name]()
-    corners = mesh.vertices.astype(np.float32)[mesh.faces]
-    pad = PAD * float((corners.max((0, 1)) - corners.min((0, 1))).max())
-    tree, _ = build(mesh, builder, split_clipping=True)
-    flat, (leaf, triangle) = unpack(tree), leaf_references(tree)
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    checked, box_only = 0, 0
-    for node in np.flatnonzero(flat.is_leaf)[::5]:
-        ids = triangle[leaf == node]
-        cell_low, cell_high = flat.low[node], flat.high[node]
-        near = np.flatnonzero(((low <= cell_high) & (high >= cell_low)).all(axis=1))
-        must = {i for i in near if meets(corners[i], cell_low + 1e-7, cell_high - 1e-7)}
-        assert must <= set(ids)
-        for i in ids:
-            assert meets(corners[i], cell_low - 3 * pad, cell_high + 3 * pad)
-        checked, box_only = checked + len(must), box_only + len(near) - len(must)
-    assert checked > 100
-    assert box_only > 20  # boxes alone would have listed them
+    assert_leaves_list_what_they_meet(SCENES[name](), builder)
 
 
 def test_planes_end_what_is_left_of_triangles():

@@ -12,7 +12,7 @@ from time import monotonic, sleep
 import numpy as np
 import pytest
 import warp as wp
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from wrt.cluster.job_folder import JobFolder
@@ -24,7 +24,7 @@ distributed = pytest.importorskip("distributed", reason="Dask is not installed: 
 COUNT = 3000
 ROWS = 250
 MEMORY = ROWS * BYTES_PER_RAY
-PATHS = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1]), str(Path(__file__).parent)]
+PATHS = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +179,7 @@ import warp as wp
 wp.config.log_level, wp.config.cpu_compiler_flags = wp.LOG_ERROR, {flags!r}
 import wrt
 from distributed import Client
-from test_dask_cluster import COUNT, MEMORY, Slow
+from tests.cluster.test_dask_cluster import COUNT, MEMORY, Slow
 scene = wrt.Scene.load({scene!r}, device="cpu")
 with Client({address!r}) as client:
     blocks = scene.occluded_blocks(wrt.batches.GeneratedRays(Slow(), COUNT), memory=MEMORY, executor=client.get_executor())

@@ -12,7 +12,7 @@ from time import monotonic, sleep
 
 import numpy as np
 import pytest
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from wrt.query.batches import workers

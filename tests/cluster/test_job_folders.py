@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import mixed_rays
-from small_files import small_files
+from support.hits import mixed_rays
+from support.small_files import small_files
 
 import wrt
 from wrt.cluster.job_folder import JobFolder

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from wrt.cluster import job_blocks

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import warp as wp
 from click.testing import CliRunner
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from wrt.cli import main
@@ -209,7 +209,7 @@ import warp as wp
 wp.config.log_level, wp.config.cpu_compiler_flags = wp.LOG_ERROR, {flags!r}
 import numpy as np
 import wrt
-from test_jobs import Noted
+from tests.cluster.test_jobs import Noted
 if __name__ == "__main__":
     scene = wrt.Scene.load({scene!r}, device="cpu")
     rays = np.load({rays!r})
@@ -231,7 +231,7 @@ def test_a_client_that_is_killed(scene, rays, tmp_path):
     scene.save(tmp_path / "scene.npz")
     np.save(tmp_path / "rays.npy", np.stack(rays))
     given = {"scene": "scene.npz", "rays": "rays.npy", "asked": "asked", "folder": "job"}
-    paths = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1]), str(Path(__file__).parent)]
+    paths = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
     code = CLIENT.format(
         paths=paths,
         flags=wp.config.cpu_compiler_flags,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from wrt.query.blocks import BYTES_PER_RAY
@@ -18,7 +18,7 @@ ray = pytest.importorskip("ray", reason="Ray is not installed: pip install ray")
 
 COUNT = 2000
 MEMORY = 400 * BYTES_PER_RAY
-PATHS = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1]), str(Path(__file__).parent)]
+PATHS = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
 
 
 class RayExecutor(Executor):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from wrt.query.batches.block_outputs import StoreRows, TakeAttributes, for_workers

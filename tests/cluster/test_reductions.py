@@ -8,7 +8,7 @@ from operator import add
 
 import numpy as np
 import pytest
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from wrt.cluster.stored_answers import pack_answer, unpack_answer

@@ -6,10 +6,9 @@ import ast
 import sys
 from collections import Counter
 
-import import_graph
 import numpy as np
 import pytest
-import query_walk
+from support import import_graph, query_walk
 
 import wrt
 from wrt.kernels.runtime.launch import PreparedLaunch

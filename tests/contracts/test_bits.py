@@ -8,10 +8,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import conftest
 import pytest
 from bits import digests
 from bits.tree_bits import tree_hashes
+from support.environment import AS_USERS
 
 from wrt import revisions
 from wrt.kernels.compilation.target import lane_width
@@ -22,8 +22,9 @@ FAMILIES = (("trees", " bvh"), ("trees", " kdtree"), ("pictures", ""))
 BUILDS = ("kdtree in_place", "kdtree binned", "bvh binned")
 
 
-AS_USERS = """
+FIRST_ENGINES = """
 import json
+import support.environment
 import warp as wp
 from bits.hit_bits import hit_hashes
 from wrt.engine.facts.query_kinds import ANY, CLOSEST
@@ -38,8 +39,8 @@ print(json.dumps([hashes, wp.config.cpu_compiler_flags]))
 def test_hits_have_their_bits():
     """At any width, on any tree, by the traversals that users run first, compiled as theirs are."""
     paths = [str(folder) for folder in (TESTS, TESTS.parent)]
-    environment = os.environ | {conftest.AS_USERS: "1", "PYTHONPATH": os.pathsep.join(paths)}
-    done = subprocess.run([sys.executable, "-c", AS_USERS], env=environment, capture_output=True, text=True, check=True)
+    environment = os.environ | {AS_USERS: "1", "PYTHONPATH": os.pathsep.join(paths)}
+    done = subprocess.run([sys.executable, "-c", FIRST_ENGINES], env=environment, capture_output=True, text=True, check=True)
     found, flags = json.loads(done.stdout.splitlines()[-1])
     assert "-O1" not in flags
     assert "-mllvm=-inline-threshold=9000" in flags

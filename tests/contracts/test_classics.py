@@ -6,7 +6,7 @@ import subprocess
 import sys
 from dataclasses import fields
 
-import import_graph
+from support import import_graph
 
 from wrt.kernels.on_demand import CLASSICS, OnDemand
 from wrt.kernels.traversal import TRAVERSALS

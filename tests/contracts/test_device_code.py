@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warp as wp
-from device_modules import device_modules
+from support.device_modules import device_modules
 
 
 def test_kernels_are_compiled_without_fused_multiply_add():

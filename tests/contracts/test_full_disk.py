@@ -16,7 +16,7 @@ import pytest
 import wrt
 from wrt.atomic_files import write_text
 
-small_files = pytest.importorskip("small_files", reason="only POSIX limits the size of files").small_files
+small_files = pytest.importorskip("support.small_files", reason="only POSIX limits the size of files").small_files
 
 ROOM = 2048
 """Bytes that still fit."""
@@ -161,7 +161,7 @@ def test_the_old_file_stays(tmp_path, name):
 
 def test_a_bag_is_whole_or_not_there(tmp_path):
     needs("rosbags")
-    from test_lidar import wall
+    from support.sensed_scenes import wall
 
     made = wrt.Scene(wall(10.0), device="cpu")
     scan = wrt.sensors.Lidar.preset("velodyne_vlp16").scan(made, np.eye(4))

@@ -6,10 +6,10 @@ contents of memory that nothing had been written to; an update built a tree of i
 
 from __future__ import annotations
 
-import call_objects
 import numpy as np
 import pytest
 import warp as wp
+from support import call_objects
 
 import wrt
 from wrt.known_rays.ray_casters import CircularCapCaster

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from native_guards import has_assembly, x86_without_guard
+from support.native_guards import has_assembly, x86_without_guard
 
 from wrt.kernels.runtime import native
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 import warp as wp
-from device_modules import ROOT, device_modules
-from native_guards import has_assembly, x86_without_guard
-from native_names import free_names
+from support.device_modules import ROOT, device_modules
+from support.native_guards import has_assembly, x86_without_guard
+from support.native_names import free_names
 
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.engine.facts.query_kinds import QUERIES

@@ -12,7 +12,7 @@ import platform
 import numpy as np
 import pytest
 import warp as wp
-from native_guards import has_assembly, x86_without_guard
+from support.native_guards import has_assembly, x86_without_guard
 
 from wrt.kernels.compilation.target import AVX2, AVX512, TARGETS, WIDTHS, cpu_features
 from wrt.kernels.runtime import native

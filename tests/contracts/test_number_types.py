@@ -16,10 +16,10 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-import public_calls
 import pytest
 import warp as wp
-from call_objects import Call
+from support import public_calls
+from support.call_objects import Call
 
 import wrt
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from random_cases import (
+from support.random_cases import (
     EXAMPLES,
     MARGIN,
     ON_DEVICES,

@@ -10,8 +10,8 @@ import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 
-import conftest
 import pytest
+from support import selection
 
 import wrt
 
@@ -46,6 +46,17 @@ def test_imports_go_one_way(room):
             if name == "wrt" or name.startswith("wrt."):
                 allowed = any(name == prefix or name.startswith(prefix + ".") for prefix in MAY_IMPORT[room])
                 assert allowed, f"{path.relative_to(ROOT)} imports {name}"
+
+
+def test_no_test_module_imports_another():
+    """What several of them need is in the package `support`, which imports none of them either."""
+    files = list((ROOT / "tests").rglob("*.py"))
+    assert len(files) > 300
+    for path in files:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in getattr(node, "names", []) if isinstance(node, ast.Import | ast.ImportFrom)]
+            parts = {*".".join([getattr(node, "module", None) or "", *names]).split(".")}
+            assert not [name for name in parts if name.startswith("test_") or name == "conftest"], f"{path}:{node.lineno}"
 
 
 def test_builders_know_no_triangle_test_and_traversals_no_builder():
@@ -110,7 +121,7 @@ print(before, "wrt.builders.classics.kdtree.naive" in classics())
 
 
 def test_slow_files_exist():
-    assert [name for name in conftest.SLOW if not (ROOT / name).is_file()] == []
+    assert [name for name in selection.SLOW if not (ROOT / name).is_file()] == []
 
 
 class Item(SimpleNamespace):
@@ -123,16 +134,16 @@ def test_samples_of_turns_that_follow_each_other_have_all_cases():
     items = [Item(nodeid=f"tests/test_one.py::test_{name}[{case}]") for name, count in counts.items() for case in range(count)]
     items.append(Item(nodeid="tests/test_one.py::test_e"))
     for first in (0, 7, 1042):
-        drawn = [[item.nodeid for item in conftest.sample(items, 3, first + turn)] for turn in range(3)]
+        drawn = [[item.nodeid for item in selection.sample(items, 3, first + turn)] for turn in range(3)]
         for nodes in drawn:
             assert {node.partition("[")[0][-1] for node in nodes} == {*"abcde"}
             assert 23 <= len(nodes) <= 24
         assert {node for nodes in drawn for node in nodes} == {item.nodeid for item in items}
-    assert conftest.sample(items, 1, 5) == items
+    assert selection.sample(items, 1, 5) == items
 
 
 @pytest.mark.parametrize("text", ["", "0:1", "-1:1", "some", ":3", "1.5:1", "3", "3:some", "3:-1"])
 def test_a_sample_needs_two_numbers(text):
     with pytest.raises(argparse.ArgumentTypeError, match="N is at least 1"):
-        conftest.as_sample(text)
-    assert conftest.as_sample("3:1042") == (3, 1042)
+        selection.as_sample(text)
+    assert selection.as_sample("3:1042") == (3, 1042)

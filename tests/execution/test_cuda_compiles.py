@@ -10,7 +10,8 @@ from functools import partial
 
 import pytest
 import warp as wp
-from conftest import ENGINE_TESTS, OTHER_WAYS_TO_PACKETS
+from support.algorithms import ENGINE_TESTS, OTHER_WAYS_TO_PACKETS
+from support.ptx import FUSIBLE, HEAD, assert_fuses_boxes_alone, compile_to_ptx
 
 import wrt.builders
 import wrt.kernels
@@ -61,8 +62,6 @@ from wrt.kernels.traversal.two_level import instance_single
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import make_packing_kernel
 
-ARCHITECTURE = 75
-
 WHOLE, CLIPPED = KdTreeConfig(), KdTreeConfig(split_clipping=True)
 SAMPLED_AGAIN = adaptive_sampling.sampling_method(KdTreeConfig(resamplings=2, empty_space="early"))
 SCANNING_METHODS = (
@@ -89,36 +88,12 @@ def kernels_of_modules() -> dict[str, dict[str, wp.Kernel]]:
     return found
 
 
-FUSIBLE = re.compile(r"\b(?:fma\.rn|mad|mul|add|sub)\.f32")
-"""A multiply-add in one, or an operation without `.rn`, which later steps may make one of: it breaks watertightness and the
-equality of devices."""
-
-HEAD = re.compile(r"^(?:\.\w+ )*\.(entry|func) *(?:\([^)]*\))?\s*([\w$]+)\s*\(", re.MULTILINE)
-"""The head of a kernel or of a function, declared or defined."""
-
-CALL = re.compile(r"\bcall(?:\.uni)?\s*(?:\([^)]*\),)?\s*([\w$]+)")
-
-
 @pytest.fixture(autouse=True)
 def not_optimised(monkeypatch):
     """What is asked here is whether code compiles, not how fast it is: without optimising, NVRTC takes a third of the time for
     large kernels. Its precompiled headers take longer to load than Warp's header to parse."""
     monkeypatch.setattr(wp.config, "mode", "debug")
     monkeypatch.setattr(wp.config, "use_precompiled_headers", False)
-
-
-def compile_to_ptx(module, folder) -> str:
-    """The code of a module's kernels and of the functions that they call, themselves or by others: NVRTC, not optimising, keeps
-    all functions of Warp's header."""
-    wp.compile_aot_module(module, arch=ARCHITECTURE, module_dir=folder, use_ptx=True)
-    (text,) = (path.read_text() for path in folder.glob("*.ptx"))
-    heads = list(HEAD.finditer(text))
-    ends = [*(head.start() for head in heads[1:]), len(text)]
-    bodies = {head[2]: text[head.start() : end] for head, end in zip(heads, ends, strict=True) if "{" in text[head.end() : end]}
-    found = [head[2] for head in heads if head[1] == "entry"]
-    for name in found:  # grows
-        found += (set(CALL.findall(bodies[name])) & bodies.keys()) - set(found)
-    return "\n".join(map(bodies.get, found))
 
 
 def together(name: str, kernels: dict[str, wp.Kernel]) -> wp.Module:
@@ -245,17 +220,6 @@ ANSWERS = [
     if test.name == "woop" or (tree == way.trees[0] and name not in OTHER_WAYS_TO_PACKETS)
 ]
 """All queries with one test; one query with the others, once for each way to meet leaves."""
-
-
-BOX_PLANES = 12
-"""Fused multiply-adds in a node's step: a plane each of the boxes of two children; one, where their function is not inlined."""
-
-
-def assert_fuses_boxes_alone(text: str, walks: int = 1) -> None:
-    """Of persistent threads: the steps of nodes in so many walks fuse, and nothing else does."""
-    fused = FUSIBLE.findall(text)
-    assert set(fused) == {"fma.rn.f32"}
-    assert len(fused) in (1, walks * BOX_PLANES)
 
 
 def test_persistent_threads_have_bounded_registers(tmp_path):

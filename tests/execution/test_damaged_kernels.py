@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from test_compilation import environment, script
+from support.compiling import environment, script
 
 from wrt.kernels.compilation import damaged_kernels, kernel_cache, shipped_kernels
 from wrt.kernels.runtime.launch import launch

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import warp as wp
-from test_compilation import done
+from support.compiling import done
 
 from wrt.kernels.compilation import precompiled_header
 

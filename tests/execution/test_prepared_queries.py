@@ -10,7 +10,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 import warp as wp
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from wrt.engine.facts.query_cache import MAX_PLANS, QueryCache

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from test_pool import run_process
+from support.processes import run_process
 
 from wrt.kernels.compilation.cores import available_cores
 

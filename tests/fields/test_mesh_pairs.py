@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from pair_oracles import all_pairs, distances, meet, rational_distance, triangles_of
+from support.pair_oracles import all_pairs, distances, meet, rational_distance, triangles_of
 
 import wrt
 from wrt.analysis import clearance, closest_pair, overlapping_triangles

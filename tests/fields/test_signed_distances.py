@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from open_surfaces import surfaces
-from sign_table import SIGNS, wrong_shares
+from support.open_surfaces import surfaces
+from support.sign_table import SIGNS, wrong_shares
 
 import wrt
 from wrt.analysis.pseudonormal_table import edge_normals, vertex_normals

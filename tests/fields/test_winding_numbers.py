@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from open_surfaces import surfaces
-from test_watertight import winding_number as by_solid_angles
+from support.bodies import winding_number as by_solid_angles
+from support.open_surfaces import surfaces
 
 import wrt
 from wrt.analysis.winding_clusters import farthest_share, levels_of, winding_tree

@@ -28,7 +28,7 @@ from wrt.meshes.files.mesh_source import FileMesh, MeshSource
 from .cases import Case, WrongAnswer
 from .files import MUTATIONS
 
-SUPPORT = Path(__file__).resolve().parents[1] / "support"
+TESTS = Path(__file__).resolve().parents[1]
 
 VALUES: tuple[Any, ...] = (
     0, 1, -1, 2, 3, 4, 5, 6, 7, 255, 65535, 1 << 31, 1 << 40, 1 << 63, 0.5, -0.5, 1e39, 1e308, float("nan"), float("inf"),
@@ -54,12 +54,12 @@ class MemorySource(MeshSource):
 @cache
 def seeds() -> dict[str, list[dict[str, bytes]]]:
     """Valid files by extension: each with what it refers to; the first one is the mesh."""
-    sys.path.insert(0, str(SUPPORT))
+    sys.path.insert(0, str(TESTS))
     try:
-        from hostile_files import FILES
-        from hostile_gltf import GLTF_FILES
+        from support.hostile_files import FILES
+        from support.hostile_gltf import GLTF_FILES
     finally:
-        sys.path.remove(str(SUPPORT))
+        sys.path.remove(str(TESTS))
     found: dict[str, list[dict[str, bytes]]] = {}
     for file in [*FILES, *GLTF_FILES]:
         if file.name.startswith("chain_of"):

@@ -198,7 +198,7 @@ def test_a_scene_without_lights_or_materials_is_lit():
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_bad_rays_and_degenerate_triangles_do_no_harm(integrator):
     """Triangles without area, and needles: no NaN in the picture."""
-    from conftest import degenerate_soup, needles
+    from support.meshes import degenerate_soup, needles
 
     for mesh in (degenerate_soup(), needles(40)):
         scene = wrt.Scene(mesh)

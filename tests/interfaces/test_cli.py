@@ -9,13 +9,13 @@ import time
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from PIL import Image
+from support.commands import run
 
 import wrt
 import wrt.scene.scene
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.cli import catalogue, main
+from wrt.cli import catalogue
 from wrt.imaging.integrators import rendering_call
 from wrt.kernels.runtime.schedules import SCHEDULES
 from wrt.kernels.traversal import TRAVERSALS
@@ -23,10 +23,6 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.scenes import BUILTIN_SCENES
 
 SMALL = ["--width", "24", "--height", "16", "--samples", "1", "--ambient-samples", "2"]
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(a) for a in arguments])
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_open3d_rays import PARTS, open3d, scene, theirs  # noqa: F401
+from support.open3d_scene import PARTS
 
 import wrt
 
@@ -20,7 +20,7 @@ def arrays(result) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("query", QUERIES)
 @pytest.mark.parametrize("shape", [(600, 3), (20, 30, 3)])
-def test_as_the_peer(scene, theirs, open3d, query, shape):  # noqa: F811
+def test_as_the_peer(scene, theirs, open3d, query, shape):
     """Keys, shapes and types; values but for triangles at the same distance."""
     points = POINTS.reshape(shape)
     ours, expected = arrays(getattr(scene, query)(points)), arrays(getattr(theirs, query)(open3d.core.Tensor(points)))
@@ -37,7 +37,7 @@ def test_as_the_peer(scene, theirs, open3d, query, shape):  # noqa: F811
         assert np.isclose(ours["result"], expected["result"], atol=1e-5).mean() > 0.995  # rays at edges are lost there
 
 
-def test_what_is_documented(scene):  # noqa: F811
+def test_what_is_documented(scene):
     """Without the peer: distances of known bodies, negative inside, where occupancy is 1; ids and weights give the points."""
     ball = wrt.compat.RaycastingScene(device="CPU:0")
     ball.add_triangles(*PARTS[0])
@@ -73,7 +73,7 @@ def test_where_there_is_nothing():
 
 
 @pytest.mark.parametrize("query", QUERIES)
-def test_what_is_refused(scene, query):  # noqa: F811
+def test_what_is_refused(scene, query):
     with pytest.raises(ValueError, match=r"query_points must have shape \(\.\.\., 3\)"):
         getattr(scene, query)(np.zeros((2, 6), np.float32))
     with pytest.raises(TypeError, match="query_points"):

@@ -7,33 +7,9 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
+from support.open3d_scene import PARTS, SPHERE
 
 import wrt
-
-SPHERE = trimesh.creation.icosphere(subdivisions=2)
-TORUS = trimesh.creation.torus(1.0, 0.4)
-PARTS = [(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)) for mesh in (SPHERE, TORUS)]
-
-
-@pytest.fixture(scope="module")
-def scene() -> wrt.compat.RaycastingScene:
-    ours = wrt.compat.RaycastingScene()
-    assert [ours.add_triangles(*part) for part in PARTS] == [0, 1]
-    return ours
-
-
-@pytest.fixture(scope="module")
-def open3d():
-    return pytest.importorskip("open3d")
-
-
-@pytest.fixture(scope="module")
-def theirs(open3d):
-    peer = open3d.t.geometry.RaycastingScene()
-    for vertices, faces in PARTS:
-        peer.add_triangles(open3d.core.Tensor(vertices), open3d.core.Tensor(faces))
-    return peer
-
 
 METHODS = {
     "INVALID_ID",

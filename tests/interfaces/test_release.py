@@ -7,7 +7,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from test_cli import run
+from support.commands import run
 
 import wrt
 from wrt.cli import release

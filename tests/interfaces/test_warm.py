@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_cli import run
+from support.commands import run
 
 import wrt
 import wrt.engine.launch.expected_kernels

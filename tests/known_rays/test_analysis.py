@@ -9,9 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import SCENES
-from test_influence import picture, window
-from test_projected_bvh import AREA_KINDS, area_of, rays_of
+from support.known_areas import AREA_KINDS, area_of, picture, rays_of, window
+from support.meshes import SCENES
 
 import wrt
 from studies.known_rays.ray_distribution import random_areas, stretched

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 import warp as wp
-from conftest import SCENES
-from test_ray_aware import areas_of, random_areas
+from support.known_areas import areas_of, random_areas
+from support.meshes import SCENES
 
 import wrt
 from wrt.builders.influence import area_octree as octree

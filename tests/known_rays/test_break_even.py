@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SCENES
+from support.meshes import SCENES
 
 import wrt
 from wrt.known_rays.area_break_even import AREA_LOOKUP_COST, break_even_share

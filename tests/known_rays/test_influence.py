@@ -7,8 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
+from support.known_areas import picture, window
 
-from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
+from wrt.builders.influence.influence_area import PlaneInfluenceArea, PointInfluenceArea
 from wrt.kernels.influence.box_clipping import clipped_areas, projected_area
 from wrt.kernels.influence.box_projection import NEEDS_NEAR, NEEDS_WINDOW, whole_areas
 from wrt.kernels.influence.silhouette import MAX_CORNERS, clip_to_window, polygon_area, projected_hull
@@ -73,26 +74,6 @@ def measured(name: str, count: int = 600):
     counts = wp.zeros(count, dtype=int, device="cpu")
     wp.launch(measure, count, [view, *boxes, areas, corners, counts], device="cpu")
     return low, high, areas.numpy(), corners.numpy(), counts.numpy()
-
-
-def window(area: InfluenceArea) -> tuple[float, float]:
-    """Half its width and height, where pictures are measured."""
-    return area.tangents if isinstance(area, PointInfluenceArea) else (area.width / 2, area.height / 2)
-
-
-def picture(area: InfluenceArea, low: np.ndarray, high: np.ndarray):
-    """A box's picture by the library, in float64: convex hull of its corners, and of its edges' ends at the near plane."""
-    corners = np.array([[(high if c >> axis & 1 else low)[axis] for axis in range(3)] for c in range(8)], dtype=np.float64)
-    seen = (corners - area.position) @ area.frame.T
-    near = getattr(area, "near", 0.0)
-    points = [p for p in seen if p[2] >= near]
-    for a in range(8):
-        for b in (a | 1, a | 2, a | 4):
-            if (seen[a, 2] >= near) != (seen[b, 2] >= near):
-                share = (near - seen[a, 2]) / (seen[b, 2] - seen[a, 2])
-                points.append(np.append((seen[a] + share * (seen[b] - seen[a]))[:2], near))
-    flat = [p[:2] / p[2] if isinstance(area, PointInfluenceArea) else p[:2] for p in points]
-    return shapely.MultiPoint(flat).convex_hull
 
 
 @pytest.mark.parametrize("name", AREAS)

@@ -6,7 +6,8 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import SCENES, assert_same_hits
+from support.hits import assert_same_hits
+from support.meshes import SCENES
 
 import wrt
 from wrt.builders.influence.area_top_level import region_of

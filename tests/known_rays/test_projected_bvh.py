@@ -7,70 +7,21 @@ import functools
 import numpy as np
 import pytest
 import warp as wp
-from conftest import SCENES, assert_same_hits, mixed_rays
-from test_bvh_builders import arrays_of, assert_same_tree, check, mesh_of
-from test_influence import picture, window
+from support.built_bvhs import assert_same_tree, check, mesh_of
+from support.hits import assert_same_hits, mixed_rays
+from support.known_areas import AREA_KINDS, area_of, build, picture, rays_of, window
+from support.meshes import SCENES
 
 import wrt
 from wrt.builders.bvh import binned_bvh as binned
-from wrt.builders.bvh import projected_binned as projected
-from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.bvh_statistics import unpack
-from wrt.builders.bvh.known_rays_config import NodeRules, ProjectedConfig
+from wrt.builders.bvh.known_rays_config import ProjectedConfig
 from wrt.builders.bvh.phases import collapse as collapse_phase
 from wrt.builders.bvh.phases.bvh_bins import FEW
-from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES, AxisChoice
-from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.influence.projected_cost import RayDistribution
-from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.builders.bvh.phases.split_axes import AxisChoice
 from wrt.kernels.runtime.launch import use_threads
 
 shapely = pytest.importorskip("shapely", reason="shapely is not installed: pip install 'wrt[test-all]'")
-
-AREA_KINDS = ("plane along an axis", "plane", "point", "point inside")
-
-
-def area_of(mesh: wrt.TriangleMesh, kind: str):
-    """An influence area that sees most of a mesh, or, from the inside, a part of it."""
-    low, high = mesh.bounds
-    middle, size = (low + high) / 2, float(np.linalg.norm(high - low))
-    if kind.startswith("plane"):
-        direction = np.array((0.0, 0.0, -1.0) if kind.endswith("axis") else (0.4, -0.5, -0.8))
-        start = middle - direction * size
-        return wrt.known_rays.PlaneInfluenceArea(
-            position=start, direction=direction, width=0.6 * size, height=0.7 * size, depth=3 * size
-        )
-    if kind == "point":
-        start = middle + size * np.array([0.3, -0.9, 0.5])
-        return wrt.known_rays.PointInfluenceArea(
-            position=start, direction=middle - start, fov=(50, 40), near=0.1 * size, far=3 * size
-        )
-    direction = (1.0, 0.2, -0.3)
-    return wrt.known_rays.PointInfluenceArea(
-        position=middle, direction=direction, fov=(120, 100), near=0.02 * size, far=3 * size
-    )
-
-
-def rays_of(area, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Rays of an area, spread evenly over its window: origins and directions, float64."""
-    right, up, forward = area.frame
-    half = np.array(window(area))
-    across = np.random.default_rng(seed).uniform(-half, half, (count, 2)) @ np.array([right, up])
-    if isinstance(area, wrt.known_rays.PointInfluenceArea):
-        return np.array(area.position) + area.near * (across + forward), across + forward
-    return np.array(area.position) + across, np.broadcast_to(forward, (count, 3)).copy()
-
-
-def config_of(areas, axes: str | AxisChoice = "all", width: int = 8, others: float = 1e-3, shares=None, **options):
-    nodes = NodeRules(**{k: options.pop(k) for k in tuple(options) if k in NodeRules.__dataclass_fields__})
-    bvh = BvhConfig(SurfaceAreaCost(width=width), **options)
-    axes = AXIS_CHOICES[axes] if isinstance(axes, str) else axes
-    return ProjectedConfig(bvh, RayDistribution(areas, shares, others), axes, nodes)
-
-
-def build(mesh: wrt.TriangleMesh, *args, **options):
-    config = config_of(*args, **options)
-    return projected.build(triangle_boxes(*arrays_of(mesh)), config), config
 
 
 @functools.cache

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from conftest import SCENES, assert_same_hits, mixed_rays
+from support.hits import assert_same_hits, mixed_rays
+from support.known_areas import areas_of, random_areas
+from support.meshes import SCENES
 
 import wrt
 from wrt.builders.influence import area_octree as octree
@@ -19,50 +21,6 @@ from wrt.kernels.influence.region_tests import Region as RegionStruct
 from wrt.scene.scene import scene_of_state
 
 MESHES = ("teapot", "random_triangles", "grid", "degenerate")
-
-
-def random_areas(count: int, low: np.ndarray, high: np.ndarray, seed: int = 0) -> list:
-    """Plane and point areas of all sizes about a box."""
-    rng = np.random.default_rng(seed)
-    size = np.ptp([low, high], axis=0).max()
-    areas = []
-    for number in range(count):
-        position, direction = rng.uniform(low - 0.2 * size, high + 0.2 * size), rng.normal(size=3)
-        if number % 2:
-            width, height, depth = size * rng.uniform(0.1, 0.8, 3)
-            areas.append(
-                wrt.known_rays.PlaneInfluenceArea(
-                    position=position, direction=direction, width=width, height=height, depth=depth
-                )
-            )
-        else:
-            fov, far = rng.uniform(10, 140, 2), size * rng.uniform(0.2, 1)
-            areas.append(
-                wrt.known_rays.PointInfluenceArea(position=position, direction=direction, fov=fov, near=0.1 * far, far=far)
-            )
-    return areas
-
-
-def areas_of(mesh) -> list:
-    """A light from above with an edge through the middle of the mesh, a lamp beside it, a lamp in it, and one far away."""
-    low, high = mesh.bounds
-    center, size = (low + high) / 2, high - low
-    extent = float(size.max())
-    sun = wrt.known_rays.PlaneInfluenceArea(
-        position=center + size * (0.25, 0, 1),
-        direction=(0, 0, -1),
-        width=size[0] / 2,
-        height=extent,
-        depth=1.2 * size[2],
-    )
-    lamp = wrt.known_rays.PointInfluenceArea(
-        position=center + extent * np.array([-1, 0.1, 1]), direction=(1, 0, -1), fov=(40, 70), near=0.1 * extent, far=np.inf
-    )
-    inner = wrt.known_rays.PointInfluenceArea(
-        position=center, direction=(0.2, 1, 0.1), fov=(120, 90), near=1e-3 * extent, far=0.4 * extent
-    )
-    nowhere = wrt.known_rays.PointInfluenceArea(position=high + 9 * extent, direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
-    return [sun, lamp, nowhere, inner]
 
 
 def affine_rays(mesh, count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,10 @@ import gc
 import numpy as np
 import pytest
 import warp as wp
-from conftest import SCENES, assert_same_hits, mixed_rays
-from test_bvh_builders import arrays_of, assert_same_tree
-from test_projected_bvh import AREA_KINDS, area_of, rays_of
+from support.built_bvhs import arrays_of, assert_same_tree
+from support.hits import assert_same_hits, mixed_rays
+from support.known_areas import AREA_KINDS, area_of, described, rays_of
+from support.meshes import SCENES
 
 import wrt
 from wrt.builders.bvh import binned_bvh as binned
@@ -21,11 +22,6 @@ from wrt.builders.triangle_boxes import boxes_of, triangle_boxes
 from wrt.engine.plan.plan import stack_levels
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import use_threads
-
-
-def described(mesh: wrt.TriangleMesh, kind: str = "point", share: float = 0.5, **options) -> wrt.known_rays.ProjectedBvh:
-    """A tree for known rays with spatial splits."""
-    return wrt.known_rays.ProjectedBvh(areas=area_of(mesh, kind), width=8, spatial_splits=share, **options)
 
 
 def build(mesh: wrt.TriangleMesh, description: wrt.known_rays.ProjectedBvh):

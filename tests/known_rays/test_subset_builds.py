@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SCENES, assert_same_hits, mixed_rays
-from test_bvh_builders import assert_same_tree, check
-from test_bvh_builders import build as build_bvh
-from test_projected_bvh import area_of, build
+from support.built_bvhs import assert_same_tree, check
+from support.built_bvhs import build as build_bvh
+from support.hits import assert_same_hits, mixed_rays
+from support.known_areas import area_of, build
+from support.meshes import SCENES
 
 import wrt
 from wrt.builders.bvh import binned_bvh as binned

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from conftest import assert_same_hits, mixed_rays
-from test_cuda_compiles import compile_to_ptx
+from support.hits import assert_same_hits, mixed_rays
+from support.ptx import compile_to_ptx
 
 import wrt
 from wrt.builders.motion_clusters import assign_triangles, decompose, fit_maps, fuzzy_boxes

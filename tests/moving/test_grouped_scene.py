@@ -7,7 +7,8 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
-from conftest import assert_same_hits, mixed_rays, snapped_soup
+from support.hits import assert_same_hits, mixed_rays
+from support.meshes import snapped_soup
 
 import wrt
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH

@@ -7,8 +7,9 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
-from conftest import assert_same_hits, mixed_rays, snapped_soup
-from test_cuda_compiles import compile_to_ptx
+from support.hits import assert_same_hits, mixed_rays
+from support.meshes import snapped_soup
+from support.ptx import compile_to_ptx
 
 import wrt
 from wrt.builders.convert.kdtree_links import link_kdtrees

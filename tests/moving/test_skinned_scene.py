@@ -7,7 +7,7 @@ import copy
 import numpy as np
 import pytest
 import trimesh
-from conftest import assert_same_hits, mixed_rays
+from support.hits import assert_same_hits, mixed_rays
 
 import wrt
 from wrt.meshes.skeleton import skinned

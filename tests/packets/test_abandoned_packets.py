@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import trimesh
-from conftest import assert_same_hits, brute_force
+from support.hits import assert_same_hits, brute_force
 
 import wrt
 from wrt.kernels.traversal.packet.core.packet_bvh import MAX_STEPS_UNSPLIT

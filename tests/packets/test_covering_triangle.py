@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import OPTIONS
-from test_packets import packet_plan
+from support.packet_loops import OPTIONS
+from support.packet_rays import packet_plan
 
 import wrt
 from wrt.engine.launch.triangle_records import records_of

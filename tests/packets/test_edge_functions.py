@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import assert_same_hits, brute_force
+from support.hits import assert_same_hits, brute_force
 
 import wrt
 

@@ -7,9 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from conftest import SCENES, assert_same_hits
-from packet_loops import OPTIONS
-from test_packets import packet_plan
+from support.hits import assert_same_hits
+from support.meshes import SCENES
+from support.packet_loops import OPTIONS
+from support.packet_rays import packet_plan
 
 import wrt
 from wrt.engine.plan.plan import traversal_config

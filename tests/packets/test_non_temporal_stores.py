@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SCENES, assert_same_hits
-from test_packets import beams, packet_plan
+from support.hits import assert_same_hits
+from support.meshes import SCENES
+from support.packet_rays import beams, packet_plan
 
 import wrt
 import wrt.engine.memory

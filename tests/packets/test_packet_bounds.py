@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
+from support.packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
 
 from wrt.kernels.traversal.packet.core.packet_splitting import DONE, MAX_PARTS, SINGLE_RAY, activate_part, finish_part
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout

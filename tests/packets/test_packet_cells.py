@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, bits, loops, make_packets, plain_rays
+from support.packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, bits, loops, make_packets, plain_rays
 
 from wrt.kernels.classics.traversal.omnidirectional import enter_cell, split_cell
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box

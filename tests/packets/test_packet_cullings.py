@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import BLOCKS, LOAD, OPTIONS, TWIN_OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
-from scalar_cullings import (
+from support.packet_loops import BLOCKS, LOAD, OPTIONS, TWIN_OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
+from support.scalar_cullings import (
     corner_rays_keep,
     enter_frustum,
     every_ray_keeps,

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import (
+from support.packet_loops import (
     ANY,
     CLOSEST,
     CLOSEST_BLOCKS,

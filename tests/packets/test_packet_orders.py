@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import assert_same_hits, brute_force, mixed_rays
+from support.hits import assert_same_hits, brute_force, mixed_rays
 
 import wrt
 from wrt.classics.packet_arrangement import arrange_rays

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import assert_same_hits
+from support.hits import assert_same_hits
 
 import wrt
 from wrt.kernels.traversal.packet.core.packet_bvh import MIN_FETCHED

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import OPTIONS
+from support.packet_loops import OPTIONS
 
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.simd.boxes import SLACK

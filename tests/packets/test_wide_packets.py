@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from conftest import assert_same_hits
-from packet_loops import OPTIONS
-from test_packets import packet_plan
+from support.hits import assert_same_hits
+from support.packet_loops import OPTIONS
+from support.packet_rays import packet_plan
 
 import wrt
 from wrt.kernels.traversal.packet.core.packet_splitting import LEAST_WIDE, forget_extent, is_wide

@@ -12,17 +12,14 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-import test_algorithms
-import test_kdtree_builders
-import test_split_clipping
-import test_traversal
-import test_triangle_properties
-import test_triangle_tests
-from conftest import SCENES
+from support import algorithm_page
+from support.built_kdtrees import assert_leaves_list_what_they_meet, build
+from support.meshes import SCENES
 
 import wrt
 from studies.kdtrees.kdtree_pictures import color_of
 from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities, KdTreeBuilder
+from wrt.builders.kdtree.kdtree_statistics import unpack
 from wrt.engine.facts.query_kinds import Query
 from wrt.engine.rays.rays import as_rays
 from wrt.kernels.answers import ANSWERS
@@ -141,13 +138,6 @@ def builder(entries, monkeypatch) -> str:
     return "mean_split"
 
 
-@pytest.fixture
-def triangle_test(entries, monkeypatch) -> str:
-    """The tutorial's triangle test, in the table."""
-    monkeypatch.setitem(TRIANGLE_TESTS, "dot_products", entries["dot_products"])
-    return "dot_products"
-
-
 def test_entries_are_named_as_their_files(entries):
     assert {name: entry.name for name, entry in entries.items()} == {name: name for name in EXAMPLES}
     assert BuilderCapabilities.CLIPS in entries["mean_split"].capabilities
@@ -160,39 +150,19 @@ def test_it_is_not_there_yet(name):
     assert name not in wrt.__all__
 
 
-@pytest.mark.parametrize("width", [1, 8])
-@pytest.mark.parametrize("mesh", ["teapot", "grid", "degenerate", "needles"])
-def test_builder_keeps_the_invariants(builder, mesh, width):
-    test_kdtree_builders.test_invariants(SCENES[mesh](), builder, width)
-
-
-@pytest.mark.parametrize("count", [1, 2, 8])
-def test_builder_takes_tiny_and_flat_meshes(builder, count):
-    test_kdtree_builders.test_tiny_and_flat_meshes(builder, count)
-
-
-def test_builder_takes_hard_meshes(builder):
-    test_kdtree_builders.test_hard_meshes(builder)
-
-
-def test_builder_gives_the_same_hits(builder):
-    test_traversal.test_every_kdtree_builder_gives_the_same_hits(SCENES["random_triangles"](), builder)
-
-
 def test_builder_clips(builder):
     """What its entry says: leaves list the triangles that they meet, and no others."""
-    test_split_clipping.test_leaves_list_what_they_meet(builder, "random_triangles")
-    test_split_clipping.test_needles_are_crossed_once(builder, 100.0)
+    assert_leaves_list_what_they_meet(SCENES["random_triangles"](), builder)
 
 
 def test_builder_splits_at_the_mean(builder):
     """The tutorial's own claim, worked out in NumPy."""
     mesh = wrt.scenes.build("teapot", level=4)
-    tree, _ = test_kdtree_builders.build(mesh, builder)
+    tree, _ = build(mesh, builder)
     corners = mesh.vertices.astype("float32")[mesh.faces]
     axis = int((corners.max((0, 1)) - corners.min((0, 1))).argmax())
     middles = (corners.min(1) + corners.max(1))[:, axis] / 2
-    flat = test_kdtree_builders.unpack(tree)
+    flat = unpack(tree)
     assert flat.axis[0] == axis
     assert flat.position[0] == pytest.approx(middles.mean(dtype=float), rel=1e-6, abs=1e-6)
 
@@ -201,71 +171,102 @@ def test_builder_has_a_colour_of_its_own(builder):
     assert color_of(builder) not in [color_of(name) for name in KDTREE_BUILDERS if name != builder]
 
 
-def test_triangle_test_keeps_the_contract(triangle_test, device):
-    for check in (
-        test_triangle_tests.test_closed_form,
-        test_triangle_tests.test_edges_and_vertices_belong_to_the_triangle,
-        test_triangle_tests.test_rays_in_the_plane_miss,
-        test_triangle_tests.test_against_float64,
-        test_triangle_tests.test_degenerate_triangles_miss,
-    ):
-        check(triangle_test, device)
-    for form in ("scalar", "lanes"):
-        test_triangle_tests.test_a_nan_anywhere_is_a_miss(triangle_test, form, device)
-    for width in (4, 16):
-        test_triangle_tests.test_lanes_equal_scalar(triangle_test, width, device)
-    test_triangle_tests.test_table_is_complete()
-
-
-@pytest.mark.parametrize(("tree", "traversal"), [("kdtree", "single"), ("bvh", "packet"), ("bvh", "stream")])
-def test_triangle_test_works_in_the_engine(triangle_test, tree, traversal, device):
-    test_triangle_tests.test_in_the_engine(triangle_test, tree, traversal, device)
-
-
-def test_triangle_test_is_right_at_any_scale(triangle_test, monkeypatch):
-    alone = {triangle_test: TRIANGLE_TESTS[triangle_test]}
-    monkeypatch.setattr(test_triangle_properties, "TRIANGLE_TESTS", alone)
-    test_triangle_properties.test_hits_are_where_float64_has_them()
-
-
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_rows_fit_the_page_of_algorithms(name):
     """Without the row the test of the page fails; with it, in the right section, it passes."""
     section = {"KDTREE_BUILDERS": "kd-tree builders", "TRIANGLE_TESTS": "Triangle tests"}[EXAMPLES[name]]
     (row,) = [row for row in rows() if f"`{name}`" in row]
-    assert name not in test_algorithms.keys_in(test_algorithms.PAGE, section)
-    last = [line for line in test_algorithms.sections(test_algorithms.PAGE)[section].splitlines() if line.startswith("| `")][-1]
-    page = test_algorithms.PAGE.replace(last, f"{last}\n{row}")
-    assert test_algorithms.keys_in(page, section)[-1] == name
+    assert name not in algorithm_page.keys_in(algorithm_page.PAGE, section)
+    last = [line for line in algorithm_page.sections(algorithm_page.PAGE)[section].splitlines() if line.startswith("| `")][-1]
+    page = algorithm_page.PAGE.replace(last, f"{last}\n{row}")
+    assert algorithm_page.keys_in(page, section)[-1] == name
 
 
 PLUGIN = """
-import sys
-sys.path[:0] = {tests!r}
-import wrt
-from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.kernels.answers import ANSWERS
-from wrt.kernels.traversal import TRAVERSALS
+import dot_products, mean_split
+from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities, KdTreeBuilder
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.query.answers import ray_values
-from wrt.engine.rays.rays import as_rays
-from wrt.engine.facts.query_kinds import Query
-KDTREE_BUILDERS["mean_split"] = KDTREE_BUILDERS["object_median"]
-TRIANGLE_TESTS["dot_products"] = TRIANGLE_TESTS["badouel"]
+
+KDTREE_BUILDERS["mean_split"] = BUILDER
+TRIANGLE_TESTS["dot_products"] = TRIANGLE_TEST
+
+
+def pytest_collection_finish(session):
+    for item in session.items:  # with triangles at any scale all tests of the table run together: here only the new one
+        if item.module.__name__.endswith("test_triangle_properties"):
+            item.module.TRIANGLE_TESTS = {"dot_products": TRIANGLE_TESTS["dot_products"]}
 """
-"""Two more keys, before the tests are collected."""
+"""The tutorial's files and lines, before tests are collected."""
+
+MORE = "test_hits_are_where_float64_has_them or test_table_is_complete"
+"""Tests that run all entries of a table together."""
 
 
-def test_the_named_tests_run(tmp_path):
-    """`pytest -k NAME` selects tests in each file that the page names for it, and in no file that it is silent about."""
-    paths = [str(ROOT / "tests"), str(ROOT / "tests" / "support")]
-    (tmp_path / "two_more_keys.py").write_text(PLUGIN.format(tests=paths), encoding="utf-8")
-    names = f"({' or '.join(EXAMPLES)}) and not test_adding"
-    options = ["--collect-only", "-q", "-p", "two_more_keys", "-p", "no:cacheprovider", "-k", names, str(ROOT / "tests")]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
-    run = subprocess.run([sys.executable, "-m", "pytest", *options], cwd=ROOT, env=environment, capture_output=True, text=True)
-    assert run.returncode == 0, run.stdout + run.stderr
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory) -> dict[str, str]:
+    """The outcome of each test that `pytest -k` selects by the names of the examples, which are in the tables."""
+    folder = tmp_path_factory.mktemp("plugin")
     for name in EXAMPLES:
-        (told,) = re.findall(rf"^<!-- tests: {name} -->\n(.*?)\n\n", PAGE, re.DOTALL | re.MULTILINE)
-        found = set(re.findall(rf"^(tests/[\w/]+\.py)::.*\b{name}\b", run.stdout, re.MULTILINE))
-        assert found == set(re.findall(r"`(tests/[\w/]+\.py)`", told)), run.stdout
+        (folder / f"{name}.py").write_text(block(f"file: {name}.py"), encoding="utf-8")
+    code = PLUGIN.replace("BUILDER\n", block("entry: KDTREE_BUILDERS")).replace(
+        "TRIANGLE_TEST\n", block("entry: TRIANGLE_TESTS")
+    )
+    (folder / "two_more_keys.py").write_text(code, encoding="utf-8")
+    names = f"({' or '.join(EXAMPLES)} or {MORE}) and not test_adding"
+    options = [
+        "-v",
+        "-p",
+        "support.environment",
+        "-p",
+        "two_more_keys",
+        "-p",
+        "no:cacheprovider",
+        "-k",
+        names,
+        str(ROOT / "tests"),
+    ]
+    paths = [str(folder), str(ROOT), str(ROOT / "tests")]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
+    run = subprocess.run([sys.executable, "-m", "pytest", *options], cwd=ROOT, env=environment, capture_output=True, text=True)
+    found = dict(re.findall(r"^(tests/[\w/]+\.py::.+?) (PASSED|FAILED|ERROR|SKIPPED)\b", run.stdout, re.MULTILINE))
+    assert len(found) > 50, run.stdout + run.stderr
+    wrong = [name for name, outcome in found.items() if outcome in ("FAILED", "ERROR")]
+    assert all(name.startswith("tests/pages/test_algorithms.py") for name in wrong), run.stdout
+    return found
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_named_tests_run(outcomes, name):
+    """`pytest -k NAME` selects tests in each file that the page names for it, and in no file that it is silent about."""
+    (told,) = re.findall(rf"^<!-- tests: {name} -->\n(.*?)\n\n", PAGE, re.DOTALL | re.MULTILINE)
+    found = {test.partition("::")[0] for test in outcomes if re.search(rf"\b{name}\b", test)}
+    assert found == set(re.findall(r"`(tests/[\w/]+\.py)`", told))
+
+
+@pytest.mark.parametrize(
+    ("name", "tests"),
+    [
+        (
+            "mean_split",
+            "test_invariants test_tiny_and_flat_meshes test_hard_meshes test_every_kdtree_builder_gives_the_same_hits",
+        ),
+        ("mean_split", "test_needles_are_crossed_once test_tree_is_the_same_for_any_number_of_threads"),
+        ("dot_products", "test_closed_form test_edges_and_vertices_belong_to_the_triangle test_rays_in_the_plane_miss"),
+        (
+            "dot_products",
+            "test_against_float64 test_degenerate_triangles_miss test_a_nan_anywhere_is_a_miss test_lanes_equal_scalar",
+        ),
+        ("dot_products", "test_in_the_engine"),
+        ("", "test_hits_are_where_float64_has_them test_table_is_complete"),
+    ],
+)
+def test_examples_pass_the_tests_of_their_tables(outcomes, name, tests):
+    for test in tests.split():
+        assert {outcome for one, outcome in outcomes.items() if f"::{test}" in one and name in one} == {"PASSED"}, test
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_row_is_missed(outcomes, name):
+    """Without the row the test of the page fails."""
+    (row,) = [one for one in outcomes if "test_algorithms.py::test_every_key_has_a_row" in one and name in one]
+    assert outcomes[row] == "FAILED"

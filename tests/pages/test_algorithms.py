@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterable
 from itertools import pairwise
 from operator import attrgetter
-from pathlib import Path
 
 import pytest
+from support.algorithm_page import PAGE, keys_in, rows_of, sections
 
 import wrt
 from wrt.accelerators.accelerator import ACCELERATORS
@@ -34,8 +34,6 @@ from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.shadows import SHADOW_TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "algorithms.md").read_text(encoding="utf-8")
 
 TABLES: dict[str, Iterable[str]] = {
     "Accelerators": ACCELERATORS,
@@ -97,31 +95,6 @@ WORTH_A_ROW = (
     "moving.UpdatePolicy",
 )
 """Public names that stand for an algorithm."""
-
-
-def sections(page: str) -> dict[str, str]:
-    """Heading -> what follows it, up to the next heading."""
-    parts = re.split(r"^#+ (.+)$", page, flags=re.MULTILINE)
-    return dict(zip(parts[1::2], parts[2::2], strict=True))
-
-
-def rows_of(text: str) -> list[tuple[str, str]]:
-    """First and second cell of every row below the head "name | paper" of a section's table."""
-    rows, inside = [], False
-    for line in text.splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("| name |"):
-            inside = True
-        elif inside and not line.startswith("|"):
-            inside = False
-        elif inside and not line.startswith("| ---"):
-            rows.append((cells[0], cells[1]))
-    return rows
-
-
-def keys_in(page: str, section: str) -> list[str]:
-    """Names in the first cells of a section's table."""
-    return [key for name, _ in rows_of(sections(page)[section]) for key in re.findall(r"`([^`]+)`", name)]
 
 
 CASES = [(section, key) for section, table in TABLES.items() for key in table]

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import SCENES
-from point_oracles import answers, brute_force, points_around, true_distances
-from test_spatial_splits import described
+from support.known_areas import described
+from support.meshes import SCENES
+from support.point_oracles import answers, brute_force, points_around, true_distances
 
 import wrt
 

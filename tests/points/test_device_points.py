@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import SCENES
-from point_oracles import points_around
-from test_cuda_compiles import FUSIBLE, compile_to_ptx
+from support.meshes import SCENES
+from support.point_oracles import points_around
+from support.ptx import FUSIBLE, compile_to_ptx
 
 import wrt
 from wrt.kernels.points.device_points import add_point_search

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import SCENES
-from point_oracles import points_around, squares
+from support.meshes import SCENES
+from support.point_oracles import points_around, squares
 
 import wrt
 

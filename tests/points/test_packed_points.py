@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SCENES
-from point_oracles import answers, brute_force, points_around
+from support.meshes import SCENES
+from support.point_oracles import answers, brute_force, points_around
 
 import wrt
 from wrt.query.points import closest_point as search

@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import trimesh
-from conftest import SCENES
-from point_oracles import points_around
+from support.meshes import SCENES
+from support.point_oracles import points_around
 
 import wrt
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from point_oracles import squares
+from support.point_oracles import squares
 
 from wrt.kernels.points.point_triangle import OnTriangle, nearest_on_triangle
 from wrt.kernels.runtime.options import exact_module

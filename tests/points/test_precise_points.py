@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import SCENES
-from point_oracles import points_around, squares
-from test_instanced_points import maps
+from support.instance_maps import maps
+from support.meshes import SCENES
+from support.point_oracles import points_around, squares
 
 import wrt
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import mixed_rays
-from test_watertight import BODIES, feature_points
+from support.bodies import BODIES, feature_points
+from support.hits import mixed_rays
 
 import wrt
 from wrt.engine.facts.query_kinds import ALL, COUNT

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from wrt.engine.rays.device_rays import to_device

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from conftest import load_model
-from test_watertight import BODIES, feature_points, winding_number
+from support.bodies import BODIES, feature_points, winding_number
+from support.meshes import load_model
 
 import wrt
 from wrt.query import inside

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from conftest import load_model
-from test_repeated_surfaces import BODIES as REPEATED
-from test_repeated_surfaces import FACES, POINTS, TURNED, VERTICES, box, box_at, in_box, joined
-from test_watertight import BODIES, feature_points, winding_number
+from support.bodies import BODIES, feature_points, winding_number
+from support.meshes import load_model
+from support.repeated_bodies import BODIES as REPEATED
+from support.repeated_bodies import FACES, POINTS, TURNED, VERTICES, box, box_at, in_box, joined
 
 import wrt
 from wrt.kernels.traversal import TRAVERSALS

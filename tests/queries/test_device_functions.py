@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
-from conftest import DEVICES, degenerate_soup, mixed_rays
-from test_cuda_compiles import assert_fuses_boxes_alone, compile_to_ptx
+from support.environment import DEVICES
+from support.hits import mixed_rays
+from support.meshes import degenerate_soup
+from support.ptx import assert_fuses_boxes_alone, compile_to_ptx
 
 import wrt
 from wrt.kernels.points.device_points import add_point_search

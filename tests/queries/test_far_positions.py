@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from test_lidar import wall
+from support.sensed_scenes import wall
 
 import wrt
 

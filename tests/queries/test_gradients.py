@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from test_cuda_compiles import compile_to_ptx
+from support.ptx import compile_to_ptx
 
 import wrt
 from wrt.kernels.query.hit_gradients import make_gradient_kernel

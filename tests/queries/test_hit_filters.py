@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
-from conftest import degenerate_soup, mixed_rays
-from test_cuda_compiles import compile_to_ptx
+from support.hits import mixed_rays
+from support.meshes import degenerate_soup
+from support.ptx import compile_to_ptx
 
 import wrt
 from wrt.cluster.identity.scene_hashes import scene_hash

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from conftest import degenerate_soup, mixed_rays, snapped_soup
-from test_cuda_compiles import FUSIBLE, compile_to_ptx
+from support.hits import mixed_rays
+from support.meshes import degenerate_soup, snapped_soup
+from support.ptx import FUSIBLE, compile_to_ptx
 
 import wrt
 from wrt.engine.facts.query_kinds import ANY, CLOSEST

@@ -6,17 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from test_watertight import BODIES
+from support.bodies import BODIES, PLACES, placed
 
 import wrt
-
-PLACES = {"tiny": (1e-4, 0.0), "one": (1.0, 0.0), "huge": (1e8, 0.0), "far": (1.0, 1e7)}
-
-
-def placed(mesh: trimesh.Trimesh, place: str) -> wrt.TriangleMesh:
-    """The mesh scaled, then moved away from the origin."""
-    scale, shift = PLACES[place]
-    return wrt.TriangleMesh(mesh.vertices * scale + [shift, -shift, shift / 3], mesh.faces)
 
 
 def leave(scene: wrt.Scene, body: trimesh.Trimesh, count: int, grazing: float, seed: int = 0):

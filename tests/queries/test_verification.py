@@ -10,8 +10,7 @@ import pytest
 import trimesh
 import warp as wp
 from click.testing import CliRunner
-from test_spawn import PLACES, placed
-from test_watertight import BODIES
+from support.bodies import BODIES, PLACES, placed
 
 import wrt
 from wrt.cli import main

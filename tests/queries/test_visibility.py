@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import SCENES
-from test_spawn import PLACES, placed
-from test_watertight import BODIES
+from support.bodies import BODIES, PLACES, placed
+from support.meshes import SCENES
 
 import wrt
 from wrt.query.points import visibility

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import warp as wp
-from conftest import assert_same_hits, mixed_rays
+from support.hits import assert_same_hits, mixed_rays
 
 import wrt
 from wrt.engine.facts.query_cache import MAX_PLANS

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from conftest import assert_same_hits, mixed_rays
-from test_instances import BALL, BOX, FLAT
+from support.hits import assert_same_hits, mixed_rays
+from support.random_instances import BALL, BOX, FLAT
 
 import wrt
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, cover, outermost

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from conftest import assert_same_hits, mixed_rays
-from test_instances import BALL, BOX, asked_alone, move, random_instances
+from support.hits import assert_same_hits, mixed_rays
+from support.random_instances import BALL, BOX, asked_alone, move, random_instances
 
 import wrt
 from wrt.builders.bvh.instance_forest import MAX_PACKED

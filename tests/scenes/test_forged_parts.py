@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import assert_same_hits, mixed_rays
+from support.hits import assert_same_hits, mixed_rays
 
 import wrt
 from wrt.disk.part_loading import PartLoader

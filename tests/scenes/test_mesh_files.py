@@ -9,11 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hostile_files import FILES, POSITION, SIDES, obj, off, ply, stl, stl_text
-from hostile_gltf import GLTF_FILES
-from hostile_shapes import ANGLE, CORNERS, CUBE, MIXED, TRIANGLES
 from PIL import Image
-from written_gltf import GltfWriter
+from support.hostile_files import FILES, POSITION, SIDES, obj, off, ply, stl, stl_text
+from support.hostile_gltf import GLTF_FILES
+from support.hostile_shapes import ANGLE, CORNERS, CUBE, MIXED, TRIANGLES
+from support.written_gltf import GltfWriter
 
 import wrt
 from wrt import TriangleMesh

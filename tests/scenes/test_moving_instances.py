@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import assert_same_hits, mixed_rays
-from test_instances import BALL, BOX, FLAT, move, random_instances
+from support.hits import assert_same_hits, mixed_rays
+from support.random_instances import BALL, BOX, FLAT, move, random_instances
 
 import wrt
 from wrt.instances.few_moves import MOST_AT_ONCE

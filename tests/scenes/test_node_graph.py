@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
-from conftest import assert_same_hits
+from support.hits import assert_same_hits
 
 import wrt
 

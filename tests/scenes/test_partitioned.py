@@ -9,7 +9,7 @@ import weakref
 
 import numpy as np
 import pytest
-from conftest import assert_same_hits, mixed_rays
+from support.hits import assert_same_hits, mixed_rays
 
 import wrt
 from wrt.disk import partitioned_scene, ray_job

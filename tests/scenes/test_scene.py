@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import assert_same_hits, mixed_rays
+from support.hits import assert_same_hits, mixed_rays
 
 import wrt
 

@@ -15,7 +15,8 @@ import zipfile
 
 import numpy as np
 import pytest
-from conftest import DEVICES, assert_same_hits, mixed_rays
+from support.environment import DEVICES
+from support.hits import assert_same_hits, mixed_rays
 
 import wrt
 from wrt.accelerators.tree_descriptions import Bvh, KdTree

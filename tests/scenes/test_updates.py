@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from conftest import assert_same_hits, degenerate_soup, mixed_rays, snapped_soup
+from support.hits import assert_same_hits, mixed_rays
+from support.meshes import degenerate_soup, snapped_soup
 
 import wrt
 from wrt.builders.bvh.update.bvh_grafting import merge_lanes

@@ -8,8 +8,8 @@ from copy import copy, deepcopy
 import numpy as np
 import pytest
 import warp as wp
-from test_lenses import LENSES
-from test_lidar import wall
+from support.lenses import LENSES
+from support.sensed_scenes import wall
 
 import wrt
 from wrt.sensors import BrownConrady, Camera, Equirectangular, Trajectory, look_at, pose_from_extrinsics

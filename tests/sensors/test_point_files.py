@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_lidar import wall
+from support.sensed_scenes import wall
 
 import wrt
 from wrt.sensors import POINT_TYPE, BrownConrady, Camera, Lidar, look_at, write_bag, write_points

@@ -89,5 +89,7 @@ def test_rigs_refuse_what_is_wrong():
         Rig({"roof": (LIDAR, np.diag([2.0, 2.0, 2.0, 1.0]))})
     with pytest.raises(ValueError, match="roof"):
         RIG.measure(SCENE, np.eye(4), each={"left": {}})
-    with pytest.raises(TypeError, match="layers"):
+    with pytest.raises(ValueError, match="depth"):
         RIG.measure(SCENE, np.eye(4), each={"roof": {"layers": ("depth",)}})
+    with pytest.raises(TypeError, match="albedo"):
+        RIG.measure(SCENE, np.eye(4), each={"roof": {"albedo": True}})

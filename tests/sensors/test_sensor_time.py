@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 import warp as wp
-from test_lidar import cone, exact, wall
+from support.sensed_scenes import cone, exact, wall
 
 import wrt
 from wrt.sensors import Lidar, LidarPattern, Trajectory, deskew

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_lidar import wall
+from support.sensed_scenes import wall
 
 import wrt
 from wrt.sensors import POINT_TYPE, BrownConrady, Camera, Lidar, LidarPattern, look_at, write_bag, write_points
@@ -204,6 +204,26 @@ def test_labels_and_organized_tables():
     assert "semantic_id" not in lidar.scan(scene, np.eye(4)).to_structured().dtype.names
     with pytest.raises(TypeError, match="organized"):
         scan.to_structured(organized="yes")
+
+
+def test_chosen_layers_as_warp_arrays():
+    """Scans stay on the device on request, and make no layer that was not asked for."""
+    scene = wrt.Scene([wrt.Instance(wall(10.0, -100.0, 3.0)), wrt.Instance(wall(6.0, 0.0, 50.0))], device="cpu")
+    lidar = Lidar(pattern=LidarPattern.raster(12, 40, horizontal=90, vertical=30))
+    pose, expected = look_at([0, 0, 0], [1, 0.1, 0]), lidar.scan(scene, look_at([0, 0, 0], [1, 0.1, 0]), labels=[4, 7])
+    scan = lidar.scan(scene, pose, labels=[4, 7], layers=("position", "semantic_id"), to_warp=True)
+    assert set(scan._layers.arrays) == {"range", "intensity", "position", "semantic"}  # the first two are of the measurement
+    np.testing.assert_array_equal(scan.position.numpy(), expected.position)
+    np.testing.assert_array_equal(scan.semantic_id.numpy(), expected.semantic_id)
+    for name in ("range", "normal"):
+        with pytest.raises(ValueError, match=f"{name} is none of the layers that were chosen"):
+            getattr(scan, name)
+    with pytest.raises(ValueError, match="layers"):
+        lidar.scan(scene, pose, layers=("depth",))
+    with pytest.raises(TypeError, match="to_warp"):
+        lidar.scan(scene, pose, to_warp="yes")
+    table = lidar.scan(scene, pose, labels=[4, 7], to_warp=True).to_structured("world")
+    np.testing.assert_array_equal(table, expected.to_structured("world"))
 
 
 def test_open3d_reads_all_fields(tmp_path):

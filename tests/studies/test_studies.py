@@ -8,9 +8,9 @@ import re
 from importlib import import_module
 from pathlib import Path
 
-import import_graph
 import pytest
 from click.testing import CliRunner
+from support import import_graph
 
 from studies.__main__ import COMMANDS, studies
 from studies.row_studies import ROW_STUDIES

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from call_objects import Call, hits, instances, mesh, pinhole, rays, scene
 
 import wrt
+from support.call_objects import Call, hits, instances, mesh, pinhole, rays, scene
 
 NUMBERS = {"max_distance": 64.0}
 

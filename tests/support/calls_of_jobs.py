@@ -9,9 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from call_objects import Call, rays, scene
-
 import wrt
+from support.call_objects import Call, rays, scene
 
 
 def job_calls() -> Iterator[Call]:

@@ -8,9 +8,9 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from call_objects import AIM, Call, area, hits, known_scene, rays, scene
 
 import wrt
+from support.call_objects import AIM, Call, area, hits, known_scene, rays, scene
 from wrt.known_rays import influence_areas
 
 

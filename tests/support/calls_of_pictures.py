@@ -7,9 +7,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from call_objects import Call, area_light, mesh, pinhole, rendering, scene
 
 import wrt
+from support.call_objects import Call, area_light, mesh, pinhole, rendering, scene
 
 POSE = {"position": (0.0, -4.0, 2.0), "look_at": (0.0, 0.0, 1.0), "up": (0.0, 0.0, 1.0)}
 

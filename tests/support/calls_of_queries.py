@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import trimesh
 import warp as wp
-from call_objects import Call, hits, instances, mesh, open3d, parts, rays, scene, seen, trimesh_rays
 
 import wrt
+from support.call_objects import Call, hits, instances, mesh, open3d, parts, rays, scene, seen, trimesh_rays
 
 LEAST = {"t": "min"}
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from call_objects import Call, area, cloth, folder, fuzzy, instances, mesh, scene, skeleton, trimesh_rays
 
 import wrt
+from support.call_objects import Call, area, cloth, folder, fuzzy, instances, mesh, scene, skeleton, trimesh_rays
 
 MESH_FILE = {"materials": False, "outside": False}
 """Options of `TriangleMesh.load`."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from call_objects import Call, camera, instances, lidar, pattern, pose, scene, seen, trajectory
 
 import wrt
+from support.call_objects import Call, camera, instances, lidar, pattern, pose, scene, seen, trajectory
 
 FOCUS = {"fx": 4.0, "fy": 4.0, "cx": 2.0, "cy": 1.0}
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hostile_shapes import ANGLE, ARROW, COMB, CUBE, MIXED, QUADS, RING, TRIANGLES, Shape
+from support.hostile_shapes import ANGLE, ARROW, COMB, CUBE, MIXED, QUADS, RING, TRIANGLES, Shape
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-from hostile_files import HostileFile
-from hostile_shapes import CORNERS, TRIANGLES
-from written_gltf import GltfWriter
+
+from support.hostile_files import HostileFile
+from support.hostile_shapes import CORNERS, TRIANGLES
+from support.written_gltf import GltfWriter
 
 GLTF_FILES: list[HostileFile] = []
 TURN = np.array([[0, -1, 0, 5], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=np.float64)

@@ -10,9 +10,9 @@ from functools import cache
 
 import numpy as np
 import warp as wp
-from conftest import SCENES, snapped_soup
 
 import wrt
+from support.meshes import SCENES, snapped_soup
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import CACHE_LINE
 from wrt.kernels.simd.boxes import SLACK, RaySlabs, clamp_to_box, ray_slabs, reach

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from call_objects import Call
-from calls_of_analysis import analysis_calls
-from calls_of_jobs import job_calls
-from calls_of_known_rays import known_ray_calls
-from calls_of_pictures import picture_calls
-from calls_of_queries import query_calls
-from calls_of_scenes import built_in_calls, scene_calls, tree_calls
-from calls_of_sensors import sensor_calls
+from support.call_objects import Call
+from support.calls_of_analysis import analysis_calls
+from support.calls_of_jobs import job_calls
+from support.calls_of_known_rays import known_ray_calls
+from support.calls_of_pictures import picture_calls
+from support.calls_of_queries import query_calls
+from support.calls_of_scenes import built_in_calls, scene_calls, tree_calls
+from support.calls_of_sensors import sensor_calls
 
 
 def calls() -> Iterator[Call]:

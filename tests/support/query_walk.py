@@ -12,8 +12,9 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, NamedTuple
 
-import import_graph
 import numpy as np
+
+from support import import_graph
 
 DEPTH = 4
 """Objects inside one another that are searched for the array."""

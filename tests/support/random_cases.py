@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
-from conftest import DEVICES
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 import wrt
+from support.environment import DEVICES
 
 LONG = int(os.environ.get("WRT_PROPERTY_EXAMPLES", "0"))
 EXAMPLES = settings(

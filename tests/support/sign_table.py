@@ -1,11 +1,14 @@
-"""The table of docs/guides/distances.md: which signs are right on hostile meshes. `python sign_table.py` prints it."""
+"""The table of docs/guides/distances.md: which signs are right on hostile meshes.
+
+python -m support.sign_table      # in tests/
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from open_surfaces import surfaces
 
 import wrt
+from support.open_surfaces import surfaces
 
 SIGNS = ("parity", "pseudonormal", "winding", "auto")
 

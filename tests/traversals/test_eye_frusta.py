@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_rays
+from support.algorithms import ENGINE_TESTS
+from support.hits import assert_same_hits, brute_force, mixed_rays
+from support.meshes import SCENES
 
 import wrt
 

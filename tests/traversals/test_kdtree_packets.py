@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import SCENES, assert_same_hits, brute_force
-from test_packets import beams, ragged
+from support.hits import assert_same_hits, brute_force
+from support.meshes import SCENES
+from support.packet_rays import beams, ragged
 
 import wrt
 from studies.kdtrees.entry_point_tiles import compare_levels, morton_view, tile_query

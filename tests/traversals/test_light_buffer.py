@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from conftest import SCENES, mixed_rays
+from support.hits import mixed_rays
+from support.meshes import SCENES
 
 import wrt
 from wrt.kernels.layout.light_cells import CELL_BYTES, ENTRY_BYTES

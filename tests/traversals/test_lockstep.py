@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
-from conftest import assert_same_hits, mixed_rays
+from support.hits import assert_same_hits, mixed_rays
 
 import wrt
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH

@@ -8,12 +8,14 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-import hostile_rays
 import numpy as np
 import pytest
 import warp as wp
-from conftest import DEVICES, SCENES, assert_same_hits, brute_force, mixed_rays
-from hostile_rays import KINDS, MESHES, HostileRays
+from support import hostile_rays
+from support.environment import DEVICES
+from support.hits import assert_same_hits, brute_force, mixed_rays
+from support.hostile_rays import KINDS, MESHES, HostileRays
+from support.meshes import SCENES
 
 import wrt
 from wrt.accelerators.cuda_trees import LEAF_TRIANGLES, for_device

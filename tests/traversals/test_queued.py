@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import assert_same_hits, brute_force, mixed_rays
+from support.hits import assert_same_hits, brute_force, mixed_rays
 
 import wrt
 from wrt.builders.convert.queue_points import child_bytes, find_queue_points

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_rays
-from test_packets import beams
+from support.algorithms import ENGINE_TESTS
+from support.hits import assert_same_hits, brute_force, mixed_rays
+from support.meshes import SCENES
+from support.packet_rays import beams
 
 import wrt
 from wrt.engine.plan.plan import Plan

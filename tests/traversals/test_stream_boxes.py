@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SCENES, mixed_rays
+from support.hits import mixed_rays
+from support.meshes import SCENES
 
 import wrt
 

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import OPTIONS, Packets, PlainRays, make_packets, plain_rays
+from support.packet_loops import OPTIONS, Packets, PlainRays, make_packets, plain_rays
 
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, WideNodes
 from wrt.kernels.layout.ray_batch import RayBatch

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import ENGINE_TESTS, OTHER_WAYS_TO_PACKETS, assert_same_hits, brute_force, mixed_rays
+from support.algorithms import ENGINE_TESTS, OTHER_WAYS_TO_PACKETS
+from support.hits import assert_same_hits, brute_force, mixed_rays
 
 import wrt
 from wrt.builders.bvh import BVH_BUILDERS

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from wrt.builders.triangle_fans import build_fans

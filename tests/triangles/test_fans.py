@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import mixed_rays
+from support.hits import mixed_rays
 
 import wrt
 from studies.triangles.fan_comparison import closest, compare, compare_files, compare_trees, fans_of, on_device

@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import warp as wp
-from conftest import assert_same_hits, degenerate_soup, mixed_rays
-from test_triangle_tests import all_pairs
+from support.hits import assert_same_hits, mixed_rays
+from support.meshes import degenerate_soup
+from support.triangle_pairs import all_pairs
 
 import wrt
 from studies.triangles.leaf_queries import leaf_query

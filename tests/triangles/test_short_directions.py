@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SCENES, assert_same_hits, mixed_rays
+from support.hits import assert_same_hits, mixed_rays
+from support.meshes import SCENES
 
 import wrt
 from wrt.engine.facts.query_kinds import ANY, CLOSEST

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_triangle_tests import all_pairs
+from support.triangle_pairs import all_pairs
 
 from wrt.kernels.triangle import TRIANGLE_TESTS
 

@@ -14,7 +14,7 @@ from wrt import scenes
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'wrt[view]'")
 import msgspec
-from viewer_page import STAGES, Page, camera_fields, leave_at, left_over, until
+from support.viewer_page import STAGES, Page, camera_fields, leave_at, left_over, until
 
 from wrt.viewer import connections, live_view
 from wrt.viewer.browser import LONGEST_SIDE, MOST_PIXELS, pose_of, size_of

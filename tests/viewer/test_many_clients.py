@@ -12,7 +12,7 @@ import wrt
 from wrt import scenes
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'wrt[view]'")
-from viewer_page import Page, until
+from support.viewer_page import Page, until
 
 CLIENTS = 8
 

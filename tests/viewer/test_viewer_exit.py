@@ -12,16 +12,16 @@ import warp as wp
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'wrt[view]'")
 
-SUPPORT = Path(__file__).resolve().parents[1] / "support"
+TESTS = Path(__file__).resolve().parents[1]
 
 PROGRAM = """
 import sys, threading, time
 import warp as wp
 wp.config.log_level, wp.config.cpu_compiler_flags = wp.LOG_WARNING, FLAGS
-sys.path.insert(0, SUPPORT)
+sys.path.insert(0, TESTS)
 import wrt
 from wrt import scenes
-from viewer_page import Page, until
+from support.viewer_page import Page, until
 
 scene = wrt.Scene(scenes.build("teapot", level=4), device="cpu")
 camera = wrt.PinholeCamera(80, 60, **scenes.BUILTIN_SCENES["teapot"].camera)
@@ -51,7 +51,7 @@ def ends():
     """How each process ended: its status, its last line, and the seconds that it took; they run side by side."""
     processes = {}
     for how in ("close", "interrupt", "nothing"):
-        given = f"FLAGS, SUPPORT, HOW = {wp.config.cpu_compiler_flags!r}, {str(SUPPORT)!r}, {how!r}"
+        given = f"FLAGS, TESTS, HOW = {wp.config.cpu_compiler_flags!r}, {str(TESTS)!r}, {how!r}"
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         processes[how] = subprocess.Popen([sys.executable, "-c", given + PROGRAM], text=True, env=dict(os.environ), **pipes)
     begun, found = {}, {}

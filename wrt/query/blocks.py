@@ -23,6 +23,7 @@ from wrt.query.batches.block_limits import finished_before_interrupt, parse_memo
 from wrt.query.batches.block_outputs import TakeAttributes, check_out, for_workers, rows_together, store
 from wrt.query.batches.block_rows import GeneratedRays, Source, as_column, rows_of, rows_shape
 from wrt.query.batches.block_work import HIT_QUERIES, BlockQuery, BlockWork, Deliver, Examine, Submitter
+from wrt.query.batches.outer_batches import kept_axes_first
 from wrt.query.batches.reductions import as_array, as_block_reduction
 from wrt.query.batches.task_window import run_tasks
 from wrt.query.batches.workers import Workers, as_workers
@@ -64,7 +65,8 @@ class Blocks:
         shaded = scene.occluded_blocks(points[:, None], suns, reduce="sum", axis=1).result()
 
     Attributes:
-        shape: leading shape of the batch; None if the rays come from an iterator.
+        shape: leading shape of the batch, reduced axes last where they were put there (`wrt.query.batches.outer_batches`);
+            None if the rays come from an iterator.
         done: rows answered by the latest iteration or `write`; after a Ctrl-C, the row to resume at.
     """
 
@@ -305,5 +307,7 @@ def blocks_of(scene: Any, method: str, source: Source, how: How, columns: Mappin
     progress = as_bool("progress", how.progress)
     if "precise" in options:
         options["precise"] = as_bool("precise", options["precise"])
-    query = BlockQuery(method, options, as_block_reduction(how.reduce, how.axis, method in HIT_QUERIES))
-    return Blocks(BlockWork(scene, query, None, own, 0), source, how.memory, progress, as_workers(how.executor))
+    reduction = as_block_reduction(how.reduce, how.axis, method in HIT_QUERIES)
+    source, columns, reduction = kept_axes_first(source, own, reduction)
+    query = BlockQuery(method, options, reduction)
+    return Blocks(BlockWork(scene, query, None, columns, 0), source, how.memory, progress, as_workers(how.executor))

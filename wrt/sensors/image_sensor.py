@@ -19,7 +19,8 @@ from wrt.sensors.camera_conversion import camera_of, lens_of
 from wrt.sensors.checks import as_time, check_at_least
 from wrt.sensors.fired_rays import fire, spread_on
 from wrt.sensors.lens_models import LensModel
-from wrt.sensors.outputs.captured_images import CameraImages, CapturedLayers, as_layers
+from wrt.sensors.outputs.captured_images import CameraImages, CapturedLayers
+from wrt.sensors.outputs.hit_outputs import as_layers
 from wrt.sensors.time_slices import (
     Bodies,
     SensorRays,
@@ -173,7 +174,7 @@ class Camera:
         path, time, slices = as_poses(pose), as_time(time), check_slices(slices)
         miss, albedo, to_warp = as_miss(miss), as_bool("albedo", albedo), as_bool("to_warp", to_warp)
         flow = None if flow is None else as_float("flow", flow, finite=True)
-        chosen = as_layers(layers)
+        chosen = as_layers(layers, CapturedLayers.KINDS)
         begin, end = time, time + self.line_delay * (self.height - 1)
         path.check_covers(begin, end, "the times of the image")
         motions = as_motions(motions, scene, begin, end)

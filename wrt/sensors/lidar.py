@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
@@ -14,12 +14,13 @@ import warp as wp
 
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.kernels.runtime.launch import as_device, kept, refuse_capture, use_threads
-from wrt.kernels.validation import as_int, convert_fields
+from wrt.kernels.validation import as_bool, as_int, convert_fields
 from wrt.sensors.checks import as_time, check_at_least, check_real
 from wrt.sensors.fired_rays import fire, spread_on
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
 from wrt.sensors.lidar_scan import LidarScan
+from wrt.sensors.outputs.hit_outputs import as_layers
 from wrt.sensors.outputs.measured_returns import MeasuredReturns
 from wrt.sensors.time_slices import (
     Bodies,
@@ -164,6 +165,8 @@ class Lidar:
         traversal: Any = "auto",
         labels: Any = None,
         seed: int | None = None,
+        layers: Sequence[str] | None = None,
+        to_warp: bool | None = None,
     ) -> LidarScan:
         """Traces one scan. Every beam starts at the pose of the sensor at its own firing time.
 
@@ -182,6 +185,10 @@ class Lidar:
             labels: (I,) integers >= 0, the semantic class of each instance (of each mesh, in a scene without instances).
             seed: of the noise, 0 to 2^64 - 1; the same seed gives the same noise, so pass another one for each
                 scan. None: no noise.
+            layers: names of the layers that will be read, such as ("range", "instance_id"): range, intensity, point, position,
+                instance_id, geometry_id, primitive_id, semantic_id, normal, radial_velocity. None for all. NumPy arrays are
+                computed when they are first read, Warp arrays at once.
+            to_warp: whether layers are Warp arrays on the scene's device instead of NumPy arrays; None: as the pattern's.
 
         Raises:
             TypeError: an argument of a wrong type.
@@ -192,8 +199,8 @@ class Lidar:
         from wrt.query.api import Queries
 
         refuse_capture("a scan", scene.device)
-        path = as_poses(pose)
-        time = as_time(time)
+        path, time, chosen = as_poses(pose), as_time(time), as_layers(layers, MeasuredReturns.KINDS)
+        to_warp = self.pattern.is_warp if to_warp is None else as_bool("to_warp", to_warp)
         span = self.pattern.span
         begin, end = time + span[0], time + span[1]
         path.check_covers(begin, end, "the times of the scan")
@@ -214,8 +221,9 @@ class Lidar:
             rays = SensorRays(*fired, self.bundle, shape, self.max_range, traversal, each, relative)
             found = list(trace_slices(copy(scene), rays, Bodies(motions, parts), parts))
             given = (beams, path.path(device), noise, detector), (count * len(self.pattern), self.returns, self.bundle)
-            layers = MeasuredReturns(found, *given, labels_on(labels, scene), scene.num_threads)
-        return LidarScan(self.pattern, layers, self.returns, path, time, slice_error(motions, scene, parts))
+            made = MeasuredReturns(found, *given, labels_on(labels, scene), scene.num_threads)
+        error = slice_error(motions, scene, parts)
+        return LidarScan(self.pattern, made, self.returns, path, time, error, to_warp, chosen)
 
     def device_beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
         """The beams, for kernels.

@@ -14,6 +14,8 @@ from wrt.sensors.trajectory import StillPoses, Trajectory, deskew
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from wrt.sensors.lidar_pattern import LidarPattern
     from wrt.sensors.outputs.measured_returns import MeasuredReturns
 
@@ -40,8 +42,9 @@ class LidarScan(HitOutputs):
     """What a `Lidar` measured in one scan.
 
     Arrays have the pattern's leading shape (...), or (..., R) if the lidar keeps R > 1 returns; those of many sensors have the
-    leading shape of their poses before it. They are NumPy arrays if the pattern was, each computed when it is first read, else
-    Warp arrays on the scene's device.
+    leading shape of their poses before it. They are NumPy arrays, each computed when it is first read, or Warp arrays on the
+    scene's device, if the pattern is made of these or `to_warp` says so. Reading a layer that was not among those that
+    `Lidar.scan` was asked for raises a ValueError.
 
     Attributes:
         range: float32 distance along the beam, with noise; inf for a miss.
@@ -72,10 +75,12 @@ class LidarScan(HitOutputs):
         trajectory: Trajectory | StillPoses,
         start: float,
         motion_error: float,
+        to_warp: bool,
+        chosen: Sequence[str] | None,
     ) -> None:
         self.pattern, self.trajectory, self.start, self.motion_error = pattern, trajectory, start, motion_error
         self._kept, self._beams = kept, (*getattr(trajectory, "shape", ()), *pattern.shape)
-        super().__init__(layers, self._beams if kept == 1 else (*self._beams, kept), pattern.is_warp)
+        super().__init__(layers, self._beams if kept == 1 else (*self._beams, kept), to_warp, chosen)
 
     @cached_property
     def range(self) -> Any:

@@ -25,6 +25,7 @@ from wrt.engine.executor import closest_of_relative
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.engine.rays.device_rays import relative_rays
 from wrt.instances.instance_boxes import on_device
+from wrt.kernels.runtime.launch import as_device, kept
 from wrt.kernels.validation import as_int, as_real_array
 from wrt.meshes.placement import check_index
 from wrt.sensors.trajectory import Trajectory
@@ -40,6 +41,10 @@ MAX_SLICES = 4096
 
 MAX_TOGETHER = 1 << 17
 """Largest number of instances of all slices together that are traced at once: each takes 184 bytes of a table."""
+
+
+KEPT_BYTES = 1 << 16
+"""Size of labels up to which those of the last few scans are kept on a GPU."""
 
 
 @dataclass(frozen=True)
@@ -314,7 +319,17 @@ def labels_on(labels: Any, scene: Scene | PointCloud) -> wp.array:
         raise TypeError(f"labels must hold integers, not {values.dtype}")
     if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
         raise ValueError(f"labels must be {count} numbers from 0 to 2**31 - 1, one for each instance, not {labels!r:.80}")
-    return on_device(values.astype(np.int32), wp.int32, scene.device)
+    values = values.astype(np.int32)
+    if scene.device.is_cpu or values.nbytes > KEPT_BYTES:
+        return on_device(values, wp.int32, scene.device)
+    return _kept_labels(values.tobytes(), scene.device.alias)
+
+
+@lru_cache(maxsize=16)
+def _kept_labels(data: bytes, device: str) -> wp.array:
+    """Labels on a GPU, which waits for every copy; kept for the next scan."""
+    with kept(as_device(device)):
+        return wp.array(np.frombuffer(data, dtype=np.int32), dtype=wp.int32, device=device)
 
 
 def as_motions(motions: Any, scene: Scene | PointCloud, begin: float, end: float) -> Mapping[int, Trajectory]:

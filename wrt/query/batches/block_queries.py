@@ -74,7 +74,9 @@ class BlockQueries:
                 `wrt.batches.Reduction`. Of closest hits, a dict from attributes to these, such as {"t": "min"}. Integers are
                 summed as int64; sums of floats are exact, and rounded once. None keeps the answers.
             axis: axes of the rays' leading shape along which answers are reduced: an int, several, or None for all. Without the
-                first axis among them, blocks have reduced rows; with it, only `result` gives the answer.
+                first axis among them, blocks have reduced rows; with it, only `result` gives the answer, unless each array
+                varies along reduced axes or along others only, as in `occluded_blocks(points, suns[:, None], axis=0)`: then
+                the reduced axes are put last, and blocks have reduced rows.
             traversal, triangle_test, precise: as in `intersect`.
 
         Raises:

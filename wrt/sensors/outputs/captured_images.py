@@ -10,9 +10,8 @@ import warp as wp
 
 from wrt.kernels.validation import as_bool
 from wrt.sensors.fired_rays import launch_blocks
-from wrt.sensors.outputs.hit_outputs import HitOutputs, TracedLayers, public_name
+from wrt.sensors.outputs.hit_outputs import HitOutputs, TracedLayers
 from wrt.sensors.outputs.row_tables import Field, as_host, coordinates, row_table
-from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -90,28 +89,6 @@ class CapturedLayers(TracedLayers):
             }[group[0]]
             inputs = [self._beams, *given, struct]
             launch_blocks(kernel, found.part.end - found.part.begin, inputs, self.device)
-
-
-LAYERS = {public_name(name): name for name in CapturedLayers.KINDS}
-"""Layers by their public names, and their names in `wrt.kernels.sensors.camera_images.Images`."""
-
-
-def as_layers(layers: Any) -> tuple[str, ...] | None:
-    """The layers to be made, by their names in kernels; None for all.
-
-    Raises:
-        TypeError: not a sequence of names.
-        ValueError: an unknown name.
-    """
-    if layers is None:
-        return None
-    if isinstance(layers, str):
-        raise TypeError(f"layers must be a sequence of names, not one name; pass layers=({layers!r},)")
-    try:
-        names = tuple(layers)
-    except TypeError:
-        raise TypeError(f"layers must be a sequence of names, not {type(layers).__name__}") from None
-    return tuple(dict.fromkeys(lookup(LAYERS, name, "layers") for name in names))
 
 
 class CameraImages(HitOutputs):

@@ -11,6 +11,7 @@ import warp as wp
 from wrt.engine.memory import outputs_of
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.sensors.outputs.row_tables import as_host
+from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.sensors.time_slices import TracedSlice
@@ -74,6 +75,29 @@ class TracedLayers:
     def fill(self, group: tuple[str, ...], struct: Any) -> None:
         """Runs the kernel of a group of `TOGETHER`; the struct has the arrays of those layers that are wanted."""
         raise NotImplementedError
+
+
+def as_layers(layers: Any, known: Iterable[str]) -> tuple[str, ...] | None:
+    """The layers to be made, by their names in kernels; None for all.
+
+    Args:
+        layers: public names, or None.
+        known: all layers, by their names in kernels.
+
+    Raises:
+        TypeError: not a sequence of names.
+        ValueError: an unknown name.
+    """
+    if layers is None:
+        return None
+    if isinstance(layers, str):
+        raise TypeError(f"layers must be a sequence of names, not one name; pass layers=({layers!r},)")
+    try:
+        names = tuple(layers)
+    except TypeError:
+        raise TypeError(f"layers must be a sequence of names, not {type(layers).__name__}") from None
+    table = {public_name(name): name for name in known}
+    return tuple(dict.fromkeys(lookup(table, name, "layers") for name in names))
 
 
 class HitOutputs:
