@@ -5,13 +5,14 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator
 from itertools import groupby
+from typing import Any
 
 import pytest
 import support.environment  # noqa: F401 (before wrt)
 from support.algorithms import CLASSICS
 from support.environment import DEVICES, workers
 from support.meshes import SCENES, load_model
-from support.selection import ASKED_FOR, LONGEST, SLOW, as_sample, sample
+from support.selection import ASKED_FOR, LEFT_OUT, LONGEST, SLOW, Skipped, as_sample, is_alone, sample
 
 import wrt
 
@@ -19,13 +20,31 @@ import wrt
 def pytest_addoption(parser: pytest.Parser) -> None:
     text = "of the chosen cases of each test one in N, but at least one; N turns that follow each other draw all"
     parser.addoption("--sample", metavar="N:TURN", type=as_sample, help=text)
+    text = "writes the ids of skipped tests into a file; `pytest @FILE` runs them again, as after installing what they need"
+    parser.addoption("--write-skipped", metavar="FILE", help=text)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.option.write_skipped:
+        config.pluginmanager.register(Skipped(config))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    node.workerinput["is_alone"] = is_alone(node.config)
+
+
+def pytest_report_header(config: pytest.Config) -> str | None:
+    others = f"without {', '.join(LEFT_OUT)}; `pytest tests` runs those, too, -m '{' or '.join(LEFT_OUT)}' only those"
+    return others if is_alone(config) else None
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Iterator[None]:
     """Marks the tests that have a classic as a parameter, those of studies, and those of slow files; files about classics alone
-    mark themselves. Leaves out what is marked with a name of `ASKED_FOR`, unless `-m` has that, and what is not in the sample.
-    Where several processes run tests, notebooks come first: the last, of a minute, would keep one busy after all others."""
+    mark themselves. Leaves out what is marked with a name of `ASKED_FOR`, unless `-m` has that, of `LEFT_OUT`, if nothing
+    on the command line chooses tests, and what is not in the sample. Where several processes run tests, notebooks
+    come first: the last, of a minute, would keep one busy after all others."""
     for file, own in groupby(items, lambda item: item.nodeid.partition("::")[0]):
         names = ["slow"] * (file in SLOW) + ["studies"] * file.startswith("tests/studies/")
         for item in own:
@@ -34,7 +53,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             given = item.callspec.params.values() if hasattr(item, "callspec") else ()
             if any(isinstance(one, str) and one in CLASSICS for one in given):
                 item.add_marker("classics")
-    left_out = [name for name in ASKED_FOR if name not in config.option.markexpr]
+    left_out = [name for name in ASKED_FOR if name not in config.option.markexpr] + [*LEFT_OUT] * is_alone(config)
     items[:] = [item for item in items if not any(name in item.keywords for name in left_out)]
     if workers:
         items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))

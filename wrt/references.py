@@ -204,6 +204,10 @@ REFERENCES = {
         "J. Guenther, H. Friedrich, H.-P. Seidel, P. Slusallek: Interactive ray tracing of skinned animations. The Visual "
         "Computer 22(9), 2006."
     ),
+    "guenther-2007": (
+        "J. Guenther, S. Popov, H.-P. Seidel, P. Slusallek: Realtime ray tracing on GPU with BVH-based packet traversal. IEEE "
+        "Symposium on Interactive Ray Tracing 2007."
+    ),
     "haeberli-akeley-1990": (
         "P. Haeberli, K. Akeley: The accumulation buffer: hardware support for high-quality rendering. SIGGRAPH 1990."
     ),
@@ -362,6 +366,7 @@ REFERENCES = {
     ),
     "owen-1995": "A. B. Owen: Randomly permuted (t,m,s)-nets and (t,s)-sequences. MCQMC 1995.",
     "parker-1999": "S. Parker, W. Martin, P.-P. J. Sloan, P. Shirley, B. Smits, C. Hansen: Interactive ray tracing. I3D 1999.",
+    "pcl-pcd": ("Point Cloud Library: The PCD (Point Cloud Data) file format, version 0.7."),
     "pharr-1997": (
         "M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. "
         "SIGGRAPH 1997."

@@ -36,12 +36,30 @@ from wrt.builders.bvh.phases.merged_layout import KERNELS, binary_build, binary_
 from wrt.builders.core.late_import import classic_module
 from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
+from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH, check_blocks
 from wrt.kernels.runtime.launch import load
 from wrt.kernels.runtime.workspace import Workspace, kept_workspace
 
 MAX_KEPT = 1 << 20
 """Triangles up to which a build's work space is kept for the next one: some 150 bytes each."""
+
+
+MAX_TRIANGLES = 1 << 27
+"""Triangles up to which kernels number the words of all boxes, 16 a triangle, by 32 bits."""
+
+
+def check_count(count: int, width: int) -> None:
+    """Refuses more triangles than a tree can have, before anything is made for them.
+
+    Raises:
+        ValueError: there are more.
+    """
+    check_blocks(-(-count // width), width)
+    if count > MAX_TRIANGLES:
+        raise ValueError(
+            f"a mesh of {count:,} triangles, and hploc takes {MAX_TRIANGLES:,} at most; take another builder, or cut the mesh "
+            "into several, and make a scene of a wrt.Instance of each"
+        )
 
 
 def needs_no_collapse(config: BvhConfig) -> bool:
@@ -61,6 +79,7 @@ def kernels(config: BvhConfig, triangles: int) -> list[wp.Kernel]:
 def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     """Builds the tree on the device that holds the boxes."""
     device, count = triangles.boxes.low.device, triangles.count
+    check_count(count, config.cost.width)
     load(kernels(config, count), device)  # compilation is not a phase of the build
     if count == 1:
         return improved(single_triangle(triangles), triangles, config, Phases(device))

@@ -1,26 +1,32 @@
 """A ray and a point: the filter of W points, the decision about one, and the records and boxes of points.
 
-A record has the centre and the radius, and for discs the unit normal: 4 or 7 floats, in blocks as those of triangles
-(`wrt.kernels.triangle.support.record_blocks`).
+A record has the centre and the radius, for discs also the unit normal, and for boxes half the edges in place of the radius: 4,
+7 or 6 floats, in blocks as those of triangles (`wrt.kernels.triangle.support.record_blocks`).
+
+To traversals, points are a triangle test with records, a state of the ray and a filter of their own (`TESTS`). It is not among
+those that a caller may name: a scene has triangles or points.
 """
 
-from functools import cache
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
 
 import warp as wp
 
-from wrt.kernels.layout.ray_batch import Ray
+from wrt.kernels.on_demand import OnDemand
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach
+from wrt.kernels.simd.boxes import RaySlabs
+from wrt.kernels.simd.lanes import lanes
+from wrt.kernels.triangle.support.lane_form import HandWritten
+from wrt.kernels.triangle.support.record_blocks import Record
+from wrt.kernels.triangle.support.triangle_contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.support.vectors import dot
 
 exact_module(__name__)
 
-SPHERE, DISC = 4, 7
+SPHERE, BOX, DISC = 4, 6, 7
 """Components of a record."""
-
-MARGIN = wp.constant(2.0**-18)
-"""By which the filter enlarges points, as a fraction of the ray's reach; `wrt.kernels.clouds` has the proof."""
 
 
 @wp.struct
@@ -29,65 +35,110 @@ class CloudPoints:
 
     centre: wp.array(dtype=wp.vec3)
     radius: wp.array(dtype=float)
-    """(N,), or (1,) for all."""
+    """(N,), or (1,) for all; not of boxes."""
     normal: wp.array(dtype=wp.vec3)
-    """(N,) unit vectors of discs; (0,) for spheres."""
+    """(N,) unit vectors of discs, or half the edges of boxes; (0,) for spheres."""
+    components: int
+    """`SPHERE`, `DISC` or `BOX`."""
 
 
 @wp.struct
-class PointLine:
+class PointRay:
     """A ray as the tests of points need it."""
 
     origin: wp.vec3
     direction: wp.vec3
     unit: wp.vec3
     """The direction, of length 1 up to rounding."""
-    margin: float
-    t_min: float
-    slabs: RaySlabs
 
 
 @wp.func
-def line_of(ray: Ray, low: wp.vec3, high: wp.vec3):
-    """A ray for points in a box."""
-    line = PointLine()
-    distance = reach(ray.origin, low, high)
-    size = wp.abs(ray.direction)
-    scaled = ray.direction / wp.max(size[0], wp.max(size[1], size[2]))
-    line.origin = ray.origin
-    line.direction = ray.direction
-    line.unit = scaled * (1.0 / wp.sqrt(dot(scaled, scaled)))
-    line.margin = MARGIN * distance
-    line.t_min = ray.t_min
-    line.slabs = ray_slabs(ray.origin, ray.direction, distance)
-    return line
+def prepare(origin: wp.vec3, direction: wp.vec3):
+    """A ray for the tests of points."""
+    ray = PointRay()
+    size = wp.abs(direction)
+    scaled = direction / wp.max(size[0], wp.max(size[1], size[2]))
+    ray.origin = origin
+    ray.direction = direction
+    ray.unit = scaled * (1.0 / wp.sqrt(dot(scaled, scaled)))
+    return ray
 
 
 @cache
-def points_near(width: int, components: int) -> wp.Function:
-    """`wp.func(records, block, line) -> mask`: the lanes of a block whose points a ray may meet; the others it does not."""
+def points_near(components: int, width: int) -> wp.Function:
+    """`wp.func(records, block, ray, t, u, v) -> mask`: the lanes of a block whose points a ray may meet; it misses the
+    others. t, u and v are not written."""
+    Lanes = lanes(width)
 
-    @native.func_native("spheres.h", f"return wrt::points_near<{width}, {components}>(records.data, block, line);")
-    def points_near_native(records: wp.array(dtype=float), block: int, line: wp.ref[PointLine]) -> wp.uint32: ...
+    @native.func_native("spheres.h", f"return wrt::points_near<{width}, {components}>(records.data, block, ray);")
+    def points_near_native(
+        records: wp.array(dtype=float), block: int, ray: PointRay, t: wp.ref[Lanes], u: wp.ref[Lanes], v: wp.ref[Lanes]
+    ) -> wp.uint32: ...
 
     return points_near_native
 
 
 @cache
 def meet_point(width: int, components: int) -> wp.Function:
-    """`wp.func(records, slot, line, u, v) -> t`: where a ray meets a point first, from t_min on; NaN for nowhere."""
+    """`wp.func(records, slot, ray, slabs, t_min, u, v) -> t`: where a ray meets a point first, from t_min on; NaN for
+    nowhere."""
 
-    @native.func_native("spheres.h", f"return wrt::meet_point<{width}, {components}>(records.data, slot, line, u, v);")
+    @native.func_native(
+        "spheres.h", f"return wrt::meet_point<{width}, {components}>(records.data, slot, ray, slabs, t_min, u, v);"
+    )
     def meet_point_native(
-        records: wp.array(dtype=float), slot: int, line: wp.ref[PointLine], u: wp.ref[float], v: wp.ref[float]
+        records: wp.array(dtype=float),
+        slot: int,
+        ray: wp.ref[PointRay],
+        slabs: wp.ref[RaySlabs],
+        t_min: float,
+        u: wp.ref[float],
+        v: wp.ref[float],
     ) -> float: ...
 
     return meet_point_native
 
 
+@dataclass(frozen=True)
+class PointRecord(Record):
+    """The record of a point.
+
+    Attributes:
+        size: `SPHERE`, `DISC` or `BOX`.
+    """
+
+    size: int = SPHERE
+
+    @property
+    def components(self) -> int:
+        """Floats per point in a block."""
+        return self.size
+
+
+def point_test(name: str, components: int) -> TriangleTest:
+    """Points as a test."""
+    near: Callable[[int], wp.Function] = partial(points_near, components)
+    return TriangleTest(
+        name=name,
+        paper="Haines, Günther, Akenine-Möller: Precision improvements for ray/sphere intersection (2019)",
+        record=PointRecord(size=components),
+        ray_state=PointRay,
+        prepare=prepare,
+        intersect=meet_point(1, components),
+        lanes=HandWritten(near, None),  # type: ignore[arg-type]  (no packets)
+        line_test=near,
+        crossing=CrossingForms(meet_point(1, components), near, near),
+        own_step=OnDemand("cloud_stream", "make_point_step", "wrt.kernels.clouds"),
+    )
+
+
+TESTS = {name: point_test(name, components) for name, components in (("spheres", SPHERE), ("discs", DISC), ("boxes", BOX))}
+"""By name."""
+
+
 @native.func_native(
     "spheres.h",
-    f"""static_assert(wrt::SPHERE == {SPHERE} && wrt::DISC == {DISC});
+    f"""static_assert(wrt::SPHERE == {SPHERE} && wrt::DISC == {DISC} && wrt::BOX == {BOX});
     const float *const at = (const float*)points.centre.data, *const across = (const float*)points.normal.data;
     float* const to = records.data + (size_t)(slot / width) * components * width + slot % width;
     const int id = primitive.data[slot];

@@ -20,7 +20,8 @@ exact_module(__name__)
     const float* const across = points.normal.shape[0] > 0 ? (const float*)(points.normal.data + id) : nullptr;
     float* const to = (float*)(vertices.data + 3 * (size_t)i);
     wrt::tangent_triangle(
-        (const float*)(points.centre.data + id), points.radius.data[one], across, uv.c[0], uv.c[1], size, to);""",
+        (const float*)(points.centre.data + id), points.radius.data[one], across, points.components == wrt::BOX, uv.c[0],
+        uv.c[1], size, to);""",
 )
 def tangent_triangle(points: CloudPoints, id: int, uv: wp.vec2, size: float, i: int, vertices: wp.array(dtype=wp.vec3)):
     """Writes the three vertices of the triangle of hit i."""

@@ -33,6 +33,20 @@ MAX_LEAF_TRIANGLES = 63
 MAX_BLOCKS = 1 << 25
 """Greatest number of blocks in a tree."""
 
+
+def check_blocks(blocks: int, width: int) -> None:
+    """Refuses a tree whose leaves need more blocks than child words can name.
+
+    Raises:
+        ValueError: there are more than `MAX_BLOCKS`.
+    """
+    if blocks > MAX_BLOCKS:
+        raise ValueError(
+            f"the tree needs {blocks:,} blocks of {width} triangles, and its layout has places for {MAX_BLOCKS:,}; cut the "
+            "mesh into several, and make a scene of a wrt.Instance of each"
+        )
+
+
 EMPTY_LANE = wp.constant(~0)
 """Child word of an unused lane."""
 

@@ -179,7 +179,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "brute",
             "every ray against every triangle",
             {"none": OnTree(make_brute_force_kernel, each_hit=True)},
-            capabilities=Capabilities.OWN_SPACES | Capabilities.SHARED_LEAVES,
+            capabilities=Capabilities.OWN_SPACES | Capabilities.SHARED_LEAVES | Capabilities.POINTS,
         ),
         Traversal(
             "single",
@@ -195,6 +195,7 @@ TRAVERSALS: dict[str, Traversal] = {
                 | Capabilities.SHARED_LEAVES
                 | Capabilities.ALPHA_MASKS
                 | Capabilities.CUDA_INSTANCES
+                | Capabilities.POINTS
             ),
             score=score_single,
         ),
@@ -271,7 +272,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "Gribble, Ramani: Coherent ray tracing via stream filtering (2008)",
             {"kdtree": OnTree(make_stream_kdtree_kernel), "bvh": OnTree(make_stream_bvh_kernel, each_hit=True, instances=True)},
             stream.rays_per_item,
-            capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS,
+            capabilities=(Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS | Capabilities.POINTS),
             counters=stream.StreamCounters,
             score=score_stream,
         ),
@@ -281,7 +282,13 @@ TRAVERSALS: dict[str, Traversal] = {
             "and Fuetterling, Lojewski, Pfreundt, Ebert: Accelerated single ray tracing for wide vector units (2017)",
             {"bvh": OnTree(make_interleaved_bvh_kernel, each_hit=True)},
             stream.rays_per_item,
-            capabilities=Capabilities.STREAMS | Capabilities.LONG_STREAMS | Capabilities.LONG_ITEMS | Capabilities.SHORT_ITEMS,
+            capabilities=(
+                Capabilities.STREAMS
+                | Capabilities.LONG_STREAMS
+                | Capabilities.LONG_ITEMS
+                | Capabilities.SHORT_ITEMS
+                | Capabilities.POINTS
+            ),
             orders=(AS_GIVEN,),
             counters=stream.StreamCounters,
             score=score_interleaved,

@@ -43,5 +43,7 @@ class Capabilities(Flag):
     launch has as many as the device holds at a time."""
     ALPHA_MASKS = auto()
     """The variant `MASKED` of the config applies."""
+    POINTS = auto()
+    """It traces rays through point clouds (`wrt.kernels.clouds`)."""
     CUDA_INSTANCES = auto()
     """It traces rays through instances on CUDA too."""

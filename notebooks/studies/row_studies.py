@@ -32,6 +32,7 @@ ROW_STUDIES = {
     "fans": ("triangles.fan_comparison", "compare"),
     "first-frames": ("kdtrees.kdtree_claims", "compare_first_frames"),
     "fuzzy-boxes": ("moving.motion_run", "fuzzy_boxes"),
+    "gpu-warps": ("gpu_warps", "compare_warps"),
     "inside-first": ("triangles.inside_first", "compare_orders"),
     "lazy-groups": ("kdtrees.lazy_groups", "compare_hierarchies"),
     "leaf-sizes": ("kdtrees.leaf_sizes", "compare_leaf_sizes"),

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
+import support.environment  # noqa: F401 (before wrt)
 from bits.digests import digest
 from bits.hit_bits import hit_hashes
 from bits.tree_bits import builds, tree_hashes

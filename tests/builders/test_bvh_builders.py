@@ -19,7 +19,7 @@ from wrt.builders.bvh.phases import collapse as collapse_phase
 from wrt.builders.bvh.update.bvh_update import refit, refit_upward, upward_links
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.triangle_boxes import corner_bounds
-from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
+from wrt.kernels.layout.bvh_nodes import MAX_BLOCKS, MAX_WIDE_DEPTH, check_blocks
 from wrt.kernels.runtime.launch import launch, use_threads
 
 WIDTHS = (2, 4, 8, 16)
@@ -343,3 +343,14 @@ def test_report_names_the_phases():
 def test_bad_configurations(make, name):
     with pytest.raises(ValueError, match=name):
         make()
+
+
+def test_more_triangles_than_a_tree_can_have_are_refused():
+    """Before anything is allocated: numbers of words of boxes, and of blocks in child words, would overflow."""
+    hploc.check_count(hploc.MAX_TRIANGLES, 16)
+    hploc.check_count(2 * MAX_BLOCKS, 2)
+    for count, width in ((hploc.MAX_TRIANGLES + 1, 16), (2 * MAX_BLOCKS + 1, 2)):
+        with pytest.raises(ValueError, match=r"into several.* wrt\.Instance"):
+            hploc.check_count(count, width)
+    with pytest.raises(ValueError, match="33,554,433 blocks of 8"):
+        check_blocks(MAX_BLOCKS + 1, 8)

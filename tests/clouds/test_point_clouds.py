@@ -13,17 +13,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import wrt
+from wrt.engine.facts.facts import RayFacts
+from wrt.engine.facts.query_kinds import QUERIES
 from wrt.engine.plan import planner
+from wrt.kernels.clouds.cloud_test import BOX
 from wrt.sensors import PointCloud
 
 UTM = np.array([691_000.0, 5_334_000.0, 500.0])
-KINDS = ("spheres", "discs")
+KINDS = ("spheres", "discs", "boxes")
 
 
 def scattered(kind: str, count: int = 400, at: np.ndarray | float = 0.0, device: str = "cpu") -> PointCloud:
     """Points in a cube of 2, with radii of their own."""
     rng = np.random.default_rng(3)
     points, radius = rng.uniform(-1, 1, (count, 3)), rng.uniform(0.005, 0.2, count)
+    if kind == "boxes":
+        return PointCloud(points + at, rng.uniform(0.005, 0.1, (count, 3)), boxes=True, device=device)
     return PointCloud(points + at, radius, rng.normal(size=(count, 3)) if kind == "discs" else None, device=device)
 
 
@@ -48,8 +53,10 @@ def every_ray(cloud: PointCloud, count: int = 600) -> tuple[np.ndarray, np.ndarr
 
 
 def relative(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, radii and normals as the device holds them."""
+    """Points, radii and normals as the device holds them; of boxes half the edges for normals, and the least of them."""
     points = cloud.state.points
+    if points.components == BOX:
+        return points.centre.numpy(), points.normal.numpy().min(axis=1), points.normal.numpy()
     radius = np.broadcast_to(points.radius.numpy(), len(cloud))
     return points.centre.numpy(), radius, points.normal.numpy()
 
@@ -61,6 +68,10 @@ def roots(cloud: PointCloud, origins: np.ndarray, directions: np.ndarray) -> tup
         points, radius, normal = (array.astype(np.longdouble) for array in relative(cloud))
         x = points - (origins - cloud.center).astype(np.float32).astype(np.longdouble)[:, None]
         d = directions.astype(np.float32).astype(np.longdouble)[:, None]
+        if cloud.state.points.components == BOX:
+            sides = (x - normal) / d, (x + normal) / d
+            enter, leave = np.minimum(*sides).max(axis=-1), np.maximum(*sides).min(axis=-1)
+            return np.where(enter <= leave, enter, np.nan), np.where(enter <= leave, leave, np.nan)
         if len(normal):
             t = (x * normal).sum(-1) / (d * normal).sum(-1)
             met = ((t[..., None] * d - x) ** 2).sum(-1) <= radius**2
@@ -132,17 +143,127 @@ def test_one_sphere(distance, radius, length, direction, aside):
     np.testing.assert_allclose(np.linalg.norm(hits.position - UTM), radius, rtol=1e-6, atol=steps)
 
 
-def test_scattered_rays_are_sorted(monkeypatch):
-    """In large clouds, as in large scenes."""
-    monkeypatch.setattr(planner, "MIN_RAYS_TO_REORDER", 500)
-    monkeypatch.setattr(planner, "CACHED_BYTES", 400 * 36)
-    cloud, rng = scattered("spheres"), np.random.default_rng(7)
-    rays = rng.uniform(-1, 1, (2, 3000, 3))
-    hits = cloud.intersect(*rays)
-    assert hits.plan.reorder == "cells"
-    np.testing.assert_array_equal(hits.primitive_id, cloud.intersect(*rays, brute_force=True).primitive_id)
-    np.testing.assert_array_equal(cloud.occluded(*rays), hits.is_hit)
-    assert scattered("spheres", 300).intersect(*rays).plan.reorder == "none"
+@pytest.mark.parametrize(("traversal", "kind"), [("stream", "spheres"), ("interleaved", "discs"), ("interleaved", "boxes")])
+def test_every_traversal_gives_the_bits_of_brute_force(traversal, kind):
+    """Closest and any hits, counts and lists, of rays from a point and from anywhere; of boxes closest hits alone."""
+    cloud = scattered(kind, at=UTM)
+    origins, directions = every_ray(cloud)
+    for rays in ((origins, directions, 0.0, 0.9), (UTM, directions), (origins[:7], directions[:7])):
+        closest, judge = (cloud.intersect(*rays, traversal=name) for name in (traversal, "brute"))
+        assert (closest.plan.traversal, judge.plan.traversal) == (traversal, "brute")
+        for name in ("t", "primitive_id", "uv"):
+            np.testing.assert_array_equal(getattr(closest, name), getattr(judge, name))
+        if kind == "boxes":
+            continue
+        np.testing.assert_array_equal(cloud.occluded(*rays, traversal=traversal), judge.is_hit)
+        lists, all_points = (cloud.intersect_all(*rays, traversal=name) for name in (traversal, "brute"))
+        for name in ("t", "primitive_id", "count"):
+            np.testing.assert_array_equal(getattr(lists, name), getattr(all_points, name))
+        np.testing.assert_array_equal(cloud.count(*rays, traversal=traversal), lists.count)
+
+
+def test_auto_and_traversals_of_triangles():
+    """Many rays take turns, few go one by one; what traces triangles alone is refused by name, before a kernel runs."""
+    cloud = scattered("discs")
+    rays = np.random.default_rng(7).uniform(-1, 1, (2, 3000, 3))
+    assert cloud.intersect(*rays).plan.traversal in ("interleaved", "stream", "single")  # as measured
+    plan = cloud.intersect(*rays[:, :100]).plan
+    assert (plan.traversal, plan.triangle_test) == ("single", "discs")
+    assert planner.choose_plan(cloud.state, RayFacts(3000, (3000,)), QUERIES["closest"]).traversal == "interleaved"
+    for name in ("packet", "persistent", "queued"):
+        with pytest.raises(ValueError, match=r"a point cloud has none; choose from auto, brute, single, stream, interleaved"):
+            cloud.intersect(*rays[:, :9], traversal=name)
+    with pytest.raises(ValueError, match="unknown; choose from"):
+        cloud.count(*rays[:, :9], traversal="spheres")
+    with pytest.raises(TypeError, match="must be a name, not Plan"):
+        cloud.occluded(*rays[:, :9], traversal=plan)
+    with pytest.raises(ValueError, match="no brute force"):
+        cloud.intersect(*rays[:, :9], traversal="single", brute_force=True)
+    with pytest.raises(ValueError, match="triangle_test 'spheres' is unknown"):
+        wrt.Scene(trimesh.creation.box(), device="cpu").intersect(*rays[:, :9], triangle_test="spheres")
+
+
+@pytest.mark.parametrize("rebuild", ["auto", "always", "never"])
+def test_moving_points(rebuild, device):
+    """The answers of an updated cloud are those of a new one; hits that were found before stay."""
+    rng = np.random.default_rng(8)
+    points, radius, normals = rng.uniform(-1, 1, (500, 3)) + UTM, rng.uniform(0.02, 0.2, 500), rng.normal(size=(500, 3))
+    cloud = PointCloud(points, radius, device=device)
+    rays = every_ray(cloud)
+    before = cloud.intersect(*rays)
+    place = before.position.copy()
+    assert cloud.last_update is None
+
+    def check(*made):
+        other = PointCloud(*made, device=device)
+        one, new = cloud.intersect(*rays), other.intersect(*rays)
+        for name in ("t", "primitive_id", "uv", "normal"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(new, name))
+        judge = cloud.intersect(*rays, brute_force=True)
+        np.testing.assert_array_equal(judge.t, one.t)
+        assert 0.1 < one.is_hit.mean() < 0.95
+
+    for step in (0.01, 1.0):
+        points = points + rng.normal(scale=step, size=points.shape)
+        cloud.update(points, rebuild=rebuild)
+        check(points, radius)
+        assert cloud.last_update.action in {"auto": ("kept", "built"), "always": ("built",), "never": ("kept",)}[rebuild]
+    cloud.update(radius=2.0 * radius, rebuild=rebuild)
+    points = cloud.center + relative(cloud)[0].astype(float)
+    check(points, np.float32(2.0 * radius))
+    cloud.update(normals=normals, rebuild=rebuild)
+    check(points, np.float32(2.0 * radius), normals)
+    with pytest.raises(ValueError, match="one for each of 3 points"):
+        cloud.update(points[:3])
+    with pytest.raises(ValueError, match="not finite"):
+        cloud.update(points * np.nan)
+    check(points, np.float32(2.0 * radius), normals)
+    cloud.update(points[:300], 0.1, normals[:300], rebuild=rebuild)
+    check(points[:300], 0.1, normals[:300])
+    np.testing.assert_array_equal(before.position, place)
+    assert before.is_of(cloud.state)
+
+
+def test_reflectance_of_points():
+    """An intensity is that of a cloud of one reflectance, times that of the point that was met."""
+    cloud, rng = scattered("discs", at=UTM), np.random.default_rng(9)
+    values, pose = rng.uniform(0, 2, len(cloud)), np.eye(4)
+    pose[:3, 3] = UTM + np.array([3.0, 0, 0])
+    lidar = wrt.sensors.Lidar.preset("velodyne_vlp16").replace(min_range=0.0, threshold=0.0)
+    one, each = (lidar.scan(cloud, pose, reflectance=value) for value in (1.0, values))
+    seen = np.isfinite(one.range)
+    assert seen.sum() > 50
+    for name in ("range", "primitive_id", "geometry_id", "normal"):
+        np.testing.assert_array_equal(getattr(each, name), getattr(one, name))
+    np.testing.assert_allclose(each.intensity, one.intensity * np.where(seen, values[one.primitive_id], 0.0), rtol=1e-5)
+    lidar = lidar.replace(bundle=3, divergence=0.002, returns=2)
+    one, each = (lidar.scan(cloud, pose, reflectance=value) for value in (0.7, np.full(len(cloud), 0.7)))
+    np.testing.assert_array_equal(each.intensity, one.intensity)
+    assert (lidar.scan(cloud, pose, reflectance=values).intensity != one.intensity).any()
+    with pytest.raises(ValueError, match=r"one for each of 400 points"):
+        lidar.scan(cloud, pose, reflectance=np.ones(3))
+
+
+def test_tables_of_points():
+    table = np.zeros(3, dtype=[("x", "f8"), ("y", "f4"), ("z", "i4"), ("intensity", "u2")])
+    table["x"], table["y"], table["z"] = [1, 2, 3], [4, 5, 6], [7, 8, 9]
+    cloud = PointCloud(table, 0.5, device="cpu")
+    np.testing.assert_allclose(cloud.bounds, [[0.5, 3.5, 6.5], [3.5, 6.5, 9.5]])
+    with pytest.raises(ValueError, match="without x, y and z; its fields are y, z"):
+        PointCloud(table[["y", "z"]], 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("closest_point", "cKDTree"), ("contains", "enclose nothing"), ("save", "pickle"), ("filtered", "keep"), ("other", "")],
+)
+def test_what_clouds_have_not(name, said):
+    cloud = scattered("spheres", 5)
+    with pytest.raises(AttributeError, match=f"a PointCloud has no '{name}'.*{said}"):
+        getattr(cloud, name)
+    for place in (wrt.Scene, wrt.Instance):
+        with pytest.raises(TypeError, match="PointCloud"):
+            place(cloud)
 
 
 def test_sphere_closed_form(device):
@@ -159,6 +280,33 @@ def test_sphere_closed_form(device):
     for hits in (cloud.intersect([0.0, 0, 0], ahead), cloud.intersect([2.5, 0, 0], [-2.0, 0, 0])):
         np.testing.assert_allclose(hits.normal, [-1, 0, 0], atol=1e-7)  # outward on both sides
         np.testing.assert_allclose(hits.position, [2, 0, 0], atol=1e-6)
+
+
+def test_box_closed_form(device):
+    """Sides, edges and corners; from inside, the far side; along a side."""
+    cloud = PointCloud([[3.0, 0, 0]], [[1.0, 2.0, 3.0]], boxes=True, device=device)
+    ahead = [1.0, 0, 0]
+    np.testing.assert_allclose(cloud.bounds, [[2, -2, -3], [4, 2, 3]])
+    begin = [[0.0, 0, 0], [3.0, 1, 1], [5.0, 0, 0], [0.0, 2, 3], [0.0, 2.001, 0]]
+    np.testing.assert_array_equal(cloud.intersect(begin, ahead).t, np.float32([2, 1, np.inf, 2, np.inf]))
+    hits = cloud.intersect([3.5, 0.5, 9.0], [0.0, 0, -2])
+    assert hits.t == 3.0
+    np.testing.assert_allclose(hits.normal, [0, 0, 1], atol=1e-7)
+    np.testing.assert_allclose(hits.position, [3.5, 0.5, 3], atol=1e-6)
+    np.testing.assert_allclose(cloud.intersect([3.0, 0, 0], [0.0, -1, 0]).normal, [0, -1, 0], atol=1e-7)  # outward, from inside
+    assert repr(cloud).startswith("PointCloud(1 boxes")
+    for half in (2.0**-126, 4e-23, 1e-19):  # their squares are not normal
+        tiny = PointCloud([[0.0, 0, 0]], half, boxes=True, device=device)
+        assert tiny.intersect([0.99 * half, 0.99 * half, -2.0], [0.0, 0, 1]).t == 2.0
+        assert tiny.intersect([0.99 * half, 0.99 * half, -2 * half], [0.0, 0, 1]).is_hit
+    cubes = PointCloud([[0.0, 0, 0], [1, 0, 0]], 0.5, boxes=True, device=device)
+    assert cubes.intersect([0.5, 9.0, 0], [0.0, -1, 0]).primitive_id == 0  # they share a side
+    cubes.update(radius=[0.25, 0.5])
+    assert cubes.intersect([0.5, 9.0, 0], [0.0, -1, 0]).primitive_id == 1
+    with pytest.raises(ValueError, match="no normals"):
+        PointCloud([[0.0, 0, 0]], 0.5, [[0, 0, 1.0]], boxes=True)
+    with pytest.raises(ValueError, match="radius has the shape"):
+        PointCloud(np.zeros((4, 3)), np.ones((2, 3)), boxes=True)
 
 
 def test_disc_closed_form(device):
@@ -215,6 +363,11 @@ def test_hits(kind):
     if kind == "spheres":
         across = (hits.position[met] - centre) / radius[ids, None]
         np.testing.assert_allclose(hits.normal[met], across, atol=1e-4)
+    elif kind == "boxes":
+        cube = (hits.position[met] - centre) / normals[ids]
+        np.testing.assert_allclose(np.abs(cube).max(axis=1), 1, atol=2e-4)  # positions are in float32 near UTM
+        np.testing.assert_allclose((cube * hits.normal[met]).sum(axis=1), 1, atol=2e-4)
+        assert set(np.unique(np.abs(hits.normal[met]).round(6))) == {0.0, 1.0}
     else:
         np.testing.assert_allclose(hits.normal[met], normals[ids], atol=1e-6)
         assert (np.linalg.norm(hits.position[met] - centre, axis=1) <= radius[ids] + 1e-6).all()

@@ -14,6 +14,7 @@ import wrt
 from wrt.cluster.stored_answers import pack_answer, unpack_answer
 from wrt.query.batches.exact_sums import exact_sum
 from wrt.query.batches.reductions import REDUCTIONS, OfRows, as_block_reduction
+from wrt.query.batches.weighted_sums import sums_of_columns
 from wrt.query.blocks import BYTES_PER_RAY
 
 
@@ -96,6 +97,18 @@ def test_weighted_sums(scene, rays, axis, tmp_path):
     np.testing.assert_array_equal(one, whole[:, 1])
     lit = scene.intersect_blocks(*rays, reduce={"is_hit": wrt.batches.WeightedSum(weights[1])}, axis=axis).result()
     assert lit["is_hit"].shape == one.shape
+
+
+@pytest.mark.parametrize("shape", [(7, 3, 1), (130, 2, 257), (65, 600, 1), (0, 5, 2), (4, 0, 2)])
+def test_sums_of_columns_in_any_layout(shape):
+    """Tiles that are not full, more rows than are copied at a time, rows in no group and in all, and arrays without values."""
+    rng = np.random.default_rng(8)
+    values, weights = rng.random(shape) < 0.4, np.rint(rng.normal(0.0, 1e9, (3, shape[0])))
+    weights[:, ::3], weights[1, 1::3] = 0.0, 0.0
+    expected = np.tensordot(values.astype(float), weights, (0, 1)).reshape(-1, 3)
+    for layout in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):  # all give the same array, laid out in memory in another order
+        stored = np.ascontiguousarray(values.transpose(layout))
+        np.testing.assert_array_equal(sums_of_columns(stored.transpose(np.argsort(layout)), weights), expected)
 
 
 def test_weights_that_do_not_fit(scene, rays):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import gc
 import inspect
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,6 @@ from wrt.kernels.classics.studies.bare_triangle_tests import make_frusta
 from wrt.kernels.classics.studies.distance_checks import in_range
 from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
 from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
-from wrt.kernels.clouds.cloud_test import DISC
 from wrt.kernels.clouds.cloud_walk import make_cloud_kernel
 from wrt.kernels.fields.winding_walk import make_winding_kernel
 from wrt.kernels.pairs.pair_walk import make_meeting_kernel, make_nearest_kernel
@@ -79,7 +79,7 @@ def make_all_kernels() -> list[wp.Kernel]:
     kernels += [
         make_multi_frusta_kernel(TraversalConfig(name, WIDTH), each) for name in ("woop", "wald") for each in (False, True)
     ]
-    kernels.append(make_cloud_kernel(config, DISC))
+    kernels += [make(replace(config, triangle_test="discs")) for make in (make_cloud_kernel, streams["bvh"])]
     kernels += [make_winding_kernel(WIDTH), make_nearest_kernel(WIDTH), make_meeting_kernel(WIDTH)]
     kernels += [make_points_kernel(PointConfig(tree, WIDTH, task=task)) for tree in TREES for task in TASKS]
     kernels += [make_points_kernel(PointConfig(tree, WIDTH, instances=True)) for tree in TREES]

@@ -43,6 +43,7 @@ RUN = 60
 """Words and signs from the beginning of a statement on that two headers must not share."""
 
 SHARED_RUNS = {
+    ("binary_nodes.h", "warp_packets.h"),  # the calls for both boxes of a node
     ("bins.h", "events.h"),  # the lane with the least cost
     ("box.h", "projected_areas.h"),  # members of a struct of vectors, copied to arrays
     ("clip.h", "scan.h"),  # the beginning of two functions with the same targets

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import os
 import subprocess
 import sys
 import zipfile
@@ -140,6 +141,77 @@ def test_samples_of_turns_that_follow_each_other_have_all_cases():
             assert 23 <= len(nodes) <= 24
         assert {node for nodes in drawn for node in nodes} == {item.nodeid for item in items}
     assert selection.sample(items, 1, 5) == items
+
+
+@pytest.mark.parametrize(
+    ("chosen", "alone"),
+    [
+        ({}, True),
+        ({"markexpr": "width"}, False),
+        ({"keyword": "skip"}, False),
+        ({"lf": True}, False),
+        ({"args": "ARGS"}, False),
+    ],
+)
+def test_alone_is_whoever_chooses_nothing(chosen, alone):
+    """In the process that was called, and in one that pytest-xdist starts."""
+    source = pytest.Config.ArgsSource[chosen.get("args", "TESTPATHS")]
+    option = SimpleNamespace(**{"markexpr": "", "keyword": "", "lf": False} | chosen)
+    config = SimpleNamespace(args_source=source, ArgsSource=pytest.Config.ArgsSource, option=option)
+    assert selection.is_alone(config) is alone
+    assert selection.is_alone(SimpleNamespace(workerinput={"is_alone": alone})) is alone
+
+
+CHOOSER = """
+from support.selection import Skipped
+
+def pytest_addoption(parser):
+    parser.addoption("--write-skipped")
+
+def pytest_configure(config):
+    if config.option.write_skipped:
+        config.pluginmanager.register(Skipped(config))
+"""
+
+LACKING = """
+import pytest
+
+def test_a():
+    pytest.importorskip("lacking_package")
+
+@pytest.mark.xfail
+def test_b():
+    raise AssertionError
+
+@pytest.mark.parametrize("case", ["one two", "x[y]"])
+def test_c(case):
+    if case.startswith("x"):
+        pytest.importorskip("lacking_package")
+"""
+
+
+@pytest.mark.parametrize("processes", [[], ["-n", "2"]])
+def test_what_was_skipped_runs_again(tmp_path, processes):
+    """Tests, and files that skip as a whole, by whichever process; no others run when what they lacked is there."""
+    if processes:
+        pytest.importorskip("xdist", reason="pytest-xdist is not installed: pip install 'wrt[test]'")
+    files = {
+        "conftest.py": CHOOSER,
+        "test_lacking.py": LACKING,
+        "helper.py": "import pytest\npytest.importorskip('lacking_package')",
+        "test_first.py": "import helper\ndef test_d(): pass",
+        "test_second.py": "import helper\ndef test_e(): pass",
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT / "tests")])}
+    command = [sys.executable, "-m", "pytest", "-q", "--rootdir", str(tmp_path)]
+    options = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True, "check": True}
+    subprocess.run([*command, *processes, "--write-skipped", "skipped"], **options)
+    skipped = (tmp_path / "skipped").read_text().splitlines()
+    assert skipped == ["test_first.py", "test_lacking.py::test_a", "test_lacking.py::test_c[x[y]]", "test_second.py"]
+    (tmp_path / "lacking_package.py").write_text("")
+    assert subprocess.run([*command, *processes, "@skipped"], **options).stdout.splitlines()[-1].startswith("4 passed in")
 
 
 @pytest.mark.parametrize("text", ["", "0:1", "-1:1", "some", ":3", "1.5:1", "3", "3:some", "3:-1"])

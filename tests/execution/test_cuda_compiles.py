@@ -41,7 +41,6 @@ from wrt.kernels.classics.studies.replayed_tests import make_lists
 from wrt.kernels.classics.studies.variants.watertight_pruning import PRUNED
 from wrt.kernels.classics.studies.walk_orders import make_kernel as make_walk_kernel
 from wrt.kernels.classics.triangle.ferko import VARIANTS
-from wrt.kernels.clouds.cloud_test import DISC, SPHERE
 from wrt.kernels.clouds.cloud_walk import make_brute_cloud_kernel, make_cloud_kernel
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.points.exact_points import make_exact_points_kernel
@@ -348,9 +347,9 @@ EXACT_KERNELS = {
         f"exact points {' '.join(map(str, one))}": make_exact_points_kernel(points(*one)) for one in EXACT_POINTS
     },
     "clouds": lambda: {
-        f"{make.__name__} {part}": make(TraversalConfig("woop", 2), part)
+        f"{make.__name__} {part}": make(TraversalConfig(part, 2))
         for make in (make_cloud_kernel, make_brute_cloud_kernel)
-        for part in (SPHERE, DISC)
+        for part in ("spheres", "discs")
     },
     "shared leaves": lambda: {"shared leaves": single(TraversalConfig("woop", 2, "count", shared_leaves=True))},
     "shadows": lambda: {name: make() for name, make in SHADOW_KERNELS.items()},

@@ -88,6 +88,18 @@ def check_drop_in(names):
     np.testing.assert_allclose(names["deep"], names["depth"], rtol=1e-4, atol=1e-5)
 
 
+def check_point_clouds(names):
+    """The scan is that of the mesh, to half a spacing for most beams; intensities are of points."""
+    scan, spacing = names["scan"], names["spacing"]
+    mesh = names["lidar"].scan(names["scene"], names["pose"])
+    both = np.isfinite(scan.range) & np.isfinite(mesh.range)
+    assert both.mean() > 0.5
+    assert (np.abs(scan.range - mesh.range)[both] < 1.5 * spacing).mean() > 0.95
+    assert len(np.unique(scan.intensity)) > 100
+    assert 0.1 < (names["shade"] > 0).mean() < 0.9
+    assert names["cloud"].last_update is not None
+
+
 def check_lidar(names):
     assert names["ranges"].shape == names["facing"].shape == (64, 720)
     assert names["sweep"].is_hit.mean() > 0.5
@@ -302,13 +314,31 @@ def check_facades(names):
             np.testing.assert_allclose(np.moveaxis(stored.read(), 0, -1), names["on_map"], rtol=1e-6)
 
 
+def check_pytorch(names):
+    assert names["losses"][-1] < 0.1 * names["losses"][0]
+    assert names["depth"].isfinite().sum() == names["hits"].is_hit.sum() > 1000
+    assert names["vertices"].grad.shape == names["mesh"].vertices.shape
+
+
+def check_simulation(names):
+    """Crates are where the solver has them, and rays see those that have moved."""
+    places = names["body_q"].numpy()
+    np.testing.assert_array_equal([one.transform[2, 3] for one in names["scene"].instances], places[:, 2])
+    again = wrt.Scene(names["scene"].instances).intersect(names["eye"].numpy(), names["directions"].numpy())
+    np.testing.assert_array_equal(names["ranges"].numpy(), again.t)
+    assert (names["bodies"].numpy() < 64).mean() > 0.05
+
+
 CHECKS = {
+    "guides/pytorch.md": check_pytorch,
+    "guides/simulation.md": check_simulation,
     "guides/facades.md": check_facades,
     "start.md": check_start,
     "tutorial.md": check_tutorial,
     "guides/queries.md": check_queries,
     "guides/drop_in.md": check_drop_in,
     "guides/lidar.md": check_lidar,
+    "guides/point_clouds.md": check_point_clouds,
     "guides/sensors.md": check_sensors,
     "guides/shadows.md": check_shadows,
     "guides/sun_hours.md": check_sun_hours,

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import base64
+import dataclasses
+import io
+import json
 import pickle
 from typing import Any
 
 import numpy as np
 import pytest
 import warp as wp
+from PIL import Image
 from support.hits import mixed_rays
 from support.meshes import degenerate_soup
 from support.ptx import compile_to_ptx
@@ -269,6 +274,84 @@ def test_pictures(device):
     assert (holes[corners][..., 0] > 3 * holes[corners][..., 1]).all()
     np.testing.assert_allclose(holes[12, 12], whole[12, 12], rtol=1e-5)
     assert len({pictures[0].key, pictures[1].key, wrt.pictures.Rendering(scene.filtered(), camera, **options).key}) == 2
+
+
+def gltf_card(path, sampler, material):
+    """A unit square in a file, with an image of 4 x 4 texels three times across it and two times along it, moved by a texel."""
+    alpha = np.random.default_rng(2).permutation(16).reshape(4, 4) >= 6
+    image = np.full((4, 4, 4), 255, dtype=np.uint8)
+    image[..., 3] = np.where(alpha, 200, 0)
+    png = io.BytesIO()
+    Image.fromarray(image).save(png, "PNG")
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
+    data = corners.tobytes() + corners[:, :2].tobytes() + np.array([0, 1, 2, 0, 2, 3], dtype=np.uint16).tobytes()
+    views = [{"buffer": 0, "byteOffset": at, "byteLength": size} for at, size in ((0, 48), (48, 32), (80, 12))]
+    kinds = [(5126, 4, "VEC3"), (5126, 4, "VEC2"), (5123, 6, "SCALAR")]
+    moved = {"KHR_texture_transform": {"offset": [0.25, 0.0], "scale": [3, 2]}}
+    model = {"baseColorTexture": {"index": 0, "extensions": moved}} | material.pop("model", {})
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    document = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": model} | material],
+        "textures": [{"source": 0, "sampler": 0}],
+        "samplers": [sampler],
+        "images": [{"uri": "data:image/png;base64," + base64.b64encode(png.getvalue()).decode()}],
+        "accessors": [
+            {"bufferView": view, "componentType": kind, "count": count, "type": form}
+            for view, (kind, count, form) in enumerate(kinds)
+        ],
+        "bufferViews": views,
+        "buffers": [{"uri": uri, "byteLength": len(data)}],
+    }
+    path.write_text(json.dumps(document))
+    return wrt.Scene(wrt.TriangleMesh.load(path), device="cpu"), alpha
+
+
+GLTF_WRAPS = {10497: lambda i: i % 4, 33071: lambda i: np.clip(i, 0, 3), 33648: lambda i: np.minimum(i % 8, 7 - i % 8)}
+"""Texels of 4, beyond the edges of an image, by glTF's numbers."""
+
+
+@pytest.mark.parametrize(("across", "along"), [(10497, 33648), (33648, 33071), (33071, 10497)])
+def test_masks_of_gltf(tmp_path, across, along):
+    """From a file to rays: holes are where its image, its sampler and KHR_texture_transform put them."""
+    mask = {"alphaMode": "MASK", "model": {"baseColorFactor": [1, 1, 1, 0.9]}}
+    scene, alpha = gltf_card(tmp_path / "a.gltf", {"wrapS": across, "wrapT": along}, mask)
+    column, row = np.meshgrid(np.arange(12), np.arange(8))
+    places = np.stack([(column + 0.5) / 12, (row + 0.5) / 8, np.ones_like(row)], axis=-1)  # centres of texels
+    there = alpha[GLTF_WRAPS[along](row), GLTF_WRAPS[across](column + 1)]
+    assert 0.2 < there.mean() < 0.9
+    hits = scene.filtered(alpha=True).intersect(places, DOWN)
+    np.testing.assert_array_equal(hits.is_hit, there)
+    assert hits.plan.traversal == "single"
+    assert scene.intersect(places, DOWN).is_hit.all()  # without alpha=True, nothing has holes
+
+
+@pytest.mark.parametrize(
+    ("material", "share"),
+    [
+        ({}, 1.0),
+        ({"alphaMode": "OPAQUE"}, 1.0),
+        ({"alphaMode": "BLEND"}, 1.0),
+        ({"alphaMode": "MASK"}, 0.625),
+        ({"alphaMode": "MASK", "alphaCutoff": 0.8}, 0.0),  # above 200 of 255
+        ({"alphaMode": "MASK", "alphaCutoff": 0.0}, 1.0),
+        ({"alphaMode": "MASK", "model": {"baseColorFactor": [1, 1, 1, 0.4]}}, 0.0),
+    ],
+)
+def test_alpha_modes_of_gltf(tmp_path, material, share):
+    """Rays hit what is OPAQUE, and all of what is blended, whatever its alpha; a cutoff makes a mask of that."""
+    scene, _ = gltf_card(tmp_path / "a.gltf", {}, dict(material))
+    column, row = np.meshgrid(np.arange(12), np.arange(8))
+    places = np.stack([(column + 0.5) / 12, (row + 0.5) / 8, np.ones_like(row)], axis=-1)
+    assert scene.filtered(alpha=True).occluded(places, DOWN).mean() == share
+    if material == {"alphaMode": "BLEND"}:
+        (mesh,) = scene.meshes
+        cut = dataclasses.replace(mesh.materials.materials[0], alpha_cutoff=0.5)
+        mesh = mesh.with_materials(cut, uv=mesh.materials.corner_uv)
+        assert wrt.Scene(mesh, device="cpu").filtered(alpha=True).occluded(places, DOWN).mean() == 0.625
 
 
 def test_cutoffs():

@@ -182,3 +182,21 @@ def test_local_memory_that_a_card_has_not_is_refused(monkeypatch):
     monkeypatch.setattr(Card, "free_memory", freed)
     with pytest.raises(MemoryError, match=r"packets needs 67\.6 GB of local memory .*cuda:9.* 1\.0 GB free"):
         local_memory.reserve_local_memory(Kernel, Card, 128)
+
+
+def test_points_after_a_motion_on_the_device(device):
+    """Points ask whether maps are similar, of a table that is on the device then."""
+    scene = scene_of(matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), None, device)
+    moved = wp.array(poses(0) + np.float32(0.01) * poses(2), dtype=wp.transformf, device=device)
+    scene.update(range(COUNT), transform=moved)
+    assert scene.state.table is None
+    expected = scene_of(matrices_of(moved), None, device)
+    points = np.random.default_rng(2).uniform(-9.0, 9.0, (200, 3))
+    found, there = scene.closest_point(points), expected.closest_point(points)
+    np.testing.assert_array_equal(found.instance_id, there.instance_id)
+    np.testing.assert_array_equal(found.distance, there.distance)
+    squeezed = matrices_of(moved)
+    squeezed[3, :3, 0] *= 2.0
+    scene.update(range(COUNT), transform=wp.array(squeezed, dtype=wp.float32, device=device))
+    with pytest.raises(ValueError, match="instance 3"):
+        scene.closest_point(points)

@@ -1,5 +1,6 @@
 // Instantiates the headers of kernels/traversal/persistent; see native_headers.cpp.
 #include "persistent.h"
+#include "warp_packets.h"
 
 struct Vec3 {
     float c[3];
@@ -120,6 +121,9 @@ void trace(const Tree& tree, const Triangles& triangles, const Batch& rays, cons
     wrt::walk_rays<20, 4, 3, true>(closest, next, 64, WIDTH);
     wrt::walk_rays<20, 4, 3, false>(any, next, 64, WIDTH);
     wrt::walk_rays<20, 4, 3, true>(winding, next, 64, WIDTH);
+    wrt::walk_together<wrt::PACKET, true>(closest, WIDTH);
+    wrt::walk_together<wrt::STREAMED, false>(any, WIDTH);
+    wrt::walk_together<wrt::FRUSTUM, true>(any, WIDTH);
 }
 
 void trace_instances(const Top& top, const Array<Part>& parts, const Batch& rays, const Found& found, const Rows& rows,

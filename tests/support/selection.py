@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,6 +14,9 @@ SLOW = frozenset(Path(__file__).parents[1].joinpath("slow.txt").read_text().spli
 
 ASKED_FOR = ("exhaustive", "notebooks")
 """Markers of tests that run only where `-m` names them."""
+
+LEFT_OUT = ("slow", "studies", "classics")
+"""Markers of tests that `pytest` alone leaves out. Whoever names folders, files, tests, words or markers runs those, too."""
 
 LONGEST = "tests/pages/test_notebooks.py::test_notebook["
 """How the names of the tests that take longest begin."""
@@ -37,3 +41,42 @@ def sample(items: list[pytest.Item], number: int, turn: int) -> list[pytest.Item
         cases[item.nodeid.partition("[")[0]].append(item)
     kept = {one for own in cases.values() for one in (own[turn % number :: number] or [own[turn % len(own)]])}
     return [item for item in items if item in kept]
+
+
+def is_alone(config: pytest.Config) -> bool:
+    """Whether pytest was called in the checkout with nothing that chooses tests; processes of pytest-xdist are told."""
+    if hasattr(config, "workerinput"):
+        return config.workerinput["is_alone"]
+    chosen = config.args_source is not config.ArgsSource.TESTPATHS or config.option.markexpr or config.option.keyword
+    return not (chosen or getattr(config.option, "lf", False))
+
+
+class Skipped:
+    """A plugin that writes the ids of skipped tests and files into a file, which `pytest @FILE` runs again."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        self.ids: list[str] = []
+
+    def _note(self, report: pytest.CollectReport | pytest.TestReport) -> None:
+        if report.skipped and not hasattr(report, "wasxfail"):
+            self.ids.append(report.nodeid)
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        self._note(report)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self._note(report)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        """A process of pytest-xdist has ended: it alone knows all files that it skipped."""
+        self.ids += getattr(node, "workeroutput", {}).get("skipped", [])
+
+    def pytest_sessionfinish(self) -> None:
+        if hasattr(self.config, "workeroutput"):
+            self.config.workeroutput["skipped"] = self.ids
+        else:
+            Path(self.config.option.write_skipped).write_text(
+                "".join(f"{one}\n" for one in sorted({*self.ids})), encoding="utf-8"
+            )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
@@ -14,15 +14,20 @@ from wrt.builders import tree as common
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.engine.facts.scene_state import SceneState
 from wrt.engine.memory import empty, memory_for
-from wrt.kernels.clouds.cloud_test import DISC, SPHERE, CloudPoints, box_points, pack_points
+from wrt.kernels.clouds.cloud_test import BOX, DISC, SPHERE, CloudPoints, box_points, pack_points
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.simd.lanes import native_width
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT
+from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, UpdateReport, move_tree
 
 if TYPE_CHECKING:
     from wrt.engine.device_hits import DeviceHits
+    from wrt.engine.facts.facts import SceneFacts
     from wrt.engine.facts.scene_settings import Settings
+
+KINDS = {SPHERE: "spheres", DISC: "discs", BOX: "boxes"}
 
 CHUNK = 2048
 """Points that are worth a chunk of their own."""
@@ -34,6 +39,7 @@ class CloudState(SceneState):
 
     Attributes:
         points: on the device.
+        last_update: what the last update did to the tree; None before the first.
     """
 
     refused: ClassVar[dict[str, str]] = {
@@ -42,6 +48,7 @@ class CloudState(SceneState):
     }
 
     points: CloudPoints
+    last_update: UpdateReport | None = None
 
     @property
     def triangle_count(self) -> int:
@@ -51,7 +58,7 @@ class CloudState(SceneState):
     @property
     def slots(self) -> int:
         """Lanes of all blocks of points, in use or not."""
-        return len(self.tree.tree.primitive)
+        return len(self.tree.primitive)
 
     @property
     def bytes(self) -> int:
@@ -61,12 +68,18 @@ class CloudState(SceneState):
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
         """What `place_cloud` makes the state of again."""
-        points, normals = self.points, self.points.normal
-        return points.centre.numpy(), self.center, points.radius.numpy(), normals.numpy() if len(normals) else None
+        points, kind = self.points, self.points.components
+        radius, normals = points.normal if kind == BOX else points.radius, points.normal if kind == DISC else None
+        return points.centre.numpy(), self.center, radius.numpy(), None if normals is None else normals.numpy()
+
+    @cached_property
+    def facts(self) -> SceneFacts:
+        """What plans depend on."""
+        return replace(super().facts, points=True, triangle_test=KINDS[self.points.components])
 
     def contents(self) -> str:
         """What is in the cloud, in words."""
-        return f"{self.triangle_count} {'discs' if len(self.points.normal) else 'spheres'}"
+        return f"{self.triangle_count} {self.facts.triangle_test}"
 
     def tangents(self, hits: DeviceHits) -> tuple[SceneMesh, wp.array, wp.array]:
         """Hits as triangles (`wrt.kernels.clouds.tangent_planes`), their numbers there, -1 for a miss, and weights of 0."""
@@ -90,31 +103,36 @@ class CloudTree:
     Attributes:
         tree: numbers points.
         records: (blocks * components * width,) points in the order of the leaves.
-        components: `SPHERE` or `DISC`.
-        primitive: no triangles, in blocks of `width`: leaves list points.
-        brute_force: whether rays are tested against every point.
     """
 
     tree: common.Bvh
     records: wp.array
-    components: int
-    primitive: wp.array
-    brute_force: bool = False
 
     @classmethod
     def build(cls, points: CloudPoints, settings: Settings) -> CloudTree:
         """Builds the tree of points that are on the CPU."""
-        device, width = settings.device, native_width(settings.device)
-        components = DISC if len(points.normal) else SPHERE
-        count, boxes = len(points.centre), Boxes()
-        alone = pack(points, wp.array(np.arange(count, dtype=np.int32), dtype=int, device="cpu"), 1, components)
-        boxes.low, boxes.high = (wp.empty((3, count), dtype=float, device="cpu") for _ in range(2))
-        launch(box_points, count, [alone, components, boxes.low, boxes.high], device=boxes.low.device, chunk=CHUNK)
-        del alone
-        low, high = boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1)
-        tree = cast("common.Bvh", settings.accelerator.build(TriangleBoxes(boxes, count, low, high), width))
-        records = pack(points, tree.primitive, width, components).to(device)
-        return cls(tree.to(device), records, components, wp.array(np.full(width, -1), dtype=int, device=device))
+        boxes, low, high = point_boxes(points)
+        whole = TriangleBoxes(boxes, len(points.centre), low.min(axis=1), high.max(axis=1))
+        return cls.of(cast("common.Bvh", settings.accelerator.build(whole, native_width(settings.device))), points, settings)
+
+    def moved(self, points: CloudPoints, settings: Settings, policy: UpdatePolicy) -> tuple[CloudTree, UpdateReport]:
+        """The tree of as many points that are elsewhere, on the CPU, and a report.
+
+        Trees are moved with triangles. Those here have two equal corners, and the boxes of the points.
+        """
+        _, low, high = point_boxes(points)
+        count, device, cpu = len(points.centre), settings.device, wp.get_device("cpu")
+        corners = wp.array(np.concatenate([low.T, high.T]), dtype=wp.vec3, device=cpu)
+        faces = wp.array(np.arange(count)[:, None] + [0, 0, count], dtype=wp.vec3i, device=cpu)
+        moved = MovedTriangles(corners.to(device), faces.to(device), corners, faces, np.zeros(3), np.zeros(3))
+        tree, report = move_tree(TreeRecipe(settings.accelerator, self.width, device), self.tree, moved, policy)
+        return self.of(cast("common.Bvh", tree), points, settings), report
+
+    @classmethod
+    def of(cls, tree: common.Bvh, points: CloudPoints, settings: Settings) -> CloudTree:
+        """A tree over points that are on the CPU."""
+        records = pack(points, tree.primitive.to("cpu"), tree.width).to(settings.device)
+        return cls(tree.to(settings.device), records)
 
     @property
     def width(self) -> int:
@@ -142,36 +160,57 @@ class CloudTree:
         return self.tree.bytes + self.records.capacity
 
     @property
-    def kernel_factory(self) -> Callable[[Any], wp.Kernel]:
-        """Makes the kernel that answers, from a `TraversalConfig`."""
+    def primitive(self) -> wp.array:
+        """(blocks * width,) numbers of the points in the order of the leaves; -1 in unused lanes."""
+        return self.tree.primitive
+
+    @property
+    def kernels(self) -> dict[str, Callable[[Any], wp.Kernel]]:
+        """What makes the kernels of traversals, from a `TraversalConfig`, that are not those of triangles."""
         from wrt.kernels.clouds.cloud_walk import make_brute_cloud_kernel, make_cloud_kernel
 
-        return partial(make_brute_cloud_kernel if self.brute_force else make_cloud_kernel, components=self.components)
+        return {"single": make_cloud_kernel, "brute": make_brute_cloud_kernel}
+
+    @cached_property
+    def blocks(self) -> TriangleBlocks:
+        """The points as kernels read them."""
+        made = TriangleBlocks()
+        made.records, made.primitive = self.records, self.primitive
+        return made
 
     def struct(self) -> Any:
         """The tree as kernels read it."""
-        from wrt.kernels.clouds import cloud_walk
-
-        made = cloud_walk.CloudTree()
-        made.nodes, made.records, made.primitive = self.tree.struct(), self.records, self.tree.primitive
-        return made
+        return self.tree.struct()
 
 
-def pack(points: CloudPoints, order: wp.array, width: int, components: int) -> wp.array:
+def point_boxes(points: CloudPoints) -> tuple[Boxes, np.ndarray, np.ndarray]:
+    """The boxes of points that are on the CPU, and their (3, N) lower and upper corners."""
+    count, boxes, components = len(points.centre), Boxes(), points.components
+    alone = pack(points, wp.array(np.arange(count, dtype=np.int32), dtype=int, device="cpu"), 1)
+    boxes.low, boxes.high = (wp.empty((3, count), dtype=float, device="cpu") for _ in range(2))
+    launch(box_points, count, [alone, components, boxes.low, boxes.high], device=boxes.low.device, chunk=CHUNK)
+    return boxes, boxes.low.numpy(), boxes.high.numpy()
+
+
+def pack(points: CloudPoints, order: wp.array, width: int) -> wp.array:
     """Records of points on the CPU, in blocks of a width; `order`: their numbers, -1 for unused lanes."""
-    records = wp.empty(len(order) * components, dtype=float, device="cpu")
-    launch(pack_points, len(order), [points, order, width, components, records], device=records.device, chunk=CHUNK)
+    records = wp.empty(len(order) * points.components, dtype=float, device="cpu")
+    inputs = [points, order, width, points.components, records]
+    launch(pack_points, len(order), inputs, device=records.device, chunk=CHUNK)
     return records
 
 
-def build_cloud(points: np.ndarray, radius: np.ndarray, normals: np.ndarray | None, settings: Settings) -> CloudState:
+def build_cloud(
+    points: np.ndarray, radius: np.ndarray, normals: np.ndarray | None, settings: Settings, move: Move | None = None
+) -> CloudState:
     """The state of a cloud.
 
     Args:
         points: (N, 3) float64, finite.
-        radius: (N,) or (1,) float32, positive.
-        normals: (N, 3) unit vectors, or None for spheres.
+        radius: (N,) or (1,) float32, positive; of boxes (N, 3), half their edges.
+        normals: (N, 3) unit vectors of discs, or None.
         settings: of the cloud.
+        move: as in `place_cloud`.
 
     Raises:
         ValueError: the cloud is too large, or too far away.
@@ -186,23 +225,37 @@ def build_cloud(points: np.ndarray, radius: np.ndarray, normals: np.ndarray | No
     center = 0.5 * low + 0.5 * high
     with memory_for(f"the tree of {len(points):,} points", points.nbytes):
         own = None if normals is None else normals.astype(np.float32)
-        return place_cloud((points - center).astype(np.float32), center, radius, own, settings)
+        return place_cloud((points - center).astype(np.float32), center, radius, own, settings, move)
+
+
+Move = Callable[[CloudPoints, "Settings"], tuple[CloudTree, UpdateReport]]
 
 
 def place_cloud(
-    points: np.ndarray, center: np.ndarray, radius: np.ndarray, normals: np.ndarray | None, settings: Settings
+    points: np.ndarray,
+    center: np.ndarray,
+    radius: np.ndarray,
+    normals: np.ndarray | None,
+    settings: Settings,
+    move: Move | None = None,
 ) -> CloudState:
-    """The state of points that are (N, 3) float32 relative to a centre; the other arguments as in `build_cloud`, in float32."""
+    """The state of points that are (N, 3) float32 relative to a centre; the other arguments as in `build_cloud`, in float32.
+
+    move: makes the tree of the points on the CPU, and a report, of a tree that there is; None to build one.
+    """
     device, host, own, mesh = settings.device, CloudPoints(), CloudPoints(), SceneMesh()
     host.centre = wp.array(points, dtype=wp.vec3, device="cpu")
-    host.radius = wp.array(radius, dtype=float, device="cpu")
-    host.normal = wp.array(np.zeros((0, 3)) if normals is None else normals, dtype=wp.vec3, device="cpu")
+    is_box = radius.ndim == 2
+    host.radius = wp.array(np.zeros(1) if is_box else radius, dtype=float, device="cpu")
+    across = radius if is_box else np.zeros((0, 3)) if normals is None else normals
+    host.normal = wp.array(across, dtype=wp.vec3, device="cpu")
+    host.components = own.components = BOX if is_box else SPHERE if normals is None else DISC
     with use_threads(settings.num_threads):
-        tree = CloudTree.build(host, settings)
+        tree, report = (CloudTree.build(host, settings), None) if move is None else move(host, settings)
     own.centre, own.radius, own.normal = host.centre.to(device), host.radius.to(device), host.normal.to(device)
     mesh.vertices, mesh.faces = own.centre, wp.zeros(1, dtype=wp.vec3i, device=device)  # not met by any ray
     mesh.center, mesh.low, mesh.high = wp.vec3d(*map(float, center)), wp.vec3(*tree.low), wp.vec3(*tree.high)
     mesh.geometry_first = wp.array([0, len(points)], dtype=int, device=device)
     return CloudState(
-        settings=settings, meshes=(), center=center, built_tree=tree, device_mesh=mesh, points=own, only_single=True
+        settings=settings, meshes=(), center=center, built_tree=tree, device_mesh=mesh, points=own, last_update=report
     )

@@ -40,6 +40,7 @@ _HOME = {
     "look_at": "wrt.sensors.camera_poses",
     "pose_from_extrinsics": "wrt.sensors.camera_poses",
     "pose_from_opengl": "wrt.sensors.camera_poses",
+    "read_points": "wrt.sensors.files.point_reading",
     "write_bag": "wrt.sensors.files.bag_files",
     "write_points": "wrt.sensors.files.point_files",
 }

@@ -5,6 +5,7 @@ from wrt.sensors.camera_poses import pose_from_extrinsics as pose_from_extrinsic
 from wrt.sensors.camera_poses import pose_from_opengl as pose_from_opengl
 from wrt.sensors.files.bag_files import write_bag as write_bag
 from wrt.sensors.files.point_files import write_points as write_points
+from wrt.sensors.files.point_reading import read_points as read_points
 from wrt.sensors.image_sensor import Camera as Camera
 from wrt.sensors.lens_models import BrownConrady as BrownConrady
 from wrt.sensors.lens_models import DoubleSphere as DoubleSphere
@@ -45,6 +46,7 @@ __all__ = [
     "look_at",
     "pose_from_extrinsics",
     "pose_from_opengl",
+    "read_points",
     "write_bag",
     "write_points",
 ]

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.kernels.sensors.lidar_returns import Detector, Noise
     from wrt.scene.scene import Scene
+    from wrt.sensors.time_slices import TracedSlice
 
 KEEP = {"strongest": 0, "first": 1, "last": 2}
 """Which returns of a beam are kept, and their numbers in `wrt.kernels.sensors.lidar_returns`."""
@@ -178,7 +179,8 @@ class Lidar:
             motions: trajectories of instances, by their index. Their transforms in the scene are replaced.
             slices: number of time slices; instances stand still within a slice, where they are in the middle of it.
                 `LidarScan.motion_error` bounds the error in position. 1 for instances that stand still during the scan.
-            reflectance: of all surfaces, or (I,) of each instance (of each mesh, in a scene without instances); >= 0.
+            reflectance: of all surfaces, or (I,) of each instance (of each mesh, in a scene without instances; of each point
+                of a `PointCloud`); >= 0.
             mask, environment: as in `wrt.Scene.intersect`, one number, or one for each of many sensors: which instances they
                 see.
             traversal: as in `wrt.Scene.intersect`.
@@ -221,6 +223,8 @@ class Lidar:
             rays = SensorRays(*fired, self.bundle, shape, self.max_range, traversal, each, relative)
             found = list(trace_slices(copy(scene), rays, Bodies(motions, parts), parts))
             given = (beams, path.path(device), noise, detector), (count * len(self.pattern), self.returns, self.bundle)
+            if scene.state.tangents is not None and len(detector.reflectance) > 1:
+                reflect_by_point(found[0], detector)
             made = MeasuredReturns(found, *given, labels_on(labels, scene), scene.num_threads)
         error = slice_error(motions, scene, parts)
         return LidarScan(self.pattern, made, self.returns, path, time, error, to_warp, chosen)
@@ -298,14 +302,22 @@ def as_reflectance(reflectance: Any, scene: Scene | PointCloud) -> np.ndarray:
     if type(reflectance) is float and reflectance == 1.0:  # the default, and every scan asks
         return WHITE
     values = np.atleast_1d(check_real("reflectance", reflectance))
-    count = labelled(scene)
+    is_cloud = scene.state.tangents is not None
+    count, what = (len(scene), "points") if is_cloud else (labelled(scene), "instances")  # type: ignore[arg-type]
     if values.shape not in ((1,), (count,)):
         raise ValueError(
-            f"reflectance has the shape {np.shape(reflectance)}; pass one number, or one for each of {count} instances"
+            f"reflectance has the shape {np.shape(reflectance)}; pass one number, or one for each of {count} {what}"
         )
     if values.min() < 0.0:
         raise ValueError(f"reflectance must not be negative, but its smallest value is {values.min()}")
     return values
+
+
+def reflect_by_point(found: TracedSlice, detector: Detector) -> None:
+    """Makes the reflectance of each point that of each hit: to the receiver, every hit of a cloud is a geometry of its own."""
+    point, mesh, device = found.traced.primitive.numpy(), found.surface[1], detector.reflectance.device
+    mesh.geometry_first = wp.array(np.arange(len(point) + 1), dtype=int, device=device)
+    detector.reflectance = wp.array(detector.reflectance.numpy()[np.maximum(point, 0)], dtype=float, device=device)
 
 
 @cache

@@ -205,7 +205,7 @@ def trace_slices(scene: Scene | PointCloud, rays: SensorRays, bodies: Bodies, pa
             hits, within, mesh = found, own, slice_mesh(scene.state, number)  # type: ignore[arg-type]
         else:
             if bodies.chosen:
-                scene.update(bodies.chosen, transform=bodies.transforms[number])
+                scene.update(bodies.chosen, transform=bodies.transforms[number])  # type: ignore[call-arg]
             hits = rays.hits(scene, part.begin, part.end, part.shape or rays.shape)
             within, mesh = (0, hits.count), scene.state.device_mesh
         traced = Traced()
@@ -225,6 +225,7 @@ def tangent_hits(traced: Traced, hits: DeviceHits, tangents: Callable[[DeviceHit
     from wrt.kernels.sensors.lidar_returns import Traced
 
     mesh, number, _ = tangents(hits)
+    traced.primitive = hits.primitive  # for `wrt.sensors.lidar.reflect_by_point`
     other = Traced()
     other.place, other.directions, other.t, other.primitive = traced.place, traced.directions, hits.t, number
     return other, mesh

@@ -39,7 +39,7 @@ from wrt.builders.core.late_import import classic
 from wrt.builders.cost import leaf_cost
 from wrt.builders.tree import BuildStats, Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_BLOCKS, leaf_child
+from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, check_blocks, leaf_child
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.runtime.workspace import read_ints, write
@@ -372,8 +372,7 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
         work.launch(list_children, count, [first, width, wide], chunk=128)
         level_first.append(nodes)
         nodes, blocks = read_ints(totals, 2)  # the only host round trip of a level
-    if blocks > MAX_BLOCKS:
-        raise ValueError(f"the tree needs {blocks} blocks of {width} triangles; the layout allows {MAX_BLOCKS}")
+    check_blocks(blocks, width)
     bounds = wp.empty(nodes * 6 * width, dtype=float, device=device)
     child = wp.empty(nodes * width, dtype=int, device=device)
     primitive = wp.empty(blocks * width, dtype=int, device=device)

@@ -19,7 +19,7 @@ from wrt.builders.bvh.phases.large_boxes import is_flat
 from wrt.builders.cost import leaf_cost
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.kernels.layout.bvh_nodes import MAX_BLOCKS, MAX_WIDE_DEPTH, leaf_child
+from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH, check_blocks, leaf_child
 from wrt.kernels.layout.unchecked import load_float, store_float
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import get_num_threads, launch
@@ -295,8 +295,7 @@ def binary_bvh(
     if depth > MAX_WIDE_DEPTH:
         return None
     end = int(level[NO_NODE]) if level[NO_NODE] >= 0 else count - 1
-    if end >= MAX_BLOCKS:
-        raise ValueError(f"the tree needs {end + 1} blocks of 2 triangles; the layout allows {MAX_BLOCKS}")
+    check_blocks(end + 1, 2)
     bounds = wp.empty(12 * end, dtype=float, device=device)
     child = wp.empty(2 * end, dtype=int, device=device)
     primitive = wp.empty(2 * (end + 1), dtype=int, device=device)  # of the 2 `end` children, all that are not nodes are leaves

@@ -216,7 +216,8 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
 
         return test_all
 
-    test_one, number_of = scalar_test_step(config), ray_number(config.triangle_test)
+    own_step = TRIANGLE_TESTS[config.triangle_test].own_step
+    test_one, number_of = (own_step or scalar_test_step)(config), ray_number(config.triangle_test)
 
     @wp.func
     def test_each(

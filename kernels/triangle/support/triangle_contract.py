@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMappin
 from dataclasses import dataclass
 from importlib import import_module
 from types import MappingProxyType
+from typing import Any
 
 import warp as wp
 
@@ -90,6 +91,8 @@ class TriangleTest(TestForm):
         oriented: the same, with the sign of a crossing in place of u: 1 where the ray leaves through the triangle's front,
             from which the triangle is wound counter-clockwise, -1 where it comes in through it; None likewise.
         any_hit: key in `TRIANGLE_TESTS` of the test that replaces this one in any-hit queries; empty for the test itself.
+        own_step: config -> the step of streams that decides about a candidate, as
+            `wrt.kernels.traversal.stream.stream_candidates.scalar_test_step`, of what is no triangle; None for that one.
     """
 
     paper: str
@@ -101,6 +104,7 @@ class TriangleTest(TestForm):
     crossing: CrossingForms | None = None
     oriented: CrossingForms | None = None
     any_hit: str = ""
+    own_step: Callable[[Any], wp.Function] | None = None
 
     def forms(self, crossing: bool, oriented: bool = False) -> CrossingForms:
         """The forms for one ray: those that count crossings exactly if `crossing`, with their signs if `oriented`, else the
@@ -135,7 +139,10 @@ class ClassicTest:
 
 
 class TriangleTestTable(MutableMapping[str, TriangleTest]):
-    """Triangle tests by name. A classic is imported when it is first looked up; `rows` imports nothing."""
+    """Triangle tests by name. A classic is imported when it is first looked up; `rows` imports nothing.
+
+    The tests of points (`wrt.kernels.clouds.cloud_test.TESTS`) are found by their names, but not listed: they are no choice.
+    """
 
     def __init__(self, rows: Iterable[TriangleTest | ClassicTest]) -> None:
         self._rows = {row.name: row for row in rows}
@@ -146,7 +153,9 @@ class TriangleTestTable(MutableMapping[str, TriangleTest]):
         return MappingProxyType(self._rows)
 
     def __getitem__(self, name: str) -> TriangleTest:
-        row = self._rows[name]
+        row = self._rows.get(name)
+        if row is None:
+            return import_module("wrt.kernels.clouds.cloud_test").TESTS[name]
         if isinstance(row, ClassicTest):
             row = self._rows[name] = row.load()
         return row

@@ -45,6 +45,8 @@ class SceneFacts:
         triangle_test: of queries that name no other, or "auto".
         few_rays: number of rays up to which each is traced on its own on the CPU.
         has_masks: whether hits are decided one by one, by alpha masks.
+        points: whether its tree is over points (`wrt.sensors.PointCloud`); `triangles` is their number then, and
+            `triangle_test` one of `wrt.kernels.clouds.cloud_test.TESTS`.
     """
 
     tree: str
@@ -59,6 +61,7 @@ class SceneFacts:
     triangle_test: str = AUTO
     few_rays: int = FEW_RAYS
     has_masks: bool = False
+    points: bool = False
 
     @property
     def can_be_wide(self) -> bool:

@@ -102,7 +102,7 @@ def query_kernels(
     Raises:
         ValueError: as in `wrt.Scene.intersect`.
     """
-    if scene.instances or scene.lazy_tree is not None or scene.area_trees is not None:
+    if scene.instances or scene.lazy_tree is not None or scene.area_trees is not None or scene.facts.points:
         return []
     found = []
     for kind, facts in rays:

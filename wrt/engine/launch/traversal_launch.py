@@ -86,7 +86,8 @@ def kernel_and_inputs(
         walked = walked_tree(plan, scene)
         tree = walked.paired_struct() if config.single.pair_words else walked.struct()
     kernel = specialise(kernel_factory(plan, scene), config)
-    expect([kernel, record_kernel(plan)], scene.device)
+    if not scene.facts.points:
+        expect([kernel, record_kernel(plan)], scene.device)
     return kernel, [tree, records_of(scene, plan, rays), rays, hits, counters, *given]
 
 

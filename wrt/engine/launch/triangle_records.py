@@ -31,6 +31,8 @@ def records_of(scene: SceneState, plan: Plan, rays: RayBatch | None) -> Triangle
     a lazily built tree are extended by what is new.
     """
     walked = walked_tree(plan, scene)
+    if scene.facts.points:
+        return walked.blocks
     known = scene.cache.wide.records if plan.is_wide else scene.cache.records
     record = TRIANGLE_TESTS[plan.triangle_test].record
     origin = shared_origin(rays) if record.per_origin else None

@@ -170,6 +170,8 @@ def kernel_factory(plan: Plan, scene: SceneState) -> Callable[[TraversalConfig],
     """The factory of the kernel that carries out a plan on the scene's tree."""
     if scene.only_single and plan.accelerator != "none":
         return scene.tree.kernel_factory
+    if scene.facts.points and plan.traversal in scene.tree.kernels:
+        return scene.tree.kernels[plan.traversal]
     return traversal_of(plan).on[plan.accelerator].make_kernel
 
 

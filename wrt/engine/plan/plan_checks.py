@@ -49,6 +49,7 @@ def can_answer(
         and (not cull_backfaces or traversal.culls_backfaces(kind))
         and (not scene.instances or traversal.supports_through_instances(query, kind, scene.is_cuda))
         and (not scene.own_spaces or Capabilities.OWN_SPACES in traversal.capabilities)
+        and (not scene.points or Capabilities.POINTS in traversal.capabilities)
         and (Capabilities.WIDE_FORM not in traversal.capabilities or scene.can_be_wide)
         and has_width(scene, traversal)
         and sees_masks(scene, traversal, query)
@@ -64,6 +65,7 @@ def check_answer(
     Raises:
         ValueError: it cannot; the message names those that can.
     """
+    check_points(scene, traversal)
     check_query(query, traversal, tree, test, scene)
     check_test(traversal, test)
     check_culling(cull_backfaces, traversal, tree)
@@ -174,6 +176,19 @@ def check_spaces(scene: SceneFacts, traversal: Traversal) -> None:
     if scene.own_spaces and Capabilities.OWN_SPACES not in traversal.capabilities:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if Capabilities.OWN_SPACES in entry.capabilities)
         raise ValueError(f"traversal {traversal.name!r} does not support trees with their own spaces; choose from auto, {able}")
+
+
+def check_points(scene: SceneFacts, traversal: Traversal) -> None:
+    """Refuses a traversal that does not trace rays through points.
+
+    Raises:
+        ValueError: the scene is a point cloud.
+    """
+    if scene.points and Capabilities.POINTS not in traversal.capabilities:
+        able = ", ".join(name for name, entry in TRAVERSALS.items() if Capabilities.POINTS in entry.capabilities)
+        raise ValueError(
+            f"traversal {traversal.name!r} traces rays through triangles, and a point cloud has none; choose from auto, {able}"
+        )
 
 
 def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest, scene: SceneFacts | None = None) -> None:

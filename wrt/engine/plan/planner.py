@@ -81,13 +81,14 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     kind, given, triangle_test, cull_backfaces = query[:4]
     known = scene.facts
     wanted = default_test(known.triangle_test, ANSWERS[kind].rules.crossings) if triangle_test == AUTO else triangle_test
-    test = lookup(TRIANGLE_TESTS, wanted, "triangle_test")
+    test = TRIANGLE_TESTS[wanted] if known.points else lookup(TRIANGLE_TESTS, wanted, "triangle_test")
     if given == AUTO:
         situation = situation_of(known, rays, kind, cull_backfaces, has_wide_form=wide_form_pays(scene, rays))
-        if situation.needs_sample and sample is not None:
+        if situation.needs_sample and sample is not None and not known.points:
             situation = situation._replace(overlap=measure_overlap(scene, sample(), PACKET_VECTORS * known.width, kind))
         name, reason = choose_traversal(known, situation, test.name)
         reason = "alpha masks decide hits one by one" if known.has_masks else reason
+        reason = reason.partition(",")[0] if known.points else reason  # the rest is about triangles
     else:
         name, reason = given, "as given"
     chosen = lookup(TRAVERSALS, name, "traversal")
@@ -191,14 +192,18 @@ def rival_plans(scene: SceneState, rays: RayFacts, query: Query, plan: Plan) -> 
 def situation_of(
     scene: SceneFacts, rays: RayFacts, query: str, cull_backfaces: bool = False, *, has_wide_form: bool = False
 ) -> Situation:
-    """What the scores of traversals depend on, before any ray is traced."""
+    """What the scores of traversals depend on, before any ray is traced.
+
+    Rays through points part as those through many triangles do: interleaved walks were fastest in clouds of 100,000 points and
+    of a million, whatever the rays (notebooks/records/2026-11-28-point-clouds.md).
+    """
     return Situation(
         query=query,
         cull_backfaces=cull_backfaces,
         is_cuda=scene.is_cuda,
         tree=scene.tree,
         lanes=scene.width,
-        triangles=scene.triangles,
+        triangles=MANY if scene.points else scene.triangles,
         instances=scene.instances,
         own_spaces=scene.own_spaces,
         has_wide_form=has_wide_form,

@@ -25,6 +25,9 @@ ZERO_CENTER = np.zeros(3)
 
 FLOATS = FLOAT32, FLOAT64
 
+RUN = 64
+"""Equal vectors that are written at a time."""
+
 ARRAYS = {"origins": wp.vec3, "directions": wp.vec3, "t_min": wp.float32, "t_max": wp.float32}
 """The arrays of rays."""
 
@@ -267,7 +270,19 @@ def flatten_shared(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[i
     shared = all(n == 1 or stride == 0 for n, stride in zip(values.shape[:leading], values.strides[:leading], strict=True))
     if shared and math.prod(shape) > 1:
         return np.ascontiguousarray(values[(0,) * leading]).reshape(1, *trailing), 0
-    return np.ascontiguousarray(np.broadcast_to(values, shape + trailing)).reshape(-1, *trailing), 1
+    return broadcast(values, shape + trailing).reshape(-1, *trailing), 1
+
+
+def broadcast(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """A contiguous copy of vectors in another shape. Runs of equal ones are written 64 at a time: NumPy writes one by one."""
+    values = np.broadcast_to(values, shape)
+    if len(shape) < 3 or values.strides[-2] or shape[-2] < 2 * RUN:
+        return np.ascontiguousarray(values)
+    made, runs = np.empty(shape, dtype=values.dtype), shape[-2] // RUN
+    head, end = np.ascontiguousarray(values[..., :RUN, :]), runs * RUN
+    made[..., :end, :].reshape(*shape[:-2], runs, RUN, shape[-1])[...] = head[..., None, :, :]
+    made[..., end:, :] = head[..., : shape[-2] - end, :]
+    return made
 
 
 def _vectors(

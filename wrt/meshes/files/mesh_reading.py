@@ -54,6 +54,8 @@ def read_by_trimesh(path: Path, suffix: str) -> trimesh.Trimesh | trimesh.Scene:
     import trimesh
 
     known = sorted(trimesh.available_formats())
+    if suffix in ("pcd", "las", "laz"):
+        raise ValueError(f"cannot read '{path}': it holds points, no mesh; read it with wrt.sensors.read_points")
     if suffix not in known:
         raise ValueError(f"cannot read '{path}': unknown mesh format '.{suffix}'; the known ones are {known}")
     try:

@@ -47,7 +47,9 @@ def read_ply(data: bytes, source: MeshSource) -> FileMesh:
         if element.name in ("face", "tristrips") and element.name in found
     ]
     if not parts or not sum(len(triangles) for triangles, _, _ in parts):
-        raise ValueError("no triangles in it: it has neither faces nor triangle strips (a cloud of points is no mesh)")
+        raise ValueError(
+            "no triangles in it: it has neither faces nor triangle strips (read a cloud of points with wrt.sensors.read_points)"
+        )
     triangles = np.concatenate([triangles for triangles, _, _ in parts])
     mesh = FileMesh(vertices, triangles, up=stated_up(header.comments))
     if source.materials is not False:

@@ -19,6 +19,7 @@ import warp as wp
 
 from wrt.atomic_files import replaced
 from wrt.engine.rays.rays import Rays, leading_shape
+from wrt.kernels.runtime.launch import use_threads
 from wrt.query.batches.array_files import SMALL, opened, opened_by_workers
 from wrt.query.batches.block_rows import GeneratedRays, SkippedTriangles, cut_rows, is_cut
 from wrt.query.batches.reductions import BlockReduction
@@ -66,7 +67,8 @@ class BlockQuery:
         if self.reduction is None:
             return found
         dimensions = len(rays.shape)
-        states = self.reduction.part(found, dimensions, first)
+        with use_threads(scene.num_threads):
+            states = self.reduction.part(found, dimensions, first)
         return states if self.merges_rows(dimensions) else self.reduction.finish(states)
 
     @property

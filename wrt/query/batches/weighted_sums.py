@@ -1,22 +1,22 @@
 """Sums of weights, in groups: hours of shade by month, from the rays of a year.
 
 Sums of float64 depend on their order, so that blocks of other sizes would have other results. So each weight is rounded to a
-multiple of one power of two, of which all sums have fewer than 53 bits: they are exact, in any order. The product of weights
-and booleans is by NumPy's own loops: threads of a BLAS wait for each other, which takes long where other programs use the
-cores, too (notebooks/records/2026-11-28-whole-jobs.md).
+multiple of one power of two, of which all sums have fewer than 53 bits: they are exact, in any order, on all cores
+(`wrt.kernels.fields.column_sums`).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import warp as wp
 
+from wrt.instances.instance_boxes import address_of, on_device
+from wrt.kernels.runtime.launch import launch
 from wrt.kernels.validation import as_numbers
-
-PIECE = 1 << 17
-"""Values that are converted at a time: 1 MB of float64."""
 
 LEAST_EXPONENT = -1074
 """Of the smallest float64."""
@@ -79,16 +79,10 @@ class WeightedSum:
         """The sums of a block, in units; arguments as in `Reduction`. first: number of the block's first row."""
         if values.dtype != np.bool_:
             raise TypeError(f"a wrt.batches.WeightedSum is of booleans, such as occlusion or is_hit, not of {values.dtype}")
-        rows = np.moveaxis(values, axes[0], 0)
-        begin = first if axes[0] == 0 else 0
-        units, shape = self._units[:, begin : begin + len(rows)], rows.shape[1:]
-        rows = rows.reshape(len(rows), -1)
-        found = np.empty((rows.shape[1], len(units)))
-        step = max(1, PIECE // max(len(rows), 1))
-        for column in range(0, rows.shape[1], step):
-            part = slice(column, column + step)
-            found[part] = np.einsum("gd,dp->gp", units, rows[:, part].astype(np.float64)).T
-        return found.reshape(*shape, len(units))
+        axis, begin = axes[0], first if axes[0] == 0 else 0
+        units = self._units[:, begin : begin + values.shape[axis]]
+        shape = values.shape[:axis] + values.shape[axis + 1 :]
+        return sums_of_columns(np.moveaxis(values, axis, 0), units).reshape(*shape, len(units))
 
     def merge(self, one: Any, other: Any) -> Any:
         """The sums of two blocks; arguments as in `Reduction`."""
@@ -97,3 +91,33 @@ class WeightedSum:
     def finish(self, state: Any) -> np.ndarray:
         """The sums, float64; the argument as in `Reduction`."""
         return state * self._unit if self.weights.ndim == 2 else state[..., 0] * self._unit
+
+
+def sums_of_columns(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(P, G) sums of the weights of the rows in which each column is true; P is the product of the lengths of their axes.
+
+    Args:
+        values: (D, ...) booleans.
+        weights: (G, D) whole numbers whose sums are exact.
+    """
+    from wrt.kernels.fields.column_sums import TILE, BooleanColumns, WeightedRows, sum_columns
+
+    length, host, columns, rows = len(values), wp.get_device("cpu"), BooleanColumns(), WeightedRows()
+    size = values.size // length if length else math.prod(values.shape[1:])
+    sums = np.zeros((len(weights), size))
+    if not values.size:
+        return sums.T
+    flat = values.reshape(length, size)  # a view of most arrays whose first or last axis is reduced
+    if flat.strides not in ((size, 1), (1, length)):
+        flat = np.ascontiguousarray(flat)
+    groups, which = weights.T.nonzero()[::-1]
+    begins = np.concatenate([[0], np.cumsum(np.bincount(which, minlength=length))])
+    rows.count, rows.begins = len(weights), on_device(begins.astype(np.int32), wp.int32, host)
+    rows.groups = on_device(groups.astype(np.int32), wp.int32, host)
+    rows.weights = on_device(weights[groups, which], wp.float64, host)
+    whole = flat if flat.strides[1] == 1 else flat.T
+    columns.values = on_device(whole.view(np.uint8), wp.uint8, host)
+    columns.row_stride, columns.column_stride = map(wp.int64, flat.strides)
+    out = wp.array(ptr=address_of(sums), dtype=wp.float64, shape=sums.shape, device=host)
+    launch(sum_columns, -(-size // TILE), [columns, rows, out], device=host, chunk=4)
+    return np.ascontiguousarray(sums.T)

@@ -20,6 +20,8 @@ def check_maps(scene: SceneState, query: str) -> None:
         ValueError: there is one; the message names it.
     """
     table = scene.table  # type: ignore[attr-defined]
+    if table is None:  # instances have moved on the device
+        table = scene.device_mesh.placements.numpy()
     linear = table["to_scene"].reshape(-1, 3, 3)
     products = np.einsum("nji,njk->nik", linear, linear)
     squares = np.trace(products, axis1=1, axis2=2) / 3.0
