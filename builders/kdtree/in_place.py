@@ -43,7 +43,7 @@ from wrt.builders.cost import AxisFrame
 from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_method import event_method
-from wrt.builders.kdtree.events.event_sort import CHUNK, EVENT_CHUNK, Events, emit_events, sorted_events
+from wrt.builders.kdtree.events.event_sort import Events, emit_events, item_sizes, sorted_events
 from wrt.builders.kdtree.events.sweep_planes import Sweep
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases import in_place_levels as level_phase
@@ -79,12 +79,17 @@ EVENTS_PER_NODE = 256
 CHUNKS_PER_THREAD = 4
 """Least number of chunks per thread, over all axes, if there are enough events."""
 
+CUDA_THREADS = 1 << 14
+"""Threads of a CUDA device that work at a time, at least."""
+
+CUDA_TASKS = 1024
+"""Least number of live nodes at which the build switches to subtrees on CUDA, where each is one thread's."""
+
+BEST_TOGETHER = 64
+"""Chunks on CUDA among which one thread selects a node's best plane."""
+
 KERNELS = (emit_events, level_phase.search_planes, count_shared, fill_phase.fill_task_events, copy_subtrees)
 """One kernel of each module, compiled before the phases of the build are timed."""
-
-
-SCAN_COUNTS = 4096
-"""Counts per block of the scan over chunks."""
 
 
 class TaskTarget(NamedTuple):
@@ -101,12 +106,14 @@ class TaskTarget(NamedTuple):
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    return build_in_place(triangles, config, event_method(config), task_target(triangles.count))
+    return build_in_place(triangles, config, event_method(config), task_target(triangles.count, triangles.boxes.low.device))
 
 
-def task_target(count: int) -> TaskTarget:
+def task_target(count: int, device: wp.Device) -> TaskTarget:
     """Tasks that balance the load of the threads."""
     threads = get_num_threads()
+    if device.is_cuda:
+        return TaskTarget(CUDA_TASKS, count)
     return TaskTarget(max(threads, min(4 * threads, MIN_TASKS)), int(LARGEST_SHARE * count / threads))
 
 
@@ -126,11 +133,17 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, method: Metho
     return assemble(triangles, config, phase, levels.levels, (reservation, results), work)
 
 
+def workers(device: wp.Device) -> int:
+    """Threads that work at a time."""
+    return CUDA_THREADS if device.is_cuda else get_num_threads()
+
+
 def cut_events(events: Events, nodes: int) -> int:
     """Sets the size of chunks for this number of live nodes; returns the number of chunks of an axis."""
     max_count = max(events.count)
-    longest = max(EVENT_CHUNK, -(-3 * max_count // (CHUNKS_PER_THREAD * get_num_threads())))
-    events.chunk = min(max(EVENT_CHUNK, EVENTS_PER_NODE * nodes), longest)
+    least = item_sizes(events.value.device).events
+    longest = max(least, -(-3 * max_count // (CHUNKS_PER_THREAD * workers(events.value.device))))
+    events.chunk = min(max(least, EVENTS_PER_NODE * nodes), longest)
     return max(1, -(-max_count // events.chunk))
 
 
@@ -171,12 +184,15 @@ class InPlaceLevels(Levels):
     def count_members(self) -> None:
         """Sets the triangle counts of the nodes to the actual numbers, because what is copied to them must fit. The counts of a
         sweep may differ if there is NaN, or if triangles are clipped."""
-        chunks = -(-self.count // CHUNK)
+        size = item_sizes(self.device).triangles
+        chunks = -(-self.count // size)
         members = wp.empty((chunks, len(self.nodes)), dtype=int, device=self.device)
-        self.run(fill_phase.count_task_triangles, chunks, self.count, self.membership, members)
-        self.members = members.numpy()
-        """(chunks, nodes) triangles of each node in each chunk of triangles."""
-        self.nodes["frame"]["triangles"] = self.members.sum(axis=0)
+        self.run(fill_phase.count_task_triangles, chunks, size, self.count, self.membership, members)
+        totals = wp.zeros(len(self.nodes), dtype=int, device=self.device)
+        self.run(fill_phase.scan_columns, len(self.nodes), members, totals, chunk=16)
+        self.members = members
+        """(chunks, nodes) triangles of each node in the chunks of triangles before."""
+        self.nodes["frame"]["triangles"] = totals.numpy()
 
     def search(self) -> None:
         """Finds the best plane of every live node, in each chunk of events."""
@@ -195,12 +211,12 @@ class InPlaceLevels(Levels):
         """Turns counts of chunks into the counts before them; returns each node's least cost of its first
         planes in the chunks."""
         chunks, nodes = counts.shape[1:]
-        block_chunks = max(1, SCAN_COUNTS // nodes)
+        block_chunks = max(1, item_sizes(self.device).counts // nodes)
         blocks = -(-chunks // block_chunks)
         before = wp.zeros((3, blocks, nodes), dtype=wp.vec2i, device=self.device)
         if blocks > 1:
             self.run(level_phase.sum_blocks, 3 * blocks, block_chunks, counts, before)
-            self.run(level_phase.scan_blocks, 3, before)
+            self.run(level_phase.scan_blocks, 3 * nodes, before, chunk=16)
         block_cost = wp.empty((3, blocks, nodes), dtype=float, device=self.device)
         work = [self.live, block_chunks, counts, before, block_cost]
         self.run(level_phase.scan_chunks, 3 * blocks, self.cost, self.events, *work)
@@ -210,7 +226,12 @@ class InPlaceLevels(Levels):
 
     def stop(self) -> None:
         """Takes the best plane of all chunks; a node becomes a leaf, or is split there."""
-        self.run(level_phase.decide, len(self.live), self.cost, self.limits, self.sweeps, self.live, chunk=16)
+        together = BEST_TOGETHER if self.device.is_cuda else 1
+        if together > 1:
+            _, chunks, nodes = self.sweeps.shape
+            self.run(level_phase.keep_best, 3 * -(-chunks // together) * nodes, together, self.sweeps)
+        inputs = [together, self.cost, self.limits, self.sweeps, self.live]
+        self.run(level_phase.decide, len(self.live), *inputs, chunk=16)
 
     def emit(self) -> None:
         """Lists the children, with the counts of the search."""
@@ -235,11 +256,12 @@ class InPlaceLevels(Levels):
     def refined(self) -> Membership:
         """The triangles' nodes on the next level."""
         count, boxes, device = self.triangles.count, self.triangles.boxes, self.device
-        chunks = -(-count // CHUNK)
+        size = item_sizes(device).triangles
+        chunks = -(-count // size)
         counts = wp.empty(chunks, dtype=int, device=device)
         refined = Membership()
         refined.node = wp.empty(count, dtype=int, device=device)
-        inputs = [count, boxes, self.live, self.membership, refined]
+        inputs = [size, count, boxes, self.live, self.membership, refined]
         self.run(count_shared, chunks, *inputs, counts)
         sizes = counts.numpy()
         places = wp.array(starts_of(sizes), dtype=int, device=device)
@@ -262,12 +284,11 @@ class InPlaceLevels(Levels):
         local = Membership()
         local.node = wp.empty(count, dtype=int, device=device)
         local.shared = wp.empty(len(self.membership.shared), dtype=int, device=device)
-        before = np.cumsum(self.members, axis=0) - self.members
-        places = wp.array(reservation.ranges["triangles_first"] + before, dtype=int, device=device)
-        inputs = [count, self.membership, tasks, places, local, lists]
-        self.run(fill_phase.fill_task_triangles, len(self.members), *inputs)
+        before = wp.clone(self.members)
+        inputs = [item_sizes(device).triangles, count, self.membership, tasks, before, local, lists]
+        self.run(fill_phase.fill_task_triangles, before.shape[0], *inputs)
         if self.parts:
-            self.run(name_triangles, len(lists.triangle), self.parts.triangle, lists.triangle, chunk=CHUNK)
+            self.run(name_triangles, len(lists.triangle), self.parts.triangle, lists.triangle, chunk=4096)
         return local
 
     def fill_events(self, reservation: Reservation, local: Membership, lists: EventLists, roots: np.ndarray) -> None:
@@ -276,10 +297,9 @@ class InPlaceLevels(Levels):
         chunks = cut_events(events, tasks)
         counts = wp.empty((3, chunks, tasks), dtype=int, device=self.device)
         self.run(fill_phase.count_task_events, 3 * chunks, events, self.membership, counts)
-        made = counts.numpy()
-        before = np.cumsum(made.reshape(-1, tasks), axis=0).reshape(made.shape) - made
-        places = reservation.ranges["lists_first"] + before
-        roots["first"], roots["count"] = places[:, 0].T, made.sum(axis=1).T
-        roots["top"] = reservation.ranges["lists_first"] + made.sum(axis=(0, 1))
-        inputs = [events, self.membership, local, wp.array(places, dtype=int, device=self.device), lists]
+        ends = wp.array(reservation.ranges["lists_first"], dtype=int, device=self.device)
+        self.run(fill_phase.scan_columns, tasks, counts.reshape((3 * chunks, tasks)), ends, chunk=16)
+        places = np.array([*(counts[axis, 0].numpy() for axis in range(3)), ends.numpy()])
+        roots["first"], roots["count"], roots["top"] = places[:3].T, np.diff(places, axis=0).T, places[3]
+        inputs = [events, self.membership, local, counts, lists]
         self.run(fill_phase.fill_task_events, 3 * chunks, *inputs)

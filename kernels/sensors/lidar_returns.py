@@ -105,6 +105,9 @@ class Noise:
     dropout: wp.float64
     """Share of the returns that are lost."""
     key: wp.vec2ui
+    """The seed, in two words."""
+    taken: wp.array(dtype=wp.uint64)
+    """(1,) the seed, if it is on the device (`take_seed`); (0,) if `key` is."""
 
 
 @wp.struct
@@ -236,6 +239,27 @@ def gather_returns(first: int, beams: Beams, traced: Traced, mesh: SceneMesh, de
             ray = following
 
 
+@wp.kernel
+def take_seed(first: int, seed: wp.array(dtype=wp.uint64), taken: wp.array(dtype=wp.uint64)):
+    """Copies a seed, and leaves the next number in its place. Item: the seed."""
+    taken[0] = seed[0]
+    seed[0] = seed[0] + wp.uint64(1)
+
+
+@wp.func
+def keyed(given: Noise):
+    """The noise with its key, wherever the seed is."""
+    noise = Noise()
+    noise.range = given.range
+    noise.angle = given.angle
+    noise.dropout = given.dropout
+    noise.key = given.key
+    if given.taken.shape[0] > 0:
+        seed = given.taken[0]
+        noise.key = wp.vec2ui(wp.uint32(seed), wp.uint32(seed >> wp.uint64(32)))
+    return noise
+
+
 @native.func_native("sensor_noise.h", "return wrt::is_noisy(noise);")
 def is_noisy(noise: Noise) -> bool:
     """Whether a sensor has any noise."""
@@ -260,7 +284,7 @@ def add_noise(first: int, block: int, count: int, noise: Noise, returns: Returns
     if returns.mean.shape[0] > 0:
         for at in range(begin, end):
             returns.range[at] = returns.mean[at]
-    write_ranges(noise, begin, end, returns)
+    write_ranges(keyed(noise), begin, end, returns)
 
 
 @native.func_native("sensor_rays.h", "return wrt::end_of_run(primitive.data, begin, end);")
@@ -323,4 +347,4 @@ def measure_single(
                 returns.intensity[at] = wp.where(detected, power, 0.0)
         i = following
     if beams.order.shape[0] == 0:
-        write_ranges(noise, traced.place + begin, traced.place + end, returns)
+        write_ranges(keyed(noise), traced.place + begin, traced.place + end, returns)

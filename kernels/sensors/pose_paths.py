@@ -6,9 +6,11 @@ angles, too. Between two keys, the linear velocity is constant in the world, and
 References: shoemake-1985.
 """
 
+from functools import cache
+
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 
 exact_module(__name__)
 
@@ -138,3 +140,26 @@ def points_to_frame(
     i = first + wp.tid()
     pose = pose_at(path, time)
     moved[i] = wp.quat_rotate_inv(pose.rotation, points[i] - pose.position)
+
+
+@cache
+def make_take_poses(dtype: type) -> wp.Kernel:
+    """The kernel that takes the poses of sensors from an array of `wp.transformf` or `wp.transformd`."""
+
+    def take_poses(first: int, given: wp.array(dtype=dtype), arm: wp.vec3d, turn: wp.quatd, path: PosePath):
+        """Writes the pose of a sensor. Item: a sensor.
+
+        given: (S,) poses of bodies. arm, turn: from the sensor's frame to the body's. path: with times (1,).
+        """
+        i = first + wp.tid()
+        pose = given[i]
+        body = wp.quatd(wp.float64(pose[3]), wp.float64(pose[4]), wp.float64(pose[5]), wp.float64(pose[6]))
+        scale = wp.float64(1.0) / wp.sqrt(((body[0] * body[0] + body[1] * body[1]) + body[2] * body[2]) + body[3] * body[3])
+        body = wp.quatd(body[0] * scale, body[1] * scale, body[2] * scale, body[3] * scale)  # NaN if it is 0
+        at = wp.vec3d(wp.float64(pose[0]), wp.float64(pose[1]), wp.float64(pose[2]))
+        path.positions[i] = at + wp.quat_rotate(body, arm)
+        path.rotations[i] = body * turn
+        if i == 0:
+            path.times[0] = wp.float64(0.0)
+
+    return specialised_kernel(take_poses)

@@ -9,7 +9,7 @@ from wrt.kernels.query.hit_attributes import SceneMesh, hit_normal
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.sensors.lidar_beams import Beams, across, beam_at, beam_offset, place_of
-from wrt.kernels.sensors.lidar_returns import Detector, Motions, Noise, Returns, Traced, is_noisy
+from wrt.kernels.sensors.lidar_returns import Detector, Motions, Noise, Returns, Traced, is_noisy, keyed
 from wrt.kernels.sensors.philox import normal_pair, philox
 from wrt.kernels.sensors.pose_paths import Pose, PosePath, pose_of
 from wrt.kernels.sensors.surface_ids import SurfaceIds, label_of, surface_ids
@@ -87,12 +87,13 @@ def fill_points(
     count: int,
     beams: Beams,
     path: PosePath,
-    noise: Noise,
+    given: Noise,
     kept: int,
     returns: Returns,
     layers: ReturnLayers,
 ):
-    """Writes the points of returns. Item: a block of returns. `kept`: returns of each beam."""
+    """Writes the points of returns. Item: a block of returns. `given`: their noise; `kept`: returns of each beam."""
+    noise = keyed(given)
     begin = (first + wp.tid()) * block
     end = wp.min(begin + block, count)
     nan = wp.float64(wp.nan)

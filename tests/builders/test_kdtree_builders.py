@@ -180,7 +180,7 @@ def test_exact_builders_equal_the_reference_where_chunks_are_left_out(soup, monk
 
 def use_tasks(monkeypatch, tasks):
     """Has the levels go on until there are so many tasks."""
-    monkeypatch.setattr(in_place, "task_target", lambda count: in_place.TaskTarget(tasks, count))
+    monkeypatch.setattr(in_place, "task_target", lambda count, device: in_place.TaskTarget(tasks, count))
 
 
 def test_levels_leave_out_no_chunk_for_a_plane_that_is_no_event_of_the_node():

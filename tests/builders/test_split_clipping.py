@@ -157,7 +157,7 @@ def test_levels_make_the_naive_tree(name, tests, monkeypatch):
         reference, _ = build(mesh, "naive", **tests, **options)
         for threads, tasks, chunk in ((1, 4, 8192), (3, 12, 8192), (2, 40, 50)):
             monkeypatch.setattr(clipped_levels, "MERGE_CHUNK", chunk)
-            monkeypatch.setattr(in_place, "task_target", lambda count, tasks=tasks: in_place.TaskTarget(tasks, count))
+            monkeypatch.setattr(in_place, "task_target", lambda count, device, tasks=tasks: in_place.TaskTarget(tasks, count))
             with use_threads(threads):
                 tree, _ = build(mesh, "in_place", **tests, **options)
             np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())

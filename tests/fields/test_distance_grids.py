@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from warp.geometry import IsoSurfaceMarchingCubes
 
 import wrt
 
@@ -47,7 +48,8 @@ def test_back_to_a_mesh(scene):
     """Marching cubes find the surface again, within a small part of a cell."""
     grid = wrt.analysis.distance_grid(scene, 40)
     field = wp.array(grid.values, dtype=float, device="cpu")
-    vertices, faces = wp.MarchingCubes.extract_surface_marching_cubes(field, 0.0, wp.vec3(*grid.origin), wp.vec3(*grid.end))
+    low, high = wp.vec3(*grid.origin), wp.vec3(*grid.end)
+    vertices, faces = IsoSurfaceMarchingCubes.extract(field, lower=low, upper=high)
     again = trimesh.Trimesh(vertices.numpy(), faces.numpy().reshape(-1, 3))
     assert np.abs(scene.closest_point(again.vertices).distance).max() < 0.05 * grid.spacing
     assert abs(again.volume) == pytest.approx(SPHERE.volume, rel=5e-3)
@@ -58,6 +60,7 @@ def test_progress(scene, capsys):
     assert "4,096 points" in capsys.readouterr().err
 
 
+@pytest.mark.cuda
 def test_volume(scene):
     """On CUDA, a volume with the values; without CUDA, an error that says what to do."""
     grid = wrt.analysis.distance_grid(scene, 12)

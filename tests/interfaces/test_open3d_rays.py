@@ -37,6 +37,23 @@ def test_the_peer_has_no_more_methods(open3d):
     assert {name for name in dir(open3d.t.geometry.RaycastingScene) if not name.startswith("_")} <= METHODS
 
 
+def test_results_are_read_as_tensors(scene):
+    """What programs call on Open3D's results works, and other methods of tensors are an error that says what to do."""
+    rays = scene.create_rays_pinhole(60, [0, 0, 0], [0, 0, -4], [0, 1, 0], 8, 6).numpy()
+    assert type(rays) is np.ndarray
+    hits = scene.cast_rays(rays)
+    found = hits["t_hit"].isfinite()
+    assert found.any()
+    np.testing.assert_array_equal(found, ~hits["t_hit"].isinf())
+    assert not hits["t_hit"].isnan().any()
+    points = rays[found][:, :3] + rays[found][:, 3:] * hits["t_hit"][found].reshape((-1, 1))
+    assert np.abs(scene.compute_distance(points).cpu().numpy()).max() < 1e-5
+    assert type(scene.compute_signed_distance([0.0, 0.0, 0.0]).numpy()) is np.ndarray
+    with pytest.raises(AttributeError, match=r"has no 'to_legacy'; open3d.core.Tensor\(result\)"):
+        hits["t_hit"].to_legacy()
+    assert pickle.loads(pickle.dumps(hits["t_hit"])).numpy().dtype == np.float32
+
+
 def some_rays(*shape: int) -> np.ndarray:
     """Rays from around towards points near the middle, (*shape, 6) float32; some miss."""
     rng = np.random.default_rng(5)

@@ -366,7 +366,11 @@ def test_every_page_with_code_is_checked():
     assert set(NOT_RUN) <= PAGES.keys()
 
 
-@pytest.mark.parametrize("page", RUN)
+ON_CARDS = ["guides/simulation.md", *(page for page in RUN if "<!-- needs: cuda -->" in PAGES[page])]
+"""Pages that run on a CUDA device where there is one."""
+
+
+@pytest.mark.parametrize("page", [pytest.param(page, marks=[pytest.mark.cuda] * (page in ON_CARDS)) for page in RUN])
 def test_code_runs(page, tmp_path, monkeypatch):
     """As a reader would run it. Blocks whose needs are missing are skipped with a message, and the others count."""
     wrt.scenes.build("teapot", level=6, ground=False).save(tmp_path / "model.ply")

@@ -392,6 +392,7 @@ def test_arrays_on_another_device(monkeypatch):
         wrt.device.launch(square, 4, [x, y], device="cpu")
 
 
+@pytest.mark.cuda
 @pytest.mark.skipif(not wp.is_cuda_available(), reason="needs CUDA")
 def test_host_arrays_in_a_launch_on_cuda():
     """They are refused, or their memory can be read there."""

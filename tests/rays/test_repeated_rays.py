@@ -45,6 +45,7 @@ def test_shapes_of_many_axes_are_left_to_the_host():
     assert repeats_of(np.zeros((2, 1, 1, 1, 1, 3)), (2, 1, 1, 1, 4)) is None
 
 
+@pytest.mark.cuda
 @pytest.mark.skipif(not wp.get_cuda_devices(), reason="needs a GPU")
 def test_every_direction_from_every_point_on_a_gpu():
     mesh = wrt.scenes.build("teapot", level=3)

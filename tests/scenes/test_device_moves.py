@@ -9,6 +9,7 @@ from support.hits import assert_same_hits, mixed_rays
 from support.random_instances import BALL, BOX, FLAT
 
 import wrt
+from wrt.instances import device_moves
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, cover, outermost
 from wrt.kernels.compilation import local_memory
 from wrt.meshes.instance import matrices_of
@@ -38,17 +39,25 @@ def scene_of(transforms: np.ndarray, worlds: int | None, device: str) -> wrt.Sce
 
 
 def given(values: np.ndarray, kind: type, device: str) -> tuple[wp.array, np.ndarray]:
-    """Poses as an array on the device, and as float64 matrices."""
+    """Poses as an array on the device, and as float64 matrices; in numbers of float64, the last row is left out."""
     if kind is wp.transformf:
         moved = wp.array(values, dtype=wp.transformf, device=device)
         return moved, matrices_of(moved)
     matrices = matrices_of(wp.array(values, dtype=wp.transformf, device="cpu")).astype(np.float32)
-    return wp.array(matrices, dtype=wp.float32, device=device), matrices.astype(np.float64)
+    rows = 3 if kind is wp.float64 else 4
+    return wp.array(matrices[:, :rows], dtype=kind, device=device), matrices.astype(np.float64)
+
+
+@pytest.fixture(params=[False, True], ids=["new", "kept"])
+def keeps(request, monkeypatch):
+    """Whether moves take memory and packed kernels of states that are gone, as they do on CUDA."""
+    monkeypatch.setattr(device_moves, "keeps_moves", lambda device: request.param or device.is_cuda)
+    return request.param
 
 
 @pytest.mark.parametrize("worlds", [None, 4])
-@pytest.mark.parametrize("kind", [wp.transformf, wp.float32])
-def test_moves_on_the_device_equal_those_of_the_host(kind, worlds, device):
+@pytest.mark.parametrize("kind", [wp.transformf, wp.float32, wp.float64])
+def test_moves_on_the_device_equal_those_of_the_host(kind, worlds, keeps, device):
     """Boxes, the centre, maps, nodes and hits; little motions keep the upper tree, others build it again."""
     first, rng = matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), np.random.default_rng(1)
     here, host = scene_of(first, worlds, device), scene_of(first, worlds, device)
@@ -58,7 +67,7 @@ def test_moves_on_the_device_equal_those_of_the_host(kind, worlds, device):
     for rows, values in ((range(COUNT), near), (rng.permutation(COUNT)[:40], poses(3)[:40]), (range(COUNT), poses(4, 20.0))):
         moved, matrices = given(values, kind, device)
         here.update(rows, transform=moved)
-        host.update(rows, transform=matrices)
+        host.update(rows, transform=matrices[:, :3] if kind is wp.float64 else matrices)
         kept, known = here.state.on_host(), host.state
         assert kept.boxes.frame == known.boxes.frame
         assert kept.boxes.extremes == known.boxes.extremes
@@ -74,6 +83,28 @@ def test_moves_on_the_device_equal_those_of_the_host(kind, worlds, device):
     for scene in (here, host):  # what goes through the host finds what moved on the device
         scene.update(5, transform=np.eye(4), mask=2)
     assert_same_hits(here.intersect(*rays, **seen), host.intersect(*rays, **seen))
+
+
+def test_kept_memory_is_not_that_of_results(keeps, device):
+    """Memory of a state is used again only once nothing needs it: hits, moves and instances read what they were made for."""
+    start = matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu"))
+    scene, rays = scene_of(start, None, device), mixed_rays(scene_of(start, None, device).flattened(), 500)
+    kept, known, tables = [], [], set()
+    for number in range(9):
+        rows, seed = (range(COUNT), number) if number != 3 else (np.arange(20), 9)
+        values = (poses(0) + np.float32(0.002) * poses(seed))[: len(rows)]
+        scene.update(rows, transform=wp.array(values, dtype=wp.transformf, device=device))
+        tables.add(scene.state.device_mesh.placements.ptr)
+        hits, state = scene.intersect(*rays), scene.state
+        if number < 3:
+            kept.append((hits, state))
+            twin = scene_of(np.array([one.transform for one in state.on_host().instances]), None, device)
+            known.append(twin.intersect(*rays))
+    assert keeps is False or len(tables) < 9
+    for (hits, state), expected in zip(kept, known, strict=True):
+        np.testing.assert_array_equal(hits.t, expected.t)
+        np.testing.assert_array_equal(hits.normal, expected.normal)
+        np.testing.assert_array_equal(state.boxes.origin, state.device_moves.bounded.origin.numpy())
 
 
 def test_a_small_motion_stays_on_the_device(device):

@@ -42,7 +42,7 @@ def alone(pose, seed, time=0.0):
 def test_rigs_measure_as_each_sensor_alone(seed):
     pose = at(0.2, -0.1, 0.1)
     seen = RIG.measure(SCENE, pose, labels=[4, 7], seed=seed, each={"front": {"layers": ("depth", "semantic_id")}})
-    expected = alone(wrt.sensors.trajectory.as_poses(pose), seed)
+    expected = alone(wrt.sensors.placed.device_poses.as_poses(pose), seed)
     assert list(seen) == ["roof", "rear", "front"]
     for name, layers in NAMES.items():
         for layer in layers:

@@ -24,7 +24,7 @@ def sensor_calls() -> Iterator[Call]:
         "dropout": 0.5,
     }
     yield Call("Lidar", lambda **o: sensors.Lidar(pattern=pattern(), **o), {**ranges, **noise, "bundle": 4, "returns": 2})
-    scan = {"time": 2.0, "slices": 1, "reflectance": 0.5, "seed": 1, "mask": 1, "environment": 1}
+    scan = {"time": 2.0, "slices": 1, "reflectance": 0.5, "seed": 1, "mask": 1, "environment": 1, "to_warp": False}
     yield Call("Lidar.scan", lambda **o: seen(lidar().scan(instances(), pose(), **o)), scan)
     yield Call("LidarScan.to_structured", lambda **o: lidar().scan(scene(), pose()).to_structured(**o), {"organized": True})
     yield Call("LidarScan.deskewed", lambda **o: lidar().scan(scene(), trajectory()).deskewed(**o), {"time": 2.0})

@@ -1,5 +1,7 @@
 """The distance queries of Open3D's `t.geometry.RaycastingScene`, on NumPy arrays and a `wrt.Scene`.
 
+Results are NumPy arrays that also answer to the methods by which programs read Open3D's tensors (`TensorArray`).
+
 The sign, and whether a point is inside, are by the parity of crossings, as in Open3D. Crossings are exact, also at edges and
 vertices, so one ray is enough, and `nsamples` is accepted and changes nothing.
 
@@ -11,6 +13,8 @@ References: zhou-2018 (the interface).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +23,50 @@ from wrt.kernels.validation import as_int, as_real_array, unreadable
 
 if TYPE_CHECKING:
     from wrt.scene.scene import Scene
+
+
+class TensorArray(np.ndarray):
+    """A NumPy array with the methods of an Open3D tensor that have no other meaning for arrays: `numpy`, `cpu`, `isfinite`,
+    `isinf` and `isnan`. Others are an AttributeError that says how to get a tensor."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(
+            f"a result of wrt.compat.RaycastingScene is a NumPy array and has no {name!r}; open3d.core.Tensor(result) has all "
+            "methods of Open3D's tensors"
+        )
+
+    def numpy(self) -> np.ndarray:
+        """The same as a plain NumPy array."""
+        return self.view(np.ndarray)
+
+    def cpu(self) -> TensorArray:
+        """Itself."""
+        return self
+
+    def isfinite(self) -> np.ndarray:
+        """`numpy.isfinite` of it."""
+        return np.isfinite(self)
+
+    def isinf(self) -> np.ndarray:
+        """`numpy.isinf` of it."""
+        return np.isinf(self)
+
+    def isnan(self) -> np.ndarray:
+        """`numpy.isnan` of it."""
+        return np.isnan(self)
+
+
+def tensor_arrays(query: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorates a method that returns an array, or a dictionary of such: they become `TensorArray`, with the same memory."""
+
+    @wraps(query)
+    def answer(*args: Any, **kwargs: Any) -> Any:
+        found = query(*args, **kwargs)
+        if isinstance(found, dict):
+            return {name: np.asarray(values).view(TensorArray) for name, values in found.items()}
+        return np.asarray(found).view(TensorArray)
+
+    return answer
 
 
 class DistanceQueries:
@@ -37,6 +85,7 @@ class DistanceQueries:
         def scene(self) -> Scene | None: ...
         def _threads(self, nthreads: int | None) -> Any: ...
 
+    @tensor_arrays
     def compute_closest_points(self, query_points: Any, nthreads: int | None = 0) -> dict[str, np.ndarray]:
         """The closest points on the surfaces.
 
@@ -74,6 +123,7 @@ class DistanceQueries:
                 "primitive_normals": found.normal.astype(np.float32, copy=False),
             }
 
+    @tensor_arrays
     def compute_distance(self, query_points: Any, nthreads: int | None = 0) -> np.ndarray:
         """Distances to the surfaces: (...) float32; inf in an empty scene, NaN for a point with a NaN or an infinity.
 
@@ -84,6 +134,7 @@ class DistanceQueries:
             found = np.float32(np.inf) if self.scene is None else self.scene.closest_point(points).distance
         return np.where(np.isfinite(points).all(axis=-1), found, np.float32(np.nan))
 
+    @tensor_arrays
     def compute_signed_distance(self, query_points: Any, nthreads: int | None = 0, nsamples: int = 1) -> np.ndarray:
         """Distances to the surfaces, negative inside: (...) float32; as in `compute_distance` where there is none.
 
@@ -103,6 +154,7 @@ class DistanceQueries:
                 return np.where(np.isfinite(points).all(axis=-1), np.float32(np.inf), np.float32(np.nan))
             return signed_distance(self.scene, points, sign="parity")
 
+    @tensor_arrays
     def compute_occupancy(self, query_points: Any, nthreads: int | None = 0, nsamples: int = 1) -> np.ndarray:
         """Whether points are inside: (...) float32, 1 inside and 0 outside. Arguments and errors as in
         `compute_signed_distance`."""

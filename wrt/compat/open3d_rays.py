@@ -1,9 +1,9 @@
 """Open3D's `t.geometry.RaycastingScene`, method for method, on NumPy arrays and a `wrt.Scene`.
 
 Rays are one array (..., 6) of origin and direction; results are dictionaries with Open3D's keys, shapes and types.
-Differences: arrays are NumPy's, without a `.numpy()` method; each crossing is counted exactly once, also at edges and
-vertices; each of several coincident triangles is hit; lists of hits are sorted by t; float64 rays are not rounded to
-float32.
+Differences: arrays are NumPy's, which have `.numpy()` and little else of a tensor (`wrt.compat.open3d_distances`); each
+crossing is counted exactly once, also at edges and vertices; each of several coincident triangles is hit; lists of hits are
+sorted by t; float64 rays are not rounded to float32.
 
 Distance queries are in `wrt.compat.open3d_distances`.
 
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.compat.open3d_distances import DistanceQueries, as_numpy
+from wrt.compat.open3d_distances import DistanceQueries, as_numpy, tensor_arrays
 from wrt.kernels.runtime.launch import MAX_THREADS, as_device, use_threads
 from wrt.kernels.validation import as_float, as_int, as_numbers, as_real_array
 from wrt.meshes.mesh import TriangleMesh
@@ -88,6 +88,7 @@ class RaycastingScene(DistanceQueries):
         self.__dict__.pop("scene", None)
         return len(self._meshes) - 1
 
+    @tensor_arrays
     def cast_rays(self, rays: Any, nthreads: int | None = 0) -> dict[str, np.ndarray]:
         """Closest hits.
 
@@ -124,6 +125,7 @@ class RaycastingScene(DistanceQueries):
                 "primitive_normals": hits.normal.astype(np.float32, copy=False),
             }
 
+    @tensor_arrays
     def test_occlusions(
         self, rays: Any, tnear: float = 0.0, tfar: float = float("inf"), nthreads: int | None = 0
     ) -> np.ndarray:
@@ -137,6 +139,7 @@ class RaycastingScene(DistanceQueries):
                 return np.zeros(origins.shape[:-1], dtype=bool)
             return self.scene.occluded(origins, directions, t_min=tnear, t_max=tfar)
 
+    @tensor_arrays
     def count_intersections(self, rays: Any, nthreads: int | None = 0) -> np.ndarray:
         """Number of hits of each ray: (...) int32. Errors as in `cast_rays`."""
         origins, directions = _split(rays)
@@ -145,6 +148,7 @@ class RaycastingScene(DistanceQueries):
                 return np.zeros(origins.shape[:-1], dtype=np.int32)
             return self.scene.count(origins, directions)
 
+    @tensor_arrays
     def list_intersections(self, rays: Any, nthreads: int | None = 0) -> dict[str, np.ndarray]:
         """All M hits of N rays, ray after ray, sorted by t for each ray.
 
@@ -172,6 +176,7 @@ class RaycastingScene(DistanceQueries):
             }
 
     @staticmethod
+    @tensor_arrays
     def create_rays_pinhole(*args: Any, **kwargs: Any) -> np.ndarray:
         """Rays through the pixel centres of a pinhole camera: (height_px, width_px, 6) float32, or float64 if a coordinate of
         the camera's position is beyond 16,384, where float32 would move it by half a millimetre, and in UTM by 0.25 m.
@@ -216,8 +221,9 @@ def _as_mesh(mesh: Any) -> TriangleMesh:
     if hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
         return _mesh_of_arrays(mesh.vertices, mesh.faces)
     raise TypeError(
-        f"mesh must be an open3d.t.geometry.TriangleMesh, a wrt.TriangleMesh or a trimesh.Trimesh, not {type(mesh).__name__}; "
-        "pass arrays as add_triangles(vertex_positions, triangle_indices)"
+        "mesh must be an open3d.t.geometry.TriangleMesh (of an older one, its from_legacy(mesh)), a wrt.TriangleMesh or a "
+        f"trimesh.Trimesh, not {type(mesh).__module__}.{type(mesh).__name__}; pass arrays as "
+        "add_triangles(vertex_positions, triangle_indices)"
     )
 
 

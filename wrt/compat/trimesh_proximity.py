@@ -66,7 +66,9 @@ class ProximityQuery:
         """The closest point of any triangle to each point.
 
         Returns:
-            closest: (n, 3) float64, NaN for a point with a NaN or an infinity.
+            closest: (n, 3) float64, NaN for a point with a NaN or an infinity. On the surface; searched in float32, so that up
+                to 5e-4 of the distance from trimesh's, at the same distance. `scene.closest_point(points, precise=True)`
+                searches in float64.
             distance: (n,) float64, inf for such a point.
             triangle_id: (n,) int64, -1 for such a point.
 

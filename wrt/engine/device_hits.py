@@ -168,6 +168,10 @@ class DeviceHits:
     def point_to(self, struct: Any, names: Sequence[str]) -> None:
         """Writes the addresses of some arrays into the packed form of a struct that has such fields, and keeps them alive with
         it."""
+        if self.device.is_capturing:  # a graph on the CPU is made of arrays
+            for name in names:
+                setattr(struct, name, getattr(self, name))
+            return
         packed = struct.__ctype__()
         for name in names:
             write_flat(getattr(packed, name), self._address(name), self.count, DTYPES[name])

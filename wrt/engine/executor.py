@@ -8,8 +8,9 @@ whose launches Warp must see with all their arrays.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import warp as wp
 
@@ -97,10 +98,12 @@ def _answer(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
     return Answer(hits, brought.form, chosen.plan, work)
 
 
-def closest_of_relative(scene: SceneState, rays: DeviceRays) -> DeviceHits:
-    """Closest hits, by a plan of "auto", of rays that are on the device, relative to the scene's centre."""
+def closest_of_relative(scene: SceneState, rays: DeviceRays, own: Mapping[str, Any]) -> DeviceHits:
+    """Closest hits, by a plan of "auto", of rays that are on the device, relative to the scene's centre; own: their masks and
+    environments."""
     with use_threads(scene.num_threads):
-        rays, query = examine(rays, scene.device), QUERIES[CLOSEST]
+        query = QUERIES[CLOSEST]._replace(**own) if own else QUERIES[CLOSEST]
+        rays = with_integers(scene, examine(rays, scene.device), query)
         chosen, contest = find_choice(scene, rays.facts, query, rays.sample)
         if contest is not None and not scene.device.is_capturing:
             return trace_measured(scene, contest, rays, query)
@@ -136,14 +139,28 @@ def on_device(scene: SceneState, rays: GivenRays, query: Query, staged: bool = F
         own = as_rays(*rays) if isinstance(rays, tuple) else rays
         staging = stage(own, scene.device, scene.center, few) if staged else None
         return staging or to_device(own, scene.device, scene.center, few)
+    check_has_integers(scene, query)
+    return with_integers(scene, to_device(one_object(rays), scene.device, scene.center), query)
+
+
+def check_has_integers(scene: SceneState, query: Query) -> None:
+    """Refuses masks or environments in a scene whose geometries have none.
+
+    Raises:
+        ValueError: it has none.
+    """
     if not scene.instances:
         name = "environment" if query.mask is None else "mask"
         raise ValueError(f"{name} needs instances, and this scene has none; make it from wrt.Instance(mesh, {name}=...)")
-    brought = to_device(one_object(rays), scene.device, scene.center)
+
+
+def with_integers(scene: SceneState, rays: DeviceRays, query: Query) -> DeviceRays:
+    """The rays, with masks and environments of their query if it has some; errors are those of `on_device`."""
     for integers, values in ((MASKS, query.mask), (ENVIRONMENTS, query.environment)):
         if values is not None:
-            integers.set(brought, values, scene.device)
-    return brought
+            check_has_integers(scene, query)
+            integers.set(rays, values, scene.device)
+    return rays
 
 
 def trace(

@@ -207,6 +207,10 @@ class ArraysOfBlock:
 
     def write_to(self, struct: Any) -> None:
         """Writes all addresses into the packed form of a struct that has these arrays, and keeps this object alive with it."""
+        if self._block.device.is_capturing:  # a graph on the CPU is made of arrays
+            for name in self._kinds:
+                setattr(struct, name, self[name])
+            return
         packed, first = struct.__ctype__(), self._block.ptr or 0
         for name, dtype in self._kinds.items():
             write_flat(getattr(packed, name), first + self._begins[name], self._count, dtype)

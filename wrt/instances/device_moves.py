@@ -9,7 +9,7 @@ While a CUDA graph is captured nothing can be read back. Then the centre stays, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from copy import copy
 from functools import cached_property
 from typing import Any, overload
@@ -23,6 +23,7 @@ from wrt.engine.memory import keep_alive
 from wrt.instances.instance_boxes import InstanceBoxes, UpperTree
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.launch import kept, launch, specialise
+from wrt.kernels.runtime.recorded_launch import record
 from wrt.kernels.traversal.two_level.instance_bounds import BoundedInstances, CoverPoints
 from wrt.kernels.traversal.two_level.instance_updates import (
     BLOCK,
@@ -35,6 +36,8 @@ from wrt.kernels.traversal.two_level.instance_updates import (
     lay_out,
     make_place_instances,
     make_refit_levels,
+    mat34d,
+    mat34f,
     measure_nodes,
     refit_level,
     span_instances,
@@ -44,8 +47,13 @@ from wrt.meshes.instance import Instance
 MATRICES = (wp.mat44f, wp.mat44d, wp.transformf, wp.transformd)
 """Types of arrays of transforms."""
 
-NUMBERS = {wp.float32: wp.mat44f, wp.float64: wp.mat44d}
-"""Those of arrays of numbers, (..., 4, 4)."""
+NUMBERS = {
+    (wp.float32, 4): wp.mat44f,
+    (wp.float64, 4): wp.mat44d,
+    (wp.float32, 3): mat34f,
+    (wp.float64, 3): mat34d,
+}
+"""Those of arrays of numbers, (..., 4, 4) or (..., 3, 4), by the type of numbers and the number of rows."""
 
 CUDA_DLPACK = 2
 """The number of CUDA devices in DLPack."""
@@ -58,6 +66,12 @@ MAX_SMALL = 4096
 
 MAX_FREE = 4
 """`Reports` of callers that are kept for the next one."""
+
+MAX_KEPT = 2
+"""States that nobody has any more, of a scene and a stream, whose memory waits for the next ones: two take turns."""
+
+ROWS, GIVEN = 1, 2
+"""Places of arguments of `place_instances`; those of `bound_moved` are one further."""
 
 NO_ROWS = np.zeros(0, dtype=np.int64)
 """Of an update of all instances."""
@@ -75,12 +89,12 @@ def transforms_on(device: wp.Device, transforms: Any, count: int) -> wp.array | 
         return None
     if transforms.dtype in MATRICES:
         found = transforms if transforms.ndim == 1 else None
-    elif transforms.dtype in NUMBERS and transforms.shape[-2:] == (4, 4) and transforms.ndim in (2, 3):
-        dtype = NUMBERS[transforms.dtype]
-        found = keep_alive(wp.array(ptr=transforms.ptr, dtype=dtype, shape=transforms.size // 16, device=device), transforms)
+    elif transforms.ndim in (2, 3) and transforms.shape[-1] == 4 and (transforms.dtype, transforms.shape[-2]) in NUMBERS:
+        dtype, size = NUMBERS[transforms.dtype, transforms.shape[-2]], transforms.size // (4 * transforms.shape[-2])
+        found = keep_alive(wp.array(ptr=transforms.ptr, dtype=dtype, shape=size, device=device), transforms)
     else:
         return None
-    is_one = found is not None and transforms.dtype in NUMBERS and transforms.ndim == 2
+    is_one = found is not None and found is not transforms and transforms.ndim == 2
     return found if found is not None and (found.size == count or is_one) else None
 
 
@@ -89,16 +103,16 @@ class MovedInstances(Sequence[Instance]):
 
     Args:
         base: them with other transforms.
-        transforms: (N,) mat44d.
+        moves: the arrays of their state.
     """
 
-    def __init__(self, base: tuple[Instance, ...], transforms: wp.array) -> None:
-        self.base, self.transforms = base, transforms
+    def __init__(self, base: tuple[Instance, ...], moves: DeviceMoves) -> None:
+        self.base, self.moves = base, moves
 
     @cached_property
     def on_host(self) -> tuple[Instance, ...]:
         """The instances."""
-        matrices = self.transforms.numpy()
+        matrices = self.moves.transforms.numpy()
         matrices.flags.writeable = False
         return tuple(one.moved(matrix, one.mask, one.environment) for one, matrix in zip(self.base, matrices, strict=True))
 
@@ -120,15 +134,15 @@ class BoxesOnDevice(InstanceBoxes):
     """Boxes whose arrays are on a device until something asks for them.
 
     Args:
-        bounded: the arrays.
+        moves: the arrays of their state.
         report: `Spanned.report`; that of the state before, if a graph writes it.
         frame: as in the class, if it is that of the state before.
     """
 
-    bounded: BoundedInstances
+    moves: DeviceMoves
 
-    def __init__(self, bounded: BoundedInstances, report: list[float], frame: Any = None) -> None:
-        known: dict[str, Any] = {"bounded": bounded}
+    def __init__(self, moves: DeviceMoves, report: list[float], frame: Any = None) -> None:
+        known: dict[str, Any] = {"moves": moves}
         known["extremes"] = report[:8]
         if frame is not None:
             known["frame"] = frame
@@ -136,15 +150,15 @@ class BoxesOnDevice(InstanceBoxes):
 
     @cached_property
     def origin(self) -> np.ndarray:  # type: ignore[override]  # in place of the constructor's
-        return self.bounded.origin.numpy()
+        return self.moves.bounded.origin.numpy()
 
     @cached_property
     def box(self) -> np.ndarray:  # type: ignore[override]
-        return self.bounded.corners.numpy().reshape(6, -1)
+        return self.moves.bounded.corners.numpy().reshape(6, -1)
 
     @cached_property
     def norms(self) -> np.ndarray:  # type: ignore[override]
-        return self.bounded.norms.numpy()
+        return self.moves.bounded.norms.numpy()
 
 
 class DeviceMoves:
@@ -156,11 +170,15 @@ class DeviceMoves:
         cover: points that cover the meshes.
         level_first: as in the forest.
         chosen: the numbers of instances that moved last, on the host and on the device.
+        kept: memory that waits for the next states, by stream.
+        lease: while it lives, the arrays are this state's; None if they are nobody else's.
     """
 
     def __init__(self, transforms: wp.array, bounded: BoundedInstances, cover: CoverPoints, level_first: wp.array) -> None:
         self.transforms, self.bounded, self.cover, self.level_first = transforms, bounded, cover, level_first
         self.chosen: tuple[np.ndarray, wp.array] | None = None
+        self.kept: FreeList[KeptMove] = FreeList(MAX_KEPT)
+        self.lease: Any = None
 
     @classmethod
     def of(cls, state: Any) -> DeviceMoves:
@@ -182,7 +200,7 @@ class DeviceMoves:
         bounded.origin, bounded.corners = new(self.bounded.origin), new(self.bounded.corners)
         bounded.norms = new(self.bounded.norms)
         made = DeviceMoves(new(self.transforms), bounded, self.cover, self.level_first)
-        made.chosen = self.chosen
+        made.chosen, made.kept = self.chosen, self.kept
         return made
 
     def has_chosen(self, rows: np.ndarray) -> bool:
@@ -197,6 +215,80 @@ class DeviceMoves:
             with kept(device):
                 self.chosen = rows, wp.array(rows, dtype=int, device=device)
         return self.chosen[1]
+
+
+class KeptMove:
+    """Kernels of a move on CUDA with packed arguments, and memory of its own for all that they write: of calls, allocations and
+    packing took most of the time (notebooks/records/2026-11-28-gpu-graphs.md). For one state at a time.
+
+    Args:
+        state: of whose instances; not kept.
+        old: its arrays.
+        reports: memory on the way.
+    """
+
+    def __init__(self, state: Any, old: DeviceMoves, reports: Reports) -> None:
+        self.device, self.reports, self.count = state.device, reports, len(state.device_mesh.placements)
+        self.moves, self.table = old.copied(whole=True), wp.clone(state.device_mesh.placements)
+        self.nodes, spanned = nodes_of(state.tree, old.level_first), reports.spanned
+        self._places: dict[type, wp.Launch] = {}
+        nobody = wp.empty(0, dtype=int, device=self.device)
+        self._bound = self._recorded(bound_moved, 0, bound_inputs(self.moves, self.table, nobody, self.device))
+        bounded, nodes, device = self.moves.bounded, self.nodes, self.device
+        shares, lanes = shares_of(self.count, device), len(nodes.child)
+        laid = [0, wp.vec3d(), bounded, self.table, nodes, spanned]
+        self._rest = [
+            self._recorded(span_instances, shares, [shares, bounded, spanned]),
+            self._recorded(lay_out, max(self.count, lanes), laid),
+            *(self._recorded(*step) for step in refit_steps(state.tree.forest.level_first, nodes, device)),
+        ]
+        shares = shares_of(lanes, device)
+        self._measure = self._recorded(measure_nodes, shares, [shares, nodes, spanned])
+
+    def _recorded(self, kernel: wp.Kernel, items: int, inputs: Sequence[Any]) -> wp.Launch:
+        made = record(kernel, inputs, self.device)
+        made.set_dim(items)
+        return made
+
+    def take(self, old: DeviceMoves, placements: wp.array) -> None:
+        """Copies what does not move from another state."""
+        own, theirs = self.moves.bounded, old.bounded
+        pairs = (own.origin, theirs.origin), (own.corners, theirs.corners), (own.norms, theirs.norms)
+        for to, values in (*pairs, (self.moves.transforms, old.transforms), (self.table, placements)):
+            wp.copy(to, values)
+
+    def run(self, chosen: wp.array, given: wp.array, is_measured: bool) -> list[float]:
+        """Moves instances; arguments are those of the kernels. Returns `Spanned.report`."""
+        moving = chosen.size or self.count
+        place = self._places.get(given.dtype)
+        if place is None:
+            inputs = place_inputs(chosen, given, self.moves, self.table, self.reports.spanned)
+            place = self._places[given.dtype] = self._recorded(specialise(make_place_instances, given.dtype), moving, inputs)
+        for launched, items, arrays in (
+            (place, moving, {ROWS: chosen, GIVEN: given}),
+            (self._bound, moving * team_of(self.device), {ROWS + 1: chosen}),
+        ):
+            for index, values in arrays.items():
+                launched.set_param_at_index_from_ctype(index, values.__ctype__())
+            launched.set_dim(items)
+            launched.launch()
+        for launched in self._rest:
+            launched.launch()
+        if is_measured:
+            self._measure.launch()
+        return self.reports.fetch()
+
+
+class Lease:
+    """Gives a `KeptMove` back when no state, and no result, has its arrays any more."""
+
+    __slots__ = ("_free", "_key", "_move")
+
+    def __init__(self, move: KeptMove, free: FreeList[KeptMove], key: Hashable) -> None:
+        self._move, self._free, self._key = move, free, key
+
+    def __del__(self) -> None:
+        self._free.give_back(self._move, self._key)
 
 
 class Reports:
@@ -243,47 +335,106 @@ def move_on_device(
     if old is None:
         with kept(device):
             old = DeviceMoves.of(state)
+    if keeps_moves(device) and not captures:
+        return move_kept(state, old, rows, given, is_measured)
     made, table = old.copied(whole=rows is None), wp.clone(state.device_mesh.placements)
-    key = device.alias, None if device.is_cpu else device.stream.cuda_stream
-    reports = None if captures else _reports.take(key) or Reports(device)
+    reports = None if captures else _reports.take(device.alias) or Reports(device)
     spanned = new_spanned(device) if reports is None else reports.spanned
     nodes = nodes_of(state.tree, made.level_first)
     count, moving = len(table), len(table) if rows is None else len(rows)
-    center = wp.vec3d(*map(float, state.center))
-    team = TEAM if device.is_cuda else 1
     chosen = made.rows_on_device(rows)
-    placed: list[Any] = [chosen, given, made.cover, made.bounded, made.transforms, table, spanned]
+    placed = place_inputs(chosen, given, made, table, spanned)
     launch(specialise(make_place_instances, given.dtype), moving, placed, device=device)
-    bound: list[Any] = [team, chosen, made.cover, made.transforms, table, made.bounded]
-    launch(bound_moved, moving * team, bound, device=device)
-    shares = min(-(-count // 32) * 32, MAX_SHARES) if device.is_cuda else 1
+    launch(bound_moved, moving * team_of(device), bound_inputs(made, table, chosen, device), device=device)
+    shares = shares_of(count, device)
     launch(span_instances, shares, [shares, made.bounded, spanned], device=device)
-    laid: list[Any] = [int(captures), center, made.bounded, table, nodes, spanned]
+    laid: list[Any] = [int(captures), wp.vec3d(*map(float, state.center)), made.bounded, table, nodes, spanned]
     launch(lay_out, max(count, len(nodes.child)), laid, device=device)
-    refit(state.tree.forest.level_first, nodes, device)
+    for kernel, items, inputs in refit_steps(state.tree.forest.level_first, nodes, device):
+        launch(kernel, items, inputs, device=device)
     if is_measured:
-        lanes = len(nodes.child)
-        shares = min(-(-lanes // 32) * 32, MAX_SHARES) if device.is_cuda else 1
+        shares = shares_of(len(nodes.child), device)
         launch(measure_nodes, shares, [shares, nodes, spanned], device=device)
-    tree = copy(state.tree)
-    tree.__dict__.pop("_struct", None)
-    tree.bounds, tree.corners, tree.host, tree.extent, tree.cost = nodes.bounds, None, None, None, None
     if reports is None:
+        tree = moved_tree(state.tree, nodes.bounds)
         tree.extent = spanned.extent
-        keep_alive(table, (state.device_mesh.placements, made, tree))  # the graph reads them whenever it is launched
-        return made, BoxesOnDevice(made.bounded, state.boxes.extremes, state.boxes.frame), table, tree
+        keep_alive(table, (state.device_mesh.placements, old, made, tree))  # the graph reads them whenever it is launched
+        return made, BoxesOnDevice(made, state.boxes.extremes, state.boxes.frame), table, tree
     report = reports.fetch()
-    _reports.give_back(reports, key)
+    _reports.give_back(reports, device.alias)
     if report[8] < count:
         return None
-    boxes = BoxesOnDevice(made.bounded, report)
+    return made, *described(state.tree, nodes.bounds, made, report, is_measured, table)
+
+
+def keeps_moves(device: wp.Device) -> bool:
+    """Whether moves take memory and packed kernels of states that are gone: where Python takes longer than the kernels."""
+    return device.is_cuda
+
+
+def move_kept(
+    state: Any, old: DeviceMoves, rows: np.ndarray | None, given: wp.array, is_measured: bool
+) -> tuple[DeviceMoves, InstanceBoxes, wp.array, UpperTree] | None:
+    """`move_on_device` on CUDA outside graphs, in memory of states that nobody has any more; old: the state's arrays."""
+    device = state.device
+    stream = device.stream.cuda_stream if device.is_cuda else None
+    move = old.kept.take(stream) or KeptMove(state, old, Reports(device))
+    if rows is not None:
+        move.take(old, state.device_mesh.placements)
+    report = move.run(old.rows_on_device(rows), given, is_measured)
+    if report[8] < move.count:
+        return None
+    made = copy(move.moves)
+    made.chosen, made.lease = old.chosen, Lease(move, old.kept, stream)
+    table, bounds = (view_of(values, made.lease) for values in (move.table, move.nodes.bounds))
+    return made, *described(state.tree, bounds, made, report, is_measured, table)
+
+
+def view_of(values: wp.array, lease: Any) -> wp.array:
+    """The same flat array, which keeps a lease alive."""
+    return keep_alive(wp.array(ptr=values.ptr, dtype=values.dtype, shape=values.size, device=values.device), lease)
+
+
+def moved_tree(tree: UpperTree, bounds: wp.array) -> UpperTree:
+    """The upper level around other boxes, of which the host knows nothing."""
+    moved = copy(tree)
+    moved.__dict__.pop("_struct", None)
+    moved.bounds, moved.corners, moved.host, moved.extent, moved.cost = bounds, None, None, None, None
+    return moved
+
+
+def described(
+    tree: UpperTree, bounds: wp.array, made: DeviceMoves, report: list[float], is_measured: bool, table: wp.array
+) -> tuple[InstanceBoxes, wp.array, UpperTree]:
+    """Boxes, placements and upper level, with what the host reads of a move."""
+    boxes, moved = BoxesOnDevice(made, report), moved_tree(tree, bounds)
     if is_measured:
-        tree.cost = cost_of(report[12], report[13])
+        moved.cost = cost_of(report[12], report[13])
     middle, rounding = np.array(report[9:12]), boxes.frame[1]
     low, high = np.array(report[:3]) - (middle + rounding), np.array(report[3:6]) - (middle - rounding)
-    tree.low = wp.vec3(*np.nextafter(low.astype(np.float32), np.float32(-np.inf)).tolist())
-    tree.high = wp.vec3(*np.nextafter(high.astype(np.float32), np.float32(np.inf)).tolist())
-    return made, boxes, table, tree
+    moved.low = wp.vec3(*np.nextafter(low.astype(np.float32), np.float32(-np.inf)).tolist())
+    moved.high = wp.vec3(*np.nextafter(high.astype(np.float32), np.float32(np.inf)).tolist())
+    return boxes, table, moved
+
+
+def team_of(device: wp.Device) -> int:
+    """Threads that bound an instance."""
+    return TEAM if device.is_cuda else 1
+
+
+def shares_of(count: int, device: wp.Device) -> int:
+    """Threads among which so many values are divided."""
+    return min(-(-count // 32) * 32, MAX_SHARES) if device.is_cuda else 1
+
+
+def place_inputs(chosen: wp.array, given: wp.array, made: DeviceMoves, table: wp.array, spanned: Spanned) -> list[Any]:
+    """Arguments of `place_instances`."""
+    return [chosen, given, made.cover, made.bounded, made.transforms, table, spanned]
+
+
+def bound_inputs(made: DeviceMoves, table: wp.array, chosen: wp.array, device: wp.Device) -> list[Any]:
+    """Arguments of `bound_moved`."""
+    return [team_of(device), chosen, made.cover, made.transforms, table, made.bounded]
 
 
 def nodes_of(tree: UpperTree, level_first: wp.array) -> UpperNodes:
@@ -294,16 +445,19 @@ def nodes_of(tree: UpperTree, level_first: wp.array) -> UpperNodes:
     return nodes
 
 
-def refit(level_first: tuple[int, ...], nodes: UpperNodes, device: wp.Device) -> None:
-    """The boxes of inner nodes from those of leaves: large levels one by one, those above them by one block."""
+def refit_steps(
+    level_first: tuple[int, ...], nodes: UpperNodes, device: wp.Device
+) -> Iterator[tuple[wp.Kernel, int, list[Any]]]:
+    """Launches, by kernel, items and arguments, that write the boxes of inner nodes from those of leaves: large levels one by
+    one, those above them by one block."""
     level = len(level_first) - 2  # the last one has leaves only
     while level > 0 and (level_first[level] - level_first[level - 1]) * nodes.width > MAX_SMALL:
         level -= 1
         begin, end = level_first[level] * nodes.width, level_first[level + 1] * nodes.width
-        launch(refit_level, end - begin, [begin, nodes], device=device)
+        yield refit_level, end - begin, [begin, nodes]
     if level > 0:
         threads = BLOCK if device.is_cuda else 1
-        launch(specialise(make_refit_levels, BLOCK), threads, [threads, level, nodes], device=device)
+        yield specialise(make_refit_levels, BLOCK), threads, [threads, level, nodes]
 
 
 def fetched(state: Any) -> dict[str, Any]:

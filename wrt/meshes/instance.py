@@ -141,14 +141,17 @@ def check_transforms(transforms: Any, count: int) -> np.ndarray:
     """(count, 4, 4) float64, read-only, of one matrix for all instances or one for each.
 
     Args:
-        transforms: (4, 4) or (count, 4, 4), or a Warp array: of matrices, of numbers in one of these shapes, or (count,) of
-            `wp.transform`.
+        transforms: (4, 4) or (count, 4, 4), without the last row, too; or a Warp array: of matrices, of numbers in one of these
+            shapes, or (count,) of `wp.transform`.
         count: number of instances.
 
     Raises:
         ValueError: another number of matrices, or as `check_transform`.
     """
     matrices = matrices_of(transforms) if isinstance(transforms, wp.array) else as_real_array("transform", transforms)
+    if matrices.ndim in (2, 3) and matrices.shape[-2:] == (3, 4):
+        last = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (*matrices.shape[:-2], 1, 4))
+        matrices = np.concatenate([matrices, last], axis=-2)
     if matrices.ndim == 3 and len(matrices) != count:
         raise ValueError(f"transform holds {len(matrices)} matrices for {count} instances; pass one each, or one for all")
     if matrices.ndim != 3:

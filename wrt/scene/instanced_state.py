@@ -216,7 +216,7 @@ class InstancedState(SceneState):
             if not (device.is_capturing or boxes.are_resolved):
                 return None
             base = self.instances.base if isinstance(self.instances, MovedInstances) else self.instances
-            instances: Any = MovedInstances(base, device_moves.transforms)
+            instances: Any = MovedInstances(base, device_moves)
             state = assemble(self, instances, boxes, None, tree, 0 if is_due else moved, placements, device_moves)
             if is_due and state.tree.is_degraded:
                 state = state.on_host()

@@ -134,8 +134,8 @@ class Scene(Queries, Members):
             vertices: (V, 3), as many as the mesh has; for an instance, in the mesh's own space. float32 on the scene's CUDA
                 device stays there if the scene has one mesh in a `wrt.Bvh` with the defaults for CUDA: with "never" the tree is
                 refitted there, with "auto" built there by "hploc". With "always" it stays if "hploc" is the tree's builder.
-            transform: transform of the instance, (4, 4), or (N, 4, 4) for N instances, as in `wrt.Instance`; or a Warp array of
-                such matrices, or of (N,) `wp.transform`.
+            transform: transform of the instance, (4, 4), or (N, 4, 4) for N instances, as in `wrt.Instance`, also without the
+                last row, (3, 4) or (N, 3, 4); or a Warp array of such matrices or numbers, or of (N,) `wp.transform`.
             mask, environment: of the instance, or of all instances in `index`.
             rebuild: for `vertices`: "auto", "always", "never", or a `wrt.moving.UpdatePolicy`.
 

@@ -51,7 +51,7 @@ def extra_images(
             raise ValueError("albedo needs materials, and points have none; leave it out, and look colours up by primitive_id")
         found["albedo"] = Albedo(scene, materials, count)  # type: ignore[arg-type]  # no cloud
     if flow is not None:
-        found["flow"] = Flow(camera, path, motions, flow, times, len(scene.instances), count, scene.device)
+        found["flow"] = Flow(camera, path, motions, flow, times, len(scene.state.instances), count, scene.device)
     return found
 
 

@@ -93,7 +93,7 @@ def fire(
     """
     from wrt.kernels.sensors.lidar_beams import fire_beams
 
-    if not path.is_still or shape[0] > MAX_SENSORS:
+    if not path.is_still or shape[0] > MAX_SENSORS or path.key is None or device.is_capturing:
         key = None
     if key is not None:
         key = key, device.alias, path.key, None if center is None else center.tobytes()

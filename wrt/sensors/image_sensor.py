@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from wrt.engine.memory import empty
-from wrt.kernels.runtime.launch import as_device, kept, launch, refuse_capture, use_threads
+from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, convert_fields
 from wrt.sensors.camera_conversion import camera_of, lens_of
 from wrt.sensors.checks import as_time, check_at_least
@@ -21,6 +21,8 @@ from wrt.sensors.fired_rays import fire, spread_on
 from wrt.sensors.lens_models import LensModel
 from wrt.sensors.outputs.captured_images import CameraImages, CapturedLayers
 from wrt.sensors.outputs.hit_outputs import as_layers
+from wrt.sensors.placed.device_poses import DevicePoses, as_poses
+from wrt.sensors.placed.values_on_devices import refuse_captured_scan, refuse_part
 from wrt.sensors.time_slices import (
     Bodies,
     SensorRays,
@@ -34,7 +36,7 @@ from wrt.sensors.time_slices import (
     slice_error,
     trace_slices,
 )
-from wrt.sensors.trajectory import Trajectory, as_poses, as_trajectory
+from wrt.sensors.trajectory import Trajectory, as_trajectory
 
 if TYPE_CHECKING:
     from wrt.clouds.point_cloud import PointCloud
@@ -138,7 +140,7 @@ class Camera:
         materials: Any = None,
         flow: float | None = None,
         layers: Sequence[str] | None = None,
-        to_warp: bool = False,
+        to_warp: bool | None = None,
     ) -> CameraImages:
         """Traces one image.
 
@@ -146,7 +148,7 @@ class Camera:
             scene: a `wrt.Scene`, or a `PointCloud`, which counts as one mesh. It is not changed, whatever moves.
             pose: (4, 4) from the optical frame (x right, y down, z forward) to the world, or a `Trajectory`: with a rolling
                 shutter, each row is seen from the pose at its own time. Or (..., 4, 4) of many cameras at rest, which see in
-                one call.
+                one call; or a Warp array (...) of `wp.transform` on the scene's device, whose values are not checked.
             time: exposure of the first row, on the clock of the trajectories.
             motions, slices: instances that move, and number of time slices, as in `Lidar.scan`.
             labels: (I,) integers >= 0, the semantic class of each instance (of each mesh, in a scene without instances).
@@ -160,19 +162,25 @@ class Camera:
             layers: names of the layers that will be read, such as ("depth", "instance_id"): distance, depth, position, normal,
                 camera_normal, instance_id, geometry_id, primitive_id, semantic_id. None for all. NumPy arrays are computed when
                 they are first read, so choosing them saves the time and memory of what is computed along with them.
-            to_warp: whether images are Warp arrays on the scene's device instead of NumPy arrays.
+            to_warp: whether images are Warp arrays on the scene's device instead of NumPy arrays; None: if poses are a Warp
+                array.
+
+        An image can be captured in a graph as a scan can (`Lidar.scan`), without `albedo` and `flow`.
 
         Raises:
             TypeError: an argument of a wrong type.
             ValueError: an argument out of range, a trajectory that does not cover the exposure, motions in a scene without
                 instances, or `albedo` of a `PointCloud`.
-            RuntimeError: a graph is being captured.
+            RuntimeError: a graph is being captured, which cannot repeat the image.
         """
-        refuse_capture("capture", scene.device)
         if materials is not None and not albedo:
             raise ValueError("materials are those of the colours; pass albedo=True, or leave materials out")
         path, time, slices = as_poses(pose), as_time(time), check_slices(slices)
-        miss, albedo, to_warp = as_miss(miss), as_bool("albedo", albedo), as_bool("to_warp", to_warp)
+        miss, albedo = as_miss(miss), as_bool("albedo", albedo)
+        to_warp = isinstance(path, DevicePoses) if to_warp is None else as_bool("to_warp", to_warp)
+        refuse_captured_scan(scene.device, path, motions, to_warp)
+        if scene.device.is_capturing and (albedo or flow is not None):
+            refuse_part("albedo and flow", "leave them out")
         flow = None if flow is None else as_float("flow", flow, finite=True)
         chosen = as_layers(layers, CapturedLayers.KINDS)
         begin, end = time, time + self.line_delay * (self.height - 1)

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from wrt.engine.facts.query_kinds import AUTO
-from wrt.kernels.runtime.launch import as_device, kept, refuse_capture, use_threads
+from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
 from wrt.kernels.validation import as_bool, as_int, convert_fields
 from wrt.sensors.checks import as_time, check_at_least, check_real
 from wrt.sensors.fired_rays import fire, spread_on
@@ -22,6 +22,8 @@ from wrt.sensors.lidar_presets import LIDARS
 from wrt.sensors.lidar_scan import LidarScan
 from wrt.sensors.outputs.hit_outputs import as_layers
 from wrt.sensors.outputs.measured_returns import MeasuredReturns
+from wrt.sensors.placed.device_poses import DevicePoses, as_poses
+from wrt.sensors.placed.values_on_devices import refuse_captured_scan, refuse_host_values, stays_on
 from wrt.sensors.time_slices import (
     Bodies,
     SensorRays,
@@ -34,7 +36,7 @@ from wrt.sensors.time_slices import (
     slice_error,
     trace_slices,
 )
-from wrt.sensors.trajectory import Trajectory, as_poses
+from wrt.sensors.trajectory import Trajectory
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -165,7 +167,7 @@ class Lidar:
         environment: Any = None,
         traversal: Any = "auto",
         labels: Any = None,
-        seed: int | None = None,
+        seed: int | wp.array | None = None,
         layers: Sequence[str] | None = None,
         to_warp: bool | None = None,
     ) -> LidarScan:
@@ -174,7 +176,8 @@ class Lidar:
         Args:
             scene: a `wrt.Scene`, or a `PointCloud`, which counts as one mesh. It is not changed, whatever moves.
             pose: (4, 4) from the sensor's frame to the world, or a `Trajectory` over the time of the scan; or (..., 4, 4) of
-                many sensors at rest, which measure in one call.
+                many sensors at rest, which measure in one call; or a Warp array (...) of `wp.transform` on the scene's device,
+                whose values are not checked.
             time: start of the scan, on the clock of the trajectories.
             motions: trajectories of instances, by their index. Their transforms in the scene are replaced.
             slices: number of time slices; instances stand still within a slice, where they are in the middle of it.
@@ -186,27 +189,34 @@ class Lidar:
             traversal: as in `wrt.Scene.intersect`.
             labels: (I,) integers >= 0, the semantic class of each instance (of each mesh, in a scene without instances).
             seed: of the noise, 0 to 2^64 - 1; the same seed gives the same noise, so pass another one for each
-                scan. None: no noise.
+                scan. A Warp array (1,) of uint64 on the scene's device holds the seed of this scan, and then that of the next,
+                greater by one. None: no noise.
             layers: names of the layers that will be read, such as ("range", "instance_id"): range, intensity, point, position,
                 instance_id, geometry_id, primitive_id, semantic_id, normal, radial_velocity. None for all. NumPy arrays are
                 computed when they are first read, Warp arrays at once.
-            to_warp: whether layers are Warp arrays on the scene's device instead of NumPy arrays; None: as the pattern's.
+            to_warp: whether layers are Warp arrays on the scene's device instead of NumPy arrays; None: if the pattern or the
+                poses are.
+
+        **Graphs.** A scan can be captured in a graph if its results are Warp arrays: each launch measures from where poses and
+        instances are then. Make the same scan once before. Poses that change, masks and environments of many sensors, labels
+        and reflectances are Warp arrays, too, and so is a seed, unless each launch shall have the same noise.
 
         Raises:
             TypeError: an argument of a wrong type.
             ValueError: an argument out of range, a trajectory that does not cover the scan, motions in a scene without
                 instances, or arrays on another device.
-            RuntimeError: a graph is being captured.
+            RuntimeError: a graph is being captured, which cannot repeat the scan.
         """
         from wrt.query.api import Queries
 
-        refuse_capture("a scan", scene.device)
-        path, time, chosen = as_poses(pose), as_time(time), as_layers(layers, MeasuredReturns.KINDS)
-        to_warp = self.pattern.is_warp if to_warp is None else as_bool("to_warp", to_warp)
+        path, chosen = as_poses(pose), as_layers(layers, MeasuredReturns.KINDS)
+        to_warp = self.pattern.is_warp or isinstance(path, DevicePoses) if to_warp is None else as_bool("to_warp", to_warp)
+        refuse_captured_scan(scene.device, path, motions, to_warp)
+        time = as_time(time)
         span = self.pattern.span
         begin, end = time + span[0], time + span[1]
         path.check_covers(begin, end, "the times of the scan")
-        detector, noise = self.detector(scene.device, as_reflectance(reflectance, scene)), as_noise(self, seed)
+        detector, noise = self.detector(scene.device, as_reflectance(reflectance, scene)), as_noise(self, seed, scene.device)
         motions = as_motions(motions, scene, begin, end)
         sensors = getattr(path, "shape", ())
         slices = check_slices(slices)
@@ -216,7 +226,7 @@ class Lidar:
         each = for_each_ray(seen_by, sensors, len(self.pattern), self.bundle, order, device)
         beams, shape = self.device_beams(device, order, time), (*sensors, *self.pattern.shape)
         with use_threads(scene.num_threads):
-            relative = not (motions or each) and traversal == AUTO and type(scene).intersect is Queries.intersect
+            relative = not motions and traversal == AUTO and type(scene).intersect is Queries.intersect
             counts = count, len(self.pattern) * self.bundle, self.pattern.offsets is None
             key = None if order is not None or self.pattern.is_warp else (self.pattern, self.bundle, self.divergence)
             fired = fire(beams, path, device, counts, scene.state.center if relative else None, key)
@@ -253,7 +263,7 @@ class Lidar:
         beams.start = wp.float64(time)
         return beams
 
-    def detector(self, device: wp.Device, reflectance: np.ndarray) -> Detector:
+    def detector(self, device: wp.Device, reflectance: np.ndarray | wp.array) -> Detector:
         """What the receiver detects, for kernels.
 
         Args:
@@ -262,7 +272,7 @@ class Lidar:
         """
         from wrt.kernels.sensors.lidar_returns import Detector
 
-        alone = float(reflectance[0]) if len(reflectance) == 1 else None
+        alone = float(reflectance[0]) if isinstance(reflectance, np.ndarray) and len(reflectance) == 1 else None
         if (known := self._detectors.get((device.alias, alone))) is not None:
             return known
         detector = Detector()
@@ -270,7 +280,9 @@ class Lidar:
         detector.resolution, detector.exponent = self.range_resolution, self.range_exponent
         detector.reference_range, detector.extinction = self.reference_range, self.extinction
         detector.threshold, detector.returns, detector.keep = self.threshold, self.returns, KEEP[self.keep]
-        if alone is None:
+        if isinstance(reflectance, wp.array):
+            detector.reflectance = reflectance
+        elif alone is None:
             detector.reflectance = wp.array(reflectance, dtype=float, device=device)
         else:
             detector.reflectance = one_reflectance(alone, device.alias)
@@ -292,8 +304,8 @@ def one_reflectance(value: float, device: str) -> wp.array:
         return wp.array([value], dtype=float, device=device)
 
 
-def as_reflectance(reflectance: Any, scene: Scene | PointCloud) -> np.ndarray:
-    """(1,) or (I,) float64.
+def as_reflectance(reflectance: Any, scene: Scene | PointCloud) -> np.ndarray | wp.array:
+    """(1,) or (I,) float64; a Warp array (I,) of float32 on the scene's device stays, and its values are not checked.
 
     Raises:
         TypeError: not real numbers.
@@ -301,9 +313,12 @@ def as_reflectance(reflectance: Any, scene: Scene | PointCloud) -> np.ndarray:
     """
     if type(reflectance) is float and reflectance == 1.0:  # the default, and every scan asks
         return WHITE
-    values = np.atleast_1d(check_real("reflectance", reflectance))
     is_cloud = scene.state.tangents is not None
     count, what = (len(scene), "points") if is_cloud else (labelled(scene), "instances")  # type: ignore[arg-type]
+    if stays_on(scene.device, reflectance, wp.float32, (count,)):
+        return reflectance
+    refuse_host_values("reflectance", reflectance, wp.float32, scene.device)
+    values = np.atleast_1d(check_real("reflectance", reflectance))
     if values.shape not in ((1,), (count,)):
         raise ValueError(
             f"reflectance has the shape {np.shape(reflectance)}; pass one number, or one for each of {count} {what}"
@@ -328,18 +343,26 @@ def no_noise() -> Noise:
     return Noise()
 
 
-def as_noise(lidar: Lidar, seed: int | None) -> Noise:
-    """The noise for kernels; none without a seed.
+def as_noise(lidar: Lidar, seed: Any, device: wp.Device) -> Noise:
+    """The noise for kernels; none without a seed. One on the device is taken, and the next number left there.
 
     Raises:
         TypeError: the seed is not a whole number.
         ValueError: it is out of range.
     """
-    from wrt.kernels.sensors.lidar_returns import Noise
+    from wrt.kernels.sensors.lidar_returns import Noise, take_seed
 
     if seed is None:
         return no_noise()
-    seed, noise = as_int("seed", seed, 0, (1 << 64) - 1), Noise()
+    noise = Noise()
     noise.range, noise.angle, noise.dropout = lidar.range_noise, lidar.angle_noise, lidar.dropout  # type: ignore[assignment]
+    if isinstance(seed, wp.array):
+        if seed.dtype is not wp.uint64 or seed.shape != (1,) or seed.device != device:
+            found = f"{seed.shape} of {seed.dtype.__name__} on {seed.device}"
+            raise ValueError(f"seed must be a number, or a Warp array (1,) of uint64 on {device}, not {found}")
+        noise.taken = wp.empty(1, dtype=wp.uint64, device=device)
+        launch(take_seed, 1, [seed, noise.taken], device=device)
+        return noise
+    seed = as_int("seed", seed, 0, (1 << 64) - 1)
     noise.key = wp.vec2ui(seed & 0xFFFFFFFF, seed >> 32)
     return noise

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.runtime.launch import kept
 from wrt.kernels.validation import as_bool, as_float, as_int
 from wrt.sensors.checks import as_integers, check_at_least, check_real
 
@@ -225,9 +226,12 @@ class LidarPattern:
             ValueError: the pattern's Warp arrays are on another device.
         """
         if device.alias not in self._on_device:
-            offsets = wp.empty(0, dtype=wp.vec3, device=device) if self.offsets is None else self._flat(self.offsets, device)
-            times = wp.array(self.times.ravel(), dtype=wp.float64, device=device)
-            self._on_device[device.alias] = self._flat(self.directions, device), offsets, times
+            with kept(device):
+                offsets = (
+                    wp.empty(0, dtype=wp.vec3, device=device) if self.offsets is None else self._flat(self.offsets, device)
+                )
+                times = wp.array(self.times.ravel(), dtype=wp.float64, device=device)
+                self._on_device[device.alias] = self._flat(self.directions, device), offsets, times
         return self._on_device[device.alias]
 
     def _flat(self, values: Any, device: wp.Device) -> wp.array:

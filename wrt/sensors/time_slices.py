@@ -28,6 +28,7 @@ from wrt.instances.instance_boxes import on_device
 from wrt.kernels.runtime.launch import as_device, kept
 from wrt.kernels.validation import as_int, as_real_array
 from wrt.meshes.placement import check_index
+from wrt.sensors.placed.values_on_devices import refuse_host_values, repeated, stays_on
 from wrt.sensors.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -111,8 +112,7 @@ class SensorRays:
         t_max: end of their range.
         traversal: as in `wrt.Scene.intersect`.
         each: masks and environments: a number, or a Warp array (N,).
-        is_relative: whether origins are vec3, relative to the scene's centre. Then "auto" traces all rays at once, and
-            `each` is empty.
+        is_relative: whether origins are vec3, relative to the scene's centre. Then "auto" traces all rays at once.
     """
 
     origins: wp.array
@@ -127,12 +127,12 @@ class SensorRays:
     def hits(self, scene: Scene | PointCloud, begin: int, end: int, shape: tuple[int, ...], **each: Any) -> DeviceHits:
         """The closest hits of the rays of some beams in a leading shape."""
         shape, rays = (*shape, *((self.bundle,) if self.bundle > 1 else ())), (begin * self.bundle, end * self.bundle)
+        own = {n: part_of(v, *rays).reshape(shape) if isinstance(v, wp.array) else v for n, v in {**self.each, **each}.items()}
         if self.is_relative:
             state = scene.state
             given = self.origins, self.directions, self.t_max, shape, state.device, state.center
-            return closest_of_relative(state, relative_rays(*given))
+            return closest_of_relative(state, relative_rays(*given), own)
         origins = self.origins if self.origins.size == 1 else part_of(self.origins, *rays).reshape(shape)
-        own = {n: part_of(v, *rays).reshape(shape) if isinstance(v, wp.array) else v for n, v in {**self.each, **each}.items()}
         if not (isinstance(self.traversal, str) and self.traversal == AUTO):  # few options are checked in less time
             own["traversal"] = self.traversal
         directions = part_of(self.directions, *rays).reshape(shape)
@@ -187,7 +187,7 @@ def trace_slices(scene: Scene | PointCloud, rays: SensorRays, bodies: Bodies, pa
 
     if scene.state.tangents is not None and (rays.each or rays.traversal != AUTO):
         raise ValueError("mask, environment and traversal are for a wrt.Scene; of a point cloud, leave them out")
-    count, device, together, found = len(scene.instances), scene.device, False, None
+    count, device, together, found = len(scene.state.instances), scene.device, False, None
     few = len(parts) * count <= MAX_TOGETHER
     if bodies.chosen and len(parts) > 1 and few and all(one.environment < 0 for one in scene.instances):
         together = rays.each.get("environment") is None
@@ -266,7 +266,8 @@ def for_each_ray(
     """What callers gave for each sensor, for each ray: a number or a Warp array; what is None is left out.
 
     Args:
-        given: by the name of the argument: None, a number, or integers that broadcast to the shape of the sensors.
+        given: by the name of the argument: None, a number, or integers that broadcast to the shape of the sensors. Warp arrays
+            of that shape on the device, uint32 or int32, stay there, and their values are not checked.
         sensors: leading shape of the sensors.
         beams: of a sensor.
         bundle: rays of a beam.
@@ -281,7 +282,12 @@ def for_each_ray(
     for name, values in given.items():
         if values is None:
             continue
-        array, (least, most, dtype) = as_real_array(name, values), LIMITS[name]
+        least, most, dtype = LIMITS[name]
+        if order is None and stays_on(device, values, dtype, sensors):
+            found[name] = repeated(values, beams * bundle)
+            continue
+        refuse_host_values(name, values, dtype, device)
+        array = as_real_array(name, values)
         if array.dtype.kind not in "iu":
             raise TypeError(f"{name} must hold integers, not {array.dtype}")
         if array.size and (array.min() < least or array.max() > most):
@@ -303,11 +309,11 @@ def for_each_ray(
 
 def labelled(scene: Scene | PointCloud) -> int:
     """Number of instances, or of meshes in a scene without instances; 1 for a cloud."""
-    return max(len(scene.instances) or len(scene.meshes), 1)
+    return max(len(scene.state.instances) or len(scene.meshes), 1)
 
 
 def labels_on(labels: Any, scene: Scene | PointCloud) -> wp.array:
-    """(I,) int32 on the scene's device, or (0,) for none.
+    """(I,) int32 on the scene's device, or (0,) for none; a Warp array of them there stays, and its values are not checked.
 
     Raises:
         TypeError: not integers.
@@ -315,7 +321,11 @@ def labels_on(labels: Any, scene: Scene | PointCloud) -> wp.array:
     """
     if labels is None:
         return no_order(scene.device.alias)
-    values, count = as_real_array("labels", labels), labelled(scene)
+    count = labelled(scene)
+    if stays_on(scene.device, labels, wp.int32, (count,)):
+        return labels
+    refuse_host_values("labels", labels, wp.int32, scene.device)
+    values = as_real_array("labels", labels)
     if values.dtype.kind not in "iu":
         raise TypeError(f"labels must hold integers, not {values.dtype}")
     if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
@@ -344,10 +354,10 @@ def as_motions(motions: Any, scene: Scene | PointCloud, begin: float, end: float
         return {}
     if not isinstance(motions, Mapping):
         raise TypeError(f"motions must be a dict from indices of instances to trajectories, not {type(motions).__name__}")
-    if not scene.instances:
+    if not scene.state.instances:
         raise ValueError("motions need instances, and this scene has none; put moving meshes into wrt.Instance")
     for number, body in motions.items():
-        check_index(number, len(scene.instances), "instance")
+        check_index(number, len(scene.state.instances), "instance")
         if not isinstance(body, Trajectory):
             raise TypeError(f"motions[{number}] must be a wrt.sensors.Trajectory, not {type(body).__name__}")
         body.check_covers(begin, end, f"motions[{number}]: the times of the scan")

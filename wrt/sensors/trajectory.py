@@ -12,7 +12,7 @@ import warp as wp
 from wrt.engine.memory import keep_alive
 from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.runtime.launch import as_device, launch, refuse_capture
-from wrt.kernels.validation import first_bad, host_array
+from wrt.kernels.validation import first_bad
 from wrt.sensors.checks import SAME_STRETCH, as_time, check_matrix, check_real, is_rigid
 
 if TYPE_CHECKING:
@@ -280,16 +280,6 @@ def pose_path(times: np.ndarray, positions: np.ndarray, rotations: np.ndarray, d
         setattr(path, name, keep_alive(view, block))
         begin += len(values)
     return path
-
-
-def as_poses(pose: Any) -> Trajectory | StillPoses:
-    """The poses of a sensor, or of many.
-
-    Raises:
-        TypeError, ValueError: as `as_trajectory` and `StillPoses`.
-    """
-    pose = pose if isinstance(pose, Trajectory) else host_array("pose", pose)
-    return StillPoses(pose) if isinstance(pose, np.ndarray) and pose.ndim > 2 else as_trajectory(pose)
 
 
 def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:

@@ -21,7 +21,7 @@ import warp as wp
 
 from wrt.builders.core.clip import ClippedMesh, clipped_mesh
 from wrt.builders.core.levels import LiveNode, side_of, starts_of
-from wrt.builders.kdtree.events.event_sort import CHUNK, END, PLANAR, START, Events, event_position, event_value
+from wrt.builders.kdtree.events.event_sort import END, PLANAR, START, Events, event_position, event_value, item_sizes
 from wrt.builders.kdtree.phases.membership import Membership
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, store_byte, store_int
@@ -54,6 +54,7 @@ def side_in(boxes: Boxes, nodes: wp.array(dtype=LiveNode), own: int, reference: 
 @wp.kernel
 def count_straddlers(
     first: int,
+    size: int,
     references: int,
     boxes: Boxes,
     nodes: wp.array(dtype=LiveNode),
@@ -63,7 +64,7 @@ def count_straddlers(
     """Item: a chunk of references. counts: (chunks,) those that straddle their node's plane."""
     chunk = first + wp.tid()
     count = int(0)
-    for reference in range(chunk * CHUNK, wp.min(references, (chunk + 1) * CHUNK)):
+    for reference in range(chunk * size, wp.min(references, (chunk + 1) * size)):
         count += wp.where(side_in(boxes, nodes, load_int(membership.node, reference), reference) == 3, 1, 0)
     counts[chunk] = count
 
@@ -71,6 +72,7 @@ def count_straddlers(
 @wp.kernel
 def classify_references(
     first: int,
+    size: int,
     references: int,
     boxes: Boxes,
     nodes: wp.array(dtype=LiveNode),
@@ -85,7 +87,7 @@ def classify_references(
     places: (chunks,) where the chunk's straddlers are listed."""
     chunk = first + wp.tid()
     to = places[chunk]
-    for reference in range(chunk * CHUNK, wp.min(references, (chunk + 1) * CHUNK)):
+    for reference in range(chunk * size, wp.min(references, (chunk + 1) * size)):
         own = load_int(membership.node, reference)
         side = side_in(boxes, nodes, own, reference)
         store_byte(straddles, reference, wp.uint8(wp.where(side == 3, 1, 0)))
@@ -253,9 +255,10 @@ class ClippedReferences:
 
     def classify(self, events: Events, membership: Membership, nodes: wp.array) -> Membership:
         """The nodes of the references on the next level; adds the parts of straddlers, and replaces the events."""
-        count, chunks, device = self.count, -(-self.count // CHUNK), self.device
+        count, size, device = self.count, item_sizes(self.device).triangles, self.device
+        chunks = -(-count // size)
         counts = wp.empty(chunks, dtype=int, device=device)
-        self.run(count_straddlers, chunks, count, self.boxes, nodes, membership, counts)
+        self.run(count_straddlers, chunks, size, count, self.boxes, nodes, membership, counts)
         sizes = counts.numpy()
         added = int(sizes.sum())
         places = wp.array(starts_of(sizes), dtype=int, device=device)
@@ -264,7 +267,7 @@ class ClippedReferences:
         refined.shared = wp.zeros(1, dtype=int, device=device)
         straddlers = wp.empty(max(1, added), dtype=int, device=device)
         straddles = wp.empty(count, dtype=wp.uint8, device=device)
-        inputs = [count, self.boxes, nodes, membership, places, refined, straddlers, straddles]
+        inputs = [size, count, self.boxes, nodes, membership, places, refined, straddlers, straddles]
         self.run(classify_references, chunks, *inputs)
         if added:
             self.enlarge(count + added)

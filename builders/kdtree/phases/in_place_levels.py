@@ -102,14 +102,15 @@ def sum_blocks(first: int, block_chunks: int, counts: wp.array3d(dtype=wp.vec3i)
 
 @wp.kernel
 def scan_blocks(first: int, sums: wp.array3d(dtype=wp.vec2i)):
-    """Item: an axis. Turns the sums of blocks into the counts before them."""
-    axis = first + wp.tid()
-    for index in range(sums.shape[2]):
-        total = wp.vec2i(0, 0)
-        for block in range(sums.shape[1]):
-            here = sums[axis, block, index]
-            sums[axis, block, index] = total
-            total += here
+    """Item: axis * nodes + a live node. Turns the sums of blocks into the counts before them."""
+    item = first + wp.tid()
+    axis = item / sums.shape[2]
+    index = item % sums.shape[2]
+    total = wp.vec2i(0, 0)
+    for block in range(sums.shape[1]):
+        here = sums[axis, block, index]
+        sums[axis, block, index] = total
+        total += here
 
 
 @wp.kernel
@@ -257,21 +258,43 @@ def search_planes(
 
 
 @wp.kernel
+def keep_best(first: int, together: int, sweeps: wp.array3d(dtype=Sweep)):
+    """Writes the best plane of a node in `together` chunks to the first of them.
+
+    Item: (axis * blocks + block) * nodes + node."""
+    item = first + wp.tid()
+    index = item % sweeps.shape[2]
+    blocks = (sweeps.shape[1] + together - 1) / together
+    block = (item / sweeps.shape[2]) % blocks
+    axis = item / sweeps.shape[2] / blocks
+    begin = block * together
+    best = sweeps[axis, begin, index].best
+    for chunk in range(begin + 1, wp.min(begin + together, sweeps.shape[1])):
+        candidate = sweeps[axis, chunk, index].best
+        if candidate.cost < best.cost:
+            best = candidate
+    sweeps[axis, begin, index].best = best
+
+
+@wp.kernel
 def decide(
     first: int,
+    together: int,
     cost: SplitCost,
     limits: StopLimits,
     sweeps: wp.array3d(dtype=Sweep),
     nodes: wp.array(dtype=LiveNode),
 ):
-    """Item: a live node. Selects the best plane of all axes and chunks, in this order, and stops or splits."""
+    """Item: a live node. Selects the best plane of all axes and chunks, in this order, and stops or splits.
+
+    together: chunks whose best plane the first of them has."""
     index = first + wp.tid()
     node = nodes[index]
     if not node.finished:
         best = no_split()
         for axis in range(3):
-            for chunk in range(sweeps.shape[1]):
-                candidate = sweeps[axis, chunk, index].best
+            for block in range((sweeps.shape[1] + together - 1) / together):
+                candidate = sweeps[axis, block * together, index].best
                 if candidate.cost < best.cost:
                     best = candidate
         nodes[index] = decided(cost, limits, node, best)

@@ -10,7 +10,6 @@ References: choi-2010.
 import warp as wp
 
 from wrt.builders.core.levels import LiveNode, side_of
-from wrt.builders.kdtree.events.event_sort import CHUNK
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module
@@ -62,6 +61,7 @@ def count_children(boxes: Boxes, nodes: wp.array(dtype=LiveNode), membership: Me
 @wp.kernel
 def count_shared(
     first: int,
+    size: int,
     triangles: int,
     boxes: Boxes,
     nodes: wp.array(dtype=LiveNode),
@@ -74,7 +74,7 @@ def count_shared(
     counts: (chunks,) the room that the chunk needs in `refined.shared`."""
     chunk = first + wp.tid()
     room = int(0)
-    for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
+    for triangle in range(chunk * size, wp.min(triangles, (chunk + 1) * size)):
         count = count_children(boxes, nodes, membership, triangle)
         store_int(refined.node, triangle, count)
         room += wp.where(count > 1, count + 1, 0)
@@ -84,6 +84,7 @@ def count_shared(
 @wp.kernel
 def refine_members(
     first: int,
+    size: int,
     triangles: int,
     boxes: Boxes,
     nodes: wp.array(dtype=LiveNode),
@@ -94,7 +95,7 @@ def refine_members(
     """Item: a chunk of triangles. Writes their nodes on the next level; places: where the chunk begins in `refined.shared`."""
     chunk = first + wp.tid()
     to = places[chunk]
-    for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
+    for triangle in range(chunk * size, wp.min(triangles, (chunk + 1) * size)):
         count = load_int(refined.node, triangle)
         if count > 1:
             store_int(refined.node, triangle, ~to)

@@ -8,7 +8,7 @@ import warp as wp
 
 from wrt.builders.core.subtrees import Task
 from wrt.builders.kdtree.events.event_lists import EventLists
-from wrt.builders.kdtree.events.event_sort import CHUNK, Events, event_position, event_value
+from wrt.builders.kdtree.events.event_sort import Events, event_position, event_value
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
 from wrt.kernels.layout.unchecked import load_int, store_int, store_pair
 from wrt.kernels.runtime.options import exact_module
@@ -17,43 +17,56 @@ exact_module(__name__)
 
 
 @wp.kernel
-def count_task_triangles(first: int, triangles: int, membership: Membership, counts: wp.array2d(dtype=int)):
+def count_task_triangles(first: int, size: int, triangles: int, membership: Membership, counts: wp.array2d(dtype=int)):
     """Item: a chunk of triangles. Counts its triangles per task. counts: (chunks, live nodes)."""
     chunk = first + wp.tid()
     row = counts[chunk]
     for task in range(counts.shape[1]):
         row[task] = 0
-    for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
+    for triangle in range(chunk * size, wp.min(triangles, (chunk + 1) * size)):
         own = load_int(membership.node, triangle)
         for m in range(member_count(membership, own)):
             row[member(membership, own, m)] += 1
 
 
 @wp.kernel
+def scan_columns(first: int, counts: wp.array2d(dtype=int), totals: wp.array(dtype=int)):
+    """Item: a column. Turns its counts into `totals` and the counts before them, and adds them up there."""
+    column = first + wp.tid()
+    total = totals[column]
+    for row in range(counts.shape[0]):
+        here = counts[row, column]
+        counts[row, column] = total
+        total += here
+    totals[column] = total
+
+
+@wp.kernel
 def fill_task_triangles(
     first: int,
+    size: int,
     triangles: int,
     membership: Membership,
     tasks: wp.array(dtype=Task),
-    places: wp.array2d(dtype=int),
+    before: wp.array2d(dtype=int),
     local: Membership,
     lists: EventLists,
 ):
     """Item: a chunk of triangles. Copies their ids.
 
+    before: (chunks, tasks) triangles of each task in the chunks before; overwritten.
     local: the triangles' indices within their tasks, at the same places where `membership` holds the tasks. The counts at the
     head of each list in `Membership.shared` have no counterpart.
     """
     chunk = first + wp.tid()
-    row = places[chunk]
-    for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
+    row = before[chunk]
+    for triangle in range(chunk * size, wp.min(triangles, (chunk + 1) * size)):
         own = load_int(membership.node, triangle)
         for m in range(member_count(membership, own)):
             task = member(membership, own, m)
-            place = row[task]
-            row[task] = place + 1
-            lists.triangle[place] = triangle
-            index = place - tasks[task].triangles_first
+            index = row[task]
+            row[task] = index + 1
+            lists.triangle[tasks[task].triangles_first + index] = triangle
             if own >= 0:
                 store_int(local.node, triangle, index)
             else:

@@ -84,10 +84,28 @@ class UpperNodes:
     """W."""
 
 
+mat34f = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
+mat34d = wp.types.matrix(shape=(3, 4), dtype=wp.float64)
+"""Transforms without their last row."""
+
+
 @wp.func
 def as_map(matrix: wp.mat44f):
     """A transform in float64."""
     return wp.mat44d(matrix)
+
+
+@wp.func
+def as_map(matrix: mat34d):  # noqa: F811
+    """The transform whose last row was left out."""
+    last = wp.vec4d(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(1.0))
+    return wp.matrix_from_rows(matrix[0], matrix[1], matrix[2], last)
+
+
+@wp.func
+def as_map(matrix: mat34f):  # noqa: F811
+    """As for `mat34d`."""
+    return as_map(mat34d(matrix))
 
 
 @wp.func

@@ -200,13 +200,17 @@ def sets_of_points(mesh: TriangleMesh, count: int) -> dict[str, np.ndarray]:
     return {"in the box": rng.uniform(low, high, (count, 3)).astype(np.float32), "near the surface": near.astype(np.float32)}
 
 
+DISTRIBUTIONS = {"igl": "libigl", "fcl": "python-fcl"}
+"""What to install for packages of another name."""
+
+
 def missing_peers(names: Sequence[str]) -> dict[str, str]:
-    """Peers that cannot run, with the reason."""
+    """Peers that cannot run, with the reason; names: keys of `POINT_PEERS`, or packages."""
     missing = {}
     for name in names:
-        package = POINT_PEERS[name][0]
+        package = POINT_PEERS[name][0] if name in POINT_PEERS else name
         if importlib.util.find_spec(package) is None:
-            missing[name] = f"needs {package}, which is not installed: pip install {'libigl' if package == 'igl' else package}"
+            missing[name] = f"needs {package}, which is not installed: pip install {DISTRIBUTIONS.get(package, package)}"
             continue
         try:
             importlib.import_module(package)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -25,6 +26,7 @@ def trace_batch(
 ) -> tuple[DeviceHits, wp.array | None]:
     """Results of rays by the scene's tree, and each ray's work if it is to be counted; the plan is the query's own."""
     device = scene.device
+    plan = recordable(scene, plan) if device.is_capturing else plan
     if not plan.is_wide and scene.facts.can_be_wide:
         scene.cache.missed_savings += wide_form_savings(rays.count, plan.coherent)
     hits = DeviceHits.new(query, rays.count, device)
@@ -45,6 +47,15 @@ def trace_batch(
     values = work.numpy()
     values[order.numpy()] = sorted_work.numpy()
     return hits, wp.array(values, dtype=work.dtype, device=device)
+
+
+def recordable(scene: SceneState, plan: Plan) -> Plan:
+    """The plan, or the nearest one that a graph can repeat: orders of rays and lists of streams are made on the host."""
+    capabilities = traversal_of(plan).capabilities
+    in_lists = scene.instances and not traversal_of(plan).walks_single_rays and Capabilities.PACKETS not in capabilities
+    if in_lists or Capabilities.QUEUED in capabilities:
+        plan = replace(plan, traversal="single", packet=1, stream=1, culling="")
+    return replace(plan, reorder="none") if plan.reorder == "cells" else plan
 
 
 def run(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str, work: wp.array, counters: bool) -> None:

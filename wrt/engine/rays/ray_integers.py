@@ -50,9 +50,24 @@ class Integers(NamedTuple):
         else:
             number = as_integers(name, values, self.low, self.high, self.hint).astype(wp.dtype_to_numpy(self.dtype))
             flat, stride = flatten_shared(broadcast(name, number, shape), shape, ())
-            each = wp.array(flat, dtype=self.dtype, device=device)
+            each = self.on_device(flat, device)
         setattr(rays.batch, name, each)
         setattr(rays.batch, f"{name}_stride", stride)
+
+    def on_device(self, flat: np.ndarray, device: wp.Device) -> wp.array:
+        """Values of the host; one of them can be part of a graph.
+
+        Raises:
+            RuntimeError: several, and a graph is being captured, which would copy from memory that is freed before its launch.
+        """
+        if not device.is_capturing:
+            return wp.array(flat, dtype=self.dtype, device=device)
+        if len(flat) != 1:
+            raise RuntimeError(
+                f"{self.name} must be one number or a Warp array of {self.dtype.__name__} on {device} while a graph is "
+                "captured; copy it there before the capture"
+            )
+        return wp.full(1, flat[0].item(), dtype=self.dtype, device=device)
 
 
 MASKS = Integers("mask", wp.uint32, 0, (1 << 32) - 1, "; combine bits as 1 << 0 | 1 << 3")

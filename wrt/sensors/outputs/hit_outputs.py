@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import warp as wp
 
-from wrt.engine.memory import outputs_of
+from wrt.engine.memory import keep_alive, outputs_of
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.sensors.outputs.row_tables import as_host
 from wrt.tables import lookup
@@ -56,7 +56,6 @@ class TracedLayers:
         wanted = [name for name in self.KINDS if name in names and name not in self.arrays]
         if not wanted:
             return
-        refuse_capture("a layer of a sensor that is read for the first time", self.device)
         with use_threads(self.num_threads):
             for group in self.TOGETHER:
                 if chosen := {name: self.KINDS[name] for name in group if name in wanted}:
@@ -117,6 +116,9 @@ class HitOutputs:
         self._chosen = tuple(layers.KINDS) if chosen is None else tuple(chosen)
         if to_warp:
             layers.make(self._chosen)
+            if layers.device.is_capturing:
+                for values in layers.arrays.values():  # the graph reads what they are made of whenever it is launched
+                    keep_alive(values, (values.used, layers))  # type: ignore[attr-defined]
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(shape={self.shape})"
@@ -172,6 +174,7 @@ class HitOutputs:
             public = public_name(name)
             raise ValueError(f"{public} is none of the layers that were chosen; add it: layers=(..., {public!r})")
         if name not in self._layers.arrays:
+            refuse_capture("a layer of a sensor that is read for the first time", self._layers.device)
             group = next(group for group in self._layers.TOGETHER if name in group)
             self._layers.make(set(group) & set(self._chosen))
         return self._layers.arrays[name]

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import count, repeat
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from wrt.kernels.validation import as_int
 from wrt.sensors.checks import as_time
 from wrt.sensors.image_sensor import Camera
 from wrt.sensors.lidar import Lidar
-from wrt.sensors.trajectory import StillPoses, Trajectory, as_poses, as_trajectory
+from wrt.sensors.placed.device_poses import DevicePoses, as_poses
+from wrt.sensors.trajectory import StillPoses, Trajectory, as_trajectory
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -70,7 +73,7 @@ class Rig:
         pose: Any,
         *,
         time: float = 0.0,
-        seed: int | None = None,
+        seed: int | wp.array | None = None,
         each: Mapping[str, Mapping[str, Any]] | None = None,
         **common: Any,
     ) -> dict[str, LidarScan | CameraImages]:
@@ -78,11 +81,12 @@ class Rig:
 
         Args:
             scene: as in `Lidar.scan`.
-            pose: (4, 4) from the body's frame to the world, (..., 4, 4) of many bodies at rest that have such a rig, or the
-                body's `Trajectory`. Where that turns, a sensor beside the body's origin moves along chords of its arc, none
-                further than 1e-6 units of length from it.
+            pose: (4, 4) from the body's frame to the world, (..., 4, 4) of many bodies at rest that have such a rig, a Warp
+                array (...) of `wp.transform` of such bodies, or the body's `Trajectory`. Where that turns, a sensor beside the
+                body's origin moves along chords of its arc, none further than 1e-6 units of length from it.
             time: at which all begin, on the clock of the trajectories.
-            seed: of the noise of the first lidar; each following one has the next number. None: no noise.
+            seed: of the noise of the first lidar; each following one has the next number. A Warp array as in `Lidar.scan`, too.
+                None: no noise.
             each: options of single sensors by name, such as `layers`, `reflectance` or another `time`.
             common: options of all, such as `labels`, `motions`, `slices`, `mask` and `environment`.
 
@@ -96,14 +100,18 @@ class Rig:
         path, time, each = as_poses(pose), as_time(time), {} if each is None else each
         for name in each:
             lookup(self.sensors, name, "each")
-        seeds = None if seed is None else iter(range(as_int("seed", seed, 0, (1 << 64) - 1), 1 << 65))
+        seeds: Iterator[Any] | None = None
+        if isinstance(seed, wp.array):
+            seeds = repeat(seed)  # each scan leaves the next number
+        elif seed is not None:
+            seeds = (number % (1 << 64) for number in count(as_int("seed", seed, 0, (1 << 64) - 1)))
         found: dict[str, LidarScan | CameraImages] = {}
         for name, sensor in self.sensors.items():
             options = {"time": time, **common, **each.get(name, {})}
             placed = mounted(path, self.mounts[name])
             if isinstance(sensor, Lidar):
                 if seeds is not None:
-                    options = {"seed": next(seeds) % (1 << 64), **options}
+                    options = {"seed": next(seeds), **options}
                 found[name] = sensor.scan(scene, placed, **options)
             else:
                 found[name] = sensor.capture(scene, placed, **options)
@@ -117,6 +125,8 @@ def mounted(path: Trajectory | StillPoses, mount: np.ndarray) -> Any:
         path: the body's.
         mount: (4, 4) from the sensor's frame to the body's.
     """
+    if isinstance(path, DevicePoses):
+        return path.on(mount)
     if isinstance(path, StillPoses):
         return path.poses @ mount
     if path.is_still:

@@ -1,0 +1,1 @@
+"""Poses of sensors, and values of many of them, that are on the scene's device."""
