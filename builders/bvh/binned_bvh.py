@@ -9,8 +9,8 @@ is collapsed to nodes of W children (`collapse`).
 
 **Data.** References (`wrt.builders.triangle_references`), bins (`bvh_bins`) and a binary tree (`binary_tree`).
 
-**Phases.** References: `make_references`. Top levels: `build_levels` (search, partition and emit of `bvh_levels`). Subtrees:
-`build_subtrees` (stop, search, partition and emit of `bvh_subtrees`). Then reinsertion and collapse.
+**Phases.** References: `make_references` of `bvh_subtrees`. Top levels: `build_levels` (search, partition and emit of
+`bvh_levels`). Subtrees: `build_subtrees` (stop, search, partition and emit of `bvh_subtrees`). Then reinsertion and collapse.
 
 **Complexity.** O(N) per level of the tree, with sequential memory access only. References take 64 bytes per triangle. Nodes use
 as much as the tree needs of a reservation of 88 bytes per triangle.
@@ -38,7 +38,7 @@ from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import Frame, empty_tree
 from wrt.builders.bvh.phases.bvh_bins import make_scratch
 from wrt.builders.bvh.phases.bvh_levels import BinnedNode, Totals, make_search_planes
-from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees, subtree_memory
+from wrt.builders.bvh.phases.bvh_subtrees import STACK, subtree_kernels, subtree_memory
 from wrt.builders.bvh.phases.collapse import collapse_kernels, improved
 from wrt.builders.core.late_import import classic_module
 from wrt.builders.core.levels import Chunk
@@ -89,11 +89,11 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
 
 def kernels(config: BvhConfig, triangles: int, heuristic: Heuristic = SURFACE) -> list[wp.Kernel]:
     """One kernel of each module that a build of the given number of triangles needs."""
-    levels = [make_search_planes(heuristic)] if triangles > largest_task(triangles) else []
+    levels = [make_search_planes(heuristic), level_phase.bin_chunks] if triangles > largest_task(triangles) else []
     moving = [classic_module("bvh.reinsertion").find_insertion_positions] if config.reinsertion else []
     if config.subset < 1.0:
         moving += classic_module("bvh.subset_levels").KERNELS
-    return [level_phase.make_references, *levels, make_build_subtrees(heuristic), *moving, *collapse_kernels(heuristic)]
+    return [subtree_kernels(heuristic)[0], *levels, *moving, *collapse_kernels(heuristic)]
 
 
 def largest_task(triangles: int) -> int:
@@ -129,7 +129,7 @@ class BinnedBuilder:
         self.work = work = Workspace(self.device) if work is None else work
         self.rays = work.make("rays", 1, lambda _: AllDirections()) if rays is None else rays
         self.search_planes = make_search_planes(heuristic)
-        self.subtree_kernel = make_build_subtrees(heuristic)
+        self.subtree_kernel, self.reference_kernel = subtree_kernels(heuristic)
         self.rules = work.make("rules", 1, lambda _: config.struct())
         self.phase = Phases(self.device)
         self.tree = work.make("tree", count, lambda size: empty_tree(size, self.device))
@@ -166,7 +166,7 @@ class BinnedBuilder:
         count, size = self.triangles.count, self.chunk
         chunks = -(-count // size)
         self.parts = self.work.empty("parts", 16 * (chunks + count // self.large + 1), float)
-        self.run(level_phase.make_references, chunks, self.triangles.boxes, count, size, self.references, self.parts)
+        self.run(self.reference_kernel, chunks, self.triangles.boxes, count, size, self.references, self.parts)
         root = np.zeros(8, dtype=np.float32)
         root[0:3], root[4:7] = self.triangles.low, -self.triangles.high
         write(self.tree.box, root)

@@ -30,16 +30,8 @@ from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections
 from wrt.builders.bvh.phases.binary_tree import Frame, empty_tree
 from wrt.builders.bvh.phases.bvh_bins import make_scratch
-from wrt.builders.bvh.phases.bvh_levels import make_references
-from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees, subtree_memory
-from wrt.builders.bvh.phases.collapse import (
-    empty_levels,
-    list_children,
-    make_pick_children,
-    make_solve,
-    scan_level,
-    write_nodes,
-)
+from wrt.builders.bvh.phases.bvh_subtrees import STACK, subtree_kernels, subtree_memory
+from wrt.builders.bvh.phases.collapse import empty_levels, list_children, scan_level, search_kernels, write_nodes
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import Boxes, compute_boxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
@@ -123,7 +115,7 @@ class FewTriangles:
 
     def __init__(self, config: BvhConfig, dtype: type, capacity: int) -> None:
         device, width = wp.get_device("cpu"), config.cost.width
-        shift, build, solve, pick = make_kernels(dtype)
+        shift, build, refer, solve, pick = make_kernels(dtype)
         load([shift, compute_boxes, run_steps, *kernels(config, capacity)], device)
         self.capacity, self.width = capacity, width
         boxes = Boxes()
@@ -147,7 +139,7 @@ class FewTriangles:
 
         self.shift = packed(shift, wp.vec3d(), given, points)
         self.boxes = packed(compute_boxes, points, faces, boxes)
-        self.references = packed(make_references, boxes, 0, 0, references, parts)
+        self.references = packed(refer, boxes, 0, 0, references, parts)
         self.subtree = packed(build, rules, rays, memory, tasks, 1, stack, tree, subtrees)
         self.solve = packed(solve, rules, rays, tree, subtrees, numbers, references)
         self.pick = packed(pick, 0, rules, rays, tree, references, wide)
@@ -241,7 +233,7 @@ class FewTriangles:
 
 def make_kernels(dtype: type) -> tuple[wp.Kernel, ...]:
     """The kernels that depend on a type or a heuristic."""
-    return specialise(make_shift, dtype), make_build_subtrees(SURFACE), make_solve(SURFACE), make_pick_children(SURFACE)
+    return specialise(make_shift, dtype), *subtree_kernels(SURFACE), *search_kernels(SURFACE)
 
 
 def empty(count: int, dtype: type) -> wp.array:

@@ -32,6 +32,7 @@ with an arc tangent by a polynomial (error 1e-8) fitted to it.
     grid_points.py       points of regular grids in blocks, and their values
     winding_walk.py      the kernel that walks a tree, by kernels/native/winding.h
     disc_samples.py      points of a surface that are apart from each other
+    column_sums.py       sums of weights, in groups, of the rows in which the booleans of columns are true
     exposures.py         rays from surfaces to given directions, and sums of the light that arrives
     distance_signs.py    the side of a surface on which a point is, by the normals at what is nearest, and distances with signs
 

@@ -149,10 +149,10 @@ template <int W, int DEPTH> inline CUDA_CALLABLE int push_sorted(const int* key,
     auto v = load<Vector<int, W>>(key);
 #if defined(__AVX512F__)
     if constexpr (W == 16) {
-        v = __builtin_ia32_compresssi512_mask(v, (Vector<int, 16>)(-1), (unsigned short)mask);
+        v = compressed(v, mask, (Vector<int, 16>)(-1));
         v = sort_few(v, count, Lanes<16>());
         save(to, v);
-        save(to + DEPTH, (Vector<int, 16>)__builtin_ia32_permvarsi512(load<Vector<int, 16>>(child), v));
+        save(to + DEPTH, permuted(load<Vector<int, 16>>(child), v));
         return count;
     }
 #endif
@@ -160,7 +160,7 @@ template <int W, int DEPTH> inline CUDA_CALLABLE int push_sorted(const int* key,
 #if defined(__AVX2__)
     if constexpr (W == 8) {
         save(to, v);
-        save(to + DEPTH, (Vector<int, 8>)__builtin_ia32_permvarsi256(load<Vector<int, 8>>(child), v));
+        save(to + DEPTH, permuted(load<Vector<int, 8>>(child), v));
         return count;
     }
 #endif
@@ -190,25 +190,20 @@ template <int W> inline CUDA_CALLABLE void push_reversed(int* to, const int* chi
 {
 #if WRT_VECTORS && defined(__AVX512F__)
     if constexpr (W == 16) {
-        auto c = load<Vector<int, 16>>(child);
+        const auto c = load<Vector<int, 16>>(child);
         const int first = child[__builtin_ctz(mask | 32768u)], others = __builtin_popcount(mask) - 1;
-        c = __builtin_ia32_compresssi512_mask(c, c, (unsigned short)(mask & (mask - 1u)));
-        save(to, c);
+        save(to, compressed(c, mask & (mask - 1u)));
         to[mask ? others : 15] = first;
         return;
     }
 #endif
 #if WRT_VECTORS && defined(__AVX2__)
     if constexpr (W == 8) {
-        save(to, permuted(load<Vector<int, 8>>(child), LAST_LANES_FIRST.of[mask]));
+        save(to, permuted(load<Vector<int, 8>>(child), lanes_in(LAST_LANES_FIRST.of[mask])));
         return;
     }
 #endif
-    int count = 0;
-    for (int i = W - 1; i >= 0; --i) {
-        to[count] = child[i];
-        count += mask >> i & 1u;
-    }
+    append_one_by_one<W, true>(to, child, mask);
 }
 
 /// The slots of a thread and their lists; see wrt.kernels.traversal.interleaved.interleaved_bvh.

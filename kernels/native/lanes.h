@@ -100,12 +100,44 @@ struct MaskLanes {
 };
 constexpr MaskLanes FIRST_LANES_FIRST(false), LAST_LANES_FIRST(true);
 
-inline Vector<int, 8> permuted(Vector<int, 8> v, unsigned long long lanes)
+/// The lanes of a mask in a row of `MaskLanes`.
+inline Vector<int, 8> lanes_in(unsigned long long row)
 {
-    const auto bytes = load<Vector<unsigned char, 8>>(&lanes);
-    return __builtin_ia32_permvarsi256(v, __builtin_convertvector(bytes, Vector<int, 8>));
+    return __builtin_convertvector(__builtin_bit_cast(Vector<unsigned char, 8>, row), Vector<int, 8>);
 }
+
+/// The lanes `which` (0 to 7) of v.
+inline Vector<int, 8> permuted(Vector<int, 8> v, Vector<int, 8> which) { return __builtin_ia32_permvarsi256(v, which); }
+
+/// The lanes of v that a mask selects come first, in order; what is in the others is not said.
+inline Vector<int, 8> compressed(Vector<int, 8> v, unsigned mask) { return permuted(v, lanes_in(FIRST_LANES_FIRST.of[mask])); }
 #endif
+
+#if WRT_VECTORS && defined(__AVX512F__)
+/// The lanes `which` (0 to 15) of v.
+inline Vector<int, 16> permuted(Vector<int, 16> v, Vector<int, 16> which) { return __builtin_ia32_permvarsi512(v, which); }
+
+/// The lanes of v that a mask selects come first, in order; the others are those of `rest`.
+inline Vector<int, 16> compressed(Vector<int, 16> v, unsigned mask, Vector<int, 16> rest)
+{
+    return __builtin_ia32_compresssi512_mask(v, rest, (unsigned short)mask);
+}
+
+inline Vector<int, 16> compressed(Vector<int, 16> v, unsigned mask) { return compressed(v, mask, v); }
+#endif
+
+/// Appends those of N numbers that the mask selects, one by one and without a branch, in order or the last first; returns how
+/// many. Writes up to N numbers.
+template <int N, bool REVERSED = false> inline CUDA_CALLABLE int append_one_by_one(int* to, const int* from, unsigned mask)
+{
+    int size = 0;
+    for (int j = 0; j < N; ++j) {
+        const int i = REVERSED ? N - 1 - j : j, value = from[i];
+        to[size] = value;
+        size += mask >> i & 1u;
+    }
+    return size;
+}
 
 /// Appends those of L numbers that the mask selects, in order, and returns how many. L is a multiple of 8, and 16 with
 /// AVX-512. Writes L numbers.
@@ -113,25 +145,18 @@ template <int L> inline CUDA_CALLABLE int append(int* to, const int* from, unsig
 {
 #if WRT_VECTORS && defined(__AVX512F__)
     static_assert(L == 16, "one register");
-    const auto v = load<Vector<int, 16>>(from);
-    save(to, __builtin_ia32_compresssi512_mask(v, v, (unsigned short)mask));
+    save(to, compressed(load<Vector<int, 16>>(from), mask));
     return count_bits(mask);
 #elif WRT_VECTORS && defined(__AVX2__)
     int size = 0;
     for (int i = 0; i < L; i += 8) {
         const unsigned own = mask >> i & 255u;
-        save(to + size, permuted(load<Vector<int, 8>>(from + i), FIRST_LANES_FIRST.of[own]));
+        save(to + size, compressed(load<Vector<int, 8>>(from + i), own));
         size += count_bits(own);
     }
     return size;
 #else
-    int size = 0;
-    for (int i = 0; i < L; ++i) {
-        const int value = from[i];
-        to[size] = value;
-        size += mask >> i & 1u;
-    }
-    return size;
+    return append_one_by_one<L>(to, from, mask);
 #endif
 }
 
@@ -337,22 +362,7 @@ template <int W, class V> inline void replace(void* to, Ints<W> mask, V v)
     *(Unaligned*)to = mask ? __builtin_bit_cast(Ints<W>, v) : before;
 }
 
-/// The lanes `which` (0 to W - 1) of the W floats at `row`: one permutation where W floats are a register of x86-64.
-template <int W> inline Floats<W> chosen(const void* row, Ints<W> which)
-{
-#if defined(__AVX2__)
-    if constexpr (W == 8) return (Floats<W>)__builtin_ia32_permvarsi256(load<Ints<W>>(row), which);
-#endif
-#if defined(__AVX512F__)
-    if constexpr (W == 16) return (Floats<W>)__builtin_ia32_permvarsi512(load<Ints<W>>(row), which);
-#endif
-    Floats<W> v;
-    WRT_SCALAR
-    for (int i = 0; i < W; ++i) v[i] = ((const float*)row)[which[i]];
-    return v;
-}
-
-/// Whether the CPU packs lanes of W floats by an instruction or two.
+/// Whether the CPU permutes and packs lanes of W numbers by an instruction or two.
 template <int W> constexpr bool can_pack()
 {
 #if defined(__AVX512F__)
@@ -364,34 +374,23 @@ template <int W> constexpr bool can_pack()
     return false;
 }
 
-/// Moves the lanes of vectors that a mask selects to the first lanes, in order; what is in the others is not said.
-template <int W> struct Packing {
-    unsigned mask;
-#if defined(__AVX2__)
-    unsigned long long lanes;
-#endif
+/// The lanes `which` (0 to W - 1) of the W floats at `row`.
+template <int W> inline Floats<W> chosen(const void* row, Ints<W> which)
+{
+    if constexpr (can_pack<W>()) return (Floats<W>)permuted(load<Ints<W>>(row), which);
+    Floats<W> v;
+    WRT_SCALAR
+    for (int i = 0; i < W; ++i) v[i] = ((const float*)row)[which[i]];
+    return v;
+}
 
-    explicit Packing(unsigned mask)
-        : mask(mask)
-    {
-#if defined(__AVX2__)
-        if constexpr (W == 8) lanes = FIRST_LANES_FIRST.of[mask & 255u];
-#endif
-    }
-
-    template <class V> V operator()(V v) const
-    {
-        const auto from = __builtin_bit_cast(Ints<W>, v);
-#if defined(__AVX2__)
-        if constexpr (W == 8) return __builtin_bit_cast(V, permuted(from, lanes));
-#endif
-#if defined(__AVX512F__)
-        if constexpr (W == 16)
-            return __builtin_bit_cast(V, __builtin_ia32_compresssi512_mask(from, from, (unsigned short)mask));
-#endif
-        return v;
-    }
-};
+/// The lanes of v that a mask selects come first, in order, where `can_pack`; what is in the others is not said.
+template <class V> inline V packed(V v, unsigned mask)
+{
+    constexpr int W = sizeof(V) / sizeof(int);
+    if constexpr (can_pack<W>()) return __builtin_bit_cast(V, compressed(__builtin_bit_cast(Ints<W>, v), mask));
+    return v;
+}
 
 template <int W, int... I> inline Ints<W> numbered(Numbers<int, I...>) { return Ints<W> {I...}; }
 

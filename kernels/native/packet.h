@@ -65,12 +65,10 @@ template <class Bounds> inline CUDA_CALLABLE SharedOrigin shared_origin(const Bo
 template <int P, int W, bool SHARED>
 inline CUDA_CALLABLE BoxRay box_ray(const Packet<P, W, SHARED>& packet, const SharedOrigin& shared, int k)
 {
-    const float ix = packet.inverse_x[k], iy = packet.inverse_y[k], iz = packet.inverse_z[k];
     const float wide = SHARED ? shared.slack : packet.slack[k];
     const float ox = SHARED ? shared.origin[0] : packet.origin_x[k], oy = SHARED ? shared.origin[1] : packet.origin_y[k];
     const float oz = SHARED ? shared.origin[2] : packet.origin_z[k];
-    const float step_x = ix < 0.0f ? -wide : wide, step_y = iy < 0.0f ? -wide : wide, step_z = iz < 0.0f ? -wide : wide;
-    return {{ix, iy, iz}, {ox + step_x, oy + step_y, oz + step_z}, {ox - step_x, oy - step_y, oz - step_z}};
+    return widened_ray(packet.inverse_x[k], packet.inverse_y[k], packet.inverse_z[k], ox, oy, oz, wide);
 }
 
 /// The part of the range t_min .. t_max in which ray k is in the box from `low` to `high`.
@@ -230,7 +228,7 @@ template <int P> inline CUDA_CALLABLE float farthest(const float* t)
     return most < 0 ? -WRT_INFINITY : __builtin_bit_cast(float, most);
 }
 
-/// Updates `bounds.t_max` after rays have found hits; any-hit rays get no shorter, but done.
+/// Updates `bounds.t_max` after rays have found hits; any-hit rays are finished, not shortened.
 template <bool ANY_HIT, int P, int W, bool SHARED, class Bounds>
 inline CUDA_CALLABLE void shorten(const Packet<P, W, SHARED>& packet, Bounds& bounds)
 {

@@ -69,7 +69,18 @@ inline CUDA_CALLABLE void set_sides(
     bounds.origin_high.c[a] = highs[a];
 }
 
-/// The same, and the intervals of 1 / direction, from those of the directions: division is monotone on either side of 0. A
+/// The interval of 1 / direction along an axis, from that of the direction.
+template <class Bounds>
+inline CUDA_CALLABLE void set_inverses(Bounds& bounds, int a, float least, float most, bool backward, bool mixed)
+{
+    const float p = 1.0f / least, q = 1.0f / most, none = WRT_NAN;
+    bounds.inverse_large.c[a] = mixed ? none : backward ? q : p;
+    bounds.inverse_small.c[a] = mixed ? none : backward ? p : q;
+    bounds.forward_small.c[a] = mixed ? q : 0.0f;
+    bounds.backward_small.c[a] = mixed ? p : 0.0f;
+}
+
+/// The sides of all axes, and the intervals of 1 / direction, from those of the directions: division is monotone on either side of 0. A
 /// direction of -0 counts as +0, whose reciprocal bounds the same boxes.
 template <class Bounds>
 inline CUDA_CALLABLE void set_direction_axes(
@@ -79,12 +90,9 @@ inline CUDA_CALLABLE void set_direction_axes(
     bounds.mixed_axes = 0;
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {
-        const float least = least_of[a] + 0.0f, most = most_of[a] + 0.0f, p = 1.0f / least, q = 1.0f / most, none = WRT_NAN;
+        const float least = least_of[a] + 0.0f, most = most_of[a] + 0.0f;
         const bool backward = most < 0.0f, mixed = (least < 0.0f) & !backward;
-        bounds.inverse_large.c[a] = mixed ? none : backward ? q : p;
-        bounds.inverse_small.c[a] = mixed ? none : backward ? p : q;
-        bounds.forward_small.c[a] = mixed ? q : 0.0f;
-        bounds.backward_small.c[a] = mixed ? p : 0.0f;
+        set_inverses(bounds, a, least, most, backward, mixed);
         set_sides(bounds, a, backward, mixed, lows, highs, slack);
     }
 }
@@ -169,8 +177,9 @@ template <int P, int W, bool SHARED> inline CUDA_CALLABLE int main_axes_of(const
     return main_axes;
 }
 
-/// What is bounded. SLOPES: slopes, too; LATER: components of 1 / direction still hold directions, and what only tests need is
-/// still to be computed; ENDS: the ends of rays with origins of their own, too; PASSES: those of the triangle test.
+/// What is bounded. SLOPES: slopes, too; LATER: components of 1 / direction still hold directions, and values that only the
+/// triangle test reads are still to be computed; ENDS: the ends of rays with origins of their own, too; PASSES: those of the
+/// triangle test.
 template <int PASSES_, bool SLOPES_, bool LATER_ = false, bool ENDS_ = false> struct Bounding {
     static constexpr int PASSES = PASSES_;
     static constexpr bool SLOPES = SLOPES_, LATER = LATER_, ENDS = ENDS_;

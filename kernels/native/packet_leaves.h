@@ -23,7 +23,7 @@ inline CUDA_CALLABLE void accept(const Packet<P, W, SHARED>& packet, const Share
     if (FRONTS) within = within & is_front(normal, packet.inverse_x[k], packet.inverse_y[k], packet.inverse_z[k]);
     const float last = packet.t[k];
     const int found = packet.primitive[k];
-    if (ANY_HIT) {  // the first will do, and nobody asks for its weights
+    if (ANY_HIT) {  // any hit suffices; u and v are unused
         const bool counts = within & (at <= last);
         packet.t[k] = counts ? -WRT_INFINITY : last;
         packet.primitive[k] = counts ? id : found;
@@ -277,7 +277,7 @@ inline void test_pair(const Packet<P, W, SHARED>& packet, const Bounds& bounds, 
         const Floats<W> last = load<Floats<W>>(packet.t + f);
         Ints<W> hit = inside & (enter <= leave) & (at >= load<Floats<W>>(packet.t_min + f));
         const Ints<W> number = (Ints<W>)chosen<W>(ids, which), before = load<Ints<W>>(packet.primitive + f);
-        if (ANY_HIT) {  // the first will do, and nobody asks for its weights
+        if (ANY_HIT) {  // any hit suffices; u and v are unused
             hit = hit & (at <= last);
             if (FRONTS) drop_backs(packet, block, f, which, hit);
             replace<W>(packet.t + f, hit, (Floats<W>)(-WRT_INFINITY));

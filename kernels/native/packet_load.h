@@ -42,8 +42,8 @@ inline CUDA_CALLABLE int set_tested(const Packet<P, W, SHARED>& packet, int k, f
     return main;
 }
 
-/// Fills the components of a packet. LATER: what only tests need is left for `finish_packet`, and the components of 1 /
-/// direction hold the direction. low, high: bounds of the tree.
+/// Fills the components of a packet. LATER: values that only the triangle test reads are left for `finish_packet`, and the
+/// components of 1 / direction hold the direction. low, high: bounds of the tree.
 template <bool LATER, int P, int W, bool SHARED, class Vec3, class Prepare>
 inline CUDA_CALLABLE void fill_packet(
     const Packet<P, W, SHARED>& packet, const RayArrays<P>& rays, const Vec3& low, const Vec3& high, const Prepare& prepare)
@@ -269,11 +269,7 @@ inline CUDA_CALLABLE void bound_rays(
     for (int a = 0; a < 3; ++a) {
         // the sign bit, not < 0: 1 / -0 is -inf
         const bool backward = __builtin_bit_cast(int, most[a]) < 0, mixed = (__builtin_bit_cast(int, least[a]) < 0) & !backward;
-        const float p = 1.0f / least[a], q = 1.0f / most[a], none = WRT_NAN;
-        bounds.inverse_large.c[a] = mixed ? none : backward ? q : p;
-        bounds.inverse_small.c[a] = mixed ? none : backward ? p : q;
-        bounds.forward_small.c[a] = mixed ? q : 0.0f;
-        bounds.backward_small.c[a] = mixed ? p : 0.0f;
+        set_inverses(bounds, a, least[a], most[a], backward, mixed);
         set_sides(bounds, a, backward, mixed, lows, highs, bounds.slack);
     }
     bound_run_slopes(bounds, lows, highs, least, most, wide, narrow);

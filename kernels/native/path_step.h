@@ -211,9 +211,9 @@ template <class Queue, class Slots, class Gathered> struct Appended {
             save3<W>(following.origin.data + to, packed3<W>(sent.origin, lanes));
             save3<W>(following.direction.data + to, packed3<W>(sent.toward, lanes));
             save3<W>(following.weight.data + to, packed3<W>(sent.share, lanes));
-            save(following.density.data + to, packed(sent.density, lanes));
-            save(following.slot.data + to, packed(ray.slot, lanes));
-            save_media<W>(following.media.data + to, packed(sent.media, lanes));
+            save(following.density.data + to, chosen_lanes(sent.density, lanes));
+            save(following.slot.data + to, chosen_lanes(ray.slot, lanes));
+            save_media<W>(following.media.data + to, chosen_lanes(sent.media, lanes));
             to += count_bits(on);
         }
         const unsigned listed = bits_of(simple & ((found.lit.x != 0.0f) | (found.lit.y != 0.0f) | (found.lit.z != 0.0f)));
@@ -222,7 +222,7 @@ template <class Queue, class Slots, class Gathered> struct Appended {
             save3<W>(rays.lit.data + entry, packed3<W>(found.lit, lanes));
             save3<W>(rays.shadow_origin.data + entry, packed3<W>(found.origin, lanes));
             save3<W>(rays.shadow_direction.data + entry, packed3<W>(found.segment, lanes));
-            save(lit_slot.data + entry, packed(ray.slot, lanes));
+            save(lit_slot.data + entry, chosen_lanes(ray.slot, lanes));
             entry += count_bits(listed);
         }
     }

@@ -197,10 +197,9 @@ template <int W, int ROWS, class Triangles, class Kept> struct LeafSearch {
 private:
     inline void add(unsigned near, const Floats<W>* from, int first)
     {
-        const Packing<W> packing(near);
         WRT_UNROLLED
-        for (int row = 0; row < 9; ++row) save(rows + row * 2 * W + size, packing(from[row]));
-        save(slots + size, packing(lane_numbers<W>() + first));
+        for (int row = 0; row < 9; ++row) save(rows + row * 2 * W + size, packed(from[row], near));
+        save(slots + size, packed(lane_numbers<W>() + first, near));
         size += count_bits(near);
         if (size < W) return;
         test(~0u);

@@ -57,12 +57,17 @@ template <class Vec> inline CUDA_CALLABLE float reach(const Vec& low, const Vec&
     return far;
 }
 
-/// What box tests need of a ray, whose reach is `far` (`ray_slabs`).
+/// What box tests need of a ray from (x, y, z), with 1 / direction.
+inline CUDA_CALLABLE BoxRay widened_ray(float ix, float iy, float iz, float x, float y, float z, float slack)
+{
+    const float step_x = ix < 0.0f ? -slack : slack, step_y = iy < 0.0f ? -slack : slack, step_z = iz < 0.0f ? -slack : slack;
+    return {{ix, iy, iz}, {x + step_x, y + step_y, z + step_z}, {x - step_x, y - step_y, z - step_z}};
+}
+
+/// The same from its direction and its reach, `far` (`ray_slabs`).
 inline CUDA_CALLABLE BoxRay box_ray(float x, float y, float z, float px, float py, float pz, float far)
 {
-    const float slack = SLACK * far, jx = 1.0f / x, jy = 1.0f / y, jz = 1.0f / z;
-    const float step_x = jx < 0.0f ? -slack : slack, step_y = jy < 0.0f ? -slack : slack, step_z = jz < 0.0f ? -slack : slack;
-    return {{jx, jy, jz}, {px + step_x, py + step_y, pz + step_z}, {px - step_x, py - step_y, pz - step_z}};
+    return widened_ray(1.0f / x, 1.0f / y, 1.0f / z, px, py, pz, SLACK * far);
 }
 
 /// The normal of a triangle, in float64. triangle: its first component, those of a block of W triangles being W floats apart.

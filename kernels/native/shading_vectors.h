@@ -129,34 +129,21 @@ template <int W, class Record> inline void gather_records(const Record* table, c
 /// The lanes in the mask, then others.
 template <int W> inline Ints<W> lanes_of(unsigned mask)
 {
-#if defined(__AVX512F__)
-    if constexpr (W == 16) {
-        Ints<W> lanes;
-        WRT_UNROLLED
-        for (int i = 0; i < W; ++i) lanes[i] = i;
-        return (Ints<W>)__builtin_ia32_compresssi512_mask(lanes, lanes, (unsigned short)mask);
-    }
-#endif
 #if defined(__AVX2__)
-    if constexpr (W == 8) return __builtin_convertvector(load<Vector<unsigned char, W>>(FIRST_LANES_FIRST.of + mask), Ints<W>);
+    if constexpr (W == 8) return lanes_in(FIRST_LANES_FIRST.of[mask]);
 #endif
-    Ints<W> lanes = (Ints<W>)0;
-    int count = 0;
-    for (int i = 0; i < W; ++i)
-        if (mask >> i & 1u) lanes[count++] = i;
-    return lanes;
+    if constexpr (can_pack<W>()) return packed(lane_numbers<W>(), mask);
+    const Ints<W> numbers = lane_numbers<W>();
+    int lanes[W] = {};
+    append_one_by_one<W>(lanes, (const int*)&numbers, mask);
+    return load<Ints<W>>(lanes);
 }
 
 /// These lanes of v, in their order.
-template <class V, class M> inline V packed(V v, M lanes)
+template <class V, class M> inline V chosen_lanes(V v, M lanes)
 {
     constexpr int W = sizeof(M) / sizeof(int);
-#if defined(__AVX512F__)
-    if constexpr (W == 16) return (V)__builtin_ia32_permvarsi512((M)v, lanes);
-#endif
-#if defined(__AVX2__)
-    if constexpr (W == 8) return (V)__builtin_ia32_permvarsi256((M)v, lanes);
-#endif
+    if constexpr (can_pack<W>()) return (V)permuted((M)v, lanes);
     V moved = v;
     for (int i = 0; i < W; ++i) moved[i] = v[lanes[i]];
     return moved;
@@ -164,7 +151,7 @@ template <class V, class M> inline V packed(V v, M lanes)
 
 template <int W> inline V3<W> packed3(const V3<W>& v, Ints<W> lanes)
 {
-    return {packed(v.x, lanes), packed(v.y, lanes), packed(v.z, lanes)};
+    return {chosen_lanes(v.x, lanes), chosen_lanes(v.y, lanes), chosen_lanes(v.z, lanes)};
 }
 
 }  // namespace

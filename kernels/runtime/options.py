@@ -59,7 +59,9 @@ def cuda_block(kernel: wp.Kernel) -> int:
     return _blocks.get(kernel, CUDA_BLOCK)
 
 
-def specialised_kernel(function: Callable, gradients: bool = False, bounds: tuple[int, int] | None = None) -> wp.Kernel:
+def specialised_kernel(
+    function: Callable, gradients: bool = False, bounds: tuple[int, int] | None = None, beside: str = ""
+) -> wp.Kernel:
     """The kernel of a function that a factory made, in a Warp module of its own, with the options of `exact_module`.
 
     Specialisations of one function differ in the values that they capture (`wp.static`). In a module of its own, each is
@@ -70,8 +72,14 @@ def specialised_kernel(function: Callable, gradients: bool = False, bounds: tupl
         gradients: whether the kernel has a backward pass.
         bounds: on CUDA, threads per block, and the blocks of a multiprocessor for which its registers must suffice; None for
             blocks of `CUDA_BLOCK` threads and any number of registers.
+        beside: names a Warp module, below the name of the Python module, for kernels that are always needed together: compiling
+            them takes less time than one by one. All of them must be made before one is loaded; empty for a module of its own.
     """
-    kernel = wp.kernel(function, module="unique", enable_backward=gradients, module_options=EXACT, launch_bounds=bounds)
+    module = f"{function.__module__}.{beside}" if beside else "unique"
+    if beside:
+        exact_module(module, gradients)
+    options = None if beside else EXACT
+    kernel = wp.kernel(function, module=module, enable_backward=gradients, module_options=options, launch_bounds=bounds)
     if bounds is not None:
         _blocks[kernel] = bounds[0]
     return kernel

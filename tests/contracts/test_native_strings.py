@@ -33,12 +33,26 @@ SHORT_BODY = 40
 """Words and signs of a body below which functions may be alike."""
 
 WRITTEN_TWICE = {
-    ("binary_nodes.h: least_of", "binary_nodes.h: most_of"),
     ("exact_signs.h: cross", "nearest_on_triangle.h: cross", "shading_vectors.h: cross"),
     ("point_blocks.h: vertex_at", "winding.h: vertex_at"),
     ("projected_areas.h: greatest", "projected_areas.h: least"),
 }
 """Functions with equal bodies: the same of numbers, of types of vectors, or of the other end."""
+
+RUN = 60
+"""Words and signs from the beginning of a statement on that two headers must not share."""
+
+SHARED_RUNS = {
+    ("binary_nodes.h", "warp_packets.h"),  # the calls for both boxes of a node
+    ("bins.h", "events.h"),  # the lane with the least cost
+    ("box.h", "projected_areas.h"),  # members of a struct of vectors, copied to arrays
+    ("clip.h", "scan.h"),  # the beginning of two functions with the same targets
+    ("exact_points.h", "point_groups.h"),
+    ("light_raster.h", "ray.h"),  # a cross product
+    ("packet_culling.h", "packet_frusta.h"),  # the beginning of culling by the rays at a box, and the ends of three vertices
+    ("packet_culling.h", "stream_root.h"),  # the box of a child
+}
+"""Headers with such runs."""
 
 KEYWORDS = {
     "if",
@@ -108,10 +122,14 @@ def functions(header: str) -> Iterator[tuple[str, str, int]]:
             yield one[1], one[2], 1
 
 
-def shape(body: str) -> tuple[str, ...]:
-    """The words and signs of a body, with the same names for all that are alike but for names."""
+def words(body: str) -> list[str]:
+    """The words and signs of a text, without comments and directives."""
+    return re.findall(r"[A-Za-z_]\w*|\d[\w.]*|[^\s\w]", re.sub(r"//.*|^ *#.*", "", body, flags=re.MULTILINE))
+
+
+def shape(parts: list[str]) -> tuple[str, ...]:
+    """The words and signs, with the same names for all that are alike but for names."""
     names: dict[str, str] = {}
-    parts = re.findall(r"[A-Za-z_]\w*|\d[\w.]*|[^\s\w]", re.sub("//.*", "", body))
     return tuple(
         names.setdefault(part, f"name{len(names)}") if re.match("[A-Za-z_]", part) and part not in KEYWORDS else part
         for part in parts
@@ -124,8 +142,19 @@ def alike(headers: dict[str, str]) -> set[tuple[str, ...]]:
     for file, text in headers.items():
         for head, body, _lines in functions(text):
             named = re.findall(r"(\w+)\(", head)
-            found[shape(body)].add(f"{file}: {named[0] if named else head}")
+            found[shape(words(body))].add(f"{file}: {named[0] if named else head}")
     return {tuple(sorted(those)) for body, those in found.items() if len(body) >= SHORT_BODY and len(those) > 1}
+
+
+def shared_runs(headers: dict[str, str]) -> set[tuple[str, ...]]:
+    """Headers that share a run of `RUN` words and signs, but for names, from the beginning of a statement on."""
+    found = defaultdict(set)
+    for file, text in headers.items():
+        parts = words(text)
+        for i in range(1, len(parts) - RUN + 1):
+            if parts[i - 1] in (";", "{", "}"):
+                found[shape(parts[i : i + RUN])].add(file)
+    return {tuple(sorted(files)) for files in found.values() if len(files) > 1}
 
 
 def test_strings_of_native_code_are_short():
@@ -155,6 +184,43 @@ def test_no_function_is_written_twice():
     found = alike({path.name: path.read_text() for path in native.FOLDER.glob("*.h")})
     assert found - WRITTEN_TWICE == set(), "functions that are alike but for names: make one, or a template"
     assert WRITTEN_TWICE - found == set(), "these are no more: remove them from the list"
+
+
+def test_no_formula_is_written_twice():
+    """Not inside a longer function, either."""
+    found = shared_runs({path.name: path.read_text() for path in native.FOLDER.glob("*.h")})
+    assert found - SHARED_RUNS == set(), "headers with the same statements but for names: make a function of them"
+    assert SHARED_RUNS - found == set(), "these are no more: remove them from the list"
+
+
+@pytest.mark.parametrize(
+    ("file", "head"),
+    [
+        ("box.h", "Interval slab("),
+        ("triangle.h", "Areas<F> areas_of("),
+        ("lanes.h", "int append("),
+        ("lanes.h", "void exchange("),
+    ],
+)
+def test_copies_of_formulas_are_found(file, head):
+    """A copy of the slab test, of the areas, of compaction, or of a step of the transposition, with other names and amid other
+    statements."""
+    text = (native.FOLDER / file).read_text()
+    body = max((body for found, body, _lines in functions(text) if head in found), key=len)
+    renamed = re.sub(r"[A-Za-z_]\w*", lambda name: name[0] if name[0] in KEYWORDS else f"other_{name[0]}", body)
+    copy = f"namespace wrt {{\nfloat f(float x)\n{{\n    x += 1.0f;\n{renamed}\n    return x;\n}}\n}}\n"
+    assert shared_runs({file: text, "copy.h": copy}) == {tuple(sorted((file, "copy.h")))}
+    assert not shared_runs({file: text, "none.h": copy.replace(",", ", 1 +")})
+
+
+def test_intrinsics_of_lanes_are_in_one_header():
+    """Compaction and permutation by instructions of a CPU: a function for each kind of lanes."""
+    found = defaultdict(list)
+    for path in native.FOLDER.glob("*.h"):
+        for name in re.findall(r"__builtin_ia32_(?:compress|expand|perm)\w+", path.read_text()):
+            found[name].append(path.name)
+    assert len(found) == 3
+    assert {tuple(files) for files in found.values()} == {("lanes.h",)}
 
 
 @pytest.mark.parametrize(

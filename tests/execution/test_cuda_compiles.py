@@ -17,9 +17,9 @@ import wrt.builders
 import wrt.kernels
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE
 from wrt.builders.bvh.phases.bvh_levels import make_search_planes
-from wrt.builders.bvh.phases.bvh_subtrees import make_build_subtrees as make_bvh_subtrees
+from wrt.builders.bvh.phases.bvh_subtrees import subtree_kernels
 from wrt.builders.bvh.phases.cluster_merging import make_merge_clusters
-from wrt.builders.bvh.phases.collapse import make_pick_children, make_solve
+from wrt.builders.bvh.phases.collapse import search_kernels
 from wrt.builders.bvh.projected_binned import PROJECTED
 from wrt.builders.classics.kdtree import adaptive_sampling, between_medians, medians, naive
 from wrt.builders.core.subtrees import make_build_subtrees
@@ -148,10 +148,11 @@ OF_MODULES = kernels_of_modules()
 
 BVH_KERNELS = {
     "search_planes": lambda: make_search_planes(SURFACE),
-    "build_subtrees": lambda: make_bvh_subtrees(SURFACE),
-    "solve": lambda: make_solve(SURFACE),
-    "pick_children": lambda: make_pick_children(SURFACE),
-    "build_subtrees, known rays": lambda: make_bvh_subtrees(PROJECTED),
+    "build_subtrees": lambda: subtree_kernels(SURFACE)[0],
+    "make_references": lambda: subtree_kernels(SURFACE)[1],
+    "solve": lambda: search_kernels(SURFACE)[0],
+    "pick_children": lambda: search_kernels(SURFACE)[1],
+    "build_subtrees, known rays": lambda: subtree_kernels(PROJECTED)[0],
 }
 
 RASTERISERS = {

@@ -27,7 +27,6 @@ from wrt.builders.bvh.phases.bvh_bins import (
     Scratch,
     bin_range,
     bins_for,
-    centroid_domain,
     make_binning,
     merge_bins,
     no_plane,
@@ -35,8 +34,6 @@ from wrt.builders.bvh.phases.bvh_bins import (
     write_child_boxes,
 )
 from wrt.builders.core.levels import Chunk
-from wrt.builders.triangle_boxes import Boxes
-from wrt.builders.triangle_references import write_references, write_sizes
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_float, store_float
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
@@ -59,19 +56,6 @@ class BinnedNode:
     part_count: int
     binning: Binning
     plane: Plane
-
-
-@wp.kernel
-def make_references(
-    first: int, boxes: Boxes, triangles: int, size: int, references: wp.array(dtype=float), parts: wp.array(dtype=float)
-):
-    """Item: a chunk of `size` triangles. Writes their references, and the centroid box of the chunk to part 2 * chunk."""
-    chunk = first + wp.tid()
-    begin = chunk * size
-    end = wp.min(triangles, begin + size)
-    write_references(boxes, begin, end, references)
-    write_sizes(references, begin, end)
-    centroid_domain(references, begin, end - begin, parts, 2 * chunk)
 
 
 @wp.func

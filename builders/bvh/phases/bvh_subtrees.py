@@ -25,7 +25,8 @@ from wrt.builders.bvh.phases.bvh_bins import (
     write_child_boxes,
 )
 from wrt.builders.bvh.phases.large_boxes import is_small
-from wrt.builders.triangle_references import write_order
+from wrt.builders.triangle_boxes import Boxes
+from wrt.builders.triangle_references import write_order, write_references, write_sizes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import INFINITY
@@ -140,7 +141,19 @@ def make_build_subtree(heuristic: Heuristic) -> wp.Function:
     return build_subtree
 
 
-@cache
+def make_references(
+    first: int, boxes: Boxes, triangles: int, size: int, references: wp.array(dtype=float), parts: wp.array(dtype=float)
+):
+    """The function of a kernel. Item: a chunk of `size` triangles. Writes their references, and the centroid box of the
+    chunk to part 2 * chunk."""
+    chunk = first + wp.tid()
+    begin = chunk * size
+    end = wp.min(triangles, begin + size)
+    write_references(boxes, begin, end, references)
+    write_sizes(references, begin, end)
+    centroid_domain(references, begin, end - begin, parts, 2 * chunk)
+
+
 def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
     """The kernel that builds the tasks' subtrees."""
     rays_type, build_subtree = heuristic.rays, make_build_subtree(heuristic)
@@ -166,4 +179,10 @@ def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
             end = build_subtree(rules, rays, memory, stack, slot, task, tree)
             subtrees[number] = wp.vec2i(task.first + 1, end)
 
-    return specialised_kernel(build_subtrees)
+    return specialised_kernel(build_subtrees, beside=heuristic.rays.__name__)
+
+
+@cache
+def subtree_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
+    """What every build launches: the kernel of `make_build_subtrees`, and the one that writes references."""
+    return [make_build_subtrees(heuristic), specialised_kernel(make_references, beside=heuristic.rays.__name__)]

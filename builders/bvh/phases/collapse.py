@@ -113,7 +113,6 @@ def make_costs(heuristic: Heuristic) -> tuple[wp.Function, wp.Function]:
     return cost_as_leaf, least_cost
 
 
-@cache
 def make_solve(heuristic: Heuristic) -> wp.Kernel:
     """The kernel that computes F for subtrees, and then for the pairs above them."""
     rays_type, weigh_parent = heuristic.rays, heuristic.weigh_parent
@@ -159,10 +158,9 @@ def make_solve(heuristic: Heuristic) -> wp.Kernel:
                 pair = listed[pair]
             solve_pair(rules, rays, tree, costs, pair)
 
-    return specialised_kernel(solve)
+    return specialised_kernel(solve, beside=heuristic.rays.__name__)
 
 
-@cache
 def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
     """The kernel that picks the children of the nodes of a level."""
     rays_type = heuristic.rays
@@ -234,7 +232,13 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
             wide.pick[index, lane] = NO_NODE
         wide.first[index] = counts
 
-    return specialised_kernel(pick_children)
+    return specialised_kernel(pick_children, beside=heuristic.rays.__name__)
+
+
+@cache
+def search_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
+    """The two kernels that search for the cheapest wide tree: those of `make_solve` and `make_pick_children`."""
+    return [make_solve(heuristic), make_pick_children(heuristic)]
 
 
 @wp.kernel
@@ -308,12 +312,12 @@ def write_nodes(
 
 def collapse_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
     """The kernels of a collapse, one per module, for loading them ahead of the build."""
-    return [make_solve(heuristic), make_pick_children(heuristic), scan_level]
+    return [search_kernels(heuristic)[0], scan_level]
 
 
 def solve_costs(binary: BinaryBuild, rules: BuildRules) -> None:
     """Writes F of all inner nodes to `binary.space`."""
-    solve, tree, rays, work = make_solve(binary.heuristic), binary.tree, binary.rays, binary.work
+    solve, tree, rays, work = search_kernels(binary.heuristic)[0], binary.tree, binary.rays, binary.work
     in_order = work.empty("in order", 0, int)
     work.launch(solve, len(binary.subtrees), [rules, rays, tree, binary.subtrees, in_order, binary.space], chunk=1)
     if binary.top is not None:
@@ -351,7 +355,7 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
         ValueError: the tree would have more than MAX_BLOCKS blocks.
     """
     tree, costs, rays, work = binary.tree, binary.space, binary.rays, binary.work
-    pick_children = make_pick_children(binary.heuristic)
+    _, pick_children = search_kernels(binary.heuristic)
     device, width = costs.device, config.cost.width
     rules = work.make("rules", 1, lambda _: config.struct())
     solve_costs(binary, rules)

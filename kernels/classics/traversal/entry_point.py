@@ -228,7 +228,7 @@ def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
+def make_entry_point_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     """The kernel for one specialisation; `accelerated` selects AEPSA."""
     search = make_search(config, accelerated)
     trace_packet = packet_step(config, KdNodes, make_packet_kdtree_walk(config), make_kdtree_walk(config), MIXED_AXES)
@@ -303,5 +303,5 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     return specialised_kernel(entry_points)
 
 
-make_mlrta = partial(make_kernel, accelerated=False)
-make_aepsa = partial(make_kernel, accelerated=True)
+make_mlrta = partial(make_entry_point_kernel, accelerated=False)
+make_aepsa = partial(make_entry_point_kernel, accelerated=True)

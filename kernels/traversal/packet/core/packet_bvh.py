@@ -16,7 +16,7 @@ visit half of the scene. Packets whose origins are far apart are split before th
 by one (`single_bvh`), and so are those of a packet from one point, after `MAX_STEPS_UNSPLIT` steps per ray. All keep the hits
 found until then.
 
-**Packets that meet nothing.** What only tests need is computed at a packet's first leaf
+**Packets that meet nothing.** Values that only the triangle test reads are computed at a packet's first leaf
 (`wrt.kernels.traversal.packet.rays.packet_load`). After two packets without a leaf, the next ones are tested against the root
 together, and after one that the last occluder alone has occluded, against that
 (`wrt.kernels.traversal.packet.core.joined_packets`).

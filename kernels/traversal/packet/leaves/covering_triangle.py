@@ -1,4 +1,4 @@
-"""A triangle that all rays of several packets hit, told from their bounds alone.
+"""A triangle that all rays of several packets hit, found from their bounds only.
 
 **Problem.** In scenes of large triangles, most packets of shadow rays are occluded by the triangle that occluded the packet
 before. To find that again, the packet is loaded, bounded, prepared and tested, ray by ray.

@@ -24,7 +24,8 @@ class PacketBounds:
     mixed_axes: int
     """Number of axes along which the directions have both signs."""
     finished: int
-    """1 if the packet has what only tests need (`wrt.kernels.traversal.packet.rays.packet_load.finish_packet`), else 0."""
+    """1 if the packet has the values that only the triangle test reads
+    (`wrt.kernels.traversal.packet.rays.packet_load.finish_packet`), else 0."""
     passes: int
     """Passes over the rays that the triangle test needs, one bit each (`PacketForm.passes`); 0 until the packet is
     finished."""

@@ -37,9 +37,9 @@ def load_packet(layout: PacketLayout, slopes: bool = True, later: bool = False, 
     """`wp.func(rays, first, low, high, packet, bounds)`: loads P rays of a batch (`ray_numbers`); low, high: bounds of the
     scene.
 
-    slopes: whether slopes are bounded (`CullingTraits.SLOPES`). later: leaves what only tests need to `finish_packet`; not with
-    slopes. ends: bounds the ends of rays, too (`PacketBounds.end_low`). Invalid rays and places beyond the end of the batch are
-    inactive: their t is -inf, which no hit improves.
+    slopes: whether slopes are bounded (`CullingTraits.SLOPES`). later: leaves values that only the triangle test reads to
+    `finish_packet`; not with slopes. ends: bounds the ends of rays, too (`PacketBounds.end_low`). Invalid rays and places
+    beyond the end of the batch are inactive: their t is -inf, which no hit improves.
     """
     what = bounding(layout, slopes, later, ends)
 
