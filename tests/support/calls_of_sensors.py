@@ -60,7 +60,8 @@ def sensor_calls() -> Iterator[Call]:
     points = np.zeros((2, 3))
     yield Call("deskew", lambda **o: sensors.deskew(points, trajectory=trajectory(), **o), {"times": [0.0, 4.0], "time": 2.0})
     three = np.eye(3)
-    yield Call("PointCloud", lambda **o: sensors.PointCloud(three, device="cpu", **o).bounds, {"radius": 0.5, "num_threads": 2})
+    settings = {"radius": 0.5, "num_threads": 2, "boxes": True}
+    yield Call("PointCloud", lambda **o: sensors.PointCloud(three, device="cpu", **o).bounds, settings)
     cloud, ray = sensors.PointCloud(three, 0.5, device="cpu"), ((-2.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     judge = {"brute_force": False}
     yield Call("PointCloud.intersect", lambda **o: cloud.intersect(*ray, **o).t, judge)
