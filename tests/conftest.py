@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Iterator
 from itertools import groupby
 from typing import Any
@@ -26,6 +27,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     if config.option.write_skipped:
+        os.environ.pop("PYTEST_ADDOPTS", None)  # which may have asked for it: tests that start pytest mean another one
         config.pluginmanager.register(Skipped(config))
 
 

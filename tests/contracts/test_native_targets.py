@@ -34,7 +34,8 @@ def test_threads_relax_by_a_builtin_on_arm():
 
 WORDS = {
     "packed": lambda width: (
-        "wrt::save(to, wrt::packed(wrt::load<wrt::Ints<W>>(from), wrt::lanes_of<W>(mask))); return __builtin_popcount(mask);"
+        "wrt::save(to, wrt::chosen_lanes(wrt::load<wrt::Ints<W>>(from), wrt::lanes_of<W>(mask)));"
+        "return __builtin_popcount(mask);"
     ),
     "append": lambda width: "return wrt::append<wrt::block_lanes(W)>(to, from, mask);",
     "reversed": lambda width: "wrt::push_reversed<W>(to, from, mask); return __builtin_popcount(mask);",

@@ -101,8 +101,8 @@ MUTATIONS = [
     ),
     Mutation(
         path="kernels/native/shading_vectors.h",
-        old="load<Vector<unsigned char, W>>(FIRST_LANES_FIRST.of + mask)",
-        new="load<Vector<unsigned char, W>>(LAST_LANES_FIRST.of + mask)",
+        old="lanes_in(FIRST_LANES_FIRST.of[mask])",
+        new="lanes_in(LAST_LANES_FIRST.of[mask])",
         tests=f"{TARGETS}::test_width_and_target_are_independent[8-x86-64-v3]",
         promise="Any number of lanes compiles for any target",
     ),

@@ -110,7 +110,7 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/sensors/lidar.py",
-        old='        refuse_capture("a scan", scene.device)\n',
+        old="        refuse_captured_scan(scene.device, path, motions, to_warp)\n",
         new="",
         tests=f"{CAPTURE}[scan]",
         promise=GRAPHS,

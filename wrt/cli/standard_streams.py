@@ -52,10 +52,11 @@ def say(line: str) -> None:
 
 
 def drop_unwritten() -> None:
-    """Writes what stdout still holds. What cannot be written is dropped: Python would try again when the process ends, and
-    write a traceback."""
-    try:
-        sys.stdout.flush()
-    except (OSError, ValueError):
-        with suppress(OSError, ValueError), open(os.devnull, "w") as null:
-            os.dup2(null.fileno(), sys.stdout.fileno())
+    """Writes what stdout and stderr still hold. What cannot be written is dropped: Python would try again when the process ends,
+    write a traceback, and end with the status 120."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            with suppress(OSError, ValueError), open(os.devnull, "w") as null:
+                os.dup2(null.fileno(), stream.fileno())
