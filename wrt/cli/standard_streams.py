@@ -52,8 +52,8 @@ def say(line: str) -> None:
 
 
 def drop_unwritten() -> None:
-    """Writes what stdout and stderr still hold. What cannot be written is dropped: Python would try again when the process ends,
-    write a traceback, and end with the status 120."""
+    """Writes what stdout and stderr still hold. What cannot be written is dropped: Python would try again when the process
+    ends, write a traceback, and end with the status 120."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
