@@ -30,9 +30,8 @@ inline CUDA_CALLABLE void add_rows(
 
 /// Writes the sums of the columns of a tile: sums[g * all + i] for its column i.
 template <class Rows>
-inline CUDA_CALLABLE void sum_tile(
-    const unsigned char* values, long long row_stride, long long column_stride, int count, const Rows& rows, double* sums,
-    long long all)
+inline CUDA_CALLABLE void sum_tile(const unsigned char* values, long long row_stride, long long column_stride, int count,
+    const Rows& rows, double* sums, long long all)
 {
     for (int g = 0; g < rows.count; ++g)
         for (int i = 0; i < count; ++i) sums[g * all + i] = 0.0;

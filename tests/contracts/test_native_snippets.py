@@ -24,6 +24,8 @@ from wrt.kernels.classics.studies.bare_triangle_tests import make_frusta
 from wrt.kernels.classics.studies.distance_checks import in_range
 from wrt.kernels.classics.studies.exit_counts import make_kernel as make_exit_kernel
 from wrt.kernels.classics.studies.komatsu_2008 import PUBLISHED
+from wrt.kernels.classics.studies.warp_packets import WAYS
+from wrt.kernels.classics.studies.warp_packets import make_kernel as make_warp_kernel
 from wrt.kernels.clouds.cloud_walk import make_cloud_kernel
 from wrt.kernels.fields.winding_walk import make_winding_kernel
 from wrt.kernels.pairs.pair_walk import make_meeting_kernel, make_nearest_kernel
@@ -91,6 +93,7 @@ def make_all_kernels() -> list[wp.Kernel]:
     add_point_search(binary_handle_type(8), "binary", 2, False)
     add_point_search(binary_instances_handle_type(8), "binary", 2, True)
     kernels.append(make_packed_points_kernel(8))
+    kernels += [make_warp_kernel(way, query, 8, False) for way in WAYS for query in ("closest", "any")]
     kernels += [make_persistent_instance_kernel(config, 8), make_binary_exact_kernel(8), make_binary_exact_instance_kernel(8)]
     return kernels
 
