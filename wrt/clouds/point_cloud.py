@@ -191,14 +191,16 @@ class PointCloud:
         made = build_cloud(moved, radii, own_normals, state.settings, move)
         self.state = replace(made, mark=state.mark)
 
-    def __getattr__(self, name: str) -> Any:
-        """Says of what scenes of triangles alone have why it is missing.
+    if not TYPE_CHECKING:  # type checkers refuse names that are not there
 
-        Raises:
-            AttributeError: always.
-        """
-        reason = next((reason for names, reason in MISSING.items() if name in names), None)
-        raise AttributeError(f"a PointCloud has no {name!r}" + (f": {reason}" if reason else ""))
+        def __getattr__(self, name: str) -> Any:
+            """Says of what scenes of triangles alone have why it is missing.
+
+            Raises:
+                AttributeError: always.
+            """
+            reason = next((reason for names, reason in MISSING.items() if name in names), None)
+            raise AttributeError(f"a PointCloud has no {name!r}" + (f": {reason}" if reason else ""))
 
     @lists_options
     def intersect(

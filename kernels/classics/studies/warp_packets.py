@@ -33,8 +33,11 @@ from wrt.kernels.traversal.persistent.persistent_bvh import ANSWER_CLASSES
 WAYS = {"packet": "PACKET", "stream": "STREAMED", "frustum": "FRUSTUM"}
 """Names in `warp_packets.h`."""
 
-WARP, STREAM, BLOCK = 32, 128, 64
-"""Threads of a warp, rays of its stream, and threads of a block."""
+WARP, BLOCK = 32, 64
+"""Threads of a warp, and of a block."""
+
+RAYS = {"packet": WARP, "stream": 128, "frustum": WARP}
+"""Rays of a warp."""
 
 BLOCKS = {"packet": 16, "stream": 6, "frustum": 12}
 """Blocks of a multiprocessor, to which registers are bounded; of streams, shared memory allows no more."""
@@ -42,8 +45,7 @@ BLOCKS = {"packet": 16, "stream": 6, "frustum": 12}
 
 def threads_of(way: str, count: int) -> int:
     """Threads of a launch for this many rays: whole warps."""
-    warps = -(-count // (STREAM if way == "stream" else WARP))
-    return warps * WARP
+    return -(-count // RAYS[way]) * WARP
 
 
 @cache
