@@ -65,10 +65,11 @@ class ProximityQuery:
     def on_surface(self, points: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The closest point of any triangle to each point.
 
+        Points are searched in float32: where several places are nearly as close, another one than trimesh's may be found, up to
+        5e-4 of the distance from it. `scene.closest_point(points, precise=True)` searches in float64.
+
         Returns:
-            closest: (n, 3) float64, NaN for a point with a NaN or an infinity. On the surface; searched in float32, so that up
-                to 5e-4 of the distance from trimesh's, at the same distance. `scene.closest_point(points, precise=True)`
-                searches in float64.
+            closest: (n, 3) float64, on the surface; NaN for a point with a NaN or an infinity.
             distance: (n,) float64, inf for such a point.
             triangle_id: (n,) int64, -1 for such a point.
 
