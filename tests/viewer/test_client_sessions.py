@@ -249,6 +249,27 @@ def test_a_thousand_cameras_a_second(shared):
     assert session.close()
 
 
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_page_that_loads_shows_the_first_view(shared, monkeypatch, moves):
+    """It tells of a camera of its own before it takes the first view. One that has its view already tells of it once."""
+    monkeypatch.setattr(client_session, "SETTLED_AFTER", 0.2)
+    browser, elsewhere, seen = FakeBrowser(), ((9.0, 9.0, 9.0), (0.0, 0.0, 0.0), *POSE[2:]), []
+    browser.view = lambda: (elsewhere, (8, 6))
+    session = session_of(shared, browser)
+    made = client_session.make_picture
+    monkeypatch.setattr(client_session, "make_picture", lambda *given: (seen.append(given[1].camera), made(*given))[1])
+    session.start()
+    until(lambda: session.is_idle and seen)
+    assert {*seen} == {POSE}
+    if moves:
+        browser.look(POSE, (8, 6))
+        time.sleep(0.4)
+    else:
+        until(lambda: elsewhere in seen)
+    assert session.request.camera == (POSE if moves else elsewhere)
+    assert session.close()
+
+
 def test_closing_from_the_threads_of_the_session(shared):
     """Whoever calls `close` from a callback does not wait for himself."""
     browser, took = FakeBrowser(), []

@@ -32,6 +32,10 @@ __all__ = ["ClientSession"]
 PANELS_AFTER = 1.0
 """Seconds after which a client gets its panels if it has no picture yet; else it gets them with the first one."""
 
+SETTLED_AFTER = 1.0
+"""Seconds after which the camera with which a browser came counts. A page that loads tells of a camera of its own before it
+takes the first view; one that connects again keeps its view, and tells of it once."""
+
 FAILED = "The pictures of this page have ended: {error}. Load the page again."
 
 _log = logging.getLogger(__name__)
@@ -43,7 +47,7 @@ class ClientSession:
     Args:
         browser: the client's.
         shared: the scene.
-        first: what the client sees at first; its camera and size are those of the client.
+        first: what the client sees at first, until its camera moves or has settled; the size is that of the client.
         options: of the integrator "ambient", as in `wrt.render`; and of the others.
         furnish: furnish(session) makes the panels, on a thread of the session, after the first picture.
         left: left(session) is told when nothing runs and nothing is held any more.
@@ -73,11 +77,10 @@ class ClientSession:
         self.on_shown: Callable[[FrameTimes], None] = lambda times: None
         self.on_error: Callable[[Exception | None], None] = lambda error: None
         self._options, self._furnish, self._left = options, furnish, left
-        self._begun, self._room = threading.Event(), threading.Event()
+        self._begun, self._room, self._over, self._moved = (threading.Event() for _ in range(4))
         self._room.set()
         self._requesting = threading.Lock()
-        pose, size = browser.view()
-        self.request = replace(first, version=shared.current[0], camera=pose or first.camera, size=size)
+        self.request = replace(first, version=shared.current[0], size=browser.view()[1])
         self._loop = FrameLoop(self._make, self._show, self._tell, self._ended)
         self._furnisher = threading.Thread(target=self._make_panels, name="wrt-panels", daemon=True)
 
@@ -108,6 +111,7 @@ class ClientSession:
     def leave(self) -> None:
         """Ends the session, whatever its state; returns at once, and may be called any number of times."""
         if self.life.move(SessionState.WATCHING, SessionState.LEAVING):
+            self._over.set()
             self._loop.stop()
             self._begun.set()
             self._room.set()
@@ -146,6 +150,7 @@ class ClientSession:
 
     def _look(self, pose: Pose, size: tuple[int, int]) -> None:
         """The camera has moved."""
+        self._moved.set()
         self._want(camera=pose, size=size)
 
     def _follow(self) -> None:
@@ -183,8 +188,19 @@ class ClientSession:
             return
         try:
             self._furnish(self)
+            self._settle()
         except Exception as error:
             self._fail(error)
+
+    def _settle(self) -> None:
+        """Takes the camera with which the browser came, if it has not told of another one."""
+        if self._over.wait(SETTLED_AFTER) or self._moved.is_set():
+            return
+        pose, size = self.browser.view()
+        if pose is not None and not all(
+            np.allclose(one, own, atol=1e-4) for one, own in zip(pose, self.request.camera, strict=True)
+        ):
+            self._want(camera=pose, size=size)
 
     def _ended(self, error: Exception | None) -> None:
         """The last act of the thread that makes pictures."""
