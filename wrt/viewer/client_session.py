@@ -197,9 +197,7 @@ class ClientSession:
         if self._over.wait(SETTLED_AFTER) or self._moved.is_set():
             return
         pose, size = self.browser.view()
-        if pose is not None and not all(
-            np.allclose(one, own, atol=1e-4) for one, own in zip(pose, self.request.camera, strict=True)
-        ):
+        if pose is not None and not np.allclose(np.hstack(pose), np.hstack(self.request.camera), atol=1e-4):
             self._want(camera=pose, size=size)
 
     def _ended(self, error: Exception | None) -> None:
