@@ -85,6 +85,9 @@ CUDA_THREADS = 1 << 14
 CUDA_TASKS = 1024
 """Least number of live nodes at which the build switches to subtrees on CUDA, where each is one thread's."""
 
+NAMED = 4096
+"""Triangles of clipped references that are named at a time."""
+
 BEST_TOGETHER = 64
 """Chunks on CUDA among which one thread selects a node's best plane."""
 
@@ -288,7 +291,7 @@ class InPlaceLevels(Levels):
         inputs = [item_sizes(device).triangles, count, self.membership, tasks, before, local, lists]
         self.run(fill_phase.fill_task_triangles, before.shape[0], *inputs)
         if self.parts:
-            self.run(name_triangles, len(lists.triangle), self.parts.triangle, lists.triangle, chunk=4096)
+            self.run(name_triangles, len(lists.triangle), self.parts.triangle, lists.triangle, chunk=NAMED)
         return local
 
     def fill_events(self, reservation: Reservation, local: Membership, lists: EventLists, roots: np.ndarray) -> None:

@@ -8,9 +8,8 @@ from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.clouds.cloud_test import PointRay, meet_point
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.layout.unchecked import load_int
-from wrt.kernels.runtime import native
 from wrt.kernels.simd.boxes import RaySlabs
-from wrt.kernels.traversal.stream.stream_candidates import record_if_better
+from wrt.kernels.traversal.stream.stream_candidates import put_best, record_if_better
 from wrt.kernels.traversal.stream.stream_kernel import get_ray, stream_ray
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -24,15 +23,7 @@ def make_point_step(config: TraversalConfig) -> wp.Function:
     StreamRay, get = stream_ray(name), get_ray(name)
     meet = meet_point(config.width, TRIANGLE_TESTS[name].record.components)
     any_hit, nearest, accept = answer.rules.ends_at_first, answer.nearest, answer.search.accept
-
-    @native.func_native(
-        "lanes.h",
-        f"""
-        rays.data[k].best = best;
-        if ({int(any_hit)} && best.primitive >= 0) rays.data[k].best.t = -WRT_INFINITY;
-    """,
-    )
-    def store(rays: wp.array(dtype=StreamRay), k: int, best: BestHit): ...
+    put = put_best(name, any_hit)
 
     @wp.func
     def test_point(
@@ -57,6 +48,6 @@ def make_point_step(config: TraversalConfig) -> wp.Function:
             record_if_better(wp.vec3(t, u, v), primitive, t_min, best)
         elif t >= t_min and t <= best.t:
             best = accept(hits, i, best, t, primitive, u, v)
-        store(stream, k, best)
+        put(stream, k, best)
 
     return test_point

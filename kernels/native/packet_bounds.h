@@ -80,8 +80,8 @@ inline CUDA_CALLABLE void set_inverses(Bounds& bounds, int a, float least, float
     bounds.backward_small.c[a] = mixed ? p : 0.0f;
 }
 
-/// The sides of all axes, and the intervals of 1 / direction, from those of the directions: division is monotone on either side of 0. A
-/// direction of -0 counts as +0, whose reciprocal bounds the same boxes.
+/// The sides of all axes, and the intervals of 1 / direction, from those of the directions: division is monotone on either side
+/// of 0. A direction of -0 counts as +0, whose reciprocal bounds the same boxes.
 template <class Bounds>
 inline CUDA_CALLABLE void set_direction_axes(
     Bounds& bounds, const float* least_of, const float* most_of, const float* lows, const float* highs, float slack)

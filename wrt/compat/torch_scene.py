@@ -103,15 +103,13 @@ class TorchScene:
         hits = tensors.intersect(origins, directions)
         hits.t.sum().backward()  # where origins, directions or vertices require gradients
 
-    Every query and property of `wrt.Scene` is here, with its arguments: tensors may be passed wherever arrays may, and
-    arrays come
-    out as tensors. They share memory with Warp's arrays. Results are `TensorResult`, whose attributes are those of the query's
-    result.
+    Every query and property of `wrt.Scene` is here, with its arguments: tensors may be passed wherever arrays may, and arrays
+    come out as tensors. They share memory with Warp's arrays. Results are `TensorResult`, whose attributes are those of the
+    query's result.
 
-    Gradients pass through `intersect` and `closest_point`. Other queries give booleans, integers or lists, which have
-    none, and take
-    tensors that require gradients as constants. The triangle that a ray hits, or that is nearest, is held fixed: silhouettes
-    contribute none (`wrt.device.differentiable_hits`).
+    Gradients pass through `intersect` and `closest_point`. Other queries give booleans, integers or lists, which have none, and
+    take tensors that require gradients as constants. The triangle that a ray hits, or that is nearest, is held fixed:
+    silhouettes contribute none (`wrt.device.differentiable_hits`).
 
     On CUDA, Warp works on a stream of its own that waits for PyTorch's default stream and is waited for by it; on
     another stream, use `wp.ScopedStream(wp.stream_from_torch(...))`.
@@ -153,16 +151,14 @@ class TorchScene:
         Args:
             origins, directions: (..., 3) tensors of float32 or float64; leading shapes broadcast.
             t_min, t_max: numbers, or (...) tensors.
-            vertices: (V, 3) tensor of the vertices of all meshes, concatenated, which receives gradients; None for
-            none. They should
-                be where the scene has them: pass them to `update` too.
+            vertices: (V, 3) tensor of the vertices of all meshes, concatenated, which receives gradients; None for none. They
+                should be where the scene has them: pass them to `update` too.
             options: as there.
 
         Returns:
-            A `TensorResult` of `wrt.Hits`. If a tensor requires gradients, `t`, `uv`, `position` and `normal` are
-            computed again from
-            the triangle that was hit, as functions of the tensors, in float64 if one of them is; they are not those of
-            the traversal in the last bits.
+            A `TensorResult` of `wrt.Hits`. If a tensor requires gradients, `t`, `uv`, `position` and `normal` are computed
+            again from the triangle that was hit, as functions of the tensors, in float64 if one of them is; they are not those
+            of the traversal in the last bits.
 
         Raises:
             TypeError, ValueError: as `wrt.Scene.intersect` and `wrt.device.differentiable_hits`.

@@ -153,20 +153,30 @@ def record_if_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Be
 
 
 @cache
+def put_best(test: str, any_hit: bool) -> wp.Function:
+    """`wp.func(rays, k, best)`: writes the best hit of ray k of a stream; one whose any hit suffices has its answer then."""
+    StreamRay = stream_ray(test)
+
+    @native.func_native(
+        "lanes.h",
+        f"""
+        rays.data[k].best = best;
+        if ({int(any_hit)} && best.primitive >= 0) rays.data[k].best.t = -WRT_INFINITY;
+    """,
+    )
+    def put(rays: wp.array(dtype=StreamRay), k: int, best: BestHit): ...
+
+    return put
+
+
+@cache
 def scalar_test_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, stream, k, slot, hits, i)`: evaluates one candidate, of ray k of the stream and i of the batch."""
     StreamRay, RayState = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test].ray_state
     get, candidate = get_ray(config.triangle_test), triangle_step(config)
     any_hit, nearest, accept = config.answer.rules.ends_at_first, config.answer.nearest, config.answer.search.accept
 
-    @native.func_native(
-        "lanes.h",
-        f"""
-        rays.data[k].best = best;
-        if ({int(any_hit)} && best.primitive >= 0) rays.data[k].best.t = __builtin_bit_cast(float, 0xff800000u);  // -inf
-    """,
-    )
-    def put_best(rays: wp.array(dtype=StreamRay), k: int, best: BestHit): ...
+    put = put_best(config.triangle_test, any_hit)
 
     @wp.func
     def test_one(
@@ -189,7 +199,7 @@ def scalar_test_step(config: TraversalConfig) -> wp.Function:
             record_if_better(hit, primitive, t_min, best)
         elif hit[0] >= t_min and hit[0] <= best.t:
             best = accept(hits, i, best, hit[0], primitive, hit[1], hit[2])
-        put_best(stream, k, best)
+        put(stream, k, best)
 
     return test_one
 

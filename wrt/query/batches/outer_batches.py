@@ -1,9 +1,9 @@
 """Batches whose first axis is reduced, such as the suns of `occluded_blocks(points, suns[:, None], reduce="sum", axis=0)`.
 
-Cut along that axis, each block has a state for all points, which is stored, read and merged as often as there are blocks: 16 to
-64 times the work of the rays. Where every array varies along reduced axes or along others, but not along both, the axes can be
-exchanged by views: those that are kept go first, and a block has few points with all of their suns. Answers are the same, since
-reductions give the same bits in any order.
+Cut along that axis, each block has a state for all points, which is stored, read and merged as often as there are blocks, and
+that may take longer than the rays. Where every array varies along reduced axes or along others, but not along both, the axes
+can be exchanged by views: those that are kept go first, and a block has few points with all of their suns. Answers are the
+same, since reductions give the same bits in any order.
 """
 
 from __future__ import annotations
