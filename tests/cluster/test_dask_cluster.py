@@ -140,6 +140,23 @@ def test_a_worker_that_is_killed(scene, client, executor, tmp_path):
     wait_for_workers(client)
 
 
+def test_a_worker_that_dies_while_its_answer_is_fetched(scene, rays, executor, monkeypatch):
+    """The answer is there and its task is being repeated: Dask's own future raises then."""
+    gather = distributed.Client._gather
+
+    async def gather_and_lose(self, futures, *args, **kwargs):
+        answers = await gather(self, futures, *args, **kwargs)
+        for future in futures:
+            future._state.lose()
+        return answers
+
+    monkeypatch.setattr(distributed.Client, "_gather", gather_and_lose)
+    with pytest.raises(ValueError, match="unpack"):
+        executor.submit(np.ones, 7).result()
+    found = scene.count_blocks(*rays, memory=MEMORY, executor=executor).result()
+    np.testing.assert_array_equal(found, scene.count(*rays))
+
+
 def test_a_worker_that_is_out_of_memory(scene, client, executor, tmp_path):
     """Its nanny ends it; the block goes to another one."""
     generated = wrt.batches.GeneratedRays(Once(tmp_path / "mark", fill_memory), COUNT)

@@ -206,7 +206,7 @@ class Submitter:
     """
 
     def __init__(self, work: BlockWork, workers: Workers) -> None:
-        self._executor = workers.executor
+        self._submit = workers.submit
         self._work = replace(work, threads=workers.threads_each(), device=workers.device)
         self._cut: dict[str, Any] = {}
         if workers.in_this_process:
@@ -246,4 +246,4 @@ class Submitter:
         for name, (values, shape) in self._cut.items():
             part = cut_rows(values, shape, self._work.axes, rows.start, rows.stop)
             sent[name] = part if isinstance(part, SkippedTriangles) else np.asarray(part)
-        return self._executor.submit(self._run, self._common, rows, sent)
+        return self._submit(self._run, self._common, rows, sent)

@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -26,6 +26,7 @@ from wrt.kernels.compilation.cores import available_cores
 from wrt.kernels.compilation.target import split_flags
 from wrt.kernels.runtime.launch import check_num_threads, get_num_threads, use_threads
 from wrt.kernels.validation import as_int, convert_fields
+from wrt.query.batches.dask_futures import submit_to_dask
 
 BLOCKS_PER_SLOT = 2
 """Blocks that are submitted for each that an executor runs at a time: one to work on, and one that waits beside it."""
@@ -88,6 +89,16 @@ class Workers:
         """The Dask client of the executor, or None."""
         client = getattr(self.executor, "_client", None)
         return client if hasattr(client, "register_plugin") else None
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future:
+        """Submits a call to the executor.
+
+        Args:
+            function: what is called with the other arguments.
+        """
+        if self.client is not None:
+            return submit_to_dask(self.executor, function, *arguments)
+        return self.executor.submit(function, *arguments)
 
     def slots(self) -> int:
         """Number of tasks that the executor runs at a time."""
