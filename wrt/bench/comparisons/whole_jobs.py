@@ -130,11 +130,16 @@ class Cell:
 def scan_contenders(cell: Cell) -> list[Contender]:
     """A scan: its ranges, and points and labels beside them."""
     origin, directions = cell.lidar_rays
-    scan = lambda: cell.lidar.scan(cell.scene, cell.lidar_pose, labels=cell.labels)  # noqa: E731
+    ranges = "range", "intensity"
+    points = *ranges, "position", "primitive_id", "instance_id"
+
+    def scan(layers: tuple[str, ...]) -> list[Any]:
+        return _read(cell.lidar.scan(cell.scene, cell.lidar_pose, labels=cell.labels, layers=layers), *layers)
+
     return [
         Contender(RAYS, lambda: cell.scene.intersect(origin, directions, 0.0, cell.lidar.max_range)),
-        Contender("ranges and intensities", lambda: _read(scan(), "range", "intensity")),
-        Contender("and points, ids", lambda: _read(scan(), "range", "intensity", "position", "instance_id")),
+        Contender("ranges and intensities", lambda: scan(ranges)),
+        Contender("and points, ids", lambda: scan(points)),
         _of_open3d(cell, "Open3D, points by hand", lambda trace: trace(cell.lidar_rays)),
     ]
 
