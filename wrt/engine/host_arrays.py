@@ -17,6 +17,7 @@ ELEMENTS: dict[Any, tuple[str, tuple[int, ...]]] = {
     wp.float32: ("<f4", ()),
     wp.float64: ("<f8", ()),
     wp.int32: ("<i4", ()),
+    wp.int8: ("|i1", ()),
     wp.uint8: ("|u1", ()),
     wp.bool: ("|b1", ()),
     wp.vec2: ("<f4", (2,)),
