@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from math import isfinite, sqrt
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -14,6 +14,17 @@ from wrt.kernels.validation import as_int, as_numbers, as_real_array
 from wrt.meshes.graph_transforms import graph_transform
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, members_of
+
+if TYPE_CHECKING:
+    import trimesh
+    from trimesh.parent import Geometry as OfTrimesh
+
+    from wrt.array_types import ArrayLike
+
+Member: TypeAlias = "TriangleMesh | Instance | OfTrimesh"
+
+Geometry: TypeAlias = "Member | Sequence[Member] | Sequence[Sequence[Member]]"
+"""What scenes are made of; objects of trimesh are meshes and scenes."""
 
 MAX_CONDITION = 1e12
 """Condition number from which a map counts as singular: its inverse has no reliable digits."""
@@ -68,13 +79,20 @@ class Instance:
 
     __slots__ = ("environment", "mask", "mesh", "transform")
 
-    def __init__(self, mesh: Any, transform: Any = None, *, mask: int = MAX_MASK, environment: int = EVERY) -> None:
+    def __init__(
+        self,
+        mesh: TriangleMesh | trimesh.parent.Geometry,
+        transform: ArrayLike | None = None,
+        *,
+        mask: int = MAX_MASK,
+        environment: int = EVERY,
+    ) -> None:
         if not (isinstance(mesh, TriangleMesh) or (hasattr(mesh, "faces") and hasattr(mesh, "vertices"))):
             raise TypeError(
                 f"mesh must be a wrt.TriangleMesh or a trimesh.Trimesh, not {type(mesh).__name__}; pass a trimesh.Scene to "
                 "wrt.Scene directly"
             )
-        self.mesh = mesh
+        self.mesh: Any = mesh
         self.transform = check_transform(np.eye(4) if transform is None else transform)
         self.mask = check_mask(mask)
         self.environment = check_environment(environment)

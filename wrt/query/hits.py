@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeAlias, overload
 import numpy as np
 import warp as wp
 
+from wrt.array_types import ArrayLike, ArrayT, NumpyLike, WarpLike
 from wrt.engine.device_hits import shaped
 from wrt.engine.memory import empty
-from wrt.engine.rays.array_types import ArrayLike, ArrayT, NumpyLike, WarpLike
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_float
 from wrt.tables import lookup
