@@ -10,7 +10,6 @@ from wrt.kernels.validation import as_numbers, convert_fields
 from wrt.tables import lookup, one_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
 
     from wrt.builders import tree as common
     from wrt.builders.bvh.known_rays_config import ProjectedConfig
@@ -94,14 +93,14 @@ class ProjectedBvh:
         self.config(width=8)
 
     @classmethod
-    def published(cls, areas: Sequence[InfluenceArea], **changes: Any) -> ProjectedBvh:
+    def published(cls, areas: tuple[InfluenceArea, ...], **changes: Any) -> ProjectedBvh:
         """The thesis' configuration: binary nodes, cost 1 for a box and 1.2 for a triangle, two triangles in a leaf, 40 bins
         along an axis, axes that face away from the rays, no other rays.
 
         areas: as in the class; changes: other attributes, by name.
         """
         costs: dict[str, Any] = {"width": 2, "traversal_cost": 2.0, "triangle_cost": 1.2, "max_leaf_triangles": 2}
-        return cls(areas=tuple(areas), **costs | {"axes": "facing", "bins": 40, "others": 0.0} | changes)
+        return cls(areas=areas, **costs | {"axes": "facing", "bins": 40, "others": 0.0} | changes)
 
     def config(self, width: int) -> ProjectedConfig:
         """The builder's configuration; `width` is used where the description leaves it open."""
