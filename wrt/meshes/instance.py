@@ -203,25 +203,21 @@ def matrices_of(transforms: wp.array) -> np.ndarray:
     if transforms.dtype not in (wp.transformf, wp.transformd):
         return transforms.numpy()
     values = transforms.numpy().astype(np.float64)
-    x, y, z, w = np.moveaxis(values[..., 3:] / np.linalg.norm(values[..., 3:], axis=-1, keepdims=True), -1, 0)
     matrices = np.zeros((*values.shape[:-1], 4, 4))
     matrices[..., :3, 3], matrices[..., 3, 3] = values[..., :3], 1.0
-    matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - z * w),
-        2 * (x * z + y * w),
-    )
-    matrices[..., 1, 0], matrices[..., 1, 1], matrices[..., 1, 2] = (
-        2 * (x * y + z * w),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - x * w),
-    )
-    matrices[..., 2, 0], matrices[..., 2, 1], matrices[..., 2, 2] = (
-        2 * (x * z - y * w),
-        2 * (y * z + x * w),
-        1 - 2 * (x * x + y * y),
-    )
+    matrices[..., :3, :3] = rotation_matrices(values[..., 3:] / np.linalg.norm(values[..., 3:], axis=-1, keepdims=True))
     return matrices
+
+
+def rotation_matrices(unit: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) matrices of (..., 4) unit quaternions x, y, z, w."""
+    x, y, z, w = np.moveaxis(unit, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def check_environment(environment: Any) -> int:

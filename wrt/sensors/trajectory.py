@@ -13,6 +13,7 @@ from wrt.engine.memory import keep_alive
 from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.runtime.launch import as_device, launch, refuse_capture
 from wrt.kernels.validation import first_bad
+from wrt.meshes.instance import rotation_matrices
 from wrt.sensors.checks import SAME_STRETCH, as_time, check_matrix, check_real, is_rigid
 
 if TYPE_CHECKING:
@@ -389,14 +390,3 @@ def quaternions(rotations: np.ndarray) -> np.ndarray:
             found[row, j], found[row, k] = matrix[j, i] + matrix[i, j], matrix[k, i] + matrix[i, k]
             found[row, 3] = matrix[k, j] - matrix[j, k]
     return found / np.linalg.norm(found, axis=1, keepdims=True)
-
-
-def rotation_matrices(unit: np.ndarray) -> np.ndarray:
-    """(K, 3, 3) matrices of (K, 4) unit quaternions x, y, z, w."""
-    x, y, z, w = unit.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
