@@ -6,9 +6,9 @@ left in the kernel cache, or of what a thread of this process is just making, an
 
     KERNEL CACHE/precompiled_headers/KEY/builtin_bd1_tis_o2_f....pch
 
-**What it leaves out.** Warp defines `WP_NO_BFLOAT16` before the header in modules that do not have this type, as it doubles much of
-the header, but not when it precompiles the header. Here the header is made without the type, in two thirds of the time (1.2 in place
-of 1.7 s). Clang refuses such a header for a module that has the type; no kernel of wrt does.
+**What it leaves out.** Warp defines `WP_NO_BFLOAT16` before its header in modules without this type, but not when it
+precompiles the header. Here it is made without the type, in two thirds of the time. Clang refuses such a header for a module
+that has the type, and Warp then compiles that module without one; no kernel of wrt has it.
 
 **When one fits.** The key is a hash of all that Clang compares: Warp's version, its compiler, the system, the CPU where code is
 for this CPU, the flags, and the place, size and time of change of each header. The name, which Warp gives, has the level of
@@ -164,8 +164,8 @@ def _wait_for_maker(key: str, own: Path) -> bool:
 
 
 def _make(module: wp.Module, block_dim: int, own: Path) -> None:
-    """Makes the header of a module, less what `LEFT_OUT` leaves out, by the name under which Warp looks for it in the thread's folder.
-    If that fails, Warp makes its own later."""
+    """Makes the header of a module, less what `LEFT_OUT` leaves out, under the name by which Warp looks for it in the thread's
+    folder. If that fails, Warp makes its own later."""
     with suppress(Exception), TemporaryDirectory(dir=own) as folder:
         options = module.resolved_options[block_dim]
         flags, level = options["cpu_compiler_flags"], options["optimization_level"]

@@ -8,8 +8,8 @@ a ray slip between two triangles. Without it, equal expressions give equal bits.
 **No gradients** (`enable_backward`). Searches have no useful derivative (`wrt.kernels.query.hit_gradients` says what has one),
 and code for backward passes would only take time to compile.
 
-**No code for sums of structs** (`UNUSED`). Warp writes two functions for each struct that only backward passes call, and by their
-linkage Clang must generate code for them.
+**No code for sums of structs** (`UNUSED`). Warp writes two functions for each struct that only backward passes call, and by
+their linkage Clang must generate code for them.
 
 Importing this module chooses the CPU target (`wrt.kernels.compilation.target`), before the first kernel is defined.
 """
