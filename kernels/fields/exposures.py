@@ -5,9 +5,9 @@
 **Method.** Points are taken along a Morton curve, in tiles. For each direction and tile, the points that face the direction are
 counted, and rays are written for these alone, direction by direction: neighbours are parallel rays from places near each other.
 Directions that follow each other closely, such as those of a sun, are taken in groups: the rays of a point to a group are
-neighbours then, as packets need it. The sums go through the points in the same order, so that no place of a ray is stored. Of a
-tile on a plane, all points face a direction or none. What a ray needs to be tested with its own triangle is prepared once, for its
-point and for its direction.
+neighbours then, as packets need it. The sums go through the points in the same order, so that no place of a ray is stored. Of
+a tile on a plane, all points face a direction or none. What a ray needs to be tested with its own triangle is prepared once,
+for its point and for its direction.
 """
 
 import warp as wp
