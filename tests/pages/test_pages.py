@@ -238,6 +238,8 @@ def check_rendering(names):
     np.testing.assert_allclose(names["adaptive"].counts.mean(), 16.0, rtol=0.1)
     assert np.ptp(names["adaptive"].counts) > 0
     assert 0.02 < names["inside"].mean() < 0.98
+    lengths = np.array([[0.3], [0.1], [np.inf]])  # both panes, one, and the beam
+    np.testing.assert_allclose(names["share"], np.exp(-lengths * [0.5, 1.0, 2.0]), rtol=1e-5)
     if "smooth" in names:
         assert names["smooth"].shape == names["color"].shape
         assert np.abs(np.diff(names["smooth"], axis=1)).mean() < np.abs(np.diff(names["color"], axis=1)).mean()
