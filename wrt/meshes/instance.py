@@ -184,14 +184,17 @@ def check_transforms(transforms: Any, count: int) -> np.ndarray:
                 check_transform(matrices[number])
         matrices.flags.writeable = False
         return matrices
-    linear = matrices[:, :3, :3]
+    entries = np.ascontiguousarray(matrices.reshape(-1, 16).T)
+    a, b, c, x, d, e, f, y, g, h, i, z = entries[:12]
     with np.errstate(all="ignore"):  # a NaN is not below any bound
-        largest = np.sqrt(np.square(linear).sum(axis=(1, 2)))  # at least the largest singular value
-        least = np.abs(np.linalg.det(linear)) / np.square(largest)  # at most the smallest one
+        square = a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + i * i
+        largest = np.sqrt(square)  # as in `is_surely_regular`
+        least = np.abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) / np.maximum(square, TINY)
         fine = (largest <= MAX_SCALE) & (least >= 1.0 / MAX_SCALE) & (largest < MAX_CONDITION * least)
-        fine &= (np.abs(matrices[:, 3] - (0.0, 0.0, 0.0, 1.0)) <= 1e-12).all(axis=1) & np.isfinite(matrices[:, :3, 3]).all(
-            axis=1
-        )
+        for values in (x, y, z):
+            fine &= np.isfinite(values)
+        for values, wanted in zip(entries[12:], LAST_ROW, strict=True):
+            fine &= np.abs(values - wanted) <= 1e-12
     for number in np.flatnonzero(~fine).tolist():
         check_transform(matrices[number])
     matrices.flags.writeable = False
@@ -246,11 +249,14 @@ def check_mask(mask: Any) -> int:
     return mask
 
 
-def check_extent(instances: Sequence[Instance], geometry_ids: Sequence[int], meshes: Sequence[TriangleMesh]) -> None:
+def check_extent(
+    transforms: np.ndarray, masks: np.ndarray, geometry_ids: Sequence[int], meshes: Sequence[TriangleMesh]
+) -> None:
     """Refuses a scene beyond float32, or so large that float64 does not resolve positions within one of its instances.
 
     Args:
-        instances: those with mask 0, which no ray sees, are not checked for resolution.
+        transforms: (N, 4, 4) of the instances.
+        masks: (N,); instances with mask 0, which no ray sees, are not checked for resolution.
         geometry_ids: the mesh of each instance.
         meshes: each mesh once.
 
@@ -258,7 +264,6 @@ def check_extent(instances: Sequence[Instance], geometry_ids: Sequence[int], mes
         ValueError: there is such an instance.
     """
     boxes = np.array([mesh.bounds for mesh in meshes])[np.array(geometry_ids)]
-    transforms = np.array([instance.transform for instance in instances])
     linear, shift = transforms[:, :3, :3], transforms[:, :3, 3]
     half = (np.abs(linear) @ ((boxes[:, 1] - boxes[:, 0]) / 2)[:, :, None])[:, :, 0]
     middle = (linear @ boxes.mean(axis=1)[:, :, None])[:, :, 0] + shift
@@ -271,7 +276,7 @@ def check_extent(instances: Sequence[Instance], geometry_ids: Sequence[int], mes
         )
     center = ((middle - half).min(axis=0) + (middle + half).max(axis=0)) / 2
     size, distance = 2.0 * half.max(axis=1), np.abs(middle - center).max(axis=1)
-    lost = (size < MIN_RELATIVE_SIZE * distance) & (size > 0.0) & np.array([instance.mask != 0 for instance in instances])
+    lost = (size < MIN_RELATIVE_SIZE * distance) & (size > 0.0) & (masks != 0)
     if lost.any():
         worst = int(np.flatnonzero(lost)[0])
         raise ValueError(

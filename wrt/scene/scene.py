@@ -244,7 +244,7 @@ class Scene(Queries, Members):
     @property
     def instances(self) -> tuple[Instance, ...]:
         """The instances of a scene of two levels, in the order of instance ids; empty in a scene of meshes."""
-        return tuple(self.state.instances)
+        return self.state.instances[:]
 
     @property
     def geometry_ids(self) -> tuple[int, ...]:

@@ -244,9 +244,12 @@ class StillPoses:
         self.poses = check_real("pose", poses)
         if self.poses.ndim < 3 or self.poses.shape[-2:] != (4, 4) or not self.poses.size:
             raise ValueError(f"pose must be one matrix (4, 4) or many of them, (..., 4, 4), not of shape {self.poses.shape}")
-        turns = (flat := self.poses.reshape(-1, 4, 4))[:, :3, :3]
-        rigid = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max(axis=(1, 2)) <= 1e-6
-        rigid &= (np.linalg.det(turns) > 0.0) & (flat[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+        rows = np.ascontiguousarray(self.poses.reshape(-1, 16).T).reshape(4, 4, -1)  # long rows are computed faster
+        x, y, z = rows[:3, :3]
+        rigid = (rows[3] == np.array([[0.0], [0.0], [0.0], [1.0]])).all(axis=0)
+        for one, other, wanted in ((x, x, 1.0), (y, y, 1.0), (z, z, 1.0), (x, y, 0.0), (x, z, 0.0), (y, z, 0.0)):
+            rigid &= np.abs((one * other).sum(axis=0) - wanted) <= 1e-6
+        rigid &= (x * np.cross(y, z, axis=0)).sum(axis=0) > 0.0
         if not rigid.all():
             raise ValueError(f"pose {int(rigid.argmin())} does more than move and turn; sensors have no scale")
         self.shape = self.poses.shape[:-2]
@@ -376,17 +379,16 @@ def quaternions(rotations: np.ndarray) -> np.ndarray:
     trace = np.trace(rotations, axis1=1, axis2=2)
     squares = np.concatenate([np.diagonal(rotations, axis1=1, axis2=2), trace[:, None]], axis=1)
     found = np.empty((len(rotations), 4))
-    for row, (matrix, largest) in enumerate(zip(rotations, squares.argmax(axis=1), strict=True)):
-        if largest == 3:
-            found[row] = [
-                matrix[2, 1] - matrix[1, 2],
-                matrix[0, 2] - matrix[2, 0],
-                matrix[1, 0] - matrix[0, 1],
-                1.0 + trace[row],
-            ]
+    largest = squares.argmax(axis=1)
+    for i in range(4):
+        rows = np.flatnonzero(largest == i)
+        matrix = np.moveaxis(rotations[rows], 0, 2)
+        if i == 3:
+            turned = matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]
+            found[rows] = np.stack([*turned, 1.0 + trace[rows]], axis=1)
         else:
-            i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
-            found[row, i] = 1.0 + matrix[i, i] - matrix[j, j] - matrix[k, k]
-            found[row, j], found[row, k] = matrix[j, i] + matrix[i, j], matrix[k, i] + matrix[i, k]
-            found[row, 3] = matrix[k, j] - matrix[j, k]
+            j, k = (i + 1) % 3, (i + 2) % 3
+            found[rows, i] = 1.0 + matrix[i, i] - matrix[j, j] - matrix[k, k]
+            found[rows, j], found[rows, k] = matrix[j, i] + matrix[i, j], matrix[k, i] + matrix[i, k]
+            found[rows, 3] = matrix[k, j] - matrix[j, k]
     return found / np.linalg.norm(found, axis=1, keepdims=True)
