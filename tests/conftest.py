@@ -26,9 +26,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    gc.disable()  # while tests are collected: their objects stay, and scanning them again took half of the time
     if config.option.write_skipped:
         os.environ.pop("PYTEST_ADDOPTS", None)  # which may have asked for it: tests that start pytest mean another one
         config.pluginmanager.register(Skipped(config))
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True)
