@@ -1,6 +1,6 @@
 """Detection of influence areas: which share of a batch of rays is parallel, or passes through common points, and where.
 
-    rays = ...                                    # of a renderer, a sensor, a simulation
+    rays = wrt.Rays(origins, directions)          # of a renderer, a sensor, a simulation
     found = wrt.known_rays.InfluenceAreas.from_rays(rays.origins, rays.directions, bounds=scene.bounds)
     print(found)                                  # each distribution and its share of the rays
     scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=found))

@@ -121,9 +121,9 @@ class Scene(Queries, Members):
 
             scene.update(0, vertices=points)                    # mesh 0
             scene.update({1: points, 4: others})                # meshes 1 and 4, in one step
-            scene.update(3, transform=matrix)                   # instance 3
-            scene.update(range(100), transform=matrices)        # many at once, which takes a few microseconds each
-            scene.update(3, vertices=points)                    # of instances: the mesh of instance 3, in all its instances
+            forest.update(3, transform=matrix)                  # of a scene of instances: instance 3
+            forest.update(range(100), transform=matrices)       # many at once, which takes a few microseconds each
+            forest.update(3, vertices=points)                   # the mesh of instance 3, in all its instances
 
         The tree keeps its nodes, which is faster than a build: a BVH is refitted, the leaves of a kd-tree are filled again. The
         further triangles move, the slower queries become. So the tree is rebuilt, in parts or as a whole, once its cost is too
