@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import wrt
 from wrt.bench.commands.benchmark import bench
-from wrt.bench.comparisons import auto_choices
+from wrt.bench.comparisons import auto_choices, auto_journeys
 from wrt.bench.comparisons.auto_cases import BEAMS, KINDS, PLACES, SHORT, TURN, cases, city, scene_of
 from wrt.kernels.traversal.packet import CULLINGS
 
@@ -53,11 +53,11 @@ def test_short_rays_start_outside(teapot):
 
 def test_journeys(teapot, monkeypatch):
     """What "auto" loses while it learns counts."""
-    monkeypatch.setattr(auto_choices, "places", lambda mesh: np.array([mesh.center, mesh.center + 1.0]))
-    monkeypatch.setattr(auto_choices, "STAYS", (1, 2))
+    monkeypatch.setattr(auto_journeys, "places", lambda mesh: np.array([mesh.center, mesh.center + 1.0]))
+    monkeypatch.setattr(auto_journeys, "STAYS", (1, 2))
     monkeypatch.setattr(auto_choices, "CULLINGS", {"interval": CULLINGS["interval"]})
     scene, mesh = scene_of("model", teapot, 1)
-    rows = [*auto_choices.compare_journeys("model", scene, mesh)]
+    rows = [*auto_journeys.compare_journeys("model", scene, mesh)]
     assert [row.kind for row in rows] == ["journey, 1", "journey, 2"]
     assert all(row.rays == BEAMS * TURN and row.ratio > 0.5 for row in rows)
 

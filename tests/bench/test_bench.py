@@ -8,7 +8,7 @@ import trimesh
 
 import wrt
 from wrt.bench.comparisons.query_comparison import ask
-from wrt.bench.core.benchmark_results import closest_agreement, lists_agreement, occlusion_agreement, share
+from wrt.bench.core.agreement import closest_agreement, lists_agreement, occlusion_agreement, share
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns, time_call
 from wrt.bench.core.workloads import WORKLOADS, Workload, WorkloadMaker
 from wrt.bench.peers import embree as embree_peer

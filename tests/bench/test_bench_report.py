@@ -13,8 +13,9 @@ from wrt.bench.commands import command_options
 from wrt.bench.commands.benchmark import COMPARISONS, bench, run_benchmark
 from wrt.bench.comparisons import startup_times as startup
 from wrt.bench.core import benchmark_plot as plot
+from wrt.bench.core.agreement import Agreement
 from wrt.bench.core.benchmark_report import ReportPrinter, build_table, percent, ray_table, times
-from wrt.bench.core.benchmark_results import Agreement, Question, Row
+from wrt.bench.core.benchmark_results import Question, Row
 from wrt.bench.core.workloads import WORKLOADS
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS

@@ -15,7 +15,7 @@ from wrt.builders.influence import area_octree as octree
 from wrt.builders.influence.area_kdtree import SAVING, FacePlanes
 from wrt.builders.influence.area_top_level import TopLevel, region_of
 from wrt.builders.influence.regions import contain_points
-from wrt.viewer.trees.box_lines import octree_boxes
+from wrt.viewer.trees.area_boxes import octree_boxes
 
 LOW, HIGH, CENTER = np.full(3, 10.0), np.full(3, 14.0), np.full(3, 12.0)
 

@@ -160,7 +160,7 @@ MUTATIONS = [
         promise="Colours that are NaN are named and white.",
     ),
     Mutation(
-        path="wrt/meshes/up_axis.py",
+        path="wrt/meshes/files/up_in_files.py",
         old='return b"\\n".join([first, second, f"comment {up_remark(up)}".encode(), rest])',
         new="return data",
         tests=f"{FILES}::test_saved_meshes_keep_their_upward_direction",

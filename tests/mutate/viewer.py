@@ -44,7 +44,7 @@ MUTATIONS = [
         promise=HERE,
     ),
     Mutation(
-        path="wrt/viewer/client_session.py",
+        path="wrt/viewer/session_life.py",
         old="if self._state is not before:",
         new="if False:",
         tests=f"{SESSIONS}::test_states_follow_one_another",

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from wrt.viewer import client_session
-from wrt.viewer.client_session import NEXT, ClientSession, Life, SessionState
+from wrt.viewer.client_session import ClientSession
 from wrt.viewer.connections import Connection
 from wrt.viewer.pictures.view_request import ViewRequest
+from wrt.viewer.session_life import NEXT, Life, SessionState
 
 POSE = (0.0, -3.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 40.0
 THREADS = "wrt-frames", "wrt-panels"

@@ -5,8 +5,10 @@ import pytest
 
 import wrt
 from wrt import scenes
-from wrt.viewer.trees.box_lines import box_corners, box_edges, octree_boxes, region_corners
-from wrt.viewer.trees.ray_way import upper_tree, walk
+from wrt.viewer.trees.area_boxes import octree_boxes, region_corners
+from wrt.viewer.trees.box_lines import box_corners, box_edges
+from wrt.viewer.trees.instance_walk import upper_tree
+from wrt.viewer.trees.ray_way import walk
 from wrt.viewer.trees.tree_levels import MEASURES, tree_boxes
 
 

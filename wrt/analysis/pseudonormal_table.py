@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.fields.distance_signs import Pseudonormals
-from wrt.meshes.mesh_arrays import first_of_equal_points, normals_and_areas
+from wrt.meshes.mesh_measures import first_of_equal_points, normals_and_areas
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState

@@ -17,7 +17,7 @@ from wrt.analysis.winding_numbers import ACCURACY, winding_numbers_of
 from wrt.engine.rays.rays import as_vectors
 from wrt.kernels.fields.distance_signs import apply_signs, find_sides, sides_of_numbers, sides_of_rule
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
-from wrt.meshes.mesh_arrays import first_of_equal_points
+from wrt.meshes.mesh_measures import first_of_equal_points
 from wrt.query.inside import contains
 from wrt.query.points.closest_point import closest_point, flat_points, relative_points
 from wrt.tables import lookup

@@ -20,7 +20,7 @@ from wrt.analysis.analysis_arguments import state_of
 from wrt.kernels.fields.disc_samples import OPEN, settle
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.validation import as_float, as_int
-from wrt.meshes.mesh_arrays import normals_and_areas
+from wrt.meshes.mesh_measures import normals_and_areas
 
 if TYPE_CHECKING:
     from wrt.query.hits import Hits

@@ -25,17 +25,12 @@ from wrt.materials.material import Material
 from wrt.materials.mesh_materials import MeshMaterials, joined_materials, make_mesh_materials
 from wrt.meshes.exact_encoding import encode_mesh
 from wrt.meshes.files.mesh_reading import OWN_FORMATS, read_by_trimesh, read_own_format
+from wrt.meshes.files.up_in_files import with_stated_up
 from wrt.meshes.graph_transforms import graph_transform
-from wrt.meshes.mesh_arrays import (
-    checked_faces,
-    checked_vertices,
-    extremes,
-    first_of_equal_points,
-    frozen,
-    height_map_arrays,
-    normals_and_areas,
-)
-from wrt.meshes.up_axis import Direction, checked_up, common_up, mapped_up, up_of_format, with_stated_up
+from wrt.meshes.height_map import height_map_arrays
+from wrt.meshes.mesh_arrays import checked_faces, checked_vertices, frozen
+from wrt.meshes.mesh_measures import extremes, first_of_equal_points, normals_and_areas
+from wrt.meshes.up_axis import Direction, checked_up, common_up, mapped_up, up_of_format
 
 if TYPE_CHECKING:
     import trimesh

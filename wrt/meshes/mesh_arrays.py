@@ -1,4 +1,4 @@
-"""The arrays of a mesh and of a terrain: checked once, and copied so that nothing can change them afterwards; their measures.
+"""The arrays of a mesh: checked once, and copied so that nothing can change them afterwards.
 
 Kernels follow the indices in `faces` without checks, so the checked values must not change.
 """
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.kernels.validation import as_numbers, host_array
+from wrt.kernels.validation import host_array
 
 
 def as_array(values: Any, argument: str) -> np.ndarray:
@@ -79,7 +79,7 @@ def checked_faces(faces: Any, vertex_count: int) -> np.ndarray:
         index = int(array[first][bad[first]][0])
         raise ValueError(
             f"faces[{first}] refers to vertex {index}, but there are {vertex_count} vertices (valid: 0 to "
-            f"{vertex_count - 1}); faces affected: {int(bad.any(axis=1).sum())}. Are the indices one-based?"
+            f"{vertex_count - 1}); {int(bad.any(axis=1).sum())} faces are affected. Are the indices one-based?"
         )
     return frozen(array.astype(np.int32, copy=False))
 
@@ -94,72 +94,3 @@ def frozen(array: np.ndarray) -> np.ndarray:
     if isinstance(owner, bytes) and array.flags.c_contiguous:
         return array.view(np.ndarray)
     return np.frombuffer(array.tobytes(), dtype=array.dtype).reshape(array.shape)
-
-
-# An angle below four rounding steps of float64 cannot be told from zero: the triangle counts as degenerate.
-_SINE_OF_DEGENERATE = 4.0 * np.finfo(np.float64).eps
-
-
-def extremes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest value of each column of an (N, 3) array. By column, NumPy takes a twentieth of the time."""
-    columns = points.T
-    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
-
-
-def normals_and_areas(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals (F, 3), zero where degenerate, and areas (F,).
-
-    Both edges are first scaled to about unit length, so that products neither underflow nor overflow.
-    """
-    corner = vertices[faces[:, 0]].astype(np.float64)
-    edge1 = vertices[faces[:, 1]] - corner
-    edge2 = vertices[faces[:, 2]] - corner
-    scale1 = np.abs(edge1).max(axis=1)
-    scale2 = np.abs(edge2).max(axis=1)
-    edge1 /= np.where(scale1 > 0.0, scale1, 1.0)[:, None]
-    edge2 /= np.where(scale2 > 0.0, scale2, 1.0)[:, None]
-    normals = np.cross(edge1, edge2)
-    lengths = np.linalg.norm(normals, axis=1)
-    lengths[lengths <= _SINE_OF_DEGENERATE] = 0.0  # both edges have lengths from 1 to sqrt(3), or zero
-    normals *= np.where(lengths > 0.0, 1.0 / np.where(lengths > 0.0, lengths, 1.0), 0.0)[:, None]
-    return normals, 0.5 * lengths * scale1 * scale2
-
-
-def first_of_equal_points(points: np.ndarray) -> np.ndarray:
-    """(V,) for every point, the smallest index of a point with exactly the same coordinates (-0.0 equals 0.0)."""
-    order = np.lexsort(points.T)  # stable: equal points stay in the order of their indices
-    ranked = points[order]
-    starts = np.concatenate([[True], (ranked[1:] != ranked[:-1]).any(axis=1)])
-    first = np.empty(len(points), dtype=np.int64)
-    first[order] = order[starts][np.cumsum(starts) - 1]
-    return first
-
-
-def height_map_arrays(heights: Any, spacing: Any, origin: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (rows * columns, 3) float64 and faces (F, 3) of a terrain; arguments and errors as in
-    `wrt.TriangleMesh.from_heightmap`."""
-    values = host_array("heights", heights)
-    if values.dtype.kind not in "fiu":
-        raise TypeError(f"heights must hold real numbers, not {values.dtype}")
-    if values.ndim != 2 or min(values.shape) < 2:
-        raise ValueError(f"heights must have shape (rows, columns), at least 2 x 2, not {values.shape}")
-    step, start = as_numbers("spacing", spacing), as_numbers("origin", origin, (3,))
-    if step.shape not in ((), (1,), (2,)):
-        raise ValueError(f"spacing must be a number or two, of columns and of rows, not an array of shape {step.shape}")
-    step = np.broadcast_to(step, (2,))
-    if not step.all():
-        raise ValueError(f"spacing must not be 0, and is {step.tolist()}")
-    known = np.isfinite(values)
-    rows, columns = np.indices(values.shape)
-    places = np.stack([step[0] * columns, step[1] * rows, np.where(known, values, 0.0)], axis=-1).astype(np.float64) + start
-    number = rows * values.shape[1] + columns
-    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
-    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, 1:] & known[1:, :-1]
-    cells = np.stack([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)], axis=-2)[whole]
-    faces = cells.reshape(-1, 3)
-    if not len(faces):
-        raise ValueError(
-            f"heights of shape {values.shape}, {int(known.sum())} of them finite, have no cell of four finite numbers; a cell "
-            "needs two neighbours in each of two rows"
-        )
-    return places.reshape(-1, 3), faces if step[0] * step[1] > 0.0 else faces[:, ::-1]

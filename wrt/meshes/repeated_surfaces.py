@@ -22,7 +22,7 @@ import numpy as np
 
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
-from wrt.meshes.mesh_arrays import first_of_equal_points
+from wrt.meshes.mesh_measures import first_of_equal_points
 
 
 def repeated_triangles(meshes: Sequence[TriangleMesh]) -> list[np.ndarray]:

@@ -1,9 +1,8 @@
 """One client: the thread that makes its pictures, its camera, and its part of the control panel.
 
-Its life is a state (`SessionState`); one lock guards it, and `Life.move` is the only way from one to another. Whoever ends it
-(the browser that leaves, the viewer that closes, an error that nobody foresaw) calls `leave`, from any thread and in any
-state; it returns at once. What runs for the session ends by itself then, and the thread that makes pictures frees what it
-held as its last act.
+Its life is in `wrt.viewer.session_life`. Whoever ends it (the browser that leaves, the viewer that closes, an error that
+nobody foresaw) calls `leave`, from any thread and in any state; it returns at once. What runs for the session ends by
+itself then, and the thread that makes pictures frees what it held as its last act.
 
 A picture is sent once the browser has answered for the one before, so a slow connection gets fewer pictures, not late ones.
 """
@@ -15,7 +14,6 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from enum import Enum
 from time import monotonic
 from typing import Any
 
@@ -26,73 +24,10 @@ from wrt.viewer.browser import Browser, Pose
 from wrt.viewer.frame_loop import FrameLoop, FrameTimes, Superseded
 from wrt.viewer.pictures.looks import make_picture
 from wrt.viewer.pictures.view_request import ViewRequest
+from wrt.viewer.session_life import Life, SessionState
 from wrt.viewer.shared_scene import SharedScene
 
-__all__ = ["ClientSession", "Life", "SessionState"]
-
-
-class SessionState(Enum):
-    """Where a session is in its life."""
-
-    ARRIVED = "arrived"
-    """A browser is there; nothing runs for it yet."""
-    WATCHING = "watching"
-    """Its thread makes pictures."""
-    LEAVING = "leaving"
-    """The browser has gone, the viewer closes, or the thread has failed: what is under way ends."""
-    LEFT = "left"
-    """Nothing runs, and nothing is held. The end."""
-
-
-NEXT = {
-    SessionState.ARRIVED: (SessionState.WATCHING, SessionState.LEFT),
-    SessionState.WATCHING: (SessionState.LEAVING,),
-    SessionState.LEAVING: (SessionState.LEFT,),
-    SessionState.LEFT: (),
-}
-"""The states that may follow each."""
-
-
-class Life:
-    """The state of a session; any thread may ask and move."""
-
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self._state = SessionState.ARRIVED
-
-    @property
-    def state(self) -> SessionState:
-        """The state now."""
-        with self._changed:
-            return self._state
-
-    @property
-    def is_over(self) -> bool:
-        """Whether no picture is wanted any more."""
-        return self.state in (SessionState.LEAVING, SessionState.LEFT)
-
-    def move(self, before: SessionState, after: SessionState) -> bool:
-        """Goes from one state to another; does nothing, and returns False, if the state is not `before`.
-
-        Of several threads that try the same, one succeeds.
-
-        Raises:
-            ValueError: `after` never follows `before`.
-        """
-        if after not in NEXT[before]:
-            raise ValueError(f"no session goes from {before.value} to {after.value}")
-        with self._changed:
-            if self._state is not before:
-                return False
-            self._state = after
-            self._changed.notify_all()
-            return True
-
-    def wait(self, state: SessionState, timeout: float) -> bool:
-        """Waits until a state is entered, at most this many seconds; returns whether it is."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._state is state, timeout)
-
+__all__ = ["ClientSession"]
 
 PANELS_AFTER = 1.0
 """Seconds after which a client gets its panels if it has no picture yet; else it gets them with the first one."""

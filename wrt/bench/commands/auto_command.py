@@ -19,7 +19,8 @@ from wrt.bench.commands.command_options import (
     write_json,
 )
 from wrt.bench.comparisons.auto_cases import KINDS, SCENES, SIZES, scene_of, subdivided
-from wrt.bench.comparisons.auto_choices import Choice, compare_choices, compare_journeys
+from wrt.bench.comparisons.auto_choices import Choice, compare_choices
+from wrt.bench.comparisons.auto_journeys import compare_journeys
 from wrt.bench.core.benchmark_results import machine
 from wrt.cli.arguments import target_options
 from wrt.cli.number_types import Whole

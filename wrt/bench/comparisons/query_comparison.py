@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from wrt.bench.core.benchmark_results import Agreement, Question, Row, closest_agreement, lists_agreement, occlusion_agreement
+from wrt.bench.core.agreement import Agreement, closest_agreement, lists_agreement, occlusion_agreement
+from wrt.bench.core.benchmark_results import Question, Row
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.bench.core.workloads import Workload
 from wrt.bench.peers.peer import Answer, Lists, Peer, Query

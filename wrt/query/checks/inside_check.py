@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wrt.kernels.query.nearest64 import vertex_rows, winding_numbers
-from wrt.meshes.mesh_arrays import first_of_equal_points
+from wrt.meshes.mesh_measures import first_of_equal_points
 from wrt.query.inside import PARITY, RULES, contains
 
 if TYPE_CHECKING:

@@ -107,7 +107,7 @@ class TreePanel:
 
     def _draw_regions(self) -> str:
         """Draws where the rays of each influence area start, coloured by the triangles of its tree; a description."""
-        from wrt.viewer.trees.box_lines import region_corners
+        from wrt.viewer.trees.area_boxes import region_corners
 
         scene = self._session.shared.current[1]
         if scene.state.area_trees is None:
@@ -128,7 +128,7 @@ class TreePanel:
         if (version, kind) not in self._known:
             self._known = {key: value for key, value in self._known.items() if key[0] == version}
             if kind == OCTREE:
-                from wrt.viewer.trees.box_lines import octree_boxes
+                from wrt.viewer.trees.area_boxes import octree_boxes
 
                 if scene.state.area_trees is None:
                     raise ValueError(NO_AREAS)
@@ -184,6 +184,6 @@ def tree_of(state: SceneState) -> Any:
     """The tree of a state; of instances, the one above them."""
     if not state.instances:
         return state.tree
-    from wrt.viewer.trees.ray_way import upper_tree
+    from wrt.viewer.trees.instance_walk import upper_tree
 
     return upper_tree(state)  # type: ignore[arg-type]
