@@ -10,7 +10,6 @@ from wrt.kernels.validation import as_numbers, convert_fields
 from wrt.tables import lookup, one_of
 
 if TYPE_CHECKING:
-
     from wrt.builders import tree as common
     from wrt.builders.bvh.known_rays_config import ProjectedConfig
     from wrt.builders.bvh.phases.split_axes import AxisChoice
