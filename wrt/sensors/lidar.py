@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from math import prod
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
 from wrt.sensors.lidar_scan import LidarScan
 from wrt.sensors.outputs.hit_outputs import as_layers
-from wrt.sensors.outputs.measured_returns import MeasuredReturns
+from wrt.sensors.outputs.measured_returns import MeasuredReturns, no_noise
 from wrt.sensors.placed.device_poses import DevicePoses, as_poses
 from wrt.sensors.placed.values_on_devices import refuse_captured_scan, refuse_host_values, stays_on
 from wrt.sensors.time_slices import (
@@ -336,14 +336,6 @@ def reflect_by_point(found: TracedSlice, detector: Detector) -> None:
     point, mesh, device = found.traced.primitive.numpy(), found.surface[1], detector.reflectance.device
     mesh.geometry_first = wp.array(np.arange(len(point) + 1), dtype=int, device=device)
     detector.reflectance = wp.array(detector.reflectance.numpy()[np.maximum(point, 0)], dtype=float, device=device)
-
-
-@cache
-def no_noise() -> Noise:
-    """The noise of an ideal sensor."""
-    from wrt.kernels.sensors.lidar_returns import Noise
-
-    return Noise()
 
 
 def as_noise(lidar: Lidar, seed: Any, device: wp.Device) -> Noise:

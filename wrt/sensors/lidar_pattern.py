@@ -97,6 +97,11 @@ class LidarPattern:
         """Firing times of the first and the last beam, in seconds."""
         return float(self.times.min()), float(self.times.max())
 
+    @cached_property
+    def has_wide_rings(self) -> bool:
+        """Whether some rings are not from 0 to 65535."""
+        return bool(self.rings.size) and (self.rings.min() < 0 or self.rings.max() > np.iinfo(np.uint16).max)
+
     def cut(self, sensors: tuple[int, ...], slices: int) -> tuple[np.ndarray | None, list[Slice]]:
         """The order in which beams are traced, and the slices of a scan that starts at 0, as of
         `wrt.sensors.time_slices.cut_slices`; the last few are kept.
@@ -268,7 +273,7 @@ class LidarPattern:
         array = check_real(name, values)
         array = as_integers(name, array, dtype) if dtype is np.int32 else array
         try:
-            array = np.array(np.broadcast_to(array, self.shape), dtype=dtype)
+            array = np.array(np.broadcast_to(array, self.shape), dtype=dtype, order="C")
         except ValueError:
             raise ValueError(f"{name} has the shape {array.shape}, which does not broadcast to {self.shape}") from None
         array.setflags(write=False)

@@ -11,6 +11,7 @@ import warp as wp
 
 from wrt.engine.memory import keep_alive
 from wrt.engine.rays.rays import as_vectors
+from wrt.kernels.runtime.argument_packing import blank
 from wrt.kernels.runtime.launch import as_device, launch, refuse_capture
 from wrt.kernels.validation import first_bad
 from wrt.meshes.instance import rotation_matrices
@@ -193,7 +194,7 @@ class Trajectory:
             if self.is_still:
                 from wrt.kernels.sensors.pose_paths import PosePath
 
-                path = PosePath()
+                path = blank(PosePath)
                 path.position, path.rotation = wp.vec3d(*self.positions[0].tolist()), wp.quatd(*self.rotations[0].tolist())
             else:
                 path = pose_path(self.times, self.positions, self.rotations, device)
