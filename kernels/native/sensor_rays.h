@@ -20,8 +20,8 @@ inline CUDA_CALLABLE void turn_axes(const Vec3* __restrict axes, const Quat& tur
     }
 }
 
-/// Distance and depth of the rays begin .. end - 1; null for an image that is not asked for. `order` is null if ray i is that of
-/// pixel place + i; `own` is the number of pixels of a camera.
+/// Distance and depth of the rays begin .. end - 1; null for an image that is not asked for. `order` is null if ray i is that
+/// of pixel place + i; `own` is the number of pixels of a camera.
 template <class Vec3>
 inline CUDA_CALLABLE void write_depths(const float* __restrict t, const int* __restrict primitive, const Vec3* __restrict axes,
     const int* __restrict order, int place, int own, float miss, int begin, int end, float* __restrict distance,

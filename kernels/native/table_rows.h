@@ -1,4 +1,5 @@
-// Rows of structured arrays: each thread writes the rows of a block of items, some rows at a time, column by column (wrt.kernels.sensors.table_rows).
+// Rows of structured arrays: each thread writes the rows of a block of items, some rows at a time, column by column
+// (wrt.kernels.sensors.table_rows).
 #pragma once
 #include "loops.h"
 
@@ -14,8 +15,8 @@ struct RowItems {
     int count;
 };
 
-/// Sensors have `own` items each, in the same order; without an order, items are taken by number. An item with a negative id has
-/// no row, unless there are no ids.
+/// Sensors have `own` items each, in the same order; without an order, items are taken by number. An item with a negative id
+/// has no row, unless there are no ids.
 inline CUDA_CALLABLE void rows_of_block(const int* order, int own, const int* id, int begin, int end, RowItems& rows)
 {
     rows.count = 0;

@@ -40,11 +40,14 @@ from wrt.sensors.trajectory import Trajectory
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers
     from wrt.clouds.point_cloud import PointCloud
+    from wrt.engine.plan.plan import Plan
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.kernels.sensors.lidar_returns import Detector, Noise
     from wrt.scene.scene import Scene
     from wrt.sensors.time_slices import TracedSlice
+    from wrt.sensors.trajectory import Pose
 
 KEEP = {"strongest": 0, "first": 1, "last": 2}
 """Which returns of a beam are kept, and their numbers in `wrt.kernels.sensors.lidar_returns`."""
@@ -157,16 +160,16 @@ class Lidar:
     def scan(
         self,
         scene: Scene | PointCloud,
-        pose: Any,
+        pose: Pose,
         *,
         time: float = 0.0,
         motions: Mapping[int, Trajectory] | None = None,
         slices: int = 1,
-        reflectance: Any = 1.0,
-        mask: Any = None,
-        environment: Any = None,
-        traversal: Any = "auto",
-        labels: Any = None,
+        reflectance: Numbers = 1.0,
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
+        traversal: str | Plan = "auto",
+        labels: ArrayLike | None = None,
         seed: int | wp.array | None = None,
         layers: Sequence[str] | None = None,
         to_warp: bool | None = None,

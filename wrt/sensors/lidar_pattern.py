@@ -10,10 +10,11 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import kept
-from wrt.kernels.validation import as_bool, as_float, as_int
+from wrt.kernels.validation import as_bool, as_float, as_int, host_array
 from wrt.sensors.checks import as_integers, check_at_least, check_real
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.sensors.time_slices import Slice
 
@@ -50,7 +51,13 @@ class LidarPattern:
             not unit vectors.
     """
 
-    def __init__(self, directions: Any, times: Any = None, rings: Any = None, offsets: Any = None) -> None:
+    def __init__(
+        self,
+        directions: ArrayLike,
+        times: ArrayLike | None = None,
+        rings: ArrayLike | None = None,
+        offsets: ArrayLike | None = None,
+    ) -> None:
         self.is_warp = isinstance(directions, wp.array)
         self.directions = self._vectors("directions", directions)
         self.shape = self.directions.shape if self.is_warp else self.directions.shape[:-1]
@@ -131,13 +138,13 @@ class LidarPattern:
     @classmethod
     def spinning(
         cls,
-        elevations: Any,
+        elevations: ArrayLike,
         columns: int,
         *,
         rate: float = 10.0,
-        azimuth_offsets: Any = 0.0,
-        firing_times: Any = 0.0,
-        rings: Any = None,
+        azimuth_offsets: Numbers = 0.0,
+        firing_times: Numbers = 0.0,
+        rings: ArrayLike | None = None,
         clockwise: bool = True,
         radius: float = 0.0,
     ) -> LidarPattern:
@@ -156,18 +163,18 @@ class LidarPattern:
         Raises:
             TypeError, ValueError: as the class; a number out of range.
         """
-        elevations = np.radians(check_real("elevations", elevations, (None,)))[:, None]
+        heights = np.radians(check_real("elevations", elevations, (None,)))[:, None]
         columns, clockwise = as_int("columns", columns, 1), as_bool("clockwise", clockwise)
         rate = check_at_least("rate", rate, 1e-6)
         radius = check_at_least("radius", radius, 0.0)
         times = np.arange(columns) / (columns * rate) + np.reshape(check_real("firing_times", firing_times), (-1, 1))
-        times = np.broadcast_to(times, (len(elevations), columns))
+        times = np.broadcast_to(times, (len(heights), columns))
         encoder = (-2.0 if clockwise else 2.0) * np.pi * rate * times
         azimuth = encoder + np.reshape(np.radians(check_real("azimuth_offsets", azimuth_offsets)), (-1, 1))
-        flat = np.cos(elevations)
-        directions = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), 0.0 * azimuth + np.sin(elevations)], axis=-1)
+        flat = np.cos(heights)
+        directions = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), 0.0 * azimuth + np.sin(heights)], axis=-1)
         offsets = None if radius == 0.0 else radius * np.stack([np.cos(encoder), np.sin(encoder), 0.0 * encoder], axis=-1)
-        return cls(directions, times, None if rings is None else np.reshape(rings, (-1, 1)), offsets)
+        return cls(directions, times, None if rings is None else host_array("rings", rings).reshape(-1, 1), offsets)
 
     @classmethod
     def raster(

@@ -190,7 +190,7 @@ def trace_slices(scene: Scene | PointCloud, rays: SensorRays, bodies: Bodies, pa
         raise ValueError("mask, environment and traversal are for a wrt.Scene; of a point cloud, leave them out")
     count, device, together, found = len(scene.state.instances), scene.device, False, None
     few = len(parts) * count <= MAX_TOGETHER
-    if bodies.chosen and len(parts) > 1 and few and all(one.environment < 0 for one in scene.instances):
+    if bodies.chosen and len(parts) > 1 and few and (scene.state.instances.environments < 0).all():
         together = rays.each.get("environment") is None
     if together:
         scene.state = sliced(scene.state, bodies.chosen, bodies.transforms)  # type: ignore[arg-type]
