@@ -133,7 +133,7 @@ class HitOutputs:
         if to_warp:
             layers.make(self._chosen)
             if layers.device.is_capturing:
-                for values in map(as_array, layers.arrays.values()):  # the graph reads what they are made of whenever it is launched
+                for values in map(as_array, layers.arrays.values()):  # the graph reads what they are made of at each launch
                     keep_alive(values, (values.used, layers))  # type: ignore[attr-defined]
 
     def __repr__(self) -> str:
