@@ -133,8 +133,8 @@ class HitOutputs:
         if to_warp:
             layers.make(self._chosen)
             if layers.device.is_capturing:
-                for values in map(as_array, layers.arrays.values()):  # the graph reads what they are made of at each launch
-                    keep_alive(values, (values.used, layers))  # type: ignore[attr-defined]
+                for values in layers.arrays.values():  # the graph reads what they are made of whenever it is launched
+                    keep_alive(values, (values.used, layers))  # type: ignore[arg-type, attr-defined]
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(shape={self.shape})"
