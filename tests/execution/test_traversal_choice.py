@@ -17,23 +17,22 @@ from wrt.engine.facts.wide_trees import wide_form_pays
 from wrt.engine.plan.planner import choose_culling, choose_traversal, situation_of
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
-from wrt.kernels.traversal.traversal_scores import limits_for
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 SCENES = ("bvh", "kdtree", "lazy", "instances bvh", "instances kdtree", "spaces")
 RAYS = (1, 1024, 1025, 100_000, 10_000_000)
 QUERIES = ("closest", "any", "count", "all")
-TRIANGLES = (500, 100_000, 200_000, 400_000, 1_000_000)
+TRIANGLES = (500, 49_999, 50_000, 1_000_000)
 
 SIMILAR, DISSIMILAR = "neighbouring rays are coherent", "neighbouring rays are incoherent"
 SINGLE_RAYS = "two levels, one ray at a time"
 
 
-def make_scene(kind: str, triangles: int, cuda: bool = False, width: int = 16) -> SceneFacts:
-    """The facts about a scene that a choice depends on; `width`: children of a node."""
+def make_scene(kind: str, triangles: int, cuda: bool = False) -> SceneFacts:
+    """The facts about a scene that a choice depends on."""
     return SceneFacts(
         tree="kdtree" if kind in ("kdtree", "lazy", "instances kdtree") else "bvh",
-        width=width,
+        width=16,
         triangles=triangles,
         instances=8 if kind.startswith("instances") else 0,
         is_cuda=cuda,
@@ -66,7 +65,6 @@ def expected(
     shared: bool,
     query: str,
     culls: bool,
-    width: int,
 ) -> tuple[str, str]:
     """The choice on the CPU, case by case."""
     if kind == "spaces":
@@ -80,20 +78,12 @@ def expected(
             return "packet", f"two levels, {SIMILAR}"
         return "single", f"{SINGLE_RAYS}: triangles are small"
     if kind == "instances bvh":
-        many = 8 * (256 if coherent else 65536)
-        return ("stream", "two levels, rays sorted by instance") if count >= many else ("single", SINGLE_RAYS)
+        return ("stream", "two levels, rays sorted by instance") if count >= 8 * 32768 else ("single", SINGLE_RAYS)
     if query in ("count", "all") or culls:
         hits = "all hits" if query in ("count", "all") else "front faces"
         if kind == "bvh":
             return "stream", f"{hits} of many rays"
         return "single", f"the traversal that finds {hits} on a kd-tree"
-    many = query == "any" and count >= 65_536
-    if coherent:
-        parts = width < 16 or triangles >= 500_000
-    elif width < 16:
-        parts = triangles >= 100_000 or not many
-    else:
-        parts = triangles >= (300_000 if many else 120_000) or count < 8192
     is_wide = kind == "kdtree" and (wide or savings + count / (16 if coherent else 1) >= triangles)
     if kind != "bvh" and not is_wide and coherent:
         crowd = (8 * count if shared else count // 2) >= triangles
@@ -101,7 +91,7 @@ def expected(
     if kind != "bvh" and not is_wide:
         return "lockstep", DISSIMILAR
     stream, packet = ("wide_stream", "wide_packet") if is_wide else ("stream", "packet")
-    if kind == "bvh" and parts:
+    if kind == "bvh" and triangles >= 50_000:
         stream = "interleaved"
     if not coherent:
         return stream, DISSIMILAR
@@ -113,10 +103,10 @@ def test_choices_on_the_cpu(kind):
     """Every combination of facts, which no scene of a test's size would reach."""
     chosen = set()
     for facts in product(
-        TRIANGLES, (False, True), (0.0, 990_000.0), RAYS, (False, True), (False, True), QUERIES, (False, True), (4, 8, 16)
+        TRIANGLES, (False, True), (0.0, 990_000.0), RAYS, (False, True), (False, True), QUERIES, (False, True)
     ):
-        triangles, wide, savings, count, coherent, shared, query, culls, width = facts
-        scene = make_scene(kind, triangles, width=width)
+        triangles, wide, savings, count, coherent, shared, query, culls = facts
+        scene = make_scene(kind, triangles)
         choice = choose(scene, make_rays(count, coherent, shared), query, culls, wide, savings)
         assert choice == expected(kind, *facts), facts
         chosen.add(choice)
@@ -143,19 +133,18 @@ def test_choices_on_cuda(kind):
 
 @pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
 def test_choices_of_a_culling(triangle_test):
-    """Cullings by vertices need a test without hits beside the triangle; frusta at leaves need boxes, and sparse rays. Where
-    pairs are filtered, dense rays do without."""
+    """Cullings by vertices need a test without hits beside the triangle; frusta at leaves need boxes, and rays that do not
+    crowd. Where pairs are filtered, crowded rays do without."""
     test = TRIANGLE_TESTS[triangle_test]
     filtered = bool(test.packet_form.pairs)
     packets = [way for way in TRAVERSALS.values() if Capabilities.PACKETS in way.capabilities]
-    for way, kind, count, shared in product(packets, ("bvh", "kdtree", "instances bvh"), (999, 1000, 100_000), (False, True)):
+    for way, kind, count, shared in product(packets, ("bvh", "kdtree", "instances bvh"), (3999, 4000, 100_000), (False, True)):
         scene, rays = make_scene(kind, 500), make_rays(count, True, shared)
-        least = 500 * limits_for(scene.width).rough if filtered else 1000
-        dense = shared and count >= least and kind != "instances bvh"
+        crowded = shared and count >= 4000 and kind != "instances bvh"
         boxes = Capabilities.WIDE_FORM in way.capabilities or kind != "kdtree"
-        accurate = "vertex" if dense or not boxes else "transient_frustum"
+        accurate = "vertex" if crowded or not boxes else "transient_frustum"
         if filtered:
-            accurate = "interval" if dense else "leaf_boxes" if boxes else "vertex"
+            accurate = "interval" if crowded else "leaf_boxes" if boxes else "vertex"
         assert choose_culling(scene, rays, way, test) == (accurate if test.accurate else "interval")
 
 
