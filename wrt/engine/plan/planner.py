@@ -167,8 +167,8 @@ def rival_plans(scene: SceneState, rays: RayFacts, query: Query, plan: Plan) -> 
     if told.prefers_single:
         return [plan]
     together, parted = told._replace(coherent=True, overlap=Overlap(0.0, 0.0)), told._replace(overlap=Overlap(1.0, 0.0))
-    number = "rays" if told.instances else "triangles"
-    walks = [parted, parted._replace(**{number: 0}), parted._replace(**{number: MANY})]
+    ends = (0, MANY)
+    walks = [parted, *(parted._replace(rays=end) if told.instances else parted._replace(triangles=end) for end in ends)]
     others = [together, *walks] if told.coherent else [*walks, together]
     test = plan.triangle_test
     if plan.culling and rays.shared_origin:
