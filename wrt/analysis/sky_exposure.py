@@ -19,7 +19,7 @@ from wrt.kernels.shading.surface import Surface
 from wrt.kernels.validation import as_bool, as_direction, as_float, as_int, as_numbers, first_bad
 
 if TYPE_CHECKING:
-    from wrt.engine.rays.array_types import ArrayLike, Numbers
+    from wrt.array_types import ArrayLike, Numbers
     from wrt.query.hits import Hits
     from wrt.scene.scene import Scene
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from math import isfinite, sqrt
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -14,6 +14,17 @@ from wrt.kernels.validation import as_int, as_numbers, as_real_array
 from wrt.meshes.graph_transforms import graph_transform
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, members_of
+
+if TYPE_CHECKING:
+    import trimesh
+    from trimesh.parent import Geometry as OfTrimesh
+
+    from wrt.array_types import ArrayLike
+
+Member: TypeAlias = "TriangleMesh | Instance | OfTrimesh"
+
+Geometry: TypeAlias = "Member | Sequence[Member] | Sequence[Sequence[Member]]"
+"""What scenes are made of; objects of trimesh are meshes and scenes."""
 
 MAX_CONDITION = 1e12
 """Condition number from which a map counts as singular: its inverse has no reliable digits."""
@@ -68,13 +79,20 @@ class Instance:
 
     __slots__ = ("environment", "mask", "mesh", "transform")
 
-    def __init__(self, mesh: Any, transform: Any = None, *, mask: int = MAX_MASK, environment: int = EVERY) -> None:
+    def __init__(
+        self,
+        mesh: TriangleMesh | trimesh.parent.Geometry,
+        transform: ArrayLike | None = None,
+        *,
+        mask: int = MAX_MASK,
+        environment: int = EVERY,
+    ) -> None:
         if not (isinstance(mesh, TriangleMesh) or (hasattr(mesh, "faces") and hasattr(mesh, "vertices"))):
             raise TypeError(
                 f"mesh must be a wrt.TriangleMesh or a trimesh.Trimesh, not {type(mesh).__name__}; pass a trimesh.Scene to "
                 "wrt.Scene directly"
             )
-        self.mesh = mesh
+        self.mesh: Any = mesh
         self.transform = check_transform(np.eye(4) if transform is None else transform)
         self.mask = check_mask(mask)
         self.environment = check_environment(environment)
@@ -188,25 +206,21 @@ def matrices_of(transforms: wp.array) -> np.ndarray:
     if transforms.dtype not in (wp.transformf, wp.transformd):
         return transforms.numpy()
     values = transforms.numpy().astype(np.float64)
-    x, y, z, w = np.moveaxis(values[..., 3:] / np.linalg.norm(values[..., 3:], axis=-1, keepdims=True), -1, 0)
     matrices = np.zeros((*values.shape[:-1], 4, 4))
     matrices[..., :3, 3], matrices[..., 3, 3] = values[..., :3], 1.0
-    matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - z * w),
-        2 * (x * z + y * w),
-    )
-    matrices[..., 1, 0], matrices[..., 1, 1], matrices[..., 1, 2] = (
-        2 * (x * y + z * w),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - x * w),
-    )
-    matrices[..., 2, 0], matrices[..., 2, 1], matrices[..., 2, 2] = (
-        2 * (x * z - y * w),
-        2 * (y * z + x * w),
-        1 - 2 * (x * x + y * y),
-    )
+    matrices[..., :3, :3] = rotation_matrices(values[..., 3:] / np.linalg.norm(values[..., 3:], axis=-1, keepdims=True))
     return matrices
+
+
+def rotation_matrices(unit: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) matrices of (..., 4) unit quaternions x, y, z, w."""
+    x, y, z, w = np.moveaxis(unit, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def check_environment(environment: Any) -> int:

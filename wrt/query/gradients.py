@@ -13,6 +13,7 @@ from wrt.kernels.runtime.launch import kept, launch, load
 from wrt.kernels.validation import as_real_array
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
     from wrt.query.api import Queries
     from wrt.query.hits import Hits
 
@@ -40,7 +41,12 @@ class DifferentiableHits:
 
 
 def differentiable_hits(
-    scene: Queries, hits: Hits, origins: Any, directions: Any, vertices: Any = None, transforms: Any = None
+    scene: Queries,
+    hits: Hits,
+    origins: ArrayLike,
+    directions: ArrayLike,
+    vertices: ArrayLike | None = None,
+    transforms: ArrayLike | None = None,
 ) -> DifferentiableHits:
     """Recomputes hits as smooth functions of rays, vertices and transforms; the triangle that each ray hits is fixed.
 

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from wrt.imaging.integrators.render_settings import SettingOptions
+    from wrt.lights.device_lights import Lights
+    from wrt.materials.material import Materials
 
 __all__ = ["LAYERS", "Rendering"]
 
@@ -106,8 +108,8 @@ class Rendering(SampledPicture):
         camera: Camera,
         *,
         integrator: str = "path",
-        lights: Any = None,
-        materials: Any = None,
+        lights: Lights | None = None,
+        materials: Materials | None = None,
         motion: Motion | None = None,
         settings: RenderSettings | None = None,
         **options: Unpack[SettingOptions],
