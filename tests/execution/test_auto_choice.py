@@ -1,7 +1,7 @@
 """What "auto" chooses, by two tables, which are all that tests say of it: the traversal and the reason for every kind of scene,
 batch and query on both sides of each limit; and a grid of cases with what a sample of their packets shares.
 
-Nothing is traced. The grid holds the choices that notebooks/records/2026-11-22-auto.md times, and for few rays
+Nothing is traced. The grid holds first guesses by the rules of notebooks/records/2026-11-28-auto.md, and for few rays
 notebooks/records/2026-11-23-few-rays.md; `wrt bench auto` makes the cases and times the choices on any machine. A changed
 choice is no error, but needs a new record.
 """
@@ -20,12 +20,12 @@ import pytest
 import wrt.engine
 import wrt.kernels
 from wrt.engine.facts.facts import RayFacts, SceneFacts
-from wrt.engine.facts.query_kinds import ANY, CLOSEST, few_rays
+from wrt.engine.facts.query_kinds import few_rays
 from wrt.engine.facts.wide_trees import wide_form_pays
 from wrt.engine.plan.planner import choose_culling, choose_traversal, packet_vectors, situation_of
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
-from wrt.kernels.traversal.traversal_scores import Overlap, Situation, limits_for, score_interleaved, score_packet
+from wrt.kernels.traversal.traversal_scores import GREATEST_SHARE, Overlap
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 SCENES = ("bvh", "kdtree", "lazy", "instances bvh", "instances kdtree", "spaces")
@@ -64,25 +64,17 @@ def choose(
 # have saved this many steps by it); choice and reason, in short. Each limit has a case below it and one at it.
 TABLE = """
 bvh               16 closest -                         500      1024 -      single      few rays
-bvh               16 closest -                         500      1025 -      interleaved incoherent
+bvh               16 closest -                         500      1025 -      stream      incoherent
 bvh               16 closest coherent                  500      1024 -      single      few rays
 bvh               16 closest coherent                  500      1025 -      packet      coherent
-bvh               16 closest -                      119999      8192 -      stream      incoherent
-bvh               16 closest -                      120000      8192 -      interleaved incoherent
-bvh               16 closest -                         500      8191 -      interleaved incoherent
-bvh               16 closest -                         500      8192 -      stream      incoherent
-bvh               16 any     -                      150000     65535 -      interleaved incoherent
-bvh               16 any     -                      150000     65536 -      stream      incoherent
-bvh               16 any     -                      299999     65536 -      stream      incoherent
-bvh               16 any     -                      300000     65536 -      interleaved incoherent
-bvh                8 any     -                       99999     65536 -      stream      incoherent
-bvh                8 any     -                      100000     65536 -      interleaved incoherent
-bvh                8 any     -                         500     65535 -      interleaved incoherent
-bvh                4 closest -                         500      8192 -      interleaved incoherent
-bvh               16 closest coherent                80000      9999 -      stream      coherent, but triangles are small
-bvh               16 closest coherent                80000     10000 -      packet      coherent
-bvh               16 any     coherent+point         499999      2000 -      stream      coherent, but triangles are small
-bvh               16 any     coherent+point         500000      2000 -      interleaved coherent, but triangles are small
+bvh               16 closest -                       49999      8192 -      stream      incoherent
+bvh               16 closest -                       50000      8192 -      interleaved incoherent
+bvh                8 any     -                       49999     65536 -      stream      incoherent
+bvh                8 any     -                       50000     65536 -      interleaved incoherent
+bvh               16 closest coherent                40000      4999 -      stream      coherent, but triangles are small
+bvh               16 closest coherent                40000      5000 -      packet      coherent
+bvh               16 any     coherent+point          49999      2000 -      stream      coherent, but triangles are small
+bvh                4 any     coherent+point          50000      2000 -      interleaved coherent, but triangles are small
 bvh                8 closest coherent+point          80000      9999 -      interleaved coherent, but triangles are small
 bvh               16 count   -                         500      8192 -      stream      all hits of many rays
 bvh               16 all     coherent+point            500      8192 -      stream      all hits of many rays
@@ -113,13 +105,13 @@ instances bvh     16 closest coherent+point            500      1024 -      sing
 instances bvh     16 closest coherent+point          80000      9999 -      single      one by one: triangles are small
 instances bvh     16 closest coherent+point          80000     10000 -      packet      two levels, coherent
 instances bvh      8 any     coherent+point          80000     10000 -      packet      two levels, coherent
-instances bvh     16 closest coherent                  500      2047 -      single      one by one
-instances bvh     16 closest coherent                  500      2048 -      stream      two levels, rays sorted by instance
-instances bvh     16 any     coherent+point+fronts     500      2047 -      single      one by one
-instances bvh     16 any     coherent+point+fronts     500      2048 -      stream      two levels, rays sorted by instance
-instances bvh     16 closest -                         500    524287 -      single      one by one
-instances bvh     16 closest -                         500    524288 -      stream      two levels, rays sorted by instance
-instances bvh     16 count   coherent+point            500      2048 -      stream      two levels, rays sorted by instance
+instances bvh     16 closest coherent                  500    262143 -      single      one by one
+instances bvh     16 closest coherent                  500    262144 -      stream      two levels, rays sorted by instance
+instances bvh     16 any     coherent+point+fronts     500    262143 -      single      one by one
+instances bvh     16 any     coherent+point+fronts     500    262144 -      stream      two levels, rays sorted by instance
+instances bvh     16 closest -                         500    262143 -      single      one by one
+instances bvh     16 closest -                         500    262144 -      stream      two levels, rays sorted by instance
+instances bvh     16 count   coherent+point            500    262144 -      stream      two levels, rays sorted by instance
 instances bvh     16 all     coherent+point            500  10000000 -      single      one by one
 instances kdtree  16 closest coherent+point            500     10000 -      single      one by one
 instances kdtree  16 any     -                         500  10000000 -      single      one by one
@@ -152,19 +144,18 @@ def test_choices_on_cuda(kind):
 
 @pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
 def test_choices_of_a_culling(triangle_test):
-    """Cullings by vertices need a test without hits beside the triangle; frusta at leaves need boxes, and sparse rays. Where
-    pairs are filtered, dense rays do without."""
+    """Cullings by vertices need a test without hits beside the triangle; frusta at leaves need boxes, and rays that do not
+    crowd. Where pairs are filtered, crowded rays do without."""
     test = TRIANGLE_TESTS[triangle_test]
     filtered = bool(test.packet_form.pairs)
     packets = [way for way in TRAVERSALS.values() if Capabilities.PACKETS in way.capabilities]
-    for way, kind, count, shared in product(packets, ("bvh", "kdtree", "instances bvh"), (999, 1000, 100_000), (False, True)):
+    for way, kind, count, shared in product(packets, ("bvh", "kdtree", "instances bvh"), (3999, 4000, 100_000), (False, True)):
         scene, rays = make_scene(kind, 500), make_rays(count, True, shared)
-        least = 500 * limits_for(scene.width).rough if filtered else 1000
-        dense = shared and count >= least and kind != "instances bvh"
+        crowded = shared and count >= 4000 and kind != "instances bvh"
         boxes = Capabilities.WIDE_FORM in way.capabilities or kind != "kdtree"
-        accurate = "vertex" if dense or not boxes else "transient_frustum"
+        accurate = "vertex" if crowded or not boxes else "transient_frustum"
         if filtered:
-            accurate = "interval" if dense else "leaf_boxes" if boxes else "vertex"
+            accurate = "interval" if crowded else "leaf_boxes" if boxes else "vertex"
         assert choose_culling(scene, rays, way, test) == (accurate if test.accurate else "interval")
 
 
@@ -187,23 +178,23 @@ def test_a_new_traversal_is_chosen_by_its_entry(monkeypatch):
 # scene, triangles, instances, kind of rays, rays, neighbours; with 16 lanes, share of different steps : steps a ray, choice;
 # the same with 8
 GRID = """
-bunny         69630  0 view      4096 coherent 0.327:2.1   stream      0.399:2.7   interleaved
-bunny         69630  0 scan      4096 coherent 0.252:6.4   stream      0.327:9.2   interleaved
+bunny         69630  0 view      4096 coherent 0.327:2.1   interleaved 0.399:2.7   interleaved
+bunny         69630  0 scan      4096 coherent 0.252:6.4   interleaved 0.327:9.2   interleaved
 bunny         69630  0 random    4096 parted   -           interleaved -           interleaved
-bunny         69630  0 shadow     908 coherent -           stream      -           interleaved
+bunny         69630  0 shadow     908 coherent -           interleaved -           interleaved
 bunny         69630  0 ao         908 parted   -           interleaved -           interleaved
 bunny         69630  0 view     65536 coherent 0.191:2.4   packet      0.207:2.6   packet
 bunny         69630  0 scan     65536 coherent 0.173:6.5   packet      0.168:9.1   packet
-bunny         69630  0 random   65536 parted   -           stream      -           interleaved
-bunny         69630  0 shadow   14567 coherent 0.312:5.8   stream      0.325:8.5   interleaved
-bunny         69630  0 ao       14567 parted   -           stream      -           interleaved
-bunny         69630  0 view   1048576 coherent -           packet      -           packet
-bunny         69630  0 scan   1048576 coherent -           packet      -           packet
-bunny         69630  0 random 1048576 parted   -           stream      -           interleaved
-bunny         69630  0 shadow  233064 coherent -           packet      -           packet
-bunny         69630  0 ao      233064 parted   -           stream      -           stream
+bunny         69630  0 random   65536 parted   -           interleaved -           interleaved
+bunny         69630  0 shadow   14567 coherent 0.312:5.8   interleaved 0.325:8.5   interleaved
+bunny         69630  0 ao       14567 parted   -           interleaved -           interleaved
+bunny         69630  0 view   1048576 coherent 0.168:1.9   packet      0.146:2.6   packet
+bunny         69630  0 scan   1048576 coherent 0.155:6.5   packet      0.137:9.2   packet
+bunny         69630  0 random 1048576 parted   -           interleaved -           interleaved
+bunny         69630  0 shadow  233064 coherent 0.186:7.4   packet      0.169:9.6   packet
+bunny         69630  0 ao      233064 parted   -           interleaved -           interleaved
 world        788410  0 view      4096 coherent 0.223:1.9   packet      0.155:1.5   packet
-world        788410  0 scan      4096 coherent 0.235:11.1  interleaved 0.29:13.9   interleaved
+world        788410  0 scan      4096 coherent 0.235:11.1  packet      0.29:13.9   interleaved
 world        788410  0 random    4096 parted   -           interleaved -           interleaved
 world        788410  0 shadow    1291 coherent -           interleaved -           interleaved
 world        788410  0 ao        1291 parted   -           interleaved -           interleaved
@@ -247,23 +238,23 @@ city         995330  0 scan   1048576 coherent 0.145:8.7   packet      0.138:11.
 city         995330  0 random 1048576 parted   -           interleaved -           interleaved
 city         995330  0 shadow  401215 coherent 0.304:7.0   interleaved 0.277:9.2   interleaved
 city         995330  0 ao      401215 parted   -           interleaved -           interleaved
-dragon       202520  0 view      4096 coherent 0.396:2.5   stream      0.44:2.4    interleaved
-dragon       202520  0 scan      4096 coherent 0.21:11.0   stream      0.261:14.0  interleaved
+dragon       202520  0 view      4096 coherent 0.396:2.5   interleaved 0.44:2.4    interleaved
+dragon       202520  0 scan      4096 coherent 0.21:11.0   packet      0.261:14.0  interleaved
 dragon       202520  0 random    4096 parted   -           interleaved -           interleaved
-dragon       202520  0 shadow     850 coherent -           stream      -           interleaved
+dragon       202520  0 shadow     850 coherent -           interleaved -           interleaved
 dragon       202520  0 ao         850 parted   -           interleaved -           interleaved
-dragon       202520  0 view     65536 coherent 0.242:2.2   packet      0.326:3.1   interleaved
+dragon       202520  0 view     65536 coherent 0.242:2.2   interleaved 0.326:3.1   interleaved
 dragon       202520  0 scan     65536 coherent 0.153:10.4  packet      0.161:13.9  packet
 dragon       202520  0 random   65536 parted   -           interleaved -           interleaved
-dragon       202520  0 shadow   13588 coherent 0.353:7.1   stream      0.374:9.7   interleaved
+dragon       202520  0 shadow   13588 coherent 0.353:7.1   interleaved 0.374:9.7   interleaved
 dragon       202520  0 ao       13588 parted   -           interleaved -           interleaved
-dragon       202520  0 view   1048576 coherent -           packet      -           packet
-dragon       202520  0 scan   1048576 coherent -           packet      -           packet
+dragon       202520  0 view   1048576 coherent 0.15:1.8    packet      0.181:3.7   packet
+dragon       202520  0 scan   1048576 coherent 0.14:10.4   packet      0.14:13.4   packet
 dragon       202520  0 random 1048576 parted   -           interleaved -           interleaved
 dragon       202520  0 shadow  217356 coherent 0.18:6.9    packet      0.182:8.7   packet
-dragon       202520  0 ao      217356 parted   -           stream      -           interleaved
+dragon       202520  0 ao      217356 parted   -           interleaved -           interleaved
 large_dragon 810080  0 view      4096 coherent 0.462:2.7   interleaved 0.506:2.8   interleaved
-large_dragon 810080  0 scan      4096 coherent 0.233:11.6  interleaved 0.294:15.3  interleaved
+large_dragon 810080  0 scan      4096 coherent 0.233:11.6  packet      0.294:15.3  interleaved
 large_dragon 810080  0 random    4096 parted   -           interleaved -           interleaved
 large_dragon 810080  0 shadow     850 coherent -           interleaved -           interleaved
 large_dragon 810080  0 ao         850 parted   -           interleaved -           interleaved
@@ -275,7 +266,7 @@ large_dragon 810080  0 ao       13588 parted   -           interleaved -        
 large_dragon 810080  0 view   1048576 coherent 0.176:2.0   packet      0.211:3.9   packet
 large_dragon 810080  0 scan   1048576 coherent 0.159:11.2  packet      0.145:15.7  packet
 large_dragon 810080  0 random 1048576 parted   -           interleaved -           interleaved
-large_dragon 810080  0 shadow  217356 coherent 0.247:7.6   stream      0.22:10.3   interleaved
+large_dragon 810080  0 shadow  217356 coherent 0.247:7.6   interleaved 0.22:10.3   packet
 large_dragon 810080  0 ao      217356 parted   -           interleaved -           interleaved
 """
 
@@ -304,43 +295,14 @@ def test_choices_in_the_grid(lanes):
         assert choose_traversal(facts, told)[0] == expected, (scene, kind, rays)
 
 
-def situation(rays: int, triangles: int, shared_origin: bool, share: float, lanes: int) -> Situation:
-    """Coherent rays with long walks, on a BVH."""
-    kind = {"query": "closest", "cull_backfaces": False, "is_cuda": False, "tree": "bvh", "lanes": lanes, "instances": 0}
-    found = {"own_spaces": False, "has_wide_form": False, "few": False, "coherent": True, "shared_origin": shared_origin}
-    return Situation(**kind, **found, triangles=triangles, rays=rays, overlap=Overlap(share, 9.0))
-
-
-@pytest.mark.parametrize("lanes", [8, 16])
-def test_long_walks_of_many_rays_from_one_point(lanes):
-    """They may share less of their way than others (notebooks/records/2026-11-25-packet-pairs.md)."""
-    many = 1 << 16
-    assert score_packet(situation(many, 10 * many, True, 0.26, lanes))
-    assert not score_packet(situation(many, 10 * many, True, 0.261, lanes))
-    assert not score_packet(situation(many - 1, 10 * many, True, 0.26, lanes))
-    assert not score_packet(situation(many, 10 * many, False, 0.26, lanes))
-    assert score_packet(situation(many, 10 * many, False, 0.2, lanes))
-    assert not score_packet(situation(many, 10 * many, False, 0.201, lanes))
-
-
-@pytest.mark.parametrize("lanes", [8, 16])
-def test_dense_rays(lanes):
-    """Long walks of many rays for each triangle may share less, too (notebooks/records/2026-11-25-packet-pairs.md)."""
-    assert score_packet(situation(1000, 2000, True, 0.29, lanes))
-    assert not score_packet(situation(1000, 2000, True, 0.291, lanes))
-    assert score_packet(situation(1000, 2000, False, 0.245, lanes))
-    assert not score_packet(situation(1000, 2000, False, 0.246, lanes))
-    assert not score_packet(situation(1000, 2001, False, 0.245, lanes))
-
-
-@pytest.mark.parametrize(
-    ("rays", "triangles", "walks"),
-    [(1 << 17, 899_999, False), (1 << 17, 900_000, True), ((1 << 17) - 1, 499_999, False), ((1 << 17) - 1, 500_000, True)],
-)
-def test_walks_of_many_coherent_rays(rays, triangles, walks):
-    """With 16 lanes, many rays that part go in streams in larger scenes; with 8, none do."""
-    assert bool(score_interleaved(situation(rays, triangles, False, 0.5, 16))) == walks
-    assert score_interleaved(situation(rays, triangles, False, 0.5, 8))
+@pytest.mark.parametrize("shared", [False, True])
+def test_the_greatest_share(shared):
+    """Packets up to it, whatever the length of walks, and not beyond."""
+    scene, rays = make_scene("bvh", 1_000_000), make_rays(65_536, True, shared)
+    told = situation_of(scene, rays, "closest")
+    for steps in (2.0, 9.0):
+        assert choose_traversal(scene, told._replace(overlap=Overlap(GREATEST_SHARE, steps)))[0] == "packet"
+        assert choose_traversal(scene, told._replace(overlap=Overlap(GREATEST_SHARE + 0.001, steps)))[0] == "interleaved"
 
 
 def test_the_grid_has_all_kinds():
@@ -351,28 +313,28 @@ def test_the_grid_has_all_kinds():
 
 
 @pytest.mark.parametrize(
-    ("lanes", "query", "count", "stride", "instances", "vectors"),
+    ("lanes", "tree", "count", "shared", "vectors"),
     [
-        (8, CLOSEST, 100, 0, (), 4),
-        (8, CLOSEST, 99, 0, (), 2),
-        (8, CLOSEST, 799, 0, (), 4),
-        (8, CLOSEST, 800, 0, (), 8),
-        (8, CLOSEST, 800, 1, (), 2),
-        (8, CLOSEST, 800, 0, ("instance",), 2),
-        (8, ANY, 10, 1, (), 4),
-        (8, ANY, 10, 1, ("instance",), 2),
-        (16, CLOSEST, 399, 0, (), 2),
-        (16, CLOSEST, 400, 0, (), 4),
-        (16, ANY, 10, 1, (), 2),
+        (16, "bvh", 799, True, 2),
+        (16, "bvh", 800, True, 4),
+        (8, "bvh", 799, True, 4),
+        (8, "bvh", 800, True, 8),
+        (8, "bvh", 800, False, 4),
+        (4, "bvh", 800, False, 8),
+        (8, "kdtree", 799, True, 2),
+        (8, "kdtree", 800, True, 8),
     ],
 )
-def test_larger_packets(lanes, query, count, stride, instances, vectors):
-    """With 8 lanes, dense rays from one point, and any-hit rays, go in larger packets
-    (notebooks/records/2026-11-23-short-rows.md); rays from one point that are denser still, in packets of 64
-    (notebooks/records/2026-11-25-packet-pairs.md)."""
-    scene = SceneFacts(tree="bvh", width=lanes, triangles=100, instances=len(instances))
-    rays = RayFacts(count, (count,), shared_origin=stride == 0)
-    assert packet_vectors(scene, rays, query, TRAVERSALS["packet"]) == vectors
+def test_rays_of_packets(lanes, tree, count, shared, vectors):
+    """Packets on boxes have 32 rays, and 64 where rays from one point crowd (notebooks/records/2026-11-28-auto.md)."""
+    scene, rays = SceneFacts(tree=tree, width=lanes, triangles=100), RayFacts(count, (count,), shared_origin=shared)
+    assert packet_vectors(scene, rays, TRAVERSALS["packet"]) == vectors
+
+
+@pytest.mark.parametrize("elsewhere", [{"is_cuda": True}, {"instances": 3}])
+def test_packets_have_two_vectors_elsewhere(elsewhere):
+    scene, rays = SceneFacts(tree="bvh", width=8, triangles=100, **elsewhere), RayFacts(100, (100,), shared_origin=True)
+    assert packet_vectors(scene, rays, TRAVERSALS["packet"]) == 2
 
 
 ROOMS = [Path(room.__file__).parent for room in (wrt.engine, wrt.kernels)]

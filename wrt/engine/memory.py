@@ -201,6 +201,7 @@ class ArraysOfBlock:
             self._begins[name], size = size, size + -(-count * ELEMENT_BYTES[dtype] // ALIGNED) * ALIGNED
         self._on_host = device.is_cpu and not device.is_capturing
         self._device = device
+        self._block: wp.array | HostArray
         self._block = empty_host(size, wp.uint8) if self._on_host else empty(size, wp.uint8, device)
 
     def __getitem__(self, name: str) -> wp.array | HostArray:

@@ -304,7 +304,7 @@ def _vectors(
         if values.dtype == np.float64 and device.is_cpu and REPEATED * values.size <= 3 * math.prod(shape):
             with np.errstate(over="ignore", invalid="ignore"):  # once, and half as much is repeated
                 values = (values - center).astype(np.float32)
-        values, stride = flatten_shared(values, shape, (3,))
+        values, stride = flatten_shared(values, shape, (3,))  # type: ignore[arg-type]
         if len(values) == 1 and values.dtype == np.float64 and device.is_cpu:  # a launch would take longer
             with np.errstate(over="ignore"):
                 values = (values - center).astype(np.float32)

@@ -134,7 +134,7 @@ class HitOutputs:
             layers.make(self._chosen)
             if layers.device.is_capturing:
                 for values in layers.arrays.values():  # the graph reads what they are made of whenever it is launched
-                    keep_alive(values, (values.used, layers))  # type: ignore[attr-defined]
+                    keep_alive(values, (values.used, layers))  # type: ignore[arg-type, attr-defined]
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(shape={self.shape})"
