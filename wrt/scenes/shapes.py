@@ -103,7 +103,8 @@ def with_caps(mesh: TriangleMesh) -> TriangleMesh:
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]).tolist()
     known = {(a, b) for a, b in edges}
     after = {b: a for a, b in known if (b, a) not in known}  # a fan runs along the rim in the other direction
-    points, fans = [], []
+    points: list[np.ndarray] = []
+    fans: list[tuple[int, int, int]] = []
     while after:
         rim = [next(iter(after))]
         while (corner := after.pop(rim[-1])) != rim[0]:
