@@ -1,7 +1,7 @@
 // Packets of W points that are near each other: they walk a tree together, and each triangle is tested for all of them.
 //
-// A box or a triangle is left out only if its distance from the box of the points is above the limit of every point. That distance
-// is rounded like those from the points, and each step is monotonous, so it is no greater than any of these.
+// A box or a triangle is left out only if its distance from the box of the points is above the limit of every point. That
+// distance is rounded like those from the points, and each step is monotonous, so it is no greater than any of these.
 #pragma once
 #include "point_spaces.h"
 

@@ -87,8 +87,9 @@ class Returns:
     range: wp.array(dtype=float)
     """inf for a miss."""
     intensity: wp.array(dtype=float)
+    """(0,) if it is not asked for."""
     distance: wp.array(dtype=wp.float64)
-    """The range before it was rounded; inf for a miss."""
+    """The range before it was rounded; inf for a miss. (0,) if that is the range: one ray, one return, no noise."""
     ray: wp.array(dtype=int)
     """The strongest ray of a return, counted within its beam; -1 for none. (0,) for one ray and one return a beam."""
     mean: wp.array(dtype=float)
@@ -305,28 +306,24 @@ def write_run(beams: Beams, traced: Traced, detector: Detector, surface: Surface
     ...
 
 
-@wp.kernel
-def measure_single(
-    first: int,
-    block: int,
-    count: int,
-    beams: Beams,
-    traced: Traced,
-    mesh: SceneMesh,
-    noise: Noise,
-    detector: Detector,
-    returns: Returns,
-):
-    """Writes what is measured by one ray and one return a beam: with noise, unless an order is given.
+@native.func_native(
+    "sensor_rays.h",
+    """wrt::write_distances(
+        detector, traced.t.data, traced.primitive.data, beams.order.shape[0] ? beams.order.data : nullptr, traced.place, begin,
+        end, returns.range.data);""",
+)
+def write_distances(beams: Beams, traced: Traced, detector: Detector, begin: int, end: int, returns: Returns):
+    """Writes ranges without noise, whatever power returns have."""
+    ...
 
-    Item: a block of beams, in the order of tracing.
-    """
-    begin = (first + wp.tid()) * block
-    end = wp.min(begin + block, count)
+
+@wp.func
+def measure_power(beams: Beams, traced: Traced, mesh: SceneMesh, detector: Detector, begin: int, end: int, returns: Returns):
+    """Writes ranges and intensities without noise."""
     simple = (detector.exponent == 2.0 or detector.exponent == 0.0) and detector.extinction == 0.0
     surface = Surface()
     surface.primitive = -1
-    i = begin
+    i = int(begin)
     while i < end:
         primitive = traced.primitive[i]
         following = end_of_run(traced.primitive, i, end)
@@ -346,5 +343,19 @@ def measure_single(
                 returns.range[at] = wp.where(detected, t, wp.inf)
                 returns.intensity[at] = wp.where(detected, power, 0.0)
         i = following
+
+
+@wp.func
+def measure_rays(
+    beams: Beams, traced: Traced, mesh: SceneMesh, noise: Noise, detector: Detector, begin: int, end: int, returns: Returns
+):
+    """Writes what is measured by rays begin .. end - 1, one of each beam: with noise, unless an order is given.
+
+    Surfaces are looked up for intensities, and for a threshold, which the returns of all surfaces pass if it is 0.
+    """
+    if returns.intensity.shape[0] == 0 and detector.threshold == 0.0:
+        write_distances(beams, traced, detector, begin, end, returns)
+    else:
+        measure_power(beams, traced, mesh, detector, begin, end, returns)
     if beams.order.shape[0] == 0:
-        write_ranges(keyed(noise), traced.place + begin, traced.place + end, returns)
+        write_ranges(noise, traced.place + begin, traced.place + end, returns)
