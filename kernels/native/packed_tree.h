@@ -55,6 +55,9 @@ struct PackedPlace {
 
 /// The tree, as searches walk it.
 struct PackedTree {
+    using Start = AtRoot;
+    static constexpr int LANES = 0;
+
     static inline CUDA_CALLABLE Triangle less(const Quad& a, const Quad& b, const Quad& c, const SearchPoint& p)
     {
         return {{{a.x - p.x, a.y - p.y, a.z - p.z}, {b.x - p.x, b.y - p.y, b.z - p.z}, {c.x - p.x, c.y - p.y, c.z - p.z}}};
@@ -88,7 +91,8 @@ struct PackedTree {
     }
 
     template <class Tree, class Triangles, class Kept>
-    static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept)
+    static CUDA_CALLABLE void walk(
+        const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept, int, const Start*)
     {
         int stack[2 * TREE_DEPTH + 1];
         PackedPlace place;

@@ -147,20 +147,23 @@ template <int W> inline unsigned near_triangles(const float* record, const Searc
 }
 #endif
 
-/// The search of the leaves of a tree. Triangles whose boxes are near wait until there are W of them.
+/// The search of the leaves of a tree. Triangles whose boxes are near wait until there are W of them. tried: a slot whose block has
+/// been tested; -1 for none.
 template <int W, int ROWS, class Triangles, class Kept> struct LeafSearch {
     const Triangles& triangles;
     const SearchPoint& point;
     Kept& kept;
+    const int passed;
 #if WRT_VECTORS
     float rows[9 * 2 * W];
     int slots[2 * W], size = 0;
 #endif
 
-    CUDA_CALLABLE LeafSearch(const Triangles& triangles, const SearchPoint& point, Kept& kept)
+    CUDA_CALLABLE LeafSearch(const Triangles& triangles, const SearchPoint& point, Kept& kept, int tried)
         : triangles(triangles)
         , point(point)
         , kept(kept)
+        , passed(tried < 0 ? -1 : tried / W)
     {
 #if WRT_VECTORS
         for (int row = 0; row < 9; ++row) save(rows + row * 2 * W, Floats<W>(0.0f));  // lanes that are not used yet
@@ -172,6 +175,7 @@ template <int W, int ROWS, class Triangles, class Kept> struct LeafSearch {
     {
         kept.visit_leaf(count);
         for (; count > 0; count -= W, ++block) {
+            if (block == passed) continue;
 #if WRT_VECTORS
             const unsigned used = count < W ? (1u << count) - 1u : ~0u;
             Floats<W> from[9];

@@ -1,6 +1,7 @@
 // Answers of groups of points. Each point begins with what was nearest to the one before it.
 #pragma once
 #include "point_lists.h"
+#include "point_packets.h"
 
 namespace wrt {
 namespace {
@@ -16,20 +17,11 @@ template <class Work> inline CUDA_CALLABLE void store_work(const CountedNearest&
     row.nodes = found.nodes, row.leaves = found.leaves, row.triangles = found.triangles;
 }
 
-/// Number of the point at a place in the order.
-template <class Points> inline CUDA_CALLABLE int point_at(const Points& points, int place)
-{
-    return points.order.shape[0] ? points.order.data[place] : place;
-}
-
-/// Points ahead whose positions are fetched.
-constexpr int AHEAD = 4;
-
-/// Fetches the position of the point AHEAD of a place, and where its answer goes.
+/// Fetches the position of the point at a place in the order, and where its answer goes.
 template <class Points, class Found> inline CUDA_CALLABLE void fetch_ahead(const Points& points, const Found& found, int place)
 {
-    if (place + AHEAD >= points.count) return;
-    const int i = point_at(points, place + AHEAD);
+    if (place >= points.count) return;
+    const int i = point_at(points, place);
     WRT_FETCH(points.position.data + i);
     if (points.exact.shape[0]) WRT_FETCH(points.exact.data + i);
     if (points.most_stride) WRT_FETCH(points.most.data + i);
@@ -111,21 +103,39 @@ template <int W> struct GroupAnswers {
 };
 
 /// The nearest triangles of GROUP points from number `first` of the order on. Kept: `NearestTriangle` or `CountedNearest`.
+///
+/// Points of a tree of boxes begin together, below what all of them can leave out, and walk it in packets where they are dense.
 template <class Kept, int GROUP, class Space, class Points, class Found, class Work>
 inline CUDA_CALLABLE void nearest_of_group(Space space, const Points& points, const Found& found, const Work& work, int first)
 {
-    constexpr int W = GROUP < 16 ? GROUP : 16;
-    int last[2] = {-1, -1};
+    constexpr int LANES = GROUP > 1 ? Space::LANES : 0, MOST = LANES > 2 ? LANES : 16, W = GROUP < MOST ? GROUP : MOST;
+    int number = -1, last[3] = {-1, -1, -1};  // slots
+    typename Space::Start start;
     for (int begin = first; begin < first + GROUP && begin < points.count; begin += W) {
         GroupAnswers<W> answers;
         const int count = points.count - begin < W ? points.count - begin : W;
         for (int j = 0; j < W; ++j) answers.number[j] = -1;
         for (int j = 0; j < count; ++j) {
-            const int i = point_at(points, begin + j);
-            fetch_ahead(points, found, begin + j);
+            if constexpr (LANES > 0) {
+                if ((j == (begin == first)) & (last[1] >= 0)) {
+                    const Together all = space.together(points, begin + j, count - j, last[1]);
+#if WRT_VECTORS
+                    if constexpr (!Kept::COUNTS && LANES > 2)
+                        if (all.are_dense) {
+                            for (int k = j; k < count; ++k) fetch_ahead(points, found, begin + k + W);
+                            nearest_of_packet(space, points, begin + j, count - j, last, j, answers);
+                            break;
+                        }
+#endif
+                    space.start_at = nullptr;
+                    if (all.limit < WRT_INFINITY) start.gather(space.tree, all.box, all.limit), space.start_at = &start;
+                }
+            }
+            const int i = point_at(points, begin + j), tried[2] = {number, last[1]};
+            fetch_ahead(points, found, begin + j + W);
             Kept kept(points.most.data[(size_t)i * points.most_stride]);
-            search_point(space, points, i, kept, last, last[1] >= 0);
-            if (kept.slot >= 0) last[0] = kept.number, last[1] = kept.slot;
+            search_point(space, points, i, kept, tried, last[1] >= 0);
+            if (kept.slot >= 0) number = kept.number, last[0] = last[1] = last[2] = kept.slot;
             answers.put(j, space, kept);
             store_work(kept, work, i);
         }

@@ -3,29 +3,18 @@
 // A box or a triangle is left out only if its distance from the box of the points is above the limit of every point. That
 // distance is rounded like those from the points, and each step is monotonous, so it is no greater than any of these.
 #pragma once
-#include "point_groups.h"
+#include "point_spaces.h"
 
 namespace wrt {
 namespace {
 
 #if WRT_VECTORS
-/// The box of some points.
-struct PacketBox {
-    float low[3], high[3];
-};
-
-inline float distance_along(float low, float high, const PacketBox& box, int axis)
-{
-    const float below = low - box.high[axis], above = box.low[axis] - high, most = below > above ? below : above;
-    return most > 0.0f ? most : 0.0f;
-}
-
 /// W points, and the nearest triangle to each. `limit`: the greatest of all; walks read it.
 template <int W, int ROWS, class Triangles> struct NearestOfPacket {
     const Triangles& triangles;
     float at[3][W], slack[W], most[W], distance[W], bounds[W], limits[W];
     int number[W], slot[W];
-    PacketBox box;
+    BoxOfPoints box;
     float limit;
 
     explicit NearestOfPacket(const Triangles& triangles)
@@ -142,30 +131,25 @@ private:
     static inline Floats<W> load_lanes(const float* from) { return wrt::load<Floats<W>>(from); }
 };
 
-/// The nearest triangles of GROUP points from number `first` of the order on, those of W points at a time; of one tree of
-/// boxes.
-template <int W, int GROUP, int ROWS, class Space, class Points, class Found>
-inline void nearest_of_packets(Space space, const Points& points, const Found& found, int first)
+/// The nearest triangles of `count` points, at most the lanes of a node, from number `begin` of the order on; of one tree of boxes.
+///
+/// last: slots of three triangles that are tried first, or -1; some that were found.
+template <class Space, class Points, class Answers>
+inline void nearest_of_packet(Space& space, const Points& points, int begin, int count, int* last, int to, Answers& answers)
 {
-    int last[3] = {-1, -1, -1};
-    for (int begin = first; begin < first + GROUP && begin < points.count; begin += W) {
-        const int count = points.count - begin < W ? points.count - begin : W;
-        NearestOfPacket<W, ROWS, decltype(space.triangles)> kept(space.triangles);
-        if (kept.load(space, points, begin, count)) {
-            for (int j = 0; j < 3; ++j)
-                if (last[j] >= 0 && (j == 0 || last[j] != last[j - 1])) kept.test(last[j]);
-            walk_boxes<W>(space.tree, 0, kept.box, kept, kept);
-            for (int j = 0; j < 3; ++j) last[j] = kept.slot[j * (W - 1) / 2];
-        }
-        GroupAnswers<W> answers;
-        for (int i = 0; i < W; ++i) {
-            answers.distance[i] = kept.distance[i], answers.number[i] = kept.number[i];
-            const SearchPoint point = {kept.at[0][i], kept.at[1][i], kept.at[2][i], 0.0f};
-            if (kept.slot[i] >= 0)
-                answers.put_triangle(i, triangle_in_slot<W, ROWS>(space.triangles.records.data, kept.slot[i], point));
-        }
-        answers.finish();
-        answers.store(points, found, begin, count);
+    constexpr int W = Space::LANES, ROWS = Space::Leaves::TRIANGLE_ROWS;
+    NearestOfPacket<W, ROWS, decltype(space.triangles)> kept(space.triangles);
+    if (kept.load(space, points, begin, count)) {
+        for (int j = 0; j < 3; ++j)
+            if (last[j] >= 0 && (j == 0 || last[j] != last[j - 1])) kept.test(last[j]);
+        walk_boxes<W>(space.tree, 0, kept.box, kept, kept);
+        for (int j = 0; j < 3; ++j) last[j] = kept.slot[j * (count - 1) / 2];
+    }
+    for (int i = 0; i < count; ++i) {
+        answers.distance[to + i] = kept.distance[i], answers.number[to + i] = kept.number[i];
+        const SearchPoint point = {kept.at[0][i], kept.at[1][i], kept.at[2][i], 0.0f};
+        if (kept.slot[i] >= 0)
+            answers.put_triangle(to + i, triangle_in_slot<W, ROWS>(space.triangles.records.data, kept.slot[i], point));
     }
 }
 #endif

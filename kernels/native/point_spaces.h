@@ -10,11 +10,54 @@ namespace {
 /// part of, by up to the root of 3; their axes may differ by 1e-6 (wrt.query.points.similar_instances).
 constexpr float INSTANCE_SLACK = 8.0f;
 
+/// Number of the point at a place in the order.
+template <class Points> inline CUDA_CALLABLE int point_at(const Points& points, int place)
+{
+    return points.order.shape[0] ? points.order.data[place] : place;
+}
+
+/// Slack of the boxes that a group of points looks into, over that of one point: computed distances of a triangle may be above those
+/// of its vertices by twice as much.
+constexpr float SLACKS_OF_GROUP = 4.0f;
+
+/// Points whose box has a squared diagonal below this part of the sum of the squared edges of a triangle near them walk as a packet.
+constexpr float DENSE = 0.5f;
+
+/// What is known of some points before they are searched.
+struct Together {
+    BoxOfPoints box;
+    float limit;  // no box is farther from theirs that has what is nearest to one of them; squared
+    bool are_dense;
+
+    /// reach: at least the sum over the axes of the greatest distance of a point from the tree's box.
+    inline CUDA_CALLABLE void look_around(const Triangle& near, float reach)
+    {
+        float least = WRT_INFINITY, edges = 0.0f, diagonal = 0.0f;
+        for (int vertex = 0; vertex < 3; ++vertex) {
+            const Offset &at = near.vertex[vertex], edge = near.vertex[(vertex + 1) % 3] - at;
+            const float x = larger(at.x - box.low[0], box.high[0] - at.x), y = larger(at.y - box.low[1], box.high[1] - at.y);
+            const float z = larger(at.z - box.low[2], box.high[2] - at.z);
+            least = smaller((x * x + y * y) + z * z, least);
+            edges += dot(edge, edge);
+        }
+        for (int a = 0; a < 3; ++a) diagonal += (box.high[a] - box.low[a]) * (box.high[a] - box.low[a]);
+        const float wide = square_root(least) + SLACKS_OF_GROUP * (reach * POINT_SLACK + LEAST_DISTANCE);
+        limit = wide * wide * WIDENED;
+        are_dense = diagonal < DENSE * edges;
+    }
+};
+
 /// One tree. Kind: of it, as `BoxTree`.
 template <class Kind, class Tree, class Triangles> struct PointTree {
+    using Start = typename Kind::Start;
+    static constexpr int LANES = Kind::LANES;
+    using Leaves = Kind;
+
     const Tree& tree;
     const Triangles& triangles;
     SearchPoint point;
+    int tried = -1;
+    const Start* start_at = nullptr;
 
     CUDA_CALLABLE PointTree(const Tree& tree, const Triangles& triangles)
         : tree(tree)
@@ -25,7 +68,7 @@ template <class Kind, class Tree, class Triangles> struct PointTree {
     /// Whether the point, relative to the scene's centre, can find anything.
     inline CUDA_CALLABLE bool enter(float x, float y, float z)
     {
-        point = point_in(tree.low, tree.high, x, y, z);
+        point = point_in(tree.low, tree.high, x, y, z), tried = -1;
         return point.slack == point.slack;
     }
 
@@ -40,10 +83,31 @@ template <class Kind, class Tree, class Triangles> struct PointTree {
     /// Tries the triangles around one that another point has found.
     template <class Kept> inline CUDA_CALLABLE void try_near(int, int slot, Kept& kept)
     {
-        Kind::search_around(triangles, slot, point, kept);
+        Kind::search_around(triangles, slot, point, kept), tried = slot;
     }
 
-    template <class Kept> inline CUDA_CALLABLE void search(Kept& kept) const { Kind::walk(tree, triangles, point, kept); }
+    template <class Kept> inline CUDA_CALLABLE void search(Kept& kept) const
+    {
+        Kind::walk(tree, triangles, point, kept, tried, start_at);
+    }
+
+    /// What is known of some points. slot: of a triangle near them.
+    template <class Points> inline CUDA_CALLABLE Together together(const Points& points, int begin, int count, int slot) const
+    {
+        Together all;
+        for (int a = 0; a < 3; ++a) all.box.low[a] = WRT_INFINITY, all.box.high[a] = -WRT_INFINITY;
+        for (int j = begin; j < begin + count; ++j) {
+            const auto& at = points.position.data[point_at(points, j)];
+            for (int a = 0; a < 3; ++a) {
+                all.box.low[a] = smaller(at.c[a], all.box.low[a]);
+                all.box.high[a] = larger(at.c[a], all.box.high[a]);
+            }
+        }
+        float reach = 0.0f;
+        for (int a = 0; a < 3; ++a) reach += larger(tree.high.c[a], all.box.high[a]) - smaller(tree.low.c[a], all.box.low[a]);
+        all.look_around(Kind::triangle_in(triangles, slot, SearchPoint {0.0f, 0.0f, 0.0f, 0.0f}), reach);
+        return all;
+    }
 
     inline CUDA_CALLABLE Triangle triangle(int, int slot) const { return Kind::triangle_in(triangles, slot, point); }
 };
@@ -64,6 +128,9 @@ template <class Kept> struct InstanceLimit {
 
 /// Trees of instances. Kind: of these; U: children of a node above them.
 template <class Kind, int U, class Top, class Parts> struct PointInstances {
+    using Start = AtRoot;
+    static constexpr int LANES = 0;
+
     const Top& top;
     const Parts& parts;
     double x, y, z;
@@ -121,7 +188,7 @@ template <class Kind, int U, class Top, class Parts> struct PointInstances {
         kept.first = place.first;
         kept.look_up_to(kept.farthest(), own.slack);
         if (slot >= 0) Kind::search_around(part.triangles, slot, own, kept);
-        Kind::walk(part.tree, part.triangles, own, kept);
+        Kind::walk(part.tree, part.triangles, own, kept, slot, nullptr);
     }
 
     /// The instance of a triangle.

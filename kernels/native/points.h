@@ -27,6 +27,9 @@ struct Search {
     /// Whether what is kept lowers the bound, so that the nearest is best kept first.
     static constexpr bool NARROWS = true;
 
+    /// Whether work is counted.
+    static constexpr bool COUNTS = false;
+
     /// Looks up to a distance of the scene.
     inline CUDA_CALLABLE void look_up_to(float distance, float slack)
     {
@@ -61,6 +64,7 @@ struct NearestTriangle : Search {
 
 /// The same, with its work.
 struct CountedNearest : NearestTriangle {
+    static constexpr bool COUNTS = true;
     int nodes = 0, leaves = 0, triangles = 0;
 
     using NearestTriangle::NearestTriangle;
@@ -80,6 +84,17 @@ inline CUDA_CALLABLE float outside(float low, float high, float x)
 inline CUDA_CALLABLE float distance_along(float low, float high, const SearchPoint& point, int axis)
 {
     return outside(low, high, axis == 0 ? point.x : axis == 1 ? point.y : point.z);
+}
+
+/// The box of some points.
+struct BoxOfPoints {
+    float low[3], high[3];
+};
+
+inline CUDA_CALLABLE float distance_along(float low, float high, const BoxOfPoints& box, int axis)
+{
+    const float below = low - box.high[axis], above = box.low[axis] - high, most = below > above ? below : above;
+    return most > 0.0f ? most : 0.0f;
 }
 
 /// Keys of the children of a node: the squared distance, whose lowest bits name the child; -1 for those that can hold nothing
@@ -151,27 +166,74 @@ template <int W> struct WaitingChildren {
     }
 };
 
-/// Walks a wide BVH from a node on.
+/// Walks a wide BVH from a node on, which need not be one of the tree's.
 ///
-/// point: one, or what has a distance from intervals. leaf(block, count): visits one. kept: `limit` says which boxes are
-/// entered, and may fall at leaves.
+/// box, children: of the node. point: one, or what has a distance from intervals. leaf(block, count): visits one. kept: `limit` says
+/// which boxes are entered, and may fall at leaves.
 template <int W, class Tree, class Point, class Kept, class Leaf>
-inline CUDA_CALLABLE void walk_boxes(const Tree& tree, int node, const Point& point, Kept& kept, Leaf&& leaf)
+inline CUDA_CALLABLE void walk_below(
+    const Tree& tree, const float* box, const int* children, const Point& point, Kept& kept, Leaf&& leaf)
 {
     WaitingChildren<W> waiting;
-    const float* const bounds = tree.bounds.data;
-    const int* const child = tree.child.data;
     while (true) {
-        int key[W];
+        int key[W], node;
         kept.visit_node();
-        const unsigned near = child_keys<W>(bounds + (size_t)node * (6 * W), point, kept.limit, key);
-        waiting.put_near(near, key, child + (size_t)node * W);
+        const unsigned near = child_keys<W>(box, point, kept.limit, key);
+        waiting.put_near(near, key, children);
         do {
             if (!waiting.take(kept.limit, node)) return;
             if (node < 0) leaf(~node >> 6, ~node & 63);
         } while (node < 0);
+        box = tree.bounds.data + (size_t)node * (6 * W), children = tree.child.data + (size_t)node * W;
     }
 }
+
+/// The same, from a node of the tree.
+template <int W, class Tree, class Point, class Kept, class Leaf>
+inline CUDA_CALLABLE void walk_boxes(const Tree& tree, int node, const Point& point, Kept& kept, Leaf&& leaf)
+{
+    walk_below<W>(
+        tree, tree.bounds.data + (size_t)node * (6 * W), tree.child.data + (size_t)node * W, point, kept, (Leaf&&)leaf);
+}
+
+/// A node above the subtrees of a wide BVH that some points have to look into: as deep as W of them allow.
+template <int W> struct NodeOfPoints {
+    float box[6 * W];
+    int child[W], size;
+
+    /// Gathers what is within a limit, a squared distance, of a box around the points.
+    template <class Tree> inline CUDA_CALLABLE void gather(const Tree& tree, const BoxOfPoints& points, float limit)
+    {
+        size = 0;
+        replace(0, tree, 0, points, limit);
+        for (int i = 0; i < size;) i += child[i] < 0 || !replace(i, tree, child[i], points, limit);
+        for (int i = size; i < W; ++i)
+            for (int row = 0; row < 6; ++row) box[row * W + i] = row < 3 ? WRT_INFINITY : -WRT_INFINITY;
+    }
+
+private:
+    /// Puts the children of a node that are near in the place of child i, if there is room for them; returns whether there was.
+    template <class Tree>
+    inline CUDA_CALLABLE bool replace(int i, const Tree& tree, int node, const BoxOfPoints& points, float limit)
+    {
+        const float* const from = tree.bounds.data + (size_t)node * (6 * W);
+        int key[W];
+        unsigned near = child_keys<W>(from, points, limit, key);
+        const int others = i < size ? size - 1 : 0;
+        if (others + count_bits(near) > W) return false;
+        if (!near && others > i) {  // the last one comes here
+            for (int row = 0; row < 6; ++row) box[row * W + i] = box[row * W + others];
+            child[i] = child[others];
+        }
+        size = others;
+        for (; near; near &= near - 1u, ++size, i = size) {
+            const int lane = lowest_bit(near);
+            for (int row = 0; row < 6; ++row) box[row * W + i] = from[row * W + lane];
+            child[i] = tree.child.data[(size_t)node * W + lane];
+        }
+        return true;
+    }
+};
 
 /// A cell that waits, with its distance from the point along each axis.
 struct WaitingCell {
@@ -225,22 +287,36 @@ template <int W, int ROWS> struct BlockLeaves {
     }
 };
 
+/// Where searches of trees begin that have no other place than the root.
+struct AtRoot { };
+
 /// Kinds of trees, as searches walk them: wide nodes, and the cells of a kd-tree. `PackedTree` is another.
+///
+/// start: where the walk begins; null for the root. tried: a slot around which triangles have been tested; -1 for none. LANES: of
+/// nodes below which groups of points begin together; 0 if they do not.
 template <int W, int ROWS> struct BoxTree : BlockLeaves<W, ROWS> {
+    using Start = NodeOfPoints<W>;
+    static constexpr int LANES = W, TRIANGLE_ROWS = ROWS;
+
     template <class Tree, class Triangles, class Kept>
-    static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept)
+    static CUDA_CALLABLE void walk(
+        const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept, int tried, const Start* start)
     {
-        LeafSearch<W, ROWS, Triangles, Kept> search(triangles, point, kept);
-        walk_boxes<W>(tree, 0, point, kept, search);
+        LeafSearch<W, ROWS, Triangles, Kept> search(triangles, point, kept, tried);
+        walk_below<W>(tree, start ? start->box : tree.bounds.data, start ? start->child : tree.child.data, point, kept, search);
         search.finish();
     }
 };
 
 template <int W, int ROWS> struct CellTree : BlockLeaves<W, ROWS> {
+    using Start = AtRoot;
+    static constexpr int LANES = 0;
+
     template <class Tree, class Triangles, class Kept>
-    static CUDA_CALLABLE void walk(const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept)
+    static CUDA_CALLABLE void walk(
+        const Tree& tree, const Triangles& triangles, const SearchPoint& point, Kept& kept, int tried, const Start*)
     {
-        LeafSearch<W, ROWS, Triangles, Kept> search(triangles, point, kept);
+        LeafSearch<W, ROWS, Triangles, Kept> search(triangles, point, kept, tried);
         walk_cells(tree, point, kept, search);
         search.finish();
     }

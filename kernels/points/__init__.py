@@ -34,9 +34,11 @@ numbers, so the bound adds that.
 pushed so that the nearest is on top. In a kd-tree, the nearer child comes first, and a cell's distance is kept axis by axis
 (Arya and Mount 1993). Points are sorted by cells along a Morton curve, and each begins with the triangles that were nearest to
 the one before it: its first bound is nearly final (`wrt.kernels.points.point_order`). In a leaf, the last two lines above leave
-out most triangles, without a division; the others wait side by side until they fill a register, and are tested together. Points
-of a grid walk the tree in packets of W, and each triangle is tested for all of them. The k nearest triangles are kept sorted,
-and the bound is the distance of the last; those within a distance are counted, then listed, sorted, and each kept once.
+out most triangles, without a division; the others wait side by side until they fill a register, and are tested together. W
+points that follow each other begin at a node of their own: the subtrees that their box and the farthest of them from a triangle
+near them leave, as deep as W of them allow. Points that are dense beside that triangle walk the tree in a packet, and each
+triangle is tested for all of them. The k nearest triangles are kept sorted, and the bound is the distance of the last; those
+within a distance are counted, then listed, sorted, and each kept once.
 
 **Instances.** A map that keeps angles scales all distances alike. A BVH over the boxes of the instances is walked in the same
 way. At a leaf, the point is mapped in float64 by the inverse and rounded once, and the instance's own tree is walked, up to

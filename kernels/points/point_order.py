@@ -3,9 +3,9 @@
 **Problem.** Points in any order visit any nodes, and nothing is known of their nearest triangle beforehand.
 
 **Idea.** Neighbours on the curve are near each other. They visit the same nodes, and what is nearest to one is near the other.
-On CPUs there are 32 x 32 x 32 cells, so that their numbers have 16 bits, which sort in two passes, and each point begins with
-what was nearest to the one before it. On CUDA, 32 points walk side by side, and read the same nodes where they are nearest to
-each other: there are 128 x 128 x 128 cells (notebooks/records/2026-11-28-points-gpu.md).
+There are 128 x 128 x 128 cells. On CPUs, each point begins with what was nearest to the one before it, and groups of points
+begin below the nodes that all of them pass (notebooks/records/2026-11-28-points-begin-together.md). On CUDA, 32 points walk
+side by side, and read the same nodes where they are nearest to each other (notebooks/records/2026-11-28-points-gpu.md).
 
 References: morton-1966.
 """
@@ -18,18 +18,18 @@ from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-BITS, CUDA_BITS = 5, 7
-"""Bits of the number of a cell along an axis, on CPUs and on CUDA."""
+BITS = 7
+"""Bits of the number of a cell along an axis."""
 
 
 @wp.func
-def cell_of(offset: float, scale: float, bits: int):
+def cell_of(offset: float, scale: float):
     """Number of a cell along an axis, its bits apart by two zeros; coordinates outside of the grid, and NaN, are clamped."""
     place = offset * scale
-    last = float((1 << bits) - 1)
+    last = float(wp.static((1 << BITS) - 1))
     cell = int(wp.where(place >= 0.0, wp.where(place < last, place, last), 0.0))
     apart = int(0)
-    for bit in range(bits):
+    for bit in range(wp.static(BITS)):
         apart = apart | (((cell >> bit) & 1) << (3 * bit))
     return apart
 
@@ -40,7 +40,6 @@ def find_cells(
     position: wp.array(dtype=wp.vec3),
     low: wp.vec3,
     scale: wp.vec3,
-    bits: int,
     cell: wp.array(dtype=int),
     number: wp.array(dtype=int),
 ):
@@ -49,7 +48,7 @@ def find_cells(
     if number.shape[0] > 0:
         number[i] = i
     place = position[i] - low
-    cell[i] = 4 * cell_of(place[0], scale[0], bits) + 2 * cell_of(place[1], scale[1], bits) + cell_of(place[2], scale[2], bits)
+    cell[i] = 4 * cell_of(place[0], scale[0]) + 2 * cell_of(place[1], scale[1]) + cell_of(place[2], scale[2])
 
 
 def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
@@ -61,12 +60,14 @@ def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
     """
     device, count = position.device, len(position)
     on_cuda = device.is_cuda
-    bits = CUDA_BITS if on_cuda else BITS
     cell = wp.empty(2 * count if on_cuda else count, dtype=int, device=device)  # Warp's sort needs twice the space
-    scale = wp.vec3(*(float(1 << bits) / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
+    scale = wp.vec3(*(float(1 << BITS) / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
     order = wp.empty(2 * count if on_cuda else 0, dtype=int, device=device)
-    launch(find_cells, count, [position, low, scale, bits, cell, order], device=device, chunk=4096)
+    launch(find_cells, count, [position, low, scale, cell, order], device=device, chunk=4096)
     if on_cuda:
-        wp.utils.radix_sort_pairs(cell, order, count, 0, 3 * bits)
+        wp.utils.radix_sort_pairs(cell, order, count, 0, 3 * BITS)
         return order[:count]
-    return wp.array(np.argsort(cell.numpy().astype(np.uint16), kind="stable").astype(np.int32), dtype=int, device=device)
+    numbers = cell.numpy()
+    found = np.argsort(numbers.astype(np.uint16), kind="stable")  # numbers of 16 bits sort by their digits, others do not
+    found = found[np.argsort((numbers >> 16).astype(np.uint8)[found], kind="stable")]
+    return wp.array(found.astype(np.int32), dtype=int, device=device)

@@ -36,14 +36,13 @@ GUARDS = f"""
 
 TASKS = {
     "nearest": "wrt::nearest_of_group<wrt::NearestTriangle, {group}>({space}, points, lists.found, work, begin);",
-    "packets": "wrt::nearest_of_packets<{width}, {group}, {rows}>({space}, points, lists.found, begin);",
     "counted": "wrt::nearest_of_group<wrt::CountedNearest, {group}>({space}, points, lists.found, work, begin);",
     "some": "wrt::nearest_lists_of_group<{group}>({space}, points, lists.found, lists.room, begin);",
     "count": "wrt::count_within_group<{group}>({space}, points, lists, begin);",
     "list": "wrt::list_within_group<{group}>({space}, points, lists, begin);",
 }
-"""C++ of what is searched: the nearest triangle, the same for points in packets (of one BVH, on CPUs), or with its work, the
-`room` nearest, or those within a distance: their numbers, and themselves."""
+"""C++ of what is searched: the nearest triangle, the same with its work, the `room` nearest, or those within a distance: their
+numbers, and themselves."""
 
 
 class PointConfig(NamedTuple):
@@ -102,9 +101,9 @@ def make_points_kernel(config: PointConfig) -> wp.Kernel:
     group, Space = config.group, space_type(config.tree, config.instances)
     space = space_code(config.tree, config.width, config.instances)
 
-    code = TASKS[config.task].format(group=group, space=space, width=config.width, rows=VERTEX_COMPONENTS)
+    code = TASKS[config.task].format(group=group, space=space)
 
-    @native.func_native("point_packets.h", GUARDS + code)
+    @native.func_native("point_groups.h", GUARDS + code)
     def search_group(scene: Space, points: PointBatch, lists: NearLists, work: CounterRows, begin: int): ...
 
     def nearest_triangles(first: int, scene: Space, points: PointBatch, lists: NearLists, work: CounterRows):

@@ -131,10 +131,6 @@ void search_trees(const WideTree& boxes, const KdTree& cells, const Triangles& t
 {
     search(wrt::point_tree<Boxes>(boxes, triangles), points, lists, work);
     search(wrt::point_tree<Cells>(cells, triangles), points, lists, work);
-#if WRT_VECTORS
-    const auto tree = wrt::point_tree<Boxes>(boxes, triangles);
-    wrt::nearest_of_packets<WIDTH, 32, 9>(tree, points, lists.found, 0);
-#endif
 }
 
 void search_instances(const Top& top, const Array<Part<WideTree>>& boxes, const Array<Part<KdTree>>& cells,

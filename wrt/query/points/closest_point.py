@@ -83,7 +83,7 @@ def closest_point(
             hits, feature, form = find_some(scene, given, k)
             return ClosestPoints(hits, feature, form, scene)
         work = wp.zeros(given.batch.count, dtype=Counters, device=scene.device) if counters else None
-        hits, feature = find_nearest(scene, given.batch, work, in_order)
+        hits, feature = find_nearest(scene, given.batch, work)
     return ClosestPoints(hits, feature, given.form, scene, work)
 
 
@@ -99,29 +99,21 @@ def of_few(scene: SceneState, points: np.ndarray, max_distance: float) -> Closes
     return ClosestPoints(hits, feature, ResultForm(points.shape[:-1], False, points.dtype.type), scene)
 
 
-def find_nearest(
-    scene: SceneState, points: PointBatch, work: wp.array | None = None, in_order: bool = False
-) -> tuple[DeviceHits, wp.array]:
+def find_nearest(scene: SceneState, points: PointBatch, work: wp.array | None = None) -> tuple[DeviceHits, wp.array]:
     """What is nearest to points, with distances as t, and the features.
 
     Args:
         scene: triangles in one tree, or instances of such; lazy trees are completed.
         points: on the device.
         work: (N,) `Counters` to be filled; None if nothing is counted.
-        in_order: as in `closest_point`.
     """
     hits, feature = DeviceHits.new(CLOSEST, points.count, scene.device), empty(points.count, wp.int8, scene.device)
     if work is None and has_packed_nodes(scene) and not scene.instances:
         search_packed(scene, points, nearest_batch(hits, feature))
         return hits, feature
-    task = "counted" if work is not None else "packets" if in_order and has_packets(scene) else "nearest"
+    task = "counted" if work is not None else "nearest"
     search(scene, points, as_lists(nearest_batch(hits, feature)), task, work)
     return hits, feature
-
-
-def has_packets(scene: SceneState) -> bool:
-    """Whether points of a scene are searched in packets: on CPUs, in one BVH whose width is that of a register."""
-    return scene.device.is_cpu and not scene.instances and scene.accelerator.kind != "kdtree" and scene.width in (4, 8, 16)
 
 
 def has_packed_nodes(scene: SceneState) -> bool:
