@@ -59,7 +59,6 @@ def chunk_of(item: int, count: wp.vec3i, size: int, chunks: int):
 )
 def count_range(keys: wp.array2d(dtype=float), places: wp.array2d(dtype=int), chunk: KeyChunk, source: int, shift: int):
     """Counts the digits of a chunk's keys."""
-    ...
 
 
 @native.func_native(
@@ -80,7 +79,6 @@ def move_range(
     shift: int,
 ):
     """Moves a chunk's keys and values to their positions in the other half of the row."""
-    ...
 
 
 @wp.kernel

@@ -34,7 +34,6 @@ def store_box(vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i)
     """Writes the box of triangle i. Native, because Warp's indexing computes the address of each element anew.
 
     Adding 0 turns -0 into +0, so that equal positions have equal bits."""
-    ...
 
 
 @wp.kernel
@@ -55,7 +54,6 @@ def reduce_corners(
     vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), items: int, i: int, found: wp.array(dtype=int)
 ):
     """Share i of `items` of the minima of all corners' coordinates and of the negated ones, and of the largest absolute one."""
-    ...
 
 
 @wp.kernel

@@ -98,7 +98,6 @@ def sweep_axis(
 
     boxes: lower x of all boxes, then lower y, lower z, upper x, upper y, upper z. First the boxes on the left of each bin, then
     the boxes from each bin on. The box of bin 0 and all bins after it is the node's."""
-    ...
 
 
 @native.func_native(
@@ -114,7 +113,6 @@ def sweep_axis(
 )
 def areas_needed(areas: wp.array(dtype=float), count: int) -> float:
     """The most complete clipping that any of the boxes needs: NEEDS_NEAR, NEEDS_WINDOW, or 0.0 for none."""
-    ...
 
 
 @wp.func

@@ -53,7 +53,6 @@ CALLS = "(const wrt::Call*)steps.data"
 @native.func_native("calls.h", on_cpu(f"for (int i = 0; i < (int)steps.shape[0] / {STEP_WORDS}; ++i) ({CALLS})[i].run();"))
 def call_steps(steps: wp.array(dtype=wp.int64)) -> int:
     """Calls all steps, each for the items in its launch bounds."""
-    ...
 
 
 @native.func_native(
@@ -65,7 +64,6 @@ def call_steps(steps: wp.array(dtype=wp.int64)) -> int:
 )
 def collapse_steps(steps: wp.array(dtype=wp.int64), totals: wp.array(dtype=int), level_first: wp.array(dtype=int)) -> int:
     """The levels of `wrt.builders.bvh.phases.collapse`: solve, and for each level pick, scan and list. Returns their number."""
-    ...
 
 
 @wp.kernel

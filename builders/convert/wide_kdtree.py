@@ -188,7 +188,6 @@ def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: C
 @native.func_native("reference.h", "wrt::write_clipped(boxes, triangle, low, high, references.data + (size_t)i * 8);")
 def write_clipped(boxes: Boxes, triangle: int, low: wp.vec3, high: wp.vec3, references: wp.array(dtype=float), i: int):
     """Writes reference number i: a triangle's box, clipped to a cell."""
-    ...
 
 
 @wp.func

@@ -68,7 +68,6 @@ def put_begins(first: int, begins: wp.array(dtype=int), words: wp.array(dtype=in
 @native.func_native("light_raster.h", "wrt::sort_entries((unsigned long long*)entries.data + begin, count);")
 def sort_entries(entries: wp.array(dtype=wp.uint64), begin: int, count: int):
     """Sorts a list in place: by insertion, long ones by heapsort."""
-    ...
 
 
 @wp.kernel

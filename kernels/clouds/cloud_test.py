@@ -153,13 +153,11 @@ def copy_point(
     records: wp.array(dtype=float),
 ):
     """Writes the record of a slot; NaN for an unused lane."""
-    ...
 
 
 @native.func_native("spheres.h", "wrt::point_box(records.data + i * components, components, 1, low.c, high.c);")
 def point_box(records: wp.array(dtype=float), components: int, i: int, low: wp.ref[wp.vec3], high: wp.ref[wp.vec3]):
     """The box of the record i, in blocks of one."""
-    ...
 
 
 @wp.kernel

@@ -25,7 +25,6 @@ exact_module(__name__)
 )
 def tangent_triangle(points: CloudPoints, id: int, uv: wp.vec2, size: float, i: int, vertices: wp.array(dtype=wp.vec3)):
     """Writes the three vertices of the triangle of hit i."""
-    ...
 
 
 @wp.kernel

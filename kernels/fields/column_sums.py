@@ -48,7 +48,6 @@ class BooleanColumns:
 )
 def sum_columns_of_tile(columns: BooleanColumns, rows: WeightedRows, tile: int, sums: wp.array2d(dtype=wp.float64)):
     """Writes the sums of the columns of a tile."""
-    ...
 
 
 @wp.kernel

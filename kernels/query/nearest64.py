@@ -50,7 +50,6 @@ def test_tile(
     found: wp.ref[Nearest],
 ):
     """Tests the triangles begin .. end - 1; of equally near ones the first counts. z: as in `longest_axis`."""
-    ...
 
 
 @wp.func

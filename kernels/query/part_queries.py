@@ -24,7 +24,6 @@ AHEAD = wp.constant(16)
 @native.func_native("part_queries.h", "wrt::fetch_ray(rays, hits, i);")
 def fetch_ray(rays: RayBatch, hits: HitBatch, i: int):
     """Fetches a ray and its best hit into the caches of a core. An address without an array does no harm."""
-    ...
 
 
 @native.func_native(
@@ -42,7 +41,6 @@ def fetch_merged(
 ):
     """Fetches what merging a closest hit reads and writes into the caches of a core: the corners half as far ahead as the face
     that names them."""
-    ...
 
 
 @cache

@@ -119,7 +119,6 @@ JOBS = "auto& b = *(wrt::pool::JobQueue*)job_queue.data;\n"
 @native.func_native("pool.h", on_cpu(f"{JOBS}wrt::pool::run_as_helper<{BOUNDS}>(b, helper);"))
 def run_as_helper_native(job_queue: wp.array(dtype=wp.int64), helper: wp.int64) -> int:
     """The loop of the helper with a number; returns when the job queue is closed."""
-    ...
 
 
 RUN_AS_CALLER = f"wrt::pool::run_as_caller<{BOUNDS}>(b, b.slots[slot], (const wrt::pool::Job*)job);"
@@ -128,19 +127,16 @@ RUN_AS_CALLER = f"wrt::pool::run_as_caller<{BOUNDS}>(b, b.slots[slot], (const wr
 @native.func_native("pool.h", on_cpu(f"{layout_checks()}{JOBS}{RUN_AS_CALLER}"))
 def run_as_caller_native(job_queue: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) -> int:
     """Begins the job at address `job` in a slot, or continues the current one and those that follow it."""
-    ...
 
 
 @native.func_native("pool.h", on_cpu(f"{JOBS}wrt::pool::stop(b.slots[slot]);"))
 def stop_native(job_queue: wp.array(dtype=wp.int64), slot: wp.int64) -> int:
     """Stops the job of a slot: no thread takes another chunk."""
-    ...
 
 
 @native.func_native("pool.h", on_cpu(f"{JOBS}wrt::pool::close(b);"))
 def close_native(job_queue: wp.array(dtype=wp.int64)) -> int:
     """Makes all helpers return."""
-    ...
 
 
 @wp.kernel

@@ -97,7 +97,6 @@ def run_stages(
     stages: wp.array(dtype=wp.int64), begin: int, end: int, counts: wp.array(dtype=int), size: int, tile: int
 ) -> int:
     """Runs the stages begin .. end - 1 for a tile, as long as items are left."""
-    ...
 
 
 @wp.kernel

@@ -40,7 +40,6 @@ BEAMS = "const int* order = beams.order.shape[0] > 0 ? beams.order.data : nullpt
 )
 def write_depths(beams: Beams, traced: Traced, miss: float, images: Images, begin: int, end: int):
     """Writes distance and depth of the pixels of rays begin .. end - 1, those that are asked for."""
-    ...
 
 
 @native.func_native(
@@ -52,7 +51,6 @@ def write_depths(beams: Beams, traced: Traced, miss: float, images: Images, begi
 )
 def write_positions(beams: Beams, traced: Traced, origins: wp.array(dtype=wp.vec3d), images: Images, begin: int, end: int):
     """Writes the points that the pixels of rays begin .. end - 1 see."""
-    ...
 
 
 @wp.kernel

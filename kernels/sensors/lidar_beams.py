@@ -80,7 +80,6 @@ def across(axis: wp.vec3d):
 @native.func_native("sensor_rays.h", "wrt::turn_axes<wp::vec3d>(axes.data, turn, begin, end, turned.data);")
 def turn_axes(axes: wp.array(dtype=wp.vec3), turn: wp.quatd, begin: int, end: int, turned: wp.array(dtype=wp.vec3)):
     """Writes the directions of axes begin .. end - 1, normalised and turned."""
-    ...
 
 
 @wp.func

@@ -28,7 +28,6 @@ TWO_PI = wp.constant(wp.float64(6.283185307179586))
 )
 def philox(counter: wp.vec4ui, key: wp.vec2ui) -> wp.vec4ui:
     """Four random words of 32 bits for a counter of four words and a key of two."""
-    ...
 
 
 @wp.func

@@ -77,7 +77,6 @@ def write_points(
     beams: Beams, noise: Noise, pose: Pose, beam: int, begin: int, end: int, returns: Returns, layers: ReturnLayers
 ):
     """Writes the points of returns begin .. end - 1 of one sensor at rest, the first of them that of a beam."""
-    ...
 
 
 @wp.kernel

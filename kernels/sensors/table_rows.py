@@ -65,7 +65,6 @@ ITEMS = f"""static_assert(wrt::ROWS == {ROWS});
 @native.func_native("table_rows.h", f"{ITEMS}\nreturn rows.count;")
 def rows_of(source: RowSource, block: int) -> int:
     """Number of rows of a block."""
-    ...
 
 
 @native.func_native(
@@ -77,7 +76,6 @@ def write_block(
     source: RowSource, columns: wp.array(dtype=Column), row_bytes: int, block: int, table: wp.array(dtype=wp.uint8)
 ):
     """Writes the rows of a block."""
-    ...
 
 
 @wp.kernel

@@ -111,7 +111,6 @@ def enter(slabs: RaySlabs, low: wp.vec3, high: wp.vec3, t_min: float, t_max: flo
 @native.func_native("leaf.h", "return wrt::comes_from_front<1>((const float*)&corners, wrt::box_ray(slabs));")
 def comes_from_front(slabs: wp.ref[RaySlabs], corners: wp.ref[Corners]) -> bool:
     """Whether a ray comes from the side from which a triangle is wound counter-clockwise; false if it is seen edge-on."""
-    ...
 
 
 @cache

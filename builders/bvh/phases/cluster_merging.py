@@ -117,7 +117,6 @@ def begin_clusters(first: int, boxes: Boxes, count: int, tree: MergedTree):
 @native.func_native("merging.h", "wrt::merge_from(tree, i, count, by_area);")
 def merge_from(tree: MergedTree, i: int, count: int, by_area: bool):
     """Goes up from triangle i."""
-    ...
 
 
 @cache

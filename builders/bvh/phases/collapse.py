@@ -84,7 +84,6 @@ def combine(
 
     pairs: indices of their costs; LEAF for leaves. leaves: what they cost as leaves. inner: A(n) C_t. holds_large: what
     `holds_large_part` is to say of the parent; it takes the place of F(n, W), which is never needed."""
-    ...
 
 
 @cache

@@ -32,7 +32,6 @@ class Links:
 @native.func_native("reference.h", "wrt::join_boxes(out.data + (size_t)o * 8, a.data + (size_t)i * 8, b.data + (size_t)j * 8);")
 def join_boxes(out: wp.array(dtype=float), o: int, a: wp.array(dtype=float), i: int, b: wp.array(dtype=float), j: int):
     """Sets box o of `out` to the box around box i of `a` and box j of `b`."""
-    ...
 
 
 @wp.kernel

@@ -43,7 +43,6 @@ TASKS_PER_THREAD = 4
 @native.func_native("reference.h", "return wrt::sides_of(boxes.data + (size_t)node * 8).half_area();")
 def half_area(boxes: wp.array(dtype=float), node: int) -> float:
     """Half the surface area of a node's box."""
-    ...
 
 
 @wp.struct

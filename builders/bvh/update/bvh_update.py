@@ -118,7 +118,6 @@ def link_upward(first: int, width: int, child: wp.array(dtype=int), links: Upwar
 """)
 def fence():
     """What this thread wrote is seen before what it writes from here on."""
-    ...
 
 
 @wp.func_native("""
@@ -130,7 +129,6 @@ def fence():
 """)
 def load_written(values: wp.array(dtype=float), i: int) -> float:
     """values[i], which another thread of the launch may have written."""
-    ...
 
 
 @wp.kernel

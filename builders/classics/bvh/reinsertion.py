@@ -74,7 +74,6 @@ class InsertionPositions:
 @native.func_native("reference.h", "return wrt::sides_of_both(a.data + (size_t)i * 8, b.data + (size_t)j * 8).half_area();")
 def joined_area(a: wp.array(dtype=float), i: int, b: wp.array(dtype=float), j: int) -> float:
     """Half the surface area of the box around box i of `a` and box j of `b`, both as in `BinaryTree.box`."""
-    ...
 
 
 @wp.kernel

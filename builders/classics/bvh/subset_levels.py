@@ -96,13 +96,11 @@ def find_block(
 
     planes: 4 floats a pair, the axis as a unit vector and the doubled coordinate; those of pair 0 are not used. A step waits
     for the one before, so one triangle at a time would take several times as long."""
-    ...
 
 
 @wp.func_native("const int key = value; memcpy(keys.data + i, &key, 4);")
 def store_key(keys: wp.array2d(dtype=float), i: int, value: int):
     """Writes a key, not negative, as the bits of a float: `radix_sort` orders bits."""
-    ...
 
 
 @wp.kernel

@@ -237,7 +237,6 @@ def classify(work: Workspace, i: int, split: Split):
 )
 def copy_entry(lists: Workspace, source: int, target: int):
     """Lists a triangle and its box a second time."""
-    ...
 
 
 @native.func_native(
@@ -247,7 +246,6 @@ def copy_entry(lists: Workspace, source: int, target: int):
 )
 def clip(lists: Workspace, i: int, pad: float, low: wp.vec3, high: wp.vec3) -> bool:
     """Shrinks the box of a listed triangle to its part in a cell; False if there is none."""
-    ...
 
 
 @wp.func

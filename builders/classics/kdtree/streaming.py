@@ -67,13 +67,11 @@ SPARE_MEMORY = 1.5
 )
 def write_events(references: wp.array(dtype=float), first: int, count: int, axis: int, lists: EventLists, begin: int) -> int:
     """Writes the events of a range of references along one axis, unsorted; returns their number."""
-    ...
 
 
 @native.func_native("events.h", "wrt::sort_pairs(lists.event.data + begin, count);")
 def sort_events(lists: EventLists, begin: int, count: int):
     """Sorts a range of events by position, stably. An equal amount of memory behind it is scratch."""
-    ...
 
 
 @wp.kernel

@@ -66,13 +66,11 @@ class Events:
 @wp.func_native("return events.position.data[(size_t)axis * events.position.shape[1] + i];")
 def event_position(events: Events, axis: int, i: int) -> float:
     """events.position[axis, i], without index checks: see `wrt.kernels.layout.unchecked`."""
-    ...
 
 
 @wp.func_native("return events.value.data[(size_t)axis * events.value.shape[1] + i];")
 def event_value(events: Events, axis: int, i: int) -> int:
     """events.value[axis, i], without index checks."""
-    ...
 
 
 @wp.kernel

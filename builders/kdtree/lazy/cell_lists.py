@@ -38,7 +38,6 @@ class Pair:
 @native.func_native("clusters.h", "return wrt::choose_triangles(boxes, order.data, pair, writing, ids.data);")
 def choose_triangles(boxes: Boxes, order: wp.array(dtype=int), pair: Pair, writing: bool, ids: wp.array(dtype=int)) -> int:
     """Counts the triangles of a cluster that are in a cell, and writes their ids if `writing`."""
-    ...
 
 
 @wp.kernel
@@ -57,7 +56,6 @@ def fill_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.a
 @native.func_native("clusters.h", "wrt::gather_references(boxes, ids.data, references.data, frame);")
 def gather_references(boxes: Boxes, ids: wp.array(dtype=int), references: wp.array(dtype=float), frame: wp.ref[Frame]):
     """Writes the references of a node's ids, and computes their box."""
-    ...
 
 
 @wp.kernel

@@ -70,7 +70,6 @@ def box_of_range(
     boxes: Boxes, order: wp.array(dtype=int), begin: int, end: int, cluster: int, corners: wp.array2d(dtype=float)
 ):
     """The box of the triangles order[begin .. end - 1], and that of their centres: (low, -high) of both."""
-    ...
 
 
 @wp.kernel

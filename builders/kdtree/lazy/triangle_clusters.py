@@ -99,7 +99,6 @@ def count_range(
     corners: wp.array2d(dtype=float),
 ):
     """Computes the cells of a chunk of `size` triangles and, per cell, their number and their box, (low, -high)."""
-    ...
 
 
 @wp.func_native(
@@ -118,7 +117,6 @@ def fill_range(
     order: wp.array(dtype=int),
 ):
     """Writes ids to the next positions of their cells."""
-    ...
 
 
 @wp.kernel

@@ -103,7 +103,6 @@ def classify_references(
 @native.func_native("clip.h", "return wrt::clip_part(lists, wrt::cell_of(low, high, lists.pad), boxes, triangle, source, to);")
 def clip_part(lists: ClippedMesh, boxes: Boxes, triangle: int, low: wp.vec3, high: wp.vec3, source: int, to: int) -> bool:
     """Writes the box of a reference's part in a cell; False if there is none."""
-    ...
 
 
 @wp.func

@@ -70,7 +70,6 @@ def count_range(
 ):
     """Counts, per live node, the triangles that begin and those that end among the events begin .. end - 1 of a chunk, and
     finds the node's first event there."""
-    ...
 
 
 @wp.kernel

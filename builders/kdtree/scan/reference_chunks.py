@@ -47,7 +47,6 @@ def clip_chunk(
 ):
     """Clips a chunk's straddlers to the cells of the children of its node, which is split, counts the references of both sides,
     and computes their boxes. Writes them to the target if they are `moving`."""
-    ...
 
 
 @wp.func

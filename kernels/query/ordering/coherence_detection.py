@@ -139,7 +139,6 @@ def differences(words: wp.array(dtype=int), begin: int, end: int, step: int) -> 
 
     Native, because Warp's loops are not compiled to vector instructions; without a branch, so that this one is.
     """
-    ...
 
 
 @wp.kernel

@@ -42,7 +42,6 @@ def make_part_range(width: int) -> Any:
         returns their number. The others are copied to another queue, in the order of the octants of their directions, if there
         is a sky. `is_met` is written.
         """
-        ...
 
     return part_range
 

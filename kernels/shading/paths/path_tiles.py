@@ -53,7 +53,6 @@ def make_path_tile_step_simd(width: int) -> Any:
         each. Appends paths that go on to `following` at place `to`, and shadow rays at place `entry`; both places are
         moved on, and up to width places from there on are written.
         """
-        ...
 
     return path_tile_step_simd
 
@@ -122,7 +121,6 @@ def make_step_tile() -> wp.Kernel:
 @native.func_native("ray_queues.h", "wrt::gather_paths(begin, stop, blocked, rays, lit_slot);")
 def gather_range(begin: int, stop: int, blocked: wp.array(dtype=wp.bool), rays: Gathered, lit_slot: wp.array(dtype=int)):
     """Adds the light of the shadow rays begin .. stop - 1 that nothing blocks to their samples."""
-    ...
 
 
 @wp.kernel
@@ -137,7 +135,6 @@ def gather_lit(
 @native.func_native("ray_queues.h", "wrt::order_rays(begin, stop, source, target);")
 def order_range(begin: int, stop: int, source: RayQueue, target: RayQueue):
     """Copies the rays begin .. stop - 1 to another queue, in the order of the octants of their directions."""
-    ...
 
 
 @wp.kernel

@@ -99,13 +99,11 @@ def start_tile(
 )
 def take_memory(taken: wp.array(dtype=int)) -> int:
     """A free tile memory, which is taken; waits for one if there are more threads."""
-    ...
 
 
 @wp.func_native(on_cpu("__atomic_store_n(taken.data + memory, 0, __ATOMIC_RELEASE);"))
 def leave_memory(taken: wp.array(dtype=int), memory: int) -> int:
     """Makes a tile memory free; returns 0."""
-    ...
 
 
 @wp.kernel

@@ -50,7 +50,6 @@ def make_tree_step_simd(width: int) -> Any:
         """Does the step of the simple ones among the rays first .. first + width - 1 of the queue, and returns one bit for
         each. The rays that follow go to the places from 2 `child` on. What it writes for the others is to be overwritten.
         """
-        ...
 
     return tree_step_simd
 
@@ -63,7 +62,6 @@ tree_step_simd = make_tree_step_simd(lane_width())
 def append_rays(begin: int, end: int, scratch: RayQueue, is_alive: wp.array(dtype=int), queue: RayQueue, place: int) -> int:
     """Copies those of the rays 2 begin .. 2 end - 1 that go on to the places from `place` on; returns the first one after them.
     It may write to the place after those of the rays."""
-    ...
 
 
 @wp.kernel
@@ -164,7 +162,6 @@ def gather_range(
 ):
     """Adds the light of the rays begin .. stop - 1 to their samples, in the order of `ray_queue.gather`: light by light.
     lights: number of the first one, and how many."""
-    ...
 
 
 @wp.kernel

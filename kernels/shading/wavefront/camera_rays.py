@@ -149,7 +149,6 @@ def make_start_lanes(width: int) -> Any:
     ) -> int:
         """`start_ray` for the samples first .. first + width - 1, if the camera is a pinhole with a box filter; returns how
         many are done, none or all. The bits are those of `start_ray`."""
-        ...
 
     return start_lanes
 

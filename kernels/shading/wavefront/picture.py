@@ -34,7 +34,6 @@ def add_samples(
     squares: wp.ref[float],
 ):
     """Adds samples from number `first` on to a sum, and the squares of their luminance to another."""
-    ...
 
 
 @wp.struct

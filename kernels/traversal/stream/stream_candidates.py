@@ -75,19 +75,16 @@ class StreamHits:
 @wp.func_native("leaf = pairs.leaves.c[p]; return pairs.rays.c[p];")
 def load_pair(pairs: wp.ref[Pairs], p: int, leaf: wp.ref[int]) -> int:
     """Ray and leaf of a pair."""
-    ...
 
 
 @wp.func_native("pairs.rays.c[p] = ray; pairs.leaves.c[p] = leaf;")
 def store_pair(pairs: wp.ref[Pairs], p: int, ray: int, leaf: int):
     """Stores a pair at index p."""
-    ...
 
 
 @wp.func_native("slot = pairs.candidates.c[p]; return pairs.candidate_rays.c[p];")
 def load_candidate(pairs: wp.ref[Pairs], p: int, slot: wp.ref[int]) -> int:
     """Ray and slot of a candidate."""
-    ...
 
 
 @cache
@@ -149,7 +146,6 @@ def record_if_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Be
     It uses bit operations, because the compiler may turn a select into a branch, which is slower for incoherent rays
     (notebooks/records/2026-11-22-stream-candidates.md).
     """
-    ...
 
 
 @cache

@@ -50,7 +50,6 @@ def bound_points(
     i: int,
 ):
     """Writes the box of the points begin .. end - 1, mapped, as that of instance i."""
-    ...
 
 
 @wp.func

@@ -70,7 +70,6 @@ class BoxTree:
 """)
 def next_float(value: float, upwards: bool) -> float:
     """The next float32 above or below a finite one."""
-    ...
 
 
 @wp.func

@@ -195,7 +195,6 @@ def bound_by_team(
     share: wp.vec2i,
 ):
     """As `bound_points`, by all threads of a team. span: begin and end of the points; share: number of a thread, and of all."""
-    ...
 
 
 @cache
@@ -264,25 +263,21 @@ def bound_moved(
 @native.func_native("instance_updates.h", "return wrt::ordered_bits(value);")
 def ordered_bits(value: wp.float64) -> wp.int64:
     """An integer in the order of doubles."""
-    ...
 
 
 @native.func_native("instance_updates.h", "return wrt::of_ordered(bits);")
 def of_ordered(bits: wp.int64) -> wp.float64:
     """The double of `ordered_bits`."""
-    ...
 
 
 @native.func_native("instance_updates.h", "wrt::keep_least(found.data + k, value);")
 def keep_least(found: wp.array(dtype=wp.int64), k: int, value: wp.int64):
     """found[k] becomes the least of it and of the values of all threads of a warp."""
-    ...
 
 
 @native.func_native("instance_updates.h", "wrt::add_all(sums.data + k, value);")
 def add_all(sums: wp.array(dtype=wp.float64), k: int, value: wp.float64):
     """sums[k] grows by the values of all threads of a warp."""
-    ...
 
 
 @wp.kernel
@@ -314,13 +309,11 @@ def span_instances(first: int, items: int, bounded: BoundedInstances, spanned: S
 @native.func_native("instance_updates.h", "return wrt::step_below(value);")
 def step_below(value: wp.float64) -> wp.float64:
     """A sixteenth of the power of two that is at most a positive number."""
-    ...
 
 
 @native.func_native("instance_updates.h", "return wrt::power_above(value);")
 def power_above(value: wp.float64) -> wp.float64:
     """The least power of two that is at least a positive number."""
-    ...
 
 
 @wp.func
@@ -424,13 +417,11 @@ def lay_out(
 @native.func_native("instance_updates.h", "wrt::refit_lane(bounds.data, node, lane, child, width);")
 def refit_lane(bounds: wp.array(dtype=float), node: int, lane: int, child: int, width: int):
     """Writes the box of an inner child from those of its own children."""
-    ...
 
 
 @native.func_native("instance_updates.h", "wrt::meet_block();")
 def meet_block():
     """All threads of a block wait for each other."""
-    ...
 
 
 @wp.kernel

@@ -118,14 +118,12 @@ def sheared(ray: ShearedRay, vertex: wp.vec3):
 @wp.func_native("return (a == 0.0f) | (b == 0.0f) | (c == 0.0f);")
 def some_zero(a: float, b: float, c: float) -> bool:
     """Whether one of three numbers is 0: one branch, where `or` would take three."""
-    ...
 
 
 @wp.func_native("return ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));")
 def on_one_side(a: float, b: float, c: float) -> bool:
     """Whether no two of three areas have opposite signs. With `and` and `or`, the first sign would select a branch that the
     processor cannot predict, because rays come from either side."""
-    ...
 
 
 @wp.func

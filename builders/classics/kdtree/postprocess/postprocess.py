@@ -88,7 +88,6 @@ def measure_range(
 ) -> int:
     """Marks the triangles in primitive[begin .. begin + count - 1] that meet a cell, all of them if they are not `tested`.
     Returns their number, and the box of these triangles, or of their parts, within the cell."""
-    ...
 
 
 @wp.kernel
