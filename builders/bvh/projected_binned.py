@@ -43,10 +43,8 @@ from wrt.kernels.influence.box_projection import NEEDS_NEAR, NEEDS_WINDOW, whole
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 SIDES = 2 * MAX_BINS
 """Boxes per axis: the union of all bins before each bin, and the union of each bin and all after it."""
@@ -243,7 +241,7 @@ def weight_of_parent(rays: KnownRays, tree: BinaryTree, pair: int):
     return rays.parent_weight[pair]
 
 
-@wp.kernel
+@exact_kernel
 def weigh_nodes(first: int, rays: KnownRays, tree: BinaryTree, pairs: wp.array(dtype=wp.vec2i)):
     """Item: a range of pairs. Writes the weights of their nodes, and the parent weights of these nodes' own pairs."""
     item = first + wp.tid()

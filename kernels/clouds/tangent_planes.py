@@ -9,9 +9,7 @@ import warp as wp
 
 from wrt.kernels.clouds.cloud_test import CloudPoints
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
 @native.func_native(
@@ -27,7 +25,7 @@ def tangent_triangle(points: CloudPoints, id: int, uv: wp.vec2, size: float, i: 
     """Writes the three vertices of the triangle of hit i."""
 
 
-@wp.kernel
+@exact_kernel
 def make_tangents(
     first: int,
     points: CloudPoints,

@@ -11,9 +11,7 @@ import warp as wp
 
 from wrt.kernels.query.hit_attributes import SceneMesh, triangle_of
 from wrt.kernels.query.spawn import footing, front_normal, meets_own, spawn_origin
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 TILE = wp.constant(256)
 """Points of a tile."""
@@ -47,7 +45,7 @@ class LitRays:
     """(D tiles,) number of the first ray of each direction and tile."""
 
 
-@wp.kernel
+@exact_kernel
 def place_points(first: int, points: LitPoints):
     """Writes where rays leave a point. Item: a point, in the order in which they are taken."""
     i = first + wp.tid()
@@ -70,7 +68,7 @@ def is_lit(points: LitPoints, i: int, way: wp.vec3d):
     return wp.dot(points.normal[i], way) > wp.float64(0.0)
 
 
-@wp.kernel
+@exact_kernel
 def count_lit(first: int, points: LitPoints, rays: LitRays, count: wp.array(dtype=int)):
     """Counts the points of a tile that a direction is in front of. Item: a direction and a tile."""
     item = first + wp.tid()
@@ -82,7 +80,7 @@ def count_lit(first: int, points: LitPoints, rays: LitRays, count: wp.array(dtyp
     count[item] = found
 
 
-@wp.kernel
+@exact_kernel
 def write_lit(
     first: int, points: LitPoints, rays: LitRays, origins: wp.array(dtype=wp.vec3d), directions: wp.array(dtype=wp.vec3)
 ):
@@ -104,7 +102,7 @@ def write_lit(
             ray += 1
 
 
-@wp.kernel
+@exact_kernel
 def add_lit(
     first: int,
     points: LitPoints,

@@ -13,9 +13,7 @@ from wrt.kernels.answers import ANSWERS, batch_kinds
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, named_kernel, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import named_kernel, specialised_kernel
 
 AHEAD = wp.constant(16)
 """Rays by which a kernel is ahead of itself when it fetches what it will read: rays of a queue are far apart in memory."""

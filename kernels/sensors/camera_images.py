@@ -4,13 +4,11 @@ import warp as wp
 
 from wrt.kernels.query.hit_attributes import SceneMesh, hit_normal
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.sensors.lidar_beams import Beams, beam_at, place_of
 from wrt.kernels.sensors.lidar_returns import Traced
 from wrt.kernels.sensors.pose_paths import PosePath, pose_of
-from wrt.kernels.sensors.surface_ids import SurfaceIds, label_of, surface_ids
-
-exact_module(__name__)
+from wrt.kernels.sensors.surface_ids import SurfaceIds, surface_ids, write_ids
 
 
 @wp.struct
@@ -53,14 +51,14 @@ def write_positions(beams: Beams, traced: Traced, origins: wp.array(dtype=wp.vec
     """Writes the points that the pixels of rays begin .. end - 1 see."""
 
 
-@wp.kernel
+@exact_kernel
 def fill_depths(first: int, block: int, count: int, beams: Beams, traced: Traced, miss: float, images: Images):
     """Writes distance and depth of pixels. Item: a block of rays, in the order of tracing."""
     begin = (first + wp.tid()) * block
     write_depths(beams, traced, miss, images, begin, wp.min(begin + block, count))
 
 
-@wp.kernel
+@exact_kernel
 def fill_positions(
     first: int,
     block: int,
@@ -75,7 +73,7 @@ def fill_positions(
     write_positions(beams, traced, origins, images, begin, wp.min(begin + block, count))
 
 
-@wp.kernel
+@exact_kernel
 def fill_image_normals(
     first: int, block: int, count: int, beams: Beams, path: PosePath, traced: Traced, mesh: SceneMesh, images: Images
 ):
@@ -100,7 +98,7 @@ def fill_image_normals(
             images.camera_normal[pixel] = turned
 
 
-@wp.kernel
+@exact_kernel
 def fill_image_ids(
     first: int,
     block: int,
@@ -117,11 +115,4 @@ def fill_image_ids(
     for i in range(begin, wp.min(begin + block, count)):
         pixel = beam_at(beams, traced.place + i)
         ids = surface_ids(mesh, ids, traced.primitive[i])
-        if pixel < images.instance.shape[0]:
-            images.instance[pixel] = ids.instance
-        if pixel < images.geometry.shape[0]:
-            images.geometry[pixel] = ids.geometry
-        if pixel < images.primitive.shape[0]:
-            images.primitive[pixel] = ids.primitive
-        if pixel < images.semantic.shape[0]:
-            images.semantic[pixel] = label_of(labels, ids)
+        write_ids(images, pixel, labels, ids)

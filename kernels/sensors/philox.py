@@ -12,9 +12,7 @@ References: salmon-2011; box-muller-1958.
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 UNIT = wp.constant(wp.float64(2.0**-32))
 TWO_PI = wp.constant(wp.float64(6.283185307179586))
@@ -44,7 +42,7 @@ def normal_pair(first: wp.uint32, second: wp.uint32):
     return wp.vec2d(radius * wp.cos(angle), radius * wp.sin(angle))
 
 
-@wp.kernel
+@exact_kernel
 def random_words(first: int, key: wp.vec2ui, counters: wp.array(dtype=wp.vec4ui), words: wp.array(dtype=wp.vec4ui)):
     """Writes the words of a counter. Item: a counter."""
     i = first + wp.tid()

@@ -7,14 +7,12 @@ import warp as wp
 
 from wrt.kernels.query.hit_attributes import SceneMesh, hit_normal
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.sensors.lidar_beams import Beams, across, beam_at, beam_offset, place_of
 from wrt.kernels.sensors.lidar_returns import Detector, Motions, Noise, Returns, Traced, is_noisy, keyed
 from wrt.kernels.sensors.philox import normal_pair, philox
 from wrt.kernels.sensors.pose_paths import Pose, PosePath, pose_of
-from wrt.kernels.sensors.surface_ids import SurfaceIds, label_of, surface_ids
-
-exact_module(__name__)
+from wrt.kernels.sensors.surface_ids import SurfaceIds, surface_ids, write_ids
 
 
 @wp.struct
@@ -79,7 +77,7 @@ def write_points(
     """Writes the points of returns begin .. end - 1 of one sensor at rest, the first of them that of a beam."""
 
 
-@wp.kernel
+@exact_kernel
 def fill_points(
     first: int,
     block: int,
@@ -131,7 +129,7 @@ def fill_points(
             layers.position[at] = position
 
 
-@wp.kernel
+@exact_kernel
 def fill_ids(
     first: int,
     block: int,
@@ -150,17 +148,10 @@ def fill_ids(
     for i in range(begin, wp.min(begin + block, count)):
         found = return_at(beams, traced, detector, returns, i)
         ids = surface_ids(mesh, ids, found.primitive)
-        if found.at < layers.instance.shape[0]:
-            layers.instance[found.at] = ids.instance
-        if found.at < layers.geometry.shape[0]:
-            layers.geometry[found.at] = ids.geometry
-        if found.at < layers.primitive.shape[0]:
-            layers.primitive[found.at] = ids.primitive
-        if found.at < layers.semantic.shape[0]:
-            layers.semantic[found.at] = label_of(labels, ids)
+        write_ids(layers, found.at, labels, ids)
 
 
-@wp.kernel
+@exact_kernel
 def fill_normals(
     first: int,
     block: int,
@@ -193,7 +184,7 @@ def surface_velocity(motions: Motions, instance: int, point: wp.vec3d):
     return velocity
 
 
-@wp.kernel
+@exact_kernel
 def fill_velocities(
     first: int,
     block: int,

@@ -49,11 +49,7 @@ class RayInRange:
 @wp.func
 def prepare_in_range(origin: wp.vec3, direction: wp.vec3):
     """A ray that has hit nothing."""
-    ray = RayInRange()
-    ray.origin = origin
-    ray.direction = direction
-    ray.far = wp.inf
-    return ray
+    return RayInRange(origin, direction, wp.inf)
 
 
 def ray_form(name: str, record: Record, triangle: tuple[str, ...], *parts: StepText) -> TestForm:

@@ -75,9 +75,7 @@ def make_search(handle: type, snippet: str) -> wp.Function:
 
     @wp.func
     def search(scene: handle, ray: Ray, origin: wp.vec3d, after: int):
-        previous = PreviousCrossing()
-        previous.t = ray.t_min
-        previous.primitive = after
+        previous = PreviousCrossing(ray.t_min, after)
         best = start(ray.t_max)
         walk(scene, ray, previous, origin, best)
         return best

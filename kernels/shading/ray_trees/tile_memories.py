@@ -8,12 +8,10 @@ import warp as wp
 
 from wrt.kernels.runtime.job_queue import on_cpu
 from wrt.kernels.runtime.launch_chain import run_stages
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.wavefront.camera_rays import WIDTH, CameraModel, start_lanes, start_ray
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -58,7 +56,7 @@ def shifted_queue(queue: RayQueue, by: int):
     return own
 
 
-@wp.kernel
+@exact_kernel
 def start_tile(
     first: int,
     room: int,
@@ -106,7 +104,7 @@ def leave_memory(taken: wp.array(dtype=int), memory: int) -> int:
     """Makes a tile memory free; returns 0."""
 
 
-@wp.kernel
+@exact_kernel
 def follow_tiles(
     first: int,
     stages: wp.array(dtype=wp.int64),

@@ -19,7 +19,7 @@ import warp as wp
 from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
 from wrt.kernels.shading.sampling import MIX_1
 from wrt.kernels.shading.wavefront.lane_code import in_lanes, same
@@ -29,8 +29,6 @@ from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, StepArrays, fetch_hi
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene, sky_light
 from wrt.kernels.shading.wavefront.tree_step import SentRays, ShadowList, TreeStep, sent_rays, shade_ray
-
-exact_module(__name__)
 
 
 @cache
@@ -64,7 +62,7 @@ def append_rays(begin: int, end: int, scratch: RayQueue, is_alive: wp.array(dtyp
     It may write to the place after those of the rays."""
 
 
-@wp.kernel
+@exact_kernel
 def shade_tile(
     first: int,
     room: int,
@@ -121,7 +119,7 @@ def shade_tile(
         memories.shadows[memory] = 0
 
 
-@wp.kernel
+@exact_kernel
 def end_tile(
     first: int,
     room: int,
@@ -164,7 +162,7 @@ def gather_range(
     lights: number of the first one, and how many."""
 
 
-@wp.kernel
+@exact_kernel
 def gather_tile(
     first: int,
     room: int,

@@ -54,14 +54,7 @@ class StepArrays:
 @wp.func(inline=True)
 def step_arrays(begin: int, source: PixelSamples, wave: Wave, queue: RayQueue, hits: HitBatch, rays: Gathered):
     """The arrays of a step, from the arguments of a kernel."""
-    arrays = StepArrays()
-    arrays.begin = begin
-    arrays.source = source
-    arrays.wave = wave
-    arrays.queue = queue
-    arrays.hits = hits
-    arrays.rays = rays
-    return arrays
+    return StepArrays(begin, source, wave, queue, hits, rays)
 
 
 @wp.func(inline=True)
@@ -106,7 +99,4 @@ class SampleKey:
 @wp.func(inline=True)
 def sample_key(source: PixelSamples, wave: Wave, slot: int):
     """The key of a sample of a wave."""
-    key = SampleKey()
-    key.pixel = pixel_hash(source, pixel_of(wave, slot))
-    key.sample = wave.first_sample + slot % wave.samples
-    return key
+    return SampleKey(pixel_hash(source, pixel_of(wave, slot)), wave.first_sample + slot % wave.samples)

@@ -18,7 +18,7 @@ References: whitted-1980; hall-greenberg-1983; cook-1984.
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, is_finite
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.bsdf.fresnel import dielectric_share, mirrored, refracted, schlick_color
 from wrt.kernels.shading.bsdf.ggx import masking, masking_and_shadowing, visible_facet
 from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, GLOSSY, MIRROR, MaterialAtHit
@@ -48,8 +48,6 @@ from wrt.kernels.shading.wavefront.scene_light import (
     sky_light,
     surface_light,
 )
-
-exact_module(__name__)
 
 LIGHT_DIMENSIONS = wp.constant(0x4000)
 """First dimension of the places on the second and further lights."""
@@ -109,10 +107,7 @@ class SentRays:
 @wp.func(inline=True)
 def sent_rays(queue: RayQueue, is_alive: wp.array(dtype=int)):
     """The rays that follow, from the arguments of a kernel."""
-    sent = SentRays()
-    sent.queue = queue
-    sent.is_alive = is_alive
-    return sent
+    return SentRays(queue, is_alive)
 
 
 @wp.func
@@ -242,10 +237,7 @@ def send_children(
     if step.distributed and material.alpha > 0.0:
         place = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation + 1)
     if not hit.boundary.is_real:
-        passing = Child()
-        passing.direction = hit.ray.direction
-        passing.weight = wp.vec3(1.0, 1.0, 1.0)
-        passing.is_transmitted = True
+        passing = Child(hit.ray.direction, wp.vec3(1.0, 1.0, 1.0), True)
         sent.is_alive[2 * i + 1] = send(step, key, passing, hit, 2 * i + 1, sent.queue)
     else:
         if material.kind == MIRROR or material.kind == GLOSSY or material.kind == DIELECTRIC:
@@ -311,11 +303,7 @@ def shade_ray(
         if not is_single(material) and material.kind != DIELECTRIC:
             emitted += wp.cw_mul(wp.cw_mul(ray.weight, (1.0 - material.metallic) * material.color), step.ambient)
         if not step.is_last:
-            hit = ShadedHit()
-            hit.ray = ray
-            hit.point = point
-            hit.material = material
-            hit.boundary = boundary
+            hit = ShadedHit(ray, point, material, boundary)
             key = branch_key(arrays, i)
             if boundary.is_real and not is_single(material):
                 for light in range(step.first_light, step.light_end):
@@ -331,7 +319,7 @@ def shade_ray(
     return place
 
 
-@wp.kernel
+@exact_kernel
 def tree_step(
     first: int,
     start: int,
@@ -363,7 +351,7 @@ def tree_step(
         shade_ray(i, i, i, step, scene, arrays, sent, listed)
 
 
-@wp.kernel
+@exact_kernel
 def shade_by_light(
     first: int,
     start: int,

@@ -3,9 +3,7 @@
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 LANES = 8
 """Points that are mapped at a time: those of a mesh begin at a multiple of it, and repeat the last one up to the next."""
@@ -64,16 +62,10 @@ def norm(m: wp.mat33d):
 @wp.func
 def linear_part(transform: wp.mat44d):
     """The map without its translation."""
-    return wp.mat33d(
-        transform[0, 0],
-        transform[0, 1],
-        transform[0, 2],
-        transform[1, 0],
-        transform[1, 1],
-        transform[1, 2],
-        transform[2, 0],
-        transform[2, 1],
-        transform[2, 2],
+    return wp.matrix_from_rows(
+        wp.vec3d(transform[0, 0], transform[0, 1], transform[0, 2]),
+        wp.vec3d(transform[1, 0], transform[1, 1], transform[1, 2]),
+        wp.vec3d(transform[2, 0], transform[2, 1], transform[2, 2]),
     )
 
 
@@ -122,7 +114,7 @@ def bound_instance(
     bound_points(cover.points, cover.begins[mesh], cover.begins[mesh + 1], to_scene, origin, bounded.corners, i)
 
 
-@wp.kernel
+@exact_kernel
 def bound_instances(
     first: int,
     transforms: wp.array(dtype=wp.mat44d),

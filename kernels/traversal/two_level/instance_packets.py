@@ -206,11 +206,7 @@ def make_instance_packet_kernel(config: TraversalConfig, levels: int) -> wp.Kern
         rays: RayBatch,
         hits: HitBatch,
     ):
-        batch = InstanceBatch()
-        batch.top = top
-        batch.parts = parts
-        batch.rays = rays
-        batch.hits = hits
+        batch = InstanceBatch(top, parts, rays, hits)
         number = wp.zeros(shape=(packet_rays,), dtype=int)
         bound = wp.zeros(shape=(packet_rays,), dtype=float)
         waiting = wp.zeros(shape=(packet_rays,), dtype=float)

@@ -16,7 +16,7 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, first_block
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.traversal.two_level.instance_bounds import (
     BoundedInstances,
     CoverPoints,
@@ -26,8 +26,6 @@ from wrt.kernels.traversal.two_level.instance_bounds import (
     scene_origin,
 )
 from wrt.kernels.traversal.two_level.instance_moves import next_float
-
-exact_module(__name__)
 
 TEAM = 32
 """Threads that bound an instance on CUDA: a warp."""
@@ -129,23 +127,11 @@ def as_map(given: wp.transformd):  # noqa: F811
     one = wp.float64(1.0)
     two = wp.float64(2.0)
     none = wp.float64(0.0)
-    return wp.mat44d(
-        one - two * (y * y + z * z),
-        two * (x * y - z * w),
-        two * (x * z + y * w),
-        given[0],
-        two * (x * y + z * w),
-        one - two * (x * x + z * z),
-        two * (y * z - x * w),
-        given[1],
-        two * (x * z - y * w),
-        two * (y * z + x * w),
-        one - two * (x * x + y * y),
-        given[2],
-        none,
-        none,
-        none,
-        one,
+    return wp.matrix_from_rows(
+        wp.vec4d(one - two * (y * y + z * z), two * (x * y - z * w), two * (x * z + y * w), given[0]),
+        wp.vec4d(two * (x * y + z * w), one - two * (x * x + z * z), two * (y * z - x * w), given[1]),
+        wp.vec4d(two * (x * z - y * w), two * (y * z + x * w), one - two * (x * x + y * y), given[2]),
+        wp.vec4d(none, none, none, one),
     )
 
 
@@ -237,7 +223,7 @@ def make_place_instances(dtype: type) -> wp.Kernel:
     return specialised_kernel(place_instances)
 
 
-@wp.kernel
+@exact_kernel
 def bound_moved(
     first: int,
     team: int,
@@ -280,7 +266,7 @@ def add_all(sums: wp.array(dtype=wp.float64), k: int, value: wp.float64):
     """sums[k] grows by the values of all threads of a warp."""
 
 
-@wp.kernel
+@exact_kernel
 def span_instances(first: int, items: int, bounded: BoundedInstances, spanned: Spanned):
     """Writes `Spanned.found`. Item: one of `items` shares of the instances; on CUDA a multiple of a warp."""
     share = first + wp.tid()
@@ -356,7 +342,7 @@ def rounded_above(value: wp.float64, center: wp.float64, rounding: wp.float64):
     return next_float(wp.float32(value - (center - rounding)), True)
 
 
-@wp.kernel
+@exact_kernel
 def lay_out(
     first: int,
     is_still: int,
@@ -424,7 +410,7 @@ def meet_block():
     """All threads of a block wait for each other."""
 
 
-@wp.kernel
+@exact_kernel
 def refit_level(first: int, lane_first: int, nodes: UpperNodes):
     """Item: a lane of a level, the levels below being done."""
     lane = lane_first + first + wp.tid()
@@ -451,7 +437,7 @@ def make_refit_levels(block: int) -> wp.Kernel:
     return specialised_kernel(refit_levels, bounds=(block, 1))
 
 
-@wp.kernel
+@exact_kernel
 def measure_nodes(first: int, items: int, nodes: UpperNodes, spanned: Spanned):
     """Writes the surfaces in `Spanned.report`. Item: one of `items` shares of the lanes; on CUDA a multiple of a warp."""
     share = first + wp.tid()

@@ -292,10 +292,27 @@ class LaneForm:
         )
 
 
+def native_block_test(ray_state: type, width: int, code: str) -> wp.Function:
+    """`wp.func(records, block, ray, t, u, v) -> mask` of C++ that uses `triangle.h`."""
+    Lanes, RayState = lanes(width), ray_state
+
+    @native.func_native("triangle.h", code)
+    def block_test(
+        records: wp.array(dtype=float),
+        block: int,
+        ray: RayState,
+        t: wp.ref[Lanes],
+        u: wp.ref[Lanes],
+        v: wp.ref[Lanes],
+    ) -> wp.uint32: ...
+
+    return block_test
+
+
 @cache
 def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
     """One ray x W triangles, by a loop over lanes for each step."""
-    Lanes, RayState, components = lanes(width), ray_state, form.components
+    components = form.components
 
     def declare(step: Step) -> list[str]:
         return [f"const float {name} = r[{components[name]} * W + i];" for name in step.reads(components)]
@@ -304,16 +321,5 @@ def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
     text += "const float* r = &records.data[(size_t)block * (COMPONENTS * W)];\n"
     text += "".join(f"const float {value.name} = {value.scalar};\n" for value in form.ray) + form.memory()
     text += f"const unsigned mask = wrt::block_steps<W>(~0u{form.step_functions(declare)});\nif (!mask) return mask;\n"
-    text += "WRT_FOR_LANES(i) { out_t.c[i] = kept_t[i]; out_u.c[i] = kept_u[i]; out_v.c[i] = kept_v[i]; }\nreturn mask;\n"
-
-    @native.func_native("triangle.h", text)
-    def block_test(
-        records: wp.array(dtype=float),
-        block: int,
-        ray: RayState,
-        out_t: wp.ref[Lanes],
-        out_u: wp.ref[Lanes],
-        out_v: wp.ref[Lanes],
-    ) -> wp.uint32: ...
-
-    return block_test
+    text += "WRT_FOR_LANES(i) { t.c[i] = kept_t[i]; u.c[i] = kept_u[i]; v.c[i] = kept_v[i]; }\nreturn mask;\n"
+    return native_block_test(ray_state, width, text)

@@ -20,10 +20,7 @@ class PlainRay:
 @wp.func
 def prepare(origin: wp.vec3, direction: wp.vec3):
     """Stores origin and direction; computes nothing."""
-    ray = PlainRay()
-    ray.origin = origin
-    ray.direction = direction
-    return ray
+    return PlainRay(origin, direction)
 
 
 @wp.func
