@@ -172,7 +172,10 @@ def make_kdtree_walk(config: TraversalConfig) -> wp.Function:
         else:
             search = begin(triangles, ray, slabs)
         interval = enter(slabs, tree.low, tree.high, ray.t_min, ray.t_max)
-        cell = Cell(wp.static(root), interval[0], interval[1])
+        cell = Cell()
+        cell.node = wp.static(root)
+        cell.entry = interval[0]
+        cell.leave = interval[1]
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
         stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
         stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)

@@ -95,7 +95,10 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
         best: BestHit,
         work: wp.ref[Counters],
     ):
-        cell = Cell(first.node, first.entry, first.leave)
+        cell = Cell()
+        cell.node = first.node
+        cell.entry = first.entry
+        cell.leave = first.leave
         own = KdNodes()
         own.nodes = tree.nodes
         own.root = first.node
@@ -131,9 +134,11 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
                 elif kdtree.leaf_triangles(node) < 0:
                     cell.node = -1 - kdtree.first_block(node)
                 else:
-                    leaf = Leaf(
-                        cell.node, wp.vec2(cell.entry, cell.leave), kdtree.first_block(node), kdtree.leaf_triangles(node)
-                    )
+                    leaf = Leaf()
+                    leaf.node = cell.node
+                    leaf.within = wp.vec2(cell.entry, cell.leave)
+                    leaf.block = kdtree.first_block(node)
+                    leaf.count = kdtree.leaf_triangles(node)
                     best = test_leaf(own, leaf, cells, search, hits, i, best, work)
                     if wp.static(any_hit):
                         size = wp.where(best.primitive < 0, size, 0)

@@ -71,7 +71,10 @@ def make_packet_kdtree_walk(config: TraversalConfig) -> wp.Function:
         work: wp.ref[Counters],
     ):
         interval = enter_box(bounds, tree.low, tree.high)
-        cell = Cell(tree.root, interval[0], interval[1])
+        cell = Cell()
+        cell.node = tree.root
+        cell.entry = interval[0]
+        cell.leave = interval[1]
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
         stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
         stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
