@@ -19,10 +19,8 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime import native
-from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.triangle.support.operation_counts import Operations, count_operations
-from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record
+from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record, native_block_test
 
 VERTEX_NAMES = ("ax", "ay", "az", "bx", "by", "bz", "cx", "cy", "cz")
 """Names of a triangle's vertices in the steps of every test."""
@@ -290,23 +288,6 @@ class LaneForm:
             f",\n[&](int i) {{\n{self.lane_code(number, declare)}\nreturn {step.passes};\n}}"
             for number, step in enumerate(self.steps)
         )
-
-
-def native_block_test(ray_state: type, width: int, code: str) -> wp.Function:
-    """`wp.func(records, block, ray, t, u, v) -> mask` of C++ that uses `triangle.h`."""
-    Lanes, RayState = lanes(width), ray_state
-
-    @native.func_native("triangle.h", code)
-    def block_test(
-        records: wp.array(dtype=float),
-        block: int,
-        ray: RayState,
-        t: wp.ref[Lanes],
-        u: wp.ref[Lanes],
-        v: wp.ref[Lanes],
-    ) -> wp.uint32: ...
-
-    return block_test
 
 
 @cache

@@ -34,9 +34,9 @@ from functools import cache, partial
 
 import warp as wp
 
-from wrt.kernels.triangle.support.lane_form import HandWritten, PacketForm, native_block_test
+from wrt.kernels.triangle.support.lane_form import HandWritten, PacketForm
 from wrt.kernels.triangle.support.operation_counts import Operations
-from wrt.kernels.triangle.support.record_blocks import Corners
+from wrt.kernels.triangle.support.record_blocks import Corners, native_block_test
 from wrt.kernels.triangle.support.triangle_contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.watertight.woop_areas import THIN, area64, exact_area, precise_areas
 
