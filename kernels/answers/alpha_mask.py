@@ -110,7 +110,10 @@ def accept_nearest(search: wp.ref[MaskedSearch], i: int, best: BestHit, t: float
     """Keeps the closest hit that is there."""
     if improves(t, primitive, search.t_min, best):  # noqa: SIM102  (Warp evaluates both operands of `and`)
         if is_there(search.masks, search.first_face + primitive, u, v):
-            best = BestHit(t, primitive, u, v)
+            best.t = t
+            best.primitive = primitive
+            best.u = u
+            best.v = v
     return best
 
 

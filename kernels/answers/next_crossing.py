@@ -23,7 +23,10 @@ def accept_next(previous: wp.ref[PreviousCrossing], i: int, best: BestHit, t: fl
     """Keeps the first crossing that follows the given one."""
     is_later = t > previous.t or (t == previous.t and primitive > previous.primitive)
     if is_later and improves(t, primitive, previous.t, best):
-        best = BestHit(t, primitive, u, v)
+        best.t = t
+        best.primitive = primitive
+        best.u = u
+        best.v = v
     return best
 
 

@@ -121,4 +121,9 @@ class SceneRay:
 @wp.func
 def scene_ray(rays: RayBatch, i: int, ray: Ray):
     """Ray number i, of which `load_ray` gave `ray`."""
-    return SceneRay(ray, centered_origin(rays, i), ray_mask(rays, i), ray_environment(rays, i))
+    seen = SceneRay()
+    seen.ray = ray
+    seen.origin = centered_origin(rays, i)
+    seen.mask = ray_mask(rays, i)
+    seen.environment = ray_environment(rays, i)
+    return seen

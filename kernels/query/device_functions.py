@@ -191,7 +191,11 @@ def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
         work = Counters()
         best = start(ray.t_max)
         if wp.static(two_level):
-            seen = SceneRay(ray, origin, scene.mask, scene.environment)
+            seen = SceneRay()
+            seen.ray = ray
+            seen.origin = origin
+            seen.mask = scene.mask
+            seen.environment = scene.environment
             best = walk(scene.top, scene.parts, seen, hits, 0, work)
         else:
             best = walk(scene.tree, scene.triangles, ray, hits, 0, work)

@@ -154,12 +154,12 @@ def exact_corners_of(scene: SceneMesh, geometries: wp.array(dtype=ExactGeometry)
     placement = scene.placements[geometry_of(scene, primitive)]
     geometry = geometries[placement.geometry]
     face = geometry.mesh.faces[primitive - placement.first]
-    return ExactCorners(
-        placement.to_scene * (geometry.mesh.vertices[face[0]] - geometry.center) + placement.origin,
-        placement.to_scene * (geometry.mesh.vertices[face[1]] - geometry.center) + placement.origin,
-        placement.to_scene * (geometry.mesh.vertices[face[2]] - geometry.center) + placement.origin,
-        wp.where(wp.determinant(placement.to_scene) < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0)),
-    )
+    corners = ExactCorners()
+    corners.a = placement.to_scene * (geometry.mesh.vertices[face[0]] - geometry.center) + placement.origin
+    corners.b = placement.to_scene * (geometry.mesh.vertices[face[1]] - geometry.center) + placement.origin
+    corners.c = placement.to_scene * (geometry.mesh.vertices[face[2]] - geometry.center) + placement.origin
+    corners.winding = wp.where(wp.determinant(placement.to_scene) < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
+    return corners
 
 
 @exact_kernel

@@ -147,9 +147,10 @@ def make_fan_step(form: str) -> wp.Function:
                 t = clamp_to_box(slabs, min_of(centre, rim_low), max_of(centre, rim_high), hit[0])
                 if improves(t, fans.primitive[triangle], ray.t_min, best):
                     corner = fans.corner[triangle]
-                    best = BestHit(
-                        t, fans.primitive[triangle], weight(corner, 1, hit[1], hit[2]), weight(corner, 2, hit[1], hit[2])
-                    )
+                    best.t = t
+                    best.primitive = fans.primitive[triangle]
+                    best.u = weight(corner, 1, hit[1], hit[2])
+                    best.v = weight(corner, 2, hit[1], hit[2])
             e = following
             x = x_following
             place += 1

@@ -73,7 +73,12 @@ class FanSearch:
 @wp.func
 def fan_search(order: wp.array(dtype=int), fans: FanSet, ray: Ray):
     """The search of a ray."""
-    return FanSearch(order, fans, ray, ray_slabs(ray.origin, ray.direction, reach(ray.origin, fans.low, fans.high)))
+    search = FanSearch()
+    search.order = order
+    search.fans = fans
+    search.ray = ray
+    search.slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, fans.low, fans.high))
+    return search
 
 
 @cache

@@ -49,7 +49,11 @@ class RayInRange:
 @wp.func
 def prepare_in_range(origin: wp.vec3, direction: wp.vec3):
     """A ray that has hit nothing."""
-    return RayInRange(origin, direction, wp.inf)
+    ray = RayInRange()
+    ray.origin = origin
+    ray.direction = direction
+    ray.far = wp.inf
+    return ray
 
 
 def ray_form(name: str, record: Record, triangle: tuple[str, ...], *parts: StepText) -> TestForm:

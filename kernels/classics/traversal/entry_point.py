@@ -162,7 +162,10 @@ def make_choice(config: TraversalConfig, accelerated: bool) -> wp.Function:
         done = int(0)
         while done < size:
             which = wp.where(wp.static(accelerated), done, size - 1 - done)
-            cell = Cell(load_int(stack_node, which), load_float(stack_entry, which), load_float(stack_leave, which))
+            cell = Cell()
+            cell.node = load_int(stack_node, which)
+            cell.entry = load_float(stack_entry, which)
+            cell.leave = load_float(stack_leave, which)
             done += 1
             if descend(nodes, triangles, bounds, cell, own_node, own_entry, own_leave, work) >= 0:
                 chosen = which
@@ -204,7 +207,10 @@ def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
         interval = enter_box(bounds, tree.low, tree.high)
         if not interval[0] <= interval[1]:
             return False
-        cell = Cell(tree.root, interval[0], interval[1])
+        cell = Cell()
+        cell.node = tree.root
+        cell.entry = interval[0]
+        cell.leave = interval[1]
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
         stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
         stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)

@@ -75,7 +75,9 @@ def make_search(handle: type, snippet: str) -> wp.Function:
 
     @wp.func
     def search(scene: handle, ray: Ray, origin: wp.vec3d, after: int):
-        previous = PreviousCrossing(ray.t_min, after)
+        previous = PreviousCrossing()
+        previous.t = ray.t_min
+        previous.primitive = after
         best = start(ray.t_max)
         walk(scene, ray, previous, origin, best)
         return best

@@ -163,7 +163,11 @@ def follow_path(
         if not step.is_last:
             boundary = boundary_of(scene, material, ray.media, point.is_front)
             material.ratio = boundary.ratio
-            hit = ShadedHit(ray, point, material, boundary)
+            hit = ShadedHit()
+            hit.ray = ray
+            hit.point = point
+            hit.material = material
+            hit.boundary = boundary
             if not boundary.is_real:
                 alive = pass_through(hit, to, following)
             else:

@@ -54,7 +54,14 @@ class StepArrays:
 @wp.func(inline=True)
 def step_arrays(begin: int, source: PixelSamples, wave: Wave, queue: RayQueue, hits: HitBatch, rays: Gathered):
     """The arrays of a step, from the arguments of a kernel."""
-    return StepArrays(begin, source, wave, queue, hits, rays)
+    arrays = StepArrays()
+    arrays.begin = begin
+    arrays.source = source
+    arrays.wave = wave
+    arrays.queue = queue
+    arrays.hits = hits
+    arrays.rays = rays
+    return arrays
 
 
 @wp.func(inline=True)
@@ -99,4 +106,7 @@ class SampleKey:
 @wp.func(inline=True)
 def sample_key(source: PixelSamples, wave: Wave, slot: int):
     """The key of a sample of a wave."""
-    return SampleKey(pixel_hash(source, pixel_of(wave, slot)), wave.first_sample + slot % wave.samples)
+    key = SampleKey()
+    key.pixel = pixel_hash(source, pixel_of(wave, slot))
+    key.sample = wave.first_sample + slot % wave.samples
+    return key

@@ -107,7 +107,10 @@ class SentRays:
 @wp.func(inline=True)
 def sent_rays(queue: RayQueue, is_alive: wp.array(dtype=int)):
     """The rays that follow, from the arguments of a kernel."""
-    return SentRays(queue, is_alive)
+    sent = SentRays()
+    sent.queue = queue
+    sent.is_alive = is_alive
+    return sent
 
 
 @wp.func
@@ -237,7 +240,10 @@ def send_children(
     if step.distributed and material.alpha > 0.0:
         place = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation + 1)
     if not hit.boundary.is_real:
-        passing = Child(hit.ray.direction, wp.vec3(1.0, 1.0, 1.0), True)
+        passing = Child()
+        passing.direction = hit.ray.direction
+        passing.weight = wp.vec3(1.0, 1.0, 1.0)
+        passing.is_transmitted = True
         sent.is_alive[2 * i + 1] = send(step, key, passing, hit, 2 * i + 1, sent.queue)
     else:
         if material.kind == MIRROR or material.kind == GLOSSY or material.kind == DIELECTRIC:
@@ -303,7 +309,11 @@ def shade_ray(
         if not is_single(material) and material.kind != DIELECTRIC:
             emitted += wp.cw_mul(wp.cw_mul(ray.weight, (1.0 - material.metallic) * material.color), step.ambient)
         if not step.is_last:
-            hit = ShadedHit(ray, point, material, boundary)
+            hit = ShadedHit()
+            hit.ray = ray
+            hit.point = point
+            hit.material = material
+            hit.boundary = boundary
             key = branch_key(arrays, i)
             if boundary.is_real and not is_single(material):
                 for light in range(step.first_light, step.light_end):

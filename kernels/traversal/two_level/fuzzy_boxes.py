@@ -134,7 +134,10 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
             best = walk_below(search.tree.parts, cluster.root, slabs, t_min, search.leaf, hits, i, best, work)
         else:
             interval = enter(slabs, cluster.low, cluster.high, search.ray.t_min, best.t)
-            first = Cell(cluster.root, interval[0], interval[1])
+            first = Cell()
+            first.node = cluster.root
+            first.entry = interval[0]
+            first.leave = interval[1]
             best = walk_below(search.tree.parts, first, slabs, search.leaf, hits, i, best, work)
         return best
 

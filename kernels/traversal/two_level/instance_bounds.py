@@ -62,10 +62,16 @@ def norm(m: wp.mat33d):
 @wp.func
 def linear_part(transform: wp.mat44d):
     """The map without its translation."""
-    return wp.matrix_from_rows(
-        wp.vec3d(transform[0, 0], transform[0, 1], transform[0, 2]),
-        wp.vec3d(transform[1, 0], transform[1, 1], transform[1, 2]),
-        wp.vec3d(transform[2, 0], transform[2, 1], transform[2, 2]),
+    return wp.mat33d(
+        transform[0, 0],
+        transform[0, 1],
+        transform[0, 2],
+        transform[1, 0],
+        transform[1, 1],
+        transform[1, 2],
+        transform[2, 0],
+        transform[2, 1],
+        transform[2, 2],
     )
 
 

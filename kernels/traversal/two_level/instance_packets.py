@@ -206,7 +206,11 @@ def make_instance_packet_kernel(config: TraversalConfig, levels: int) -> wp.Kern
         rays: RayBatch,
         hits: HitBatch,
     ):
-        batch = InstanceBatch(top, parts, rays, hits)
+        batch = InstanceBatch()
+        batch.top = top
+        batch.parts = parts
+        batch.rays = rays
+        batch.hits = hits
         number = wp.zeros(shape=(packet_rays,), dtype=int)
         bound = wp.zeros(shape=(packet_rays,), dtype=float)
         waiting = wp.zeros(shape=(packet_rays,), dtype=float)

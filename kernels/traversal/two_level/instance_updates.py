@@ -127,11 +127,23 @@ def as_map(given: wp.transformd):  # noqa: F811
     one = wp.float64(1.0)
     two = wp.float64(2.0)
     none = wp.float64(0.0)
-    return wp.matrix_from_rows(
-        wp.vec4d(one - two * (y * y + z * z), two * (x * y - z * w), two * (x * z + y * w), given[0]),
-        wp.vec4d(two * (x * y + z * w), one - two * (x * x + z * z), two * (y * z - x * w), given[1]),
-        wp.vec4d(two * (x * z - y * w), two * (y * z + x * w), one - two * (x * x + y * y), given[2]),
-        wp.vec4d(none, none, none, one),
+    return wp.mat44d(
+        one - two * (y * y + z * z),
+        two * (x * y - z * w),
+        two * (x * z + y * w),
+        given[0],
+        two * (x * y + z * w),
+        one - two * (x * x + z * z),
+        two * (y * z - x * w),
+        given[1],
+        two * (x * z - y * w),
+        two * (y * z + x * w),
+        one - two * (x * x + y * y),
+        given[2],
+        none,
+        none,
+        none,
+        one,
     )
 
 

@@ -20,7 +20,10 @@ class PlainRay:
 @wp.func
 def prepare(origin: wp.vec3, direction: wp.vec3):
     """Stores origin and direction; computes nothing."""
-    return PlainRay(origin, direction)
+    ray = PlainRay()
+    ray.origin = origin
+    ray.direction = direction
+    return ray
 
 
 @wp.func

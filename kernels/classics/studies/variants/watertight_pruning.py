@@ -97,7 +97,12 @@ def prepare(origin: wp.vec3, direction: wp.vec3):
     size = wp.abs(direction)
     axis = wp.where(size[0] >= size[1], wp.where(size[0] >= size[2], 0, 2), wp.where(size[1] >= size[2], 1, 2))
     major = wp.where(axis == 0, direction[0], wp.where(axis == 1, direction[1], direction[2]))
-    return LevelRay(origin, wp.vec3(direction[0] / major, direction[1] / major, direction[2] / major), float(axis), 1.0 / major)
+    ray = LevelRay()
+    ray.origin = origin
+    ray.direction = wp.vec3(direction[0] / major, direction[1] / major, direction[2] / major)
+    ray.axis = float(axis)
+    ray.inverse = 1.0 / major
+    return ray
 
 
 RAY = (
