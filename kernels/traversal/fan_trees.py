@@ -70,17 +70,6 @@ class FanSearch:
     slabs: RaySlabs
 
 
-@wp.func
-def fan_search(order: wp.array(dtype=int), fans: FanSet, ray: Ray):
-    """The search of a ray."""
-    search = FanSearch()
-    search.order = order
-    search.fans = fans
-    search.ray = ray
-    search.slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, fans.low, fans.high))
-    return search
-
-
 @cache
 def make_fan_loop(config: TraversalConfig, form: str) -> wp.Function:
     """`wp.func(search, slot, count, best, work) -> best`: tests the fans of a leaf; slot: place of the first in the order."""
@@ -121,7 +110,11 @@ def make_fan_bvh_walk(config: TraversalConfig, form: str) -> wp.Function:
 
     @wp.func
     def walk_fan_bvh(tree: FanBvh, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
-        search = fan_search(tree.order, tree.fans, ray)
+        search = FanSearch()
+        search.order = tree.order
+        search.fans = tree.fans
+        search.ray = ray
+        search.slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.fans.low, tree.fans.high))
         return walk_keys(tree.tree, 0, search.slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
 
     return walk_fan_bvh
@@ -151,7 +144,11 @@ def make_fan_kdtree_walk(config: TraversalConfig, form: str) -> wp.Function:
     def walk_fan_kdtree(
         tree: FanKdTree, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]
     ):
-        search = fan_search(tree.order, tree.fans, ray)
+        search = FanSearch()
+        search.order = tree.order
+        search.fans = tree.fans
+        search.ray = ray
+        search.slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.fans.low, tree.fans.high))
         interval = enter(search.slabs, tree.tree.low, tree.tree.high, ray.t_min, ray.t_max)
         first = Cell()
         first.entry = interval[0]
