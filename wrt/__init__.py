@@ -10,7 +10,7 @@
     seen = scene.visible(points[:, None], points)   # bool for every pair; hits.spawn(directions) for secondary rays
     print(scene.verify())                           # compares answers with brute force in float64
     found = wrt.device.differentiable_hits(scene, hits, origins, directions, vertices)  # for wp.Tape
-    wrt.device.launch(kernel, n, [scene.handle(), ...])  # your own kernels trace rays with wrt.device.closest_hit ...
+    wrt.device.launch(kernel, n, [scene.handle(), out])  # your own kernels trace rays, with wrt.device.closest_hit
     scan = wrt.sensors.Lidar.preset("ouster_os1_64").scan(scene, pose)  # lidars and cameras with time, lenses and noise
     image = wrt.render(scene, wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0)))
     viewer = wrt.view(scene, block=False)           # the same in a web browser, with the mouse as camera

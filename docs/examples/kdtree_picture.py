@@ -14,7 +14,7 @@ import numpy as np
 import wrt
 
 size = float(sys.argv[1]) if len(sys.argv) > 1 else 1.0
-pot = wrt.scenes.build("teapot", level=max(3, round(16 * size)), ground=False)
+pot = wrt.scenes.build("teapot", level=max(3, round(16 * size)), ground=False, closed=True)
 camera = wrt.PinholeCamera.framing(pot, max(16, round(320 * size)), max(12, round(240 * size)), up=(0, 0, 1))
 
 trees, rays, answers = {}, camera.rays(), {}

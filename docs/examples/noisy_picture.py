@@ -13,7 +13,7 @@ import numpy as np
 import wrt
 
 size = float(sys.argv[1]) if len(sys.argv) > 1 else 1.0
-pot = wrt.scenes.build("teapot", level=max(3, round(12 * size)), ground=False)
+pot = wrt.scenes.build("teapot", level=max(3, round(12 * size)), ground=False, closed=True)
 low, high = pot.bounds
 glass = wrt.Material("dielectric", index=1.5, color=1.0, absorption=(0.25, 0.05, 0.05))
 ground = wrt.scenes.shapes.plane(low[:2] - 6 * pot.extent, high[:2] + 6 * pot.extent, z=low[2])

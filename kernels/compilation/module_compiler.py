@@ -167,7 +167,7 @@ def _serve(queue: SimpleQueue[tuple[Key, Future[None]] | None]) -> None:
         with suppress(BaseException):
             if job.set_running_or_notify_cancel():
                 leave_full_disk()
-                with shared_header(module):
+                with shared_header(module, block_dim):
                     module.load(wp.get_device(alias), block_dim=block_dim)
         _end(work[0], job)
         del work, module, job  # a module lives no longer for having been compiled

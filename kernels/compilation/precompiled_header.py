@@ -6,6 +6,10 @@ left in the kernel cache, or of what a thread of this process is just making, an
 
     KERNEL CACHE/precompiled_headers/KEY/builtin_bd1_tis_o2_f....pch
 
+**What it leaves out.** Warp defines `WP_NO_BFLOAT16` before its header in modules without this type, but not when it
+precompiles the header. Here it is made without the type, in two thirds of the time. Clang refuses such a header for a module
+that has the type, and Warp then compiles that module without one; no kernel of wrt has it.
+
 **When one fits.** The key is a hash of all that Clang compares: Warp's version, its compiler, the system, the CPU where code is
 for this CPU, the flags, and the place, size and time of change of each header. The name, which Warp gives, has the level of
 optimisation and other options. What changes leads to another key; of keys that are no longer used, few stay (`KEYS`).
@@ -24,6 +28,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import warp as wp
 
@@ -35,6 +40,9 @@ KEYS = 8
 TURN_SECONDS = 0.02
 """Time between two looks at whether another thread has made a header."""
 
+LEFT_OUT = "-DWP_NO_BFLOAT16"
+"""Warp's name for a header without this type."""
+
 _lock = threading.Lock()
 _makers: dict[str, tuple[Path, threading.Event]] = {}
 """By key, the folder of the thread that is making a header, and what is set when it has compiled its module."""
@@ -44,8 +52,13 @@ _without: set[str] = set()
 
 
 @contextmanager
-def shared_header(module: wp.Module) -> Iterator[None]:
-    """Has this thread compile a module, inside the `with` block, with a header that others made, and keeps its own for them."""
+def shared_header(module: wp.Module, block_dim: int) -> Iterator[None]:
+    """Has this thread compile a module, inside the `with` block, with a header that others made, and keeps its own for them.
+
+    Args:
+        module: what is compiled, of which Warp has a hash.
+        block_dim: number of threads of a block.
+    """
     key, own = _key_for(module), _folder_of_thread()
     if key is None or own is None:
         yield
@@ -55,6 +68,8 @@ def shared_header(module: wp.Module) -> Iterator[None]:
     is_maker = not _names_in(own) and _wait_for_maker(key, own)
     before = _names_in(own)
     try:
+        if is_maker:
+            _make(module, block_dim, own)
         yield
         _keep(place, own, before)
         for name in taken - _names_in(own):  # Warp removes one that Clang refused
@@ -146,6 +161,39 @@ def _wait_for_maker(key: str, own: Path) -> bool:
         with suppress(OSError):
             shutil.copyfile(folder / name, own / name)
     return False
+
+
+def _make(module: wp.Module, block_dim: int, own: Path) -> None:
+    """Makes the header of a module, less what `LEFT_OUT` leaves out, under the name by which Warp looks for it in the thread's
+    folder. If that fails, Warp makes its own later."""
+    with suppress(Exception), TemporaryDirectory(dir=own) as folder:
+        options = module.resolved_options[block_dim]
+        flags, level = options["cpu_compiler_flags"], options["optimization_level"]
+        empty = Path(folder, "empty.cpp")
+        empty.touch()
+        wp._src.build.build_cpu(
+            f"{folder}/empty.o",
+            str(empty),
+            mode=options["mode"],
+            verify_fp=options["verify_fp"],
+            extra_flags=f"{flags} {LEFT_OUT}",
+            optimization_level=2 if level is None else level,
+            use_precompiled_headers=True,
+            pch_dir=folder,
+            block_dim=options["block_dim"],
+            enable_tiles_in_stack_memory=options["enable_tiles_in_stack_memory"],
+            extra_include_dirs=options["extra_cpu_include_dirs"],
+        )
+        (name,) = _names_in(Path(folder))
+        os.replace(f"{folder}/{name}", own / name.replace(_hash_of(f"{flags} {LEFT_OUT}"), _hash_of(flags)))
+
+
+def _hash_of(flags: str) -> str:
+    """The part of a header's name that Warp's compiler derives from its flags: FNV-1a of 64 bits."""
+    value = 14695981039346656037
+    for byte in b"".join(flag.encode() + b"\0" for flag in flags.split()):
+        value = (value ^ byte) * 1099511628211 % 2**64
+    return f"{value:016x}"
 
 
 def _keep(place: Path, own: Path, before: set[str]) -> None:

@@ -117,7 +117,8 @@ inline CUDA_CALLABLE void try_area(int number, const Region& region, const View&
     }
 }
 
-/// t at which a ray has left a box: in a plane of the box, 0 * inf is NaN: such a ray has no hits, as the corners are beyond them.
+/// t at which a ray has left a box: in a plane of the box, 0 * inf is NaN: such a ray has no hits, as the corners are beyond
+/// them.
 template <class Vec>
 inline CUDA_CALLABLE float end_of_box(const Vec& low, const Vec& high, float px, float py, float pz, float x, float y, float z)
 {

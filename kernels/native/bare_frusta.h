@@ -1,4 +1,5 @@
-// Frusta of rays against all triangles, without a tree, boxes or a rule for ties (wrt.kernels.classics.studies.bare_triangle_tests).
+// Frusta of rays against all triangles, without a tree, boxes or a rule for ties
+// (wrt.kernels.classics.studies.bare_triangle_tests).
 #pragma once
 #include "packet_load.h"
 #include "triangle.h"

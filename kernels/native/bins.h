@@ -107,8 +107,8 @@ template <int AXES, int SLOT_BINS> struct Binner {
         for (int i = 0; i < AXES * bins; ++i) counts[i] -= (int)grid[i * 8 + 7];
     }
 
-    /// Every other triangle goes to a second grid, which is merged with the first: neighbours in a mesh often fall into the same
-    /// bins, and each would wait for the last one's store.
+    /// Every other triangle goes to a second grid, which is merged with the first: neighbours in a mesh often fall into the
+    /// same bins, and each would wait for the last one's store.
     CUDA_CALLABLE void add_many(const float* __restrict__ from, int count, float* __restrict__ grid, int* counts) const
     {
         const int all = AXES * bins;

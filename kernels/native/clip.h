@@ -76,8 +76,8 @@ template <class Mesh> inline CUDA_CALLABLE bool clip(const Mesh& mesh, const Cli
     return polygons[0].corners > 0;
 }
 
-/// Clips the references of a range that extend beyond one end of a cell along an axis, drops those without a remaining part, and
-/// moves the others together; returns their number, and their box.
+/// Clips the references of a range that extend beyond one end of a cell along an axis, drops those without a remaining part,
+/// and moves the others together; returns their number, and their box.
 template <class Mesh, class Vec3>
 inline CUDA_CALLABLE int clip_range(const Mesh& mesh, const ClipCell& cell, float* const range, int count, int axis,
     bool beyond_high, Vec3& inner_low, Vec3& inner_high)
@@ -174,8 +174,8 @@ inline CUDA_CALLABLE bool clip_part(
     return true;
 }
 
-/// Marks the triangles that meet a cell, all of them if they are not `tested`; returns their number, and the box within the cell
-/// of these triangles, or of their parts.
+/// Marks the triangles that meet a cell, all of them if they are not `tested`; returns their number, and the box within the
+/// cell of these triangles, or of their parts.
 template <class Mesh, class Boxes, class Vec3>
 inline CUDA_CALLABLE int measure_leaf(const Mesh& mesh, const ClipCell& cell, const Boxes& boxes, const int* triangles,
     int count, bool tested, unsigned char* keeps, Vec3& inner_low, Vec3& inner_high)
@@ -198,7 +198,7 @@ inline CUDA_CALLABLE int measure_leaf(const Mesh& mesh, const ClipCell& cell, co
     return kept;
 }
 
-// -- spatial splits: `wrt.builders.bvh.spatial.part_splits`, of which `Slabs` is ------------------------------------------------
+// -- spatial splits: `wrt.builders.bvh.spatial.part_splits`, of which `Slabs` is ----------------------------------------------
 
 template <class Slabs> inline CUDA_CALLABLE int slab_of(const Slabs& slabs, float x)
 {
@@ -246,8 +246,8 @@ inline CUDA_CALLABLE void bin_parts(
     }
 }
 
-/// Moves a range to the sides of the plane before slab `plane`, in order, and straddlers to both, with the boxes of their parts.
-/// Returns the numbers of both sides.
+/// Moves a range to the sides of the plane before slab `plane`, in order, and straddlers to both, with the boxes of their
+/// parts. Returns the numbers of both sides.
 template <class Vec2i, class Mesh, class Slabs>
 inline CUDA_CALLABLE Vec2i divide_parts(
     const Mesh& mesh, const float* from, int count, const Slabs& slabs, int plane, float* left, float* right)

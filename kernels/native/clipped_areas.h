@@ -1,7 +1,8 @@
-// Areas of the projections of boxes that the window or the near plane of an influence area cuts: wrt.kernels.influence.box_clipping.
+// Areas of the projections of boxes that the window or the near plane of an influence area cuts:
+// wrt.kernels.influence.box_clipping.
 //
-// The outer loops go over corners, edges and faces, and each inner loop over W boxes: as fast as one loop over the boxes, and half
-// the compile time.
+// The outer loops go over corners, edges and faces, and each inner loop over W boxes: as fast as one loop over the boxes, and
+// half the compile time.
 #pragma once
 #include "projected_areas.h"
 

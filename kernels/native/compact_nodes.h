@@ -5,8 +5,8 @@
 namespace wrt {
 namespace {
 
-/// A node as in `wrt.kernels.layout.kdtree_nodes`, without the index of its children. `index` is moved from an exit to the subtree
-/// that begins there. HEIGHT: levels of planes; LONG: number of triangles that stands for this many or more.
+/// A node as in `wrt.kernels.layout.kdtree_nodes`, without the index of its children. `index` is moved from an exit to the
+/// subtree that begins there. HEIGHT: levels of planes; LONG: number of triangles that stands for this many or more.
 template <int HEIGHT, int LONG, class Node> inline CUDA_CALLABLE Node load_compact(const Node* nodes, int& index)
 {
     constexpr int HALF = 1 << HEIGHT, SIZE = 2 * HALF;

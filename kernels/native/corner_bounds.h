@@ -1,4 +1,5 @@
-// The box around the corners of triangles, as the least of their coordinates and of the negated ones (wrt.builders.triangle_boxes).
+// The box around the corners of triangles, as the least of their coordinates and of the negated ones
+// (wrt.builders.triangle_boxes).
 #pragma once
 #include "loops.h"
 
@@ -12,8 +13,8 @@ inline CUDA_CALLABLE int ordered(float value)
     return bits ^ ((bits >> 31) & 0x7fffffff);
 }
 
-/// Folds share i of `items` into `found`: the six minima as `ordered` integers, and the bits of the largest absolute coordinate,
-/// which are the greatest if it is NaN. All threads of a warp come here on CUDA.
+/// Folds share i of `items` into `found`: the six minima as `ordered` integers, and the bits of the largest absolute
+/// coordinate, which are the greatest if it is NaN. All threads of a warp come here on CUDA.
 template <class Vertex, class Face>
 inline CUDA_CALLABLE void reduce_corners(const Vertex* vertices, const Face* faces, int count, int items, int i, int* found)
 {

@@ -56,7 +56,8 @@ template <class Event> inline CUDA_CALLABLE void note_event(const Event& event, 
 }
 
 /// The least cost at the events of a range, none of which is of a planar triangle; see
-/// `wrt.builders.kdtree.events.sweep_planes`. left, right: triangles that have begun before them, that have not ended before them.
+/// `wrt.builders.kdtree.events.sweep_planes`. left, right: triangles that have begun before them, that have not ended before
+/// them.
 template <class Cost, class Frame, class Event, class LeastPlane>
 inline CUDA_CALLABLE void find_least_plane(
     const Cost& cost, const Frame& frame, const Event* events, int count, int left, int right, LeastPlane& found)

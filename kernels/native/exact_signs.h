@@ -1,7 +1,8 @@
 // Signs of determinants of points in float64, without an error.
 //
-// A determinant is computed in float64 first. If it is smaller than a bound of its error, it is computed again as a sum of numbers
-// that do not overlap (Shewchuk 1997). Coordinates between 1e-75 and 1e75, and 0, keep products in the range of float64.
+// A determinant is computed in float64 first. If it is smaller than a bound of its error, it is computed again as a sum of
+// numbers that do not overlap (Shewchuk 1997). Coordinates between 1e-75 and 1e75, and 0, keep products in the range of
+// float64.
 #pragma once
 #include "loops.h"
 

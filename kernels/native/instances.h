@@ -163,8 +163,9 @@ inline CUDA_CALLABLE void store_rays(const SceneRays<P, W, SHARED>& scene, const
     rays.each([&](int k, int n) { uv[2 * (size_t)n] = scene.u[k], uv[2 * (size_t)n + 1] = scene.v[k]; });
 }
 
-/// Writes the box of the points begin .. end - 1, mapped, as that of instance i: lowest x of all `count` instances, then lowest y
-/// and z, then highest ones. points: all x of `row` points, then all y, then all z; begin is a multiple of W, and so is the end.
+/// Writes the box of the points begin .. end - 1, mapped, as that of instance i: lowest x of all `count` instances, then lowest
+/// y and z, then highest ones. points: all x of `row` points, then all y, then all z; begin is a multiple of W, and so is the
+/// end.
 template <int W, class Matrix, class Vec3>
 inline CUDA_CALLABLE void bound_points(
     const double* points, int row, int begin, int end, const Matrix& map, const Vec3& origin, double* corners, int count, int i)

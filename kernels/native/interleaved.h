@@ -22,8 +22,8 @@ struct Slot {
 // **Problem.** The box test of `wrt.kernels.simd.boxes` subtracts and multiplies for each of six planes.
 //
 // **Idea.** t = plane * inverse + c, where c = -origin * inverse is computed once a ray. Its rounding is relative to origin *
-// inverse, not to t. So c is moved outwards by more than all roundings, those of the test that it stands for included: a ray that
-// meets a widened box by `slab_interval` meets it here, and enters it no later. Nothing else is asked of a box test
+// inverse, not to t. So c is moved outwards by more than all roundings, those of the test that it stands for included: a ray
+// that meets a widened box by `slab_interval` meets it here, and enters it no later. Nothing else is asked of a box test
 // (`wrt.kernels.simd.boxes`, the consistency rule): hits are found by the triangles' own boxes.
 //
 // **Margins.** All errors in units of 1 / direction, along one axis.
@@ -46,11 +46,12 @@ struct Slot {
 // So the margin is 1.5 times what roundings need, and the entry is earlier than that of `slab_interval` by 2^-23 r at least.
 // 2^-126 is added to distances and to t, for numbers that are not normal. Searched by `fused` of tests/bounds.
 //
-// **Axes along which a ray hardly moves.** 1 / direction may be infinite, and c would be a NaN. |1 / direction| is limited to 2^30
-// times that of the largest component. If the origin is between the widened planes, the ray then leaves them at 2^30 2^-23 r /
-// |largest component| or later, after it has left the scene along the largest. If a plane is in front of it, the sign of t is
-// right, and t is no later than it was; the far plane is apart farther and is left at 2^30 2^-20 r / |largest component| or later. Where products would overflow, both planes of an axis are at infinity: such rays (directions shorter than 2^-90 of
-// the origin's distance) visit boxes that they miss.
+// **Axes along which a ray hardly moves.** 1 / direction may be infinite, and c would be a NaN. |1 / direction| is limited to
+// 2^30 times that of the largest component. If the origin is between the widened planes, the ray then leaves them at
+// 2^30 2^-23 r / |largest component| or later, after it has left the scene along the largest. If a plane is in front of it, the
+// sign of t is right, and t is no later than it was; the far plane is apart farther and is left at
+// 2^30 2^-20 r / |largest component| or later. Where products would overflow, both planes of an axis are at infinity: such rays
+// (directions shorter than 2^-90 of the origin's distance) visit boxes that they miss.
 //
 // Empty children have planes at infinity and are never met, because 1 / direction is neither 0 nor infinite here.
 
@@ -117,11 +118,11 @@ template <int W> inline CUDA_CALLABLE void meet(const Slot& slot, const char* bo
 //
 // **Idea.** Keys and children are sorted in registers by Batcher's bitonic sorter, whose comparisons do not depend on the data.
 // A key is the bit pattern of the t at which the ray enters a child's box, with the child's lane in the lowest bits
-// (`wrt.kernels.simd.box_lanes`). It is -1 for a child that the ray misses. Keys are sorted in descending order, so the children
-// that the ray meets come first, the nearest last; all W are written, and the stack grows by the number of those met. With
-// AVX-512 the keys of the children met are first moved together (as in Fuetterling et al. 2017); if there are at most `FEW`,
-// which is nearly always the case, sorting that many lanes is enough. With AVX2, sorting all 8 lanes takes as long as moving them
-// (notebooks/records/2026-11-22-interleaved-rays.md).
+// (`wrt.kernels.simd.box_lanes`). It is -1 for a child that the ray misses. Keys are sorted in descending order, so the
+// children that the ray meets come first, the nearest last; all W are written, and the stack grows by the number of those met.
+// With AVX-512 the keys of the children met are first moved together (as in Fuetterling et al. 2017); if there are at most
+// `FEW`, which is nearly always the case, sorting that many lanes is enough. With AVX2, sorting all 8 lanes takes as long as
+// moving them (notebooks/records/2026-11-22-interleaved-rays.md).
 //
 // References:
 //     K. E. Batcher: Sorting networks and their applications. AFIPS Spring Joint Computer Conference 1968.

@@ -254,8 +254,8 @@ template <int N, int W> inline CUDA_CALLABLE void row_maxima(const float (*rows)
 // Transposes 16 records of floats to lanes and back.
 //
 // A record that is read as a whole has its words in sequence; numbers that are computed 16 at a time have their lanes in
-// sequence. Converting between the two needs one gather or scatter per word, which is slow. 16 records of 16 words are a matrix:
-// 16 vector loads, 64 shuffles (four rounds of exchanges between rows 1, 2, 4 and 8 apart) and 16 stores transpose it.
+// sequence. Converting between the two needs one gather or scatter per word, which is slow. 16 records of 16 words are a
+// matrix: 16 vector loads, 64 shuffles (four rounds of exchanges between rows 1, 2, 4 and 8 apart) and 16 stores transpose it.
 //
 // References:
 //     J. O. Eklundh: A fast computer method for matrix transposing. IEEE Transactions on Computers C-21(7), 1972.

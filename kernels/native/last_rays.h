@@ -18,8 +18,8 @@ template <int W, class Lights> inline Ints<W> meets_triangles(const Lights& ligh
     return (near <= far) & (far >= 0.0f);
 }
 
-/// Moves those of the rays begin .. stop - 1 that may meet a light before the sky to the front of their places, and returns their
-/// number. Copies the others to another queue if there is a sky. Writes is_met, and up to W - 1 places beyond.
+/// Moves those of the rays begin .. stop - 1 that may meet a light before the sky to the front of their places, and returns
+/// their number. Copies the others to another queue if there is a sky. Writes is_met, and up to W - 1 places beyond.
 template <int W, class Lights, class Queue>
 inline int part_last_rays(
     int begin, int stop, bool has_sky, const Lights& lights, const Queue& source, int* is_met, const Queue& target)

@@ -30,8 +30,8 @@ template <int W> inline CUDA_CALLABLE bool comes_from_front(const float* corner,
     return is_front(normal, ray.inverse[0], ray.inverse[1], ray.inverse[2]);
 }
 
-/// Clamps t to the triangles' own boxes; returns the lanes of `mask` that are hits, with t_min <= t <= t_max. CULLING: only those
-/// from the front.
+/// Clamps t to the triangles' own boxes; returns the lanes of `mask` that are hits, with t_min <= t <= t_max. CULLING: only
+/// those from the front.
 template <int W, int COMPONENTS, bool CULLING, class Slabs>
 inline CUDA_CALLABLE unsigned clamp_block(
     const float* records, int block, const Slabs& slabs, unsigned mask, float* t, float t_min, float t_max)
@@ -56,8 +56,8 @@ inline CUDA_CALLABLE unsigned clamp_block(
     return kept;
 }
 
-// Mailboxes (wrt.kernels.traversal.mailbox) remove the triangles that they know from a mask, and remember the others. id: those of
-// a block. Entries are id + 1; 0 is an empty entry.
+// Mailboxes (wrt.kernels.traversal.mailbox) remove the triangles that they know from a mask, and remember the others. id: those
+// of a block. Entries are id + 1; 0 is an empty entry.
 
 /// An array of PLACES entries, followed by their number.
 template <int W, int PLACES> inline CUDA_CALLABLE unsigned plain_mailbox(const int* id, unsigned mask, int* mailbox)

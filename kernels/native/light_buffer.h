@@ -13,9 +13,9 @@ enum LightAnswer { LIT, OCCLUDED, UNDECIDED, WAITING };
 constexpr int CELL_WORDS = 4;
 constexpr float DEPTH_SLACK = 0x1p-20f;
 
-/// At most RUN rays that are answered together, L at a time. most, sure, least: depths of their hits; place, last: of the entries
-/// of their cells that are still to be tested; ignored: a triangle of each, or -1; rest: the rays that wait, `waiting` of them;
-/// slot: where `words` has what tests read of a ray. RECORD: floats of a triangle.
+/// At most RUN rays that are answered together, L at a time. most, sure, least: depths of their hits; place, last: of the
+/// entries of their cells that are still to be tested; ignored: a triangle of each, or -1; rest: the rays that wait, `waiting`
+/// of them; slot: where `words` has what tests read of a ray. RECORD: floats of a triangle.
 template <class Test, int RUN, int RECORD> struct LightRays {
     static constexpr int L = 16, WORDS = 23, STRIDE = WORDS + 1;
     alignas(64) float most[RUN];
@@ -154,7 +154,8 @@ template <class Test, int RUN, int RECORD> struct LightRays {
         for (unsigned hit = bits<L>(near); hit; hit &= hit - 1u) state[pair_ray[lowest_bit(hit)]] = OCCLUDED;
     }
 
-    /// One round: the next triangles of all rays that wait. Rays that are left with long lists fill the vectors with several each.
+    /// One round: the next triangles of all rays that wait. Rays that are left with long lists fill the vectors with several
+    /// each.
     template <class Cells> inline CUDA_CALLABLE void test_round(const Cells& cells, const float* records)
     {
         int pair_ray[RUN + 2 * L], pair_triangle[RUN + 2 * L], pairs = 0, left = 0;
@@ -182,8 +183,8 @@ template <class Test, int RUN, int RECORD> struct LightRays {
         waiting = left;
     }
 
-    /// Writes the answers of rays begin .. begin + count - 1 of a batch; returns whether some are UNDECIDED. Rays beyond the last
-    /// of L are the first again, and their results are dropped.
+    /// Writes the answers of rays begin .. begin + count - 1 of a batch; returns whether some are UNDECIDED. Rays beyond the
+    /// last of L are the first again, and their results are dropped.
     template <class Cells, class Batch, class Vec3d>
     inline CUDA_CALLABLE bool answer(const Cells& cells, const float* records, const Batch& batch, const Vec3d& target,
         const int* skipped, int skip_stride, int begin, int count, unsigned char* answers)

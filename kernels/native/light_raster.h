@@ -201,8 +201,8 @@ struct FacePlanes {
         steepest = rho > 0.0 ? seen.volume_high / rho : 1e300;
     }
 
-    /// Whether a shadow ray of the cell around (u, v) can hit; raises the least depth of such hits, and says whether all do, and
-    /// the depth by which they have.
+    /// Whether a shadow ray of the cell around (u, v) can hit; raises the least depth of such hits, and says whether all do,
+    /// and the depth by which they have.
     CUDA_CALLABLE bool sees(const SeenTriangle& seen, double u, double v, double& depth, bool& covers, double& end) const
     {
         double value[4];

@@ -126,8 +126,8 @@ template <int W, class Lights> inline void sample_sky(const Lights& lights, Floa
 /// How light is found.
 enum class Sampling { SAMPLED, BOTH, SCALAR };
 
-/// `sample_light` from `lit_from`, for W places on one light. Whether light is found by sampling alone, by scattering too, or not
-/// in lanes.
+/// `sample_light` from `lit_from`, for W places on one light. Whether light is found by sampling alone, by scattering too, or
+/// not in lanes.
 template <int W, class Scene>
 inline Sampling sample_light(const Scene& scene, int entry, const V3<W>& lit_from, Floats<W> x, Floats<W> y, Found<W>& found)
 {

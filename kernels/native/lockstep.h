@@ -1,5 +1,5 @@
-// Simultaneous walks through a kd-tree, one in each of W lanes (wrt.kernels.traversal.lockstep.lockstep_kernel, which describes the
-// struct of the walks and the log).
+// Simultaneous walks through a kd-tree, one in each of W lanes (wrt.kernels.traversal.lockstep.lockstep_kernel, which describes
+// the struct of the walks and the log).
 #pragma once
 #include "lanes.h"
 
@@ -176,8 +176,8 @@ template <int W, class Walks> inline CUDA_CALLABLE unsigned pop_walks(Walks& wal
     return done;
 }
 
-/// Moves the linked rows to the start of the log; returns the first free row. Rows are moved oldest first: the k-th oldest is in
-/// row k or later, so no row is overwritten before it is moved.
+/// Moves the linked rows to the start of the log; returns the first free row. Rows are moved oldest first: the k-th oldest is
+/// in row k or later, so no row is overwritten before it is moved.
 template <int W, int DEPTH, class Walks> inline CUDA_CALLABLE int compact_log(Walks& walks, int* log)
 {
     int used = 0;

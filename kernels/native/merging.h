@@ -1,7 +1,7 @@
 // Merging of neighbouring clusters of triangles into a binary tree (wrt.builders.bvh.phases.cluster_merging).
 //
-// On CUDA a warp merges a list of clusters, one in each of its threads; on the CPU a thread does, in loops over lanes. Both do the
-// same operations on the same numbers, so they make the same tree.
+// On CUDA a warp merges a list of clusters, one in each of its threads; on the CPU a thread does, in loops over lanes. Both do
+// the same operations on the same numbers, so they make the same tree.
 #pragma once
 #include "lanes.h"
 

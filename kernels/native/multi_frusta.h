@@ -1,4 +1,5 @@
-// Shadow rays from points to groups of samples of an area light, a frustum for each (wrt.kernels.traversal.shadows.multi_frusta).
+// Shadow rays from points to groups of samples of an area light, a frustum for each
+// (wrt.kernels.traversal.shadows.multi_frusta).
 #pragma once
 #include "packet_leaves.h"
 #include "packet_load.h"
@@ -17,8 +18,8 @@ inline CUDA_CALLABLE int pattern_of(unsigned point, unsigned patterns)
     return (int)((h ^ (h >> 13)) % patterns);
 }
 
-/// The rays from a point to a group of samples: bounds as in a packet, the box around them where directions have both signs, and
-/// the intervals of the directions.
+/// The rays from a point to a group of samples: bounds as in a packet, the box around them where directions have both signs,
+/// and the intervals of the directions.
 struct LightFrustum {
     struct Vec3 {
         float c[3];
@@ -116,8 +117,8 @@ struct CornerPlanes {
 };
 
 /// Triangles of a block of which no plane has all vertices outside. The watertight test is exact for vertices moved by 5.5 u R
-/// at most (wrt.kernels.triangle.watertight.woop_areas), a third of a slack along each axis. So the lines of no ray meet a triangle
-/// whose vertices are beyond a plane by more than 4 slacks, rounding of slopes and products included.
+/// at most (wrt.kernels.triangle.watertight.woop_areas), a third of a slack along each axis. So the lines of no ray meet a
+/// triangle whose vertices are beyond a plane by more than 4 slacks, rounding of slopes and products included.
 template <int W> inline CUDA_CALLABLE unsigned light_corner_mask(const LightFrustum& bounds, const float* block, unsigned kept)
 {
     const CornerPlanes planes(bounds);
@@ -195,8 +196,8 @@ template <int FRUSTA, int P, int W, int COMPONENTS, int RECORD, int LEVELS, bool
         own.passes = main_axes;
     }
 
-    /// Whether a ray of a frustum meets the box in a lane of a node. A comparison with NaN is false: an axis along which the ray
-    /// stands still within the box counts as met.
+    /// Whether a ray of a frustum meets the box in a lane of a node. A comparison with NaN is false: an axis along which the
+    /// ray stands still within the box counts as met.
     inline CUDA_CALLABLE bool meets_box(int f, const float* box)
     {
         const LightFrustum& own = frusta[f];
@@ -235,8 +236,8 @@ template <int FRUSTA, int P, int W, int COMPONENTS, int RECORD, int LEVELS, bool
         }
     }
 
-    /// Tests a leaf, the child in a lane of a node whose boxes are at `box`, for the frusta `mask`. make(f): makes the rays of a
-    /// frustum; test(f, block, triangles): tests them.
+    /// Tests a leaf, the child in a lane of a node whose boxes are at `box`, for the frusta `mask`. make(f): makes the rays of
+    /// a frustum; test(f, block, triangles): tests them.
     template <class Make, class Test>
     inline CUDA_CALLABLE void visit_leaf(
         int child, const float* box, const float* records, unsigned mask, const Make& make, const Test& test)

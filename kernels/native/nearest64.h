@@ -11,8 +11,8 @@ inline CUDA_CALLABLE int one_sign(const double (&x)[3])
     return ((x[0] > 0) & (x[1] > 0) & (x[2] > 0)) | ((x[0] < 0) & (x[1] < 0) & (x[2] < 0));
 }
 
-/// Tests the triangles begin .. end - 1, W at a time; of equally near ones the first counts. corners: nine rows of `row` numbers.
-/// z: the axis along which the ray is longest.
+/// Tests the triangles begin .. end - 1, W at a time; of equally near ones the first counts. corners: nine rows of `row`
+/// numbers. z: the axis along which the ray is longest.
 template <int W, class Nearest>
 inline CUDA_CALLABLE void nearest_of(
     const double* corners, size_t row, int begin, int end, const double* origin, const double* direction, int z, Nearest& found)

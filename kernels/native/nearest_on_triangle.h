@@ -1,7 +1,7 @@
 // The nearest point of a triangle.
 //
-// wrt.kernels.points has the formulas and the bounds of their rounding, and point_triangle.py the same operations in plain Warp.
-// Everything is relative to the point, which is the origin.
+// wrt.kernels.points has the formulas and the bounds of their rounding, and point_triangle.py the same operations in plain
+// Warp. Everything is relative to the point, which is the origin.
 #pragma once
 #include "lanes.h"
 
@@ -14,8 +14,8 @@ constexpr float FLAT = 0.0009765625f;
 /// The same for areas outside of this range, in which float32 keeps all digits.
 constexpr float LEAST_AREA = 1e-30f, GREATEST_AREA = 1e30f;
 
-/// A foot on the face is nearer than all edges, so it is taken although rounding makes it farther, by no more than this part of its
-/// squared distance and this part of that of the triangle's first vertex.
+/// A foot on the face is nearer than all edges, so it is taken although rounding makes it farther, by no more than this part of
+/// its squared distance and this part of that of the triangle's first vertex.
 constexpr float FACE_SHARE = 1.000003814697265625f, FACE_SLACK = 3.637978807091713e-12f;
 
 template <class T> struct OffsetOf {
@@ -71,7 +71,8 @@ template <class T> struct NearestOn {
 
 using OnTriangle = NearestOn<float>;
 
-/// Weights of b and c at the foot of the perpendicular on the plane, and the doubled area squared. No area: NaN, or an infinity.
+/// Weights of b and c at the foot of the perpendicular on the plane, and the doubled area squared. No area: NaN, or an
+/// infinity.
 template <class T> struct Foot {
     T u, v, area;
 };

@@ -1,8 +1,8 @@
 // What is asked of a ray, for walks that test triangles of 48 bytes one by one: the kinds of wrt.kernels.answers.
 //
-// Each says by which rule a line meets a triangle, whether hits shorten the ray (SHORTENS) or end it (ENDS), what it does with a
-// hit in the ray's range, take(hits, i, hit, best) -> whether it is kept, and what it stores. WIDE: whether triangles are tested in
-// float64 instead (packed_exact.h).
+// Each says by which rule a line meets a triangle, whether hits shorten the ray (SHORTENS) or end it (ENDS), what it does with
+// a hit in the ray's range, take(hits, i, hit, best) -> whether it is kept, and what it stores. WIDE: whether triangles are
+// tested in float64 instead (packed_exact.h).
 #pragma once
 #include "packed_triangles.h"
 

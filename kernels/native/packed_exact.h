@@ -1,5 +1,5 @@
-// The closest hit in float64 by walks that test triangles of 48 bytes one by one (wrt.kernels.answers.exact_hit): boxes are those of
-// the rounded ray, and a triangle whose box it meets is tested with ray and vertices as the caller gave them.
+// The closest hit in float64 by walks that test triangles of 48 bytes one by one (wrt.kernels.answers.exact_hit): boxes are
+// those of the rounded ray, and a triangle whose box it meets is tested with ray and vertices as the caller gave them.
 #pragma once
 #include "packed_answers.h"
 
@@ -16,8 +16,8 @@ struct WideHit {
     double t, u, v;
 };
 
-/// In place of a batch of rays, those in float64. rays: `ExactRays`; seen: the batch that says what they see of instances; center:
-/// of the scene.
+/// In place of a batch of rays, those in float64. rays: `ExactRays`; seen: the batch that says what they see of instances;
+/// center: of the scene.
 template <class Exact, class Batch, class Vec> struct WideRays {
     const Exact& rays;
     const Batch& seen;

@@ -166,8 +166,8 @@ inline CUDA_CALLABLE TurnedRay turned(const GivenRay& given)
     return ray;
 }
 
-/// The best hit so far; id < 0 before the first one, and t is then the ray's end. Of queries about crossings, id is their number
-/// so far minus one.
+/// The best hit so far; id < 0 before the first one, and t is then the ray's end. Of queries about crossings, id is their
+/// number so far minus one.
 struct PackedHit {
     float t, u, v;
     int id;

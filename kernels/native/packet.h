@@ -79,9 +79,9 @@ inline CUDA_CALLABLE Interval ray_slab(const Packet<P, W, SHARED>& packet, const
     return meet_box(low, high, box_ray(packet, shared, k), t_min, t_max);
 }
 
-/// Which rays of a batch form a packet: consecutive rays, or the pixels of a tile (wrt.kernels.traversal.packet.rays.ray_numbers).
-/// here: how many of them exist; whole: whether they are DOWN runs of ACROSS consecutive rays, from `begin` on, `apart` rays
-/// from each other; number: else the number of each.
+/// Which rays of a batch form a packet: consecutive rays, or the pixels of a tile
+/// (wrt.kernels.traversal.packet.rays.ray_numbers). here: how many of them exist; whole: whether they are DOWN runs of ACROSS
+/// consecutive rays, from `begin` on, `apart` rays from each other; number: else the number of each.
 template <int P> struct PacketRays {
     static constexpr int ACROSS = P < 8 ? P : 8, DOWN = P / ACROSS;
     int first, here, begin, apart, number[P];

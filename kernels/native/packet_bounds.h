@@ -202,8 +202,8 @@ inline CUDA_CALLABLE void bound_range(const Packet<P, W, SHARED>& packet, Bounds
     bounds.t_max = range.greatest(1);
 }
 
-/// Sets `bounds`; if no ray is active (t >= 0), only `active`. lows, highs: the shared origin, else any numbers; ranged: whether
-/// rays may have a t_min or t of their own.
+/// Sets `bounds`; if no ray is active (t >= 0), only `active`. lows, highs: the shared origin, else any numbers; ranged:
+/// whether rays may have a t_min or t of their own.
 template <class What, int P, int W, bool SHARED, class Bounds, class Slack>
 inline CUDA_CALLABLE void bound_packet(
     const Packet<P, W, SHARED>& packet, Bounds& bounds, float* lows, float* highs, bool ranged, const Slack& given)
@@ -265,8 +265,8 @@ inline CUDA_CALLABLE void bound_packet(
     else set_inverse_axes(packet, bounds, least, most, lows, highs, slack);
 }
 
-/// Fraction of the largest coordinate by which the end of a ray may err, and how many times as far apart as the ends the origins
-/// must be for bounds to be reversed (wrt.kernels.traversal.packet.rays.reversed_bounds).
+/// Fraction of the largest coordinate by which the end of a ray may err, and how many times as far apart as the ends the
+/// origins must be for bounds to be reversed (wrt.kernels.traversal.packet.rays.reversed_bounds).
 constexpr float ENDS_ERROR = 0x1p-20f, CLOSER = 4.0f;
 
 /// Reverses the bounds of a packet if that makes them tighter; low, high: bounds of the scene.

@@ -1,5 +1,5 @@
-// Packets in the cells of a kd-tree: an interval of t for each ray, or one for all (wrt.kernels.classics.traversal.omnidirectional
-// and packet_cells).
+// Packets in the cells of a kd-tree: an interval of t for each ray, or one for all
+// (wrt.kernels.classics.traversal.omnidirectional and packet_cells).
 #pragma once
 #include "packet.h"
 
@@ -25,8 +25,8 @@ inline CUDA_CALLABLE int enter_cell(
     return inside;
 }
 
-/// Moves the rays to a child of a node, along one axis. inverse: 1 / direction along it; from, from_all: the origins, or that of
-/// all rays.
+/// Moves the rays to a child of a node, along one axis. inverse: 1 / direction along it; from, from_all: the origins, or that
+/// of all rays.
 template <int P, int W, bool SHARED>
 inline CUDA_CALLABLE int split_along(const Packet<P, W, SHARED>& packet, const float* inverse, const float* from,
     float from_all, float slack_of_all, float position, float* entry, float* leave)
@@ -70,8 +70,8 @@ inline CUDA_CALLABLE int split_cell(
     return split_along(packet, packet.inverse_z, packet.origin_z, from, slack, position, cells, cells + P);
 }
 
-/// A plane for all rays in a cell from `entry` to `leave`. turn: negative if the right child comes first; near_leave, far_enter:
-/// t at which the last ray leaves the first child, and at which the first ray enters the second.
+/// A plane for all rays in a cell from `entry` to `leave`. turn: negative if the right child comes first; near_leave,
+/// far_enter: t at which the last ray leaves the first child, and at which the first ray enters the second.
 struct Crossed {
     float turn, near_leave, far_enter;
 };

@@ -19,8 +19,8 @@ template <class Bounds> inline CUDA_CALLABLE BoxRays box_rays(const Bounds& boun
     return rays;
 }
 
-/// What bounds boxes along axes on which directions have both signs: 0 along the others, where it bounds nothing. ahead, behind:
-/// ends of the origins; forward, backward: the 1 / direction of the fastest rays either way.
+/// What bounds boxes along axes on which directions have both signs: 0 along the others, where it bounds nothing. ahead,
+/// behind: ends of the origins; forward, backward: the 1 / direction of the fastest rays either way.
 struct MixedAxes {
     float ahead[3], behind[3], forward[3], backward[3];
 };
@@ -256,7 +256,8 @@ template <int W, class Bounds> inline CUDA_CALLABLE unsigned vertex_mask(const f
 /// Error bound of an area, in slacks times the distance of its vertices from the ray.
 constexpr float CORNER_MARGIN = 4.0f;
 
-/// Triangles of a block that the four corner rays of a packet from one point do not all pass on one side (Dmitriev et al. 2004).
+/// Triangles of a block that the four corner rays of a packet from one point do not all pass on one side (Dmitriev et al.
+/// 2004).
 template <int W, bool SHARED, class Bounds> inline CUDA_CALLABLE unsigned corner_mask(const float* block, const Bounds& bounds)
 {
     const unsigned met = interval_mask<W>(block, bounds);

@@ -86,7 +86,8 @@ inline CUDA_CALLABLE void set_two_plane_frustum(
     set_sides_between(packet, bounds, [&](int k) { return packet.t[k] > -WRT_INFINITY; });
 }
 
-/// The frustum of the rays that meet the box of a leaf, between its planes (Reshetov 2007); returns how many do. Few are listed.
+/// The frustum of the rays that meet the box of a leaf, between its planes (Reshetov 2007); returns how many do. Few are
+/// listed.
 template <int P, int W, bool SHARED, class Bounds>
 inline CUDA_CALLABLE int set_transient_frustum(const float* box, const Packet<P, W, SHARED>& packet, Bounds& bounds)
 {

@@ -1,9 +1,9 @@
 // The rays of a packet against the triangles of a block (wrt.kernels.traversal.packet.leaves).
 //
-// A triangle test of W rays x one triangle is a function `test(corner, pass, each)`, which calls each(lines) for the triangle at
-// `corner` and the rays of a main axis. lines(f, accept) then tests the rays from f on; it calls accept(inside, hit) if some line
-// meets the triangle: those where inside[i] is not 0, at hit(i, k), k = f + i. A test of W rays x a triangle for each is an
-// object: see `WoopPairs` in woop_packets.h.
+// A triangle test of W rays x one triangle is a function `test(corner, pass, each)`, which calls each(lines) for the triangle
+// at `corner` and the rays of a main axis. lines(f, accept) then tests the rays from f on; it calls accept(inside, hit) if some
+// line meets the triangle: those where inside[i] is not 0, at hit(i, k), k = f + i. A test of W rays x a triangle for each is
+// an object: see `WoopPairs` in woop_packets.h.
 #pragma once
 #include "packet_culling.h"
 #include "triangle.h"
@@ -149,8 +149,8 @@ template <int W> struct EdgeFunctions {
     }
 };
 
-/// Writes a word for each ray: a bit for each triangle of the block that it may meet. LEAST_LISTED: triangles from which they are
-/// told apart; fewer are those of every ray.
+/// Writes a word for each ray: a bit for each triangle of the block that it may meet. LEAST_LISTED: triangles from which they
+/// are told apart; fewer are those of every ray.
 template <int LEAST_LISTED, int P, int W, bool SHARED, class Bounds, class Test>
 inline void list_pairs(
     const Packet<P, W, SHARED>& packet, const Bounds& bounds, const float* block, unsigned mask, Test& test, int* pairs)
@@ -256,8 +256,8 @@ inline void drop_backs(const Packet<P, W, SHARED>& packet, const float* block, i
     }
 }
 
-/// Tests the rays from f on, each with the triangle in its lane of `which`, where `paired` is not 0. Of any-hit queries, rays with
-/// a hit lose what is `left` to be tested.
+/// Tests the rays from f on, each with the triangle in its lane of `which`, where `paired` is not 0. Of any-hit queries, rays
+/// with a hit lose what is `left` to be tested.
 template <bool ANY_HIT, bool FRONTS, int P, int W, bool SHARED, class Bounds, class Test>
 inline void test_pair(const Packet<P, W, SHARED>& packet, const Bounds& bounds, const SharedOrigin& shared,
     const BlockRows<W>& rows, const float* block, const int* ids, int f, Ints<W> which, Ints<W> paired, Ints<W>& left,

@@ -11,7 +11,8 @@ template <int P> struct RayArrays {
     float to_x[P], to_y[P], to_z[P], from_x[P], from_y[P], from_z[P], least[P], most[P];
 };
 
-/// What a triangle test's state is computed from: direction, origin, 1 / direction, slopes along the two axes after the main one.
+/// What a triangle test's state is computed from: direction, origin, 1 / direction, slopes along the two axes after the main
+/// one.
 struct LoadedRay {
     float x, y, z, ox, oy, oz, ix, iy, iz, sx, sy;
     bool main_x, main_y;

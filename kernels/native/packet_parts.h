@@ -42,8 +42,8 @@ inline CUDA_CALLABLE void activate_part(const Packet<P, W, SHARED>& packet, Boun
     bound_packet<What>(packet, bounds, lows, highs, true, SlackOfRays());
 }
 
-/// Ends a part after its traversal; returns the number of new parts. completed: whether its rays are done; otherwise it is halved
-/// into `parts` and `parts` + 1, or its rays are marked SINGLE_RAY.
+/// Ends a part after its traversal; returns the number of new parts. completed: whether its rays are done; otherwise it is
+/// halved into `parts` and `parts` + 1, or its rays are marked SINGLE_RAY.
 template <int P, int W, bool SHARED, class Bounds>
 inline CUDA_CALLABLE int finish_part(
     const Packet<P, W, SHARED>& packet, const Bounds& bounds, int number, int parts, bool completed)

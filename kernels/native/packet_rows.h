@@ -9,9 +9,9 @@ namespace {
 #if WRT_VECTORS
 // Extremes of points that lie one after the other in memory, three floats each.
 //
-// Extremes need no points in lanes. In 3 W floats, lane i of register j always holds the component (W j + i) mod 3, so registers
-// are compared lane by lane, without a shuffle. Only the last registers are folded: a fold by a multiple of 3 lanes keeps the
-// components apart.
+// Extremes need no points in lanes. In 3 W floats, lane i of register j always holds the component (W j + i) mod 3, so
+// registers are compared lane by lane, without a shuffle. Only the last registers are folded: a fold by a multiple of 3 lanes
+// keeps the components apart.
 
 template <class V> inline V greater_of(V a, V b) { return a > b ? a : b; }
 

@@ -218,8 +218,8 @@ struct Waiting {
     double square;
 };
 
-/// Puts the children of a node beside a box of the other tree on the stack, the nearest on top. side: 1 if the node is of the first
-/// tree, -1 if it is of the second; other_reach: how far the box reaches along the axis.
+/// Puts the children of a node beside a box of the other tree on the stack, the nearest on top. side: 1 if the node is of the
+/// first tree, -1 if it is of the second; other_reach: how far the box reaches along the axis.
 template <int W, class Body, class Kept>
 inline CUDA_CALLABLE int push_children(const Body& body, int node, int side, const PlacedBox& other, double other_reach,
     int other_lane, const Kept& kept, Waiting* stack, int size)

@@ -66,7 +66,8 @@ inline CUDA_CALLABLE InstanceTrees<Top, Parts> instance_trees(const Top& top, co
     return {top, parts};
 }
 
-/// A kernel's arguments and options. LEVELS: places of the stack; SKIPPING: whether ray i ignores triangle skipped[i % its length].
+/// A kernel's arguments and options. LEVELS: places of the stack; SKIPPING: whether ray i ignores triangle skipped[i % its
+/// length].
 template <int LEVELS_, class Answer_, bool CULLING_, bool SKIPPING_, bool COUNTING_, class Space, class Rays, class Hits,
     class Rows, class Skipped>
 struct Walks {
@@ -89,9 +90,9 @@ inline CUDA_CALLABLE Walks<LEVELS, Answer, CULLING, SKIPPING, COUNTING, Space, R
     return {space, rays, hits, rows, skipped};
 }
 
-/// The walk of one ray. Its stack, LEVELS words, is apart: of a struct with an array that is indexed by a variable, nothing would
-/// be in registers. FROM_ZERO: whether t_min is 0 for all rays, as in most calls; that saves two registers. instance: in which
-/// the ray is, -1 for none; nodes: of its tree; of scenes without instances, neither is used.
+/// The walk of one ray. Its stack, LEVELS words, is apart: of a struct with an array that is indexed by a variable, nothing
+/// would be in registers. FROM_ZERO: whether t_min is 0 for all rays, as in most calls; that saves two registers. instance: in
+/// which the ray is, -1 for none; nodes: of its tree; of scenes without instances, neither is used.
 template <class All, bool FROM_ZERO> struct Walk {
     int top, node, number, instance;
     const float* nodes;

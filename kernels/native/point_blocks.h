@@ -3,8 +3,8 @@
 // wrt.kernels.points has the bounds of rounding by which boxes are left out. Coordinates are those of a tree.
 //
 // The distances of a block take five divisions and some 160 operations, and most blocks of the leaves near a point have no
-// triangle that is as near as what was found. A box around each triangle tells that of most triangles by 40 operations. Those that
-// are left of several blocks are packed side by side, and tested together.
+// triangle that is as near as what was found. A box around each triangle tells that of most triangles by 40 operations. Those
+// that are left of several blocks are packed side by side, and tested together.
 #pragma once
 #include "lanes.h"
 #include "nearest_on_triangle.h"
@@ -79,8 +79,8 @@ template <int W> inline CUDA_CALLABLE unsigned lanes_up_to(const float* numbers,
     return bits<W>(near);
 }
 
-/// W triangles. at(i, vertex): a vertex of the triangle in a lane, less the point. slot(i): where it is in the blocks. used: a bit for
-/// each lane that has one.
+/// W triangles. at(i, vertex): a vertex of the triangle in a lane, less the point. slot(i): where it is in the blocks. used: a
+/// bit for each lane that has one.
 template <int W, class At, class Slot, class Kept>
 inline CUDA_CALLABLE void search_lanes(
     const At& at, const Slot& slot, unsigned used, const int* ids, const SearchPoint& point, Kept& kept)
@@ -121,8 +121,8 @@ inline CUDA_CALLABLE void search_block(const float* records, const int* ids, int
 /// Squares of dot products above this are normal numbers.
 constexpr float LEAST_DOT = 1e-15f;
 
-/// The vertices of the W triangles of a record, less the point; returns a bit for each triangle that may be within the limit: its
-/// box is, and the nearest of its vertices along the line from the point to the first of them.
+/// The vertices of the W triangles of a record, less the point; returns a bit for each triangle that may be within the limit:
+/// its box is, and the nearest of its vertices along the line from the point to the first of them.
 template <int W> inline unsigned near_triangles(const float* record, const SearchPoint& point, float limit, Floats<W>* from)
 {
     const float at[3] = {point.x, point.y, point.z};

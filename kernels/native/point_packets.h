@@ -1,7 +1,7 @@
 // Packets of W points that are near each other: they walk a tree together, and each triangle is tested for all of them.
 //
-// A box or a triangle is left out only if its distance from the box of the points is above the limit of every point. That distance
-// is rounded like those from the points, and each step is monotonous, so it is no greater than any of these.
+// A box or a triangle is left out only if its distance from the box of the points is above the limit of every point. That
+// distance is rounded like those from the points, and each step is monotonous, so it is no greater than any of these.
 #pragma once
 #include "point_groups.h"
 
@@ -142,7 +142,8 @@ private:
     static inline Floats<W> load_lanes(const float* from) { return wrt::load<Floats<W>>(from); }
 };
 
-/// The nearest triangles of GROUP points from number `first` of the order on, those of W points at a time; of one tree of boxes.
+/// The nearest triangles of GROUP points from number `first` of the order on, those of W points at a time; of one tree of
+/// boxes.
 template <int W, int GROUP, int ROWS, class Space, class Points, class Found>
 inline void nearest_of_packets(Space space, const Points& points, const Found& found, int first)
 {

@@ -6,8 +6,8 @@
 namespace wrt {
 namespace {
 
-/// Slack of the boxes of instances over that of boxes of triangles: maps round, and turn the sum over the axes that slack is a part
-/// of, by up to the root of 3; their axes may differ by 1e-6 (wrt.query.points.similar_instances).
+/// Slack of the boxes of instances over that of boxes of triangles: maps round, and turn the sum over the axes that slack is a
+/// part of, by up to the root of 3; their axes may differ by 1e-6 (wrt.query.points.similar_instances).
 constexpr float INSTANCE_SLACK = 8.0f;
 
 /// One tree. Kind: of it, as `BoxTree`.
@@ -163,7 +163,8 @@ template <class Kind, int U, class Top, class Parts> struct PointInstances {
     }
 };
 
-/// Distance, weights and number (its bits) of the nearest triangle to a point that has entered a space, or that cannot find anything.
+/// Distance, weights and number (its bits) of the nearest triangle to a point that has entered a space, or that cannot find
+/// anything.
 template <class Vec4, class Space> inline CUDA_CALLABLE Vec4 nearest_in(Space space, bool has_entered, float most)
 {
     NearestTriangle kept(most);

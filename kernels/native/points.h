@@ -153,8 +153,8 @@ template <int W> struct WaitingChildren {
 
 /// Walks a wide BVH from a node on.
 ///
-/// point: one, or what has a distance from intervals. leaf(block, count): visits one. kept: `limit` says which boxes are entered,
-/// and may fall at leaves.
+/// point: one, or what has a distance from intervals. leaf(block, count): visits one. kept: `limit` says which boxes are
+/// entered, and may fall at leaves.
 template <int W, class Tree, class Point, class Kept, class Leaf>
 inline CUDA_CALLABLE void walk_boxes(const Tree& tree, int node, const Point& point, Kept& kept, Leaf&& leaf)
 {

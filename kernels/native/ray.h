@@ -95,9 +95,9 @@ inline CUDA_CALLABLE bool is_front(const double* normal, float ix, float iy, flo
 inline CUDA_CALLABLE float relative(float x, double center) { return (float)((double)x - center); }
 
 /// L rays of a batch in lanes. given_origin, given_direction: as the caller gives them; origin: relative to the scene's centre;
-/// direction: without negligible components. It is not loaded to where it is stored, as in a select between the two the compiler
-/// makes a masked store, which is slow. here: how many are rays of the batch; those beyond are the first again. stored: -1 for
-/// those that are valid, else 0.
+/// direction: without negligible components. It is not loaded to where it is stored, as in a select between the two the
+/// compiler makes a masked store, which is slow. here: how many are rays of the batch; those beyond are the first again.
+/// stored: -1 for those that are valid, else 0.
 template <int L> struct RayLanes {
     alignas(64) float given_direction[3][L];
     alignas(64) float longest[L];
@@ -141,7 +141,8 @@ template <int L> inline CUDA_CALLABLE void load_ends(const float* from, int stri
     }
 }
 
-/// Loads `rays.here` rays of a batch from `first` on. RELATIVE: their origins relative to the centre, or as the caller gives them.
+/// Loads `rays.here` rays of a batch from `first` on. RELATIVE: their origins relative to the centre, or as the caller gives
+/// them.
 template <bool RELATIVE, int L, class Batch>
 inline CUDA_CALLABLE void load_lanes(const Batch& batch, int first, RayLanes<L>& rays)
 {
@@ -192,8 +193,8 @@ template <int L> inline CUDA_CALLABLE void check_lanes(RayLanes<L>& rays)
     }
 }
 
-/// What a stream keeps of a ray, in 4-byte words, each a row of lanes: its `RaySlabs`, range and best hit, then the state of the
-/// triangle test.
+/// What a stream keeps of a ray, in 4-byte words, each a row of lanes: its `RaySlabs`, range and best hit, then the state of
+/// the triangle test.
 struct RayRows {
     enum { INVERSE = 0, IN = 3, OUT = 6, T_MIN = 9, T = 10, PRIMITIVE = 11, U = 12, V = 13, STATE = 14 };
 };

@@ -49,8 +49,8 @@ inline CUDA_CALLABLE int part_rays(
     return kept - begin;
 }
 
-/// Copies those of the rays 2 begin .. 2 end - 1 that go on to the places from `to` on; returns the first one after them. Writes
-/// one place more.
+/// Copies those of the rays 2 begin .. 2 end - 1 that go on to the places from `to` on; returns the first one after them.
+/// Writes one place more.
 template <class Queue, class Flags>
 inline CUDA_CALLABLE int append_rays(
     int begin, int end, const Queue& scratch, const Flags& is_alive, const Queue& queue, int to)
@@ -109,8 +109,8 @@ template <class Vec> inline CUDA_CALLABLE void add_light(Vec& sum, const Vec& li
     sum.c[0] += light.c[0], sum.c[1] += light.c[1], sum.c[2] += light.c[2];
 }
 
-/// Adds the light of the rays begin .. stop - 1 of trees to their samples: what they collect, then of each light what the shadow
-/// rays bring that nothing blocks, in as many passes as `gather` of wrt.kernels.shading.wavefront.ray_queue makes.
+/// Adds the light of the rays begin .. stop - 1 of trees to their samples: what they collect, then of each light what the
+/// shadow rays bring that nothing blocks, in as many passes as `gather` of wrt.kernels.shading.wavefront.ray_queue makes.
 template <class Slots, class Flags, class Rays, class Listed>
 inline CUDA_CALLABLE void gather_trees(int begin, int stop, int shadows, int first_light, int lights, const Slots& slot,
     const Flags& blocked, const Rays& rays, const Listed& listed)

@@ -92,12 +92,14 @@ template <class Boxes> inline CUDA_CALLABLE void write_reference(const Boxes& bo
 /// Writes the references of the triangles begin .. end - 1.
 template <class Boxes> inline CUDA_CALLABLE void write_references(const Boxes& boxes, int begin, int end, float* references)
 {
+    WRT_SCALAR
     for (int i = begin; i < end; ++i) write_reference(boxes, i, references + (size_t)i * 8);
 }
 
 /// Writes the sizes of references; see `wrt.builders.triangle_references.write_sizes`.
 inline CUDA_CALLABLE void write_sizes(float* references, int begin, int end)
 {
+    WRT_SCALAR
     for (int i = begin; i < end; ++i) {
         float* to = references + (size_t)i * 8;
         const float area = sides_of(to).half_area();
@@ -107,6 +109,7 @@ inline CUDA_CALLABLE void write_sizes(float* references, int begin, int end)
 
 inline CUDA_CALLABLE void write_ids(const float* references, int count, int* ids)
 {
+    WRT_SCALAR
     for (int i = 0; i < count; ++i) ids[i] = id_of(references + (size_t)i * 8);
 }
 

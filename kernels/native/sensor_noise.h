@@ -39,11 +39,12 @@ inline CUDA_CALLABLE double unit_number(unsigned word) { return (double(word) + 
 
 constexpr double TWO_PI = 6.283185307179586;
 
-/// Distance from 0 of a normal pair of numbers.
-inline CUDA_CALLABLE double normal_radius(unsigned word) { return square_root(-2.0 * WRT_MATH(log)(unit_number(word))); }
-
 /// Largest number of returns of a block.
+#if defined(__CUDA_ARCH__)
+constexpr int NOISY = 1;
+#else
 constexpr int NOISY = 256;
+#endif
 
 /// The words of the returns begin .. begin + n - 1, n <= NOISY; `use` tells different noises of a return apart.
 struct NoiseWords {
@@ -66,13 +67,15 @@ template <class Noise> inline CUDA_CALLABLE bool is_noisy(const Noise& noise)
     return noise.range > 0.0 || noise.angle > 0.0 || noise.dropout > 0.0;
 }
 
-/// Ranges with noise of the returns begin .. end - 1, whose ranges without noise are in `range`, inf for none.
+/// Ranges with noise of the returns begin .. end - 1, whose ranges without noise are in `range`, inf for none. `distance` and
+/// `intensity` are null if they are not asked for, the first of which noise needs.
 template <class Noise>
 inline CUDA_CALLABLE void write_ranges(
     const Noise& noise, int begin, int end, float* __restrict range, float* __restrict intensity, double* __restrict distance)
 {
     const float none = WRT_INFINITY;
     if (!is_noisy(noise)) {
+        if (distance == nullptr) return;
         const int n = end - begin;
         WRT_FOR (n, i) {
             const double far = double(range[begin + i]);
@@ -81,19 +84,23 @@ inline CUDA_CALLABLE void write_ranges(
         return;
     }
     NoiseWords words;
+    double logarithm[NOISY], cosine[NOISY];
     for (int first = begin; first < end; first += NOISY) {
         const int n = end - first < NOISY ? end - first : NOISY;
         words.draw(first, n, 0u, noise.key.c[0], noise.key.c[1]);
-        for (int i = 0; i < n; ++i) {
-            const int at = first + i;
-            double far = none;
-            if (range[at] < none && unit_number(words.c[2][i]) >= noise.dropout) {
-                const double cosine = WRT_MATH(cos)(TWO_PI * unit_number(words.c[1][i]));
-                far = double(range[at]) + noise.range * (normal_radius(words.c[0][i]) * cosine);
-                far = far < 0.0 ? 0.0 : far;
-            } else intensity[at] = 0.0f;
-            distance[at] = far;
-            range[at] = float(far);
+        for (int i = 0; i < n; ++i) {  // calls, which are not vectorised, apart from what is
+            const bool drawn = noise.range != 0.0 && range[first + i] < none;
+            logarithm[i] = drawn ? WRT_MATH(log)(unit_number(words.c[0][i])) : 0.0;
+            cosine[i] = drawn ? WRT_MATH(cos)(TWO_PI * unit_number(words.c[1][i])) : 0.0;
+        }
+        const auto is_seen = [&](int i) { return range[first + i] < none && unit_number(words.c[2][i]) >= noise.dropout; };
+        if (intensity)
+            WRT_FOR (n, i) intensity[first + i] = is_seen(i) ? intensity[first + i] : 0.0f;
+        WRT_FOR (n, i) {
+            const double moved = double(range[first + i]) + noise.range * (square_root(-2.0 * logarithm[i]) * cosine[i]);
+            const double far = is_seen(i) ? (moved < 0.0 ? 0.0 : moved) : double(none);
+            distance[first + i] = far;
+            range[first + i] = float(far);
         }
     }
 }

@@ -20,8 +20,8 @@ inline CUDA_CALLABLE void turn_axes(const Vec3* __restrict axes, const Quat& tur
     }
 }
 
-/// Distance and depth of the rays begin .. end - 1; null for an image that is not asked for. `order` is null if ray i is that of
-/// pixel place + i; `own` is the number of pixels of a camera.
+/// Distance and depth of the rays begin .. end - 1; null for an image that is not asked for. `order` is null if ray i is that
+/// of pixel place + i; `own` is the number of pixels of a camera.
 template <class Vec3>
 inline CUDA_CALLABLE void write_depths(const float* __restrict t, const int* __restrict primitive, const Vec3* __restrict axes,
     const int* __restrict order, int place, int own, float miss, int begin, int end, float* __restrict distance,
@@ -74,6 +74,83 @@ inline CUDA_CALLABLE void write_positions(const float* __restrict t, const int* 
     }
 }
 
+/// The end of the rays, from place `begin` on, that met one of `count` triangles from number `first` on, or nothing.
+inline CUDA_CALLABLE int end_of_instance(const int* primitive, int begin, int end, int first, int count)
+{
+    const auto is_other = [&](int i) { return primitive[i] >= 0 && unsigned(primitive[i] - first) >= unsigned(count); };
+    int i = begin;
+    constexpr int TOGETHER = 16;
+    for (; i + TOGETHER <= end; i += TOGETHER) {
+        int others = 0;
+        WRT_FOR (TOGETHER, k) others += is_other(i + k);
+        if (others) break;
+    }
+    while (i < end && !is_other(i)) ++i;
+    return i;
+}
+
+/// Where what is known of surfaces is written; null for what is not asked for.
+struct IdColumns {
+    int *instance, *geometry, *primitive, *semantic;
+};
+
+/// What neighbours that met one instance have in common.
+struct MetInstance {
+    int number, geometry, label, first;
+};
+
+template <class Hit, class Value>
+inline CUDA_CALLABLE void write_where(int* column, int begin, int n, const Hit& is_hit, const Value& value_of)
+{
+    if (column == nullptr) return;
+    int* __restrict out = column + begin;
+    WRT_FOR (n, k) out[k] = is_hit(k) ? value_of(k) : -1;
+}
+
+/// Writes entries begin .. begin + n - 1 of all columns; `met` are the triangles.
+template <class Hit>
+inline CUDA_CALLABLE void write_met(
+    const IdColumns& out, int begin, int n, const int* met, const MetInstance& common, const Hit& is_hit)
+{
+    write_where(out.instance, begin, n, is_hit, [&](int) { return common.number; });
+    write_where(out.geometry, begin, n, is_hit, [&](int) { return common.geometry; });
+    write_where(out.primitive, begin, n, is_hit, [&](int k) { return met[k] - common.first; });
+    write_where(out.semantic, begin, n, is_hit, [&](int) { return common.label; });
+}
+
+/// What the rays begin .. end - 1 met, ray i as entry place + i of the columns; -1 for nothing, and where `range` of that entry
+/// (null if all hits count) is infinite. `labels` are those of instances, (0,) for none.
+template <class Mesh, class Labels>
+inline CUDA_CALLABLE void write_ids(const Mesh& mesh, const Labels& labels, const int* primitive, const float* range, int begin,
+    int end, int place, const IdColumns& out)
+{
+    const int* first = mesh.geometry_first.data;
+    MetInstance common {-1, -1, -1, 0};
+    for (int i = begin, stop, count = 0; i < end; i = stop) {
+        if (primitive[i] >= 0) {
+            int low = 0;
+            for (int left = mesh.geometry_first.shape[0] - 1; left > 1;) {
+                const int half = left / 2;
+                low = first[low + half] <= primitive[i] ? low + half : low;
+                left -= half;
+            }
+            count = first[low + 1] - first[low];
+            common.number = common.geometry = low;
+            if (mesh.placements.shape[0] > 0) common.geometry = mesh.placements.data[low].geometry;
+            if (labels.shape[0] > 0) common.label = labels.data[low];
+            common.first = first[low];
+        }
+        stop = end_of_instance(primitive, i, end, common.first, count);
+        const int n = stop - i, at = place + i;
+        const int* met = primitive + i;
+        if (range == nullptr) write_met(out, at, n, met, common, [&](int k) { return met[k] >= 0; });
+        else {
+            const float *far = range + at, none = WRT_INFINITY;
+            write_met(out, at, n, met, common, [&](int k) { return met[k] >= 0 && far[k] < none; });
+        }
+    }
+}
+
 /// Where the rays of one value begin to end, from place `begin` on: those that met one triangle.
 inline CUDA_CALLABLE int end_of_run(const int* primitive, int begin, int end)
 {
@@ -90,6 +167,22 @@ inline CUDA_CALLABLE void write_return(const Detector& detector, float t, float 
     const bool lost = t < detector.min_range || t > detector.max_range || power < detector.threshold;
     range = lost ? WRT_INFINITY : t;
     intensity = lost ? 0.0f : power;
+}
+
+/// Ranges of the rays begin .. end - 1 if the power of returns does not matter; inf for those that are not detected. `order` as in
+/// `write_returns`.
+template <class Detector>
+inline CUDA_CALLABLE void write_distances(const Detector& detector, const float* __restrict t, const int* __restrict primitive,
+    const int* __restrict order, int place, int begin, int end, float* __restrict range)
+{
+    const float least = detector.min_range, most = detector.max_range, none = WRT_INFINITY;
+    const auto range_of = [&](int i) { return primitive[i] < 0 || t[i] < least || t[i] > most ? none : t[i]; };
+    if (order)
+        for (int i = begin; i < end; ++i) range[order[place + i]] = range_of(i);
+    else {
+        const int n = end - begin;
+        WRT_FOR (n, i) range[place + begin + i] = range_of(begin + i);
+    }
 }
 
 /// Ranges and intensities of the rays begin .. end - 1, which met one surface, or none if `reflectance` is negative, by a range
@@ -142,11 +235,12 @@ template <class Vec3d, class Quat> struct PointFrame {
 };
 
 /// `write_points` of n returns; `turns` are those of their beams, if there is noise.
-template <bool NOISY, class Vec3, class Vec3d, class Quat>
-inline CUDA_CALLABLE void points_of_block(const Vec3* __restrict axes, const double* __restrict distance, const double* turn_0,
-    const double* turn_1, const PointFrame<Vec3d, Quat>& frame, int begin, int n)
+template <bool NOISY, class Vec3, class Distance, class Vec3d, class Quat>
+inline CUDA_CALLABLE void points_of_block(const Vec3* __restrict axes, const Distance* __restrict distance,
+    const double* turn_0, const double* turn_1, const PointFrame<Vec3d, Quat>& frame, int begin, int n)
 {
-    const double nan = WRT_NAN, none = WRT_INFINITY;
+    const double nan = WRT_NAN;
+    const Distance none = WRT_INFINITY;
     Vec3d* __restrict point = frame.point + begin;
     const auto point_of = [&](int i) {
         const Vec3 axis = axes[i];
@@ -169,26 +263,32 @@ inline CUDA_CALLABLE void points_of_block(const Vec3* __restrict axes, const dou
 }
 
 /// Points of the returns begin .. end - 1, one of each beam, of a sensor at rest whose beams start at its origin; NaN for none.
-/// `axes` begins with that of return `begin`.
+/// `axes` begins with that of return `begin`. Without noise, distances are ranges.
 template <class Noise, class Vec3, class Vec3d, class Quat>
-inline CUDA_CALLABLE void write_points(
-    const Noise& noise, const Vec3* axes, const double* distance, const PointFrame<Vec3d, Quat>& frame, int begin, int end)
+inline CUDA_CALLABLE void write_points(const Noise& noise, const Vec3* axes, const float* range, const double* distance,
+    const PointFrame<Vec3d, Quat>& frame, int begin, int end)
 {
     if (!is_noisy(noise)) {
-        points_of_block<false>(axes, distance, nullptr, nullptr, frame, begin, end - begin);
+        points_of_block<false>(axes, range, nullptr, nullptr, frame, begin, end - begin);
         return;
     }
-    double turn_0[NOISY], turn_1[NOISY];
+    double turn_0[NOISY], turn_1[NOISY], logarithm[NOISY];
     NoiseWords words;
     for (int first = begin; first < end; first += NOISY) {
         const int n = end - first < NOISY ? end - first : NOISY;
         if (noise.angle > 0.0) words.draw(first, n, 1u, noise.key.c[0], noise.key.c[1]);
-        for (int i = 0; i < n; ++i) {
-            turn_0[i] = turn_1[i] = 0.0;
+        for (int i = 0; i < n; ++i) {  // calls, which are not vectorised, apart from what is
+            logarithm[i] = turn_0[i] = turn_1[i] = 0.0;
             if (noise.angle == 0.0 || !(distance[first + i] < WRT_INFINITY)) continue;
-            const double radius = normal_radius(words.c[0][i]), turn = TWO_PI * unit_number(words.c[1][i]);
-            turn_0[i] = noise.angle * (radius * WRT_MATH(cos)(turn));
-            turn_1[i] = noise.angle * (radius * WRT_MATH(sin)(turn));
+            const double turn = TWO_PI * unit_number(words.c[1][i]);
+            logarithm[i] = WRT_MATH(log)(unit_number(words.c[0][i]));
+            turn_0[i] = WRT_MATH(cos)(turn);
+            turn_1[i] = WRT_MATH(sin)(turn);
+        }
+        WRT_FOR (n, i) {
+            const double radius = square_root(-2.0 * logarithm[i]);
+            turn_0[i] = noise.angle * (radius * turn_0[i]);
+            turn_1[i] = noise.angle * (radius * turn_1[i]);
         }
         points_of_block<true>(axes + (first - begin), distance, turn_0, turn_1, frame, first, n);
     }
@@ -196,12 +296,12 @@ inline CUDA_CALLABLE void write_points(
 
 /// Points in the frame of the sensor and in the world; null for those that are not asked for.
 template <class Noise, class Vec3, class Vec3d, class Pose>
-inline CUDA_CALLABLE void write_points(const Noise& noise, const Vec3* axes, const double* distance, const Pose& pose,
-    int begin, int end, Vec3d* point, Vec3d* position)
+inline CUDA_CALLABLE void write_points(const Noise& noise, const Vec3* axes, const float* range, const double* distance,
+    const Pose& pose, int begin, int end, Vec3d* point, Vec3d* position)
 {
     using Frame = PointFrame<Vec3d, decltype(pose.rotation)>;
-    if (point) write_points(noise, axes, distance, Frame {false, pose.position, pose.rotation, point}, begin, end);
-    if (position) write_points(noise, axes, distance, Frame {true, pose.position, pose.rotation, position}, begin, end);
+    if (point) write_points(noise, axes, range, distance, Frame {false, pose.position, pose.rotation, point}, begin, end);
+    if (position) write_points(noise, axes, range, distance, Frame {true, pose.position, pose.rotation, position}, begin, end);
 }
 
 }  // namespace

@@ -9,8 +9,8 @@ namespace {
 /// Components of a point's record: its centre and radius, and the normal of a disc; of a box its centre and half its edges.
 constexpr int SPHERE = 4, BOX = 6, DISC = 7;
 
-/// Writes the record of point `id`, its components `width` apart; NaN for an unused lane, id < 0. normals: of boxes the halves of
-/// their edges.
+/// Writes the record of point `id`, its components `width` apart; NaN for an unused lane, id < 0. normals: of boxes the halves
+/// of their edges.
 inline CUDA_CALLABLE void copy_point(const float* points, const float* radii, bool one_radius, const float* normals,
     int components, int id, int width, float* to)
 {

@@ -26,8 +26,8 @@ template <class Ray, int L> struct CandidateLanes {
         read_records(from, WORDS - 16, words[WORDS - 16]);
     }
 
-    /// Tests the pairs and merges their hits. Lane i is of ray owner[i]; only the first `count` lanes count. ANY_HIT: a ray with
-    /// a hit gets t = -inf; otherwise of equally near hits that of the least number counts.
+    /// Tests the pairs and merges their hits. Lane i is of ray owner[i]; only the first `count` lanes count. ANY_HIT: a ray
+    /// with a hit gets t = -inf; otherwise of equally near hits that of the least number counts.
     template <class Test, bool ANY_HIT> CUDA_CALLABLE void merge(Ray* rays, const int* owner, int count) const
     {
         float t[L], u[L], v[L];
@@ -61,8 +61,8 @@ template <class Ray, int L> struct CandidateLanes {
     }
 };
 
-/// Tests the first `count` candidates and merges their hits. The lists have room for L beyond `count`. W: of a block; COMPONENTS:
-/// of a triangle's record.
+/// Tests the first `count` candidates and merges their hits. The lists have room for L beyond `count`. W: of a block;
+/// COMPONENTS: of a triangle's record.
 template <class Test, int W, int COMPONENTS, bool ANY_HIT, int L, class Ray, class PairLists>
 inline CUDA_CALLABLE void test_candidates(const float* records, const int* primitives, Ray* rays, PairLists& pairs, int count)
 {
@@ -118,8 +118,8 @@ inline CUDA_CALLABLE void test_leaf(const float* records, const int* primitives,
     }
 }
 
-/// Replaces the best hit by the hit t, u, v if that is nearer, or as near with a lesser number. By bit operations: the compiler may
-/// turn a select into a branch, which is slower for incoherent rays.
+/// Replaces the best hit by the hit t, u, v if that is nearer, or as near with a lesser number. By bit operations: the compiler
+/// may turn a select into a branch, which is slower for incoherent rays.
 template <class Best> inline CUDA_CALLABLE void record_if_better(const float* hit, int primitive, float t_min, Best& best)
 {
     const float t = hit[0];

@@ -82,7 +82,8 @@ inline CUDA_CALLABLE unsigned store_rays(
     return kept;
 }
 
-/// Appends the valid ones of the `count` rays from `first` on, at most L; `place`: their place after the first ray of the stream.
+/// Appends the valid ones of the `count` rays from `first` on, at most L; `place`: their place after the first ray of the
+/// stream.
 template <class Test, int L, class Batch, class Vec, class Ray>
 inline CUDA_CALLABLE unsigned load_rays(
     const Batch& batch, int first, int count, const Vec& low, const Vec& high, Ray* stream, int place, float* own)

@@ -9,8 +9,8 @@ namespace {
 
 /// The test of rays in lanes against the boxes of the root's W children, one child after the other.
 ///
-/// lanes: memory for (W + 1) L floats. last: for each child, the greatest t, or the greatest -t, at which the rays of a lane enter
-/// it; any: bits of the children that they meet. list: words of the rays of the stream, of which there are `size`.
+/// lanes: memory for (W + 1) L floats. last: for each child, the greatest t, or the greatest -t, at which the rays of a lane
+/// enter it; any: bits of the children that they meet. list: words of the rays of the stream, of which there are `size`.
 template <int W, Order ORDER, int L> struct RootTest {
     float* last;
     int* any;
@@ -85,7 +85,8 @@ template <int W, Order ORDER, int L> struct RootTest {
         }
     }
 
-    /// After the last rays of a stream: writes the keys of the root's children; returns the bits of the leaves that a ray meets.
+    /// After the last rays of a stream: writes the keys of the root's children; returns the bits of the leaves that a ray
+    /// meets.
     static CUDA_CALLABLE unsigned end(const int* children, const float* lanes, int* keys)
     {
         const int* const any_of = (const int*)(lanes + W * L);
@@ -104,11 +105,11 @@ template <int W, Order ORDER, int L> struct RootTest {
     }
 };
 
-/// The boxes around rays from origin to end, compared with those of the root's children in cells of a grid. On CUDA they are not
-/// compared.
+/// The boxes around rays from origin to end, compared with those of the root's children in cells of a grid. On CUDA they are
+/// not compared.
 ///
-/// waiting: ROWS numbers of each of ROOM rays that wait. grid: cells per unit of length; what is added to x, y and z in cells; the
-/// largest coordinate of a box around a ray for which MARGIN suffices; the scene's centre, from which coordinates count, as
+/// waiting: ROWS numbers of each of ROOM rays that wait. grid: cells per unit of length; what is added to x, y and z in cells;
+/// the largest coordinate of a box around a ray for which MARGIN suffices; the scene's centre, from which coordinates count, as
 /// floats. planes: six of each child, in cells, once for each lane.
 template <int W, int L> struct RootGrid {
     static constexpr int ROWS = 9, ROOM = 2 * L, GRID = 8, FLOATS = ROWS * ROOM + GRID + 3 * W * L;
@@ -116,8 +117,8 @@ template <int W, int L> struct RootGrid {
     /// Rays of a group whose box meets a child, so that the next boxes will not pay; groups for which they are left out.
     static constexpr int MANY = 12, PAUSE = 15;
 
-    /// Cells by which the boxes of children are widened: 1.1 for the rounding of both boxes to cells, the rest for ERROR: that of
-    /// the box around a ray, as a fraction of the sum of the largest coordinates of ray and scene.
+    /// Cells by which the boxes of children are widened: 1.1 for the rounding of both boxes to cells, the rest for ERROR: that
+    /// of the box around a ray, as a fraction of the sum of the largest coordinates of ray and scene.
     static constexpr int MARGIN = 2;
     static constexpr float ERROR = 3.814697265625e-06f;
 

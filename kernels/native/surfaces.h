@@ -46,8 +46,8 @@ template <int W, class A> inline Rays<W> read_rays(const A& a, int first)
     return {first, direction, weight, load<Ints<W>>(a.queue.slot.data + first)};
 }
 
-/// The surfaces that W rays hit, and which rays are simple, by what happens to them. Paths end (`ended`) where nothing is hit, and
-/// in the last generation.
+/// The surfaces that W rays hit, and which rays are simple, by what happens to them. Paths end (`ended`) where nothing is hit,
+/// and in the last generation.
 template <int W> struct Surfaces {
     Ints<W> is_hit, media, in_air, is_clear;
     Ints<W> number, kind, is_dark, has_image;

@@ -94,8 +94,8 @@ inline void send_children(const Step& step, const Surfaces<W>& s, const Points<W
     save_media<W>(scratch.media.data + at + W, interleaved<W, W / 2>(s.media, beyond, Lanes<W>()));
 }
 
-/// The step of the simple ones among W rays from number `first` on of a queue that begins at `begin`; one bit for each. The rays
-/// that follow go to the places from 2 `child` on.
+/// The step of the simple ones among W rays from number `first` on of a queue that begins at `begin`; one bit for each. The
+/// rays that follow go to the places from 2 `child` on.
 template <int W, class A, class Step, class Scratch, class Flags>
 inline unsigned shade_trees(
     const A& a, const Step& step, int first, int begin, int child, const Scratch& scratch, const Flags& is_alive)

@@ -1,5 +1,5 @@
-// Triangle tests in lanes: the watertight test, for one ray x W triangles and for pairs of a ray and a triangle, and the loops of
-// tests that are written as steps (wrt.kernels.triangle.support.lane_form).
+// Triangle tests in lanes: the watertight test, for one ray x W triangles and for pairs of a ray and a triangle, and the loops
+// of tests that are written as steps (wrt.kernels.triangle.support.lane_form).
 //
 // The watertight test is described in wrt.kernels.triangle.watertight. F is float, a vector of floats, or double.
 #pragma once
@@ -94,8 +94,8 @@ inline CUDA_CALLABLE Areas<float> precise_areas(const Sheared<float>& s, const A
     return {fits ? fine.a : w.a, fits ? fine.b : w.b, fits ? fine.c : w.c};
 }
 
-/// t, u and v of a hit. along: 1 / direction along the main axis; it is multiplied last, as the product of all three may overflow
-/// where t does not.
+/// t, u and v of a hit. along: 1 / direction along the main axis; it is multiplied last, as the product of all three may
+/// overflow where t does not.
 template <class F> inline CUDA_CALLABLE TriangleHit<F> weighed(const Areas<F>& w, const F& a, const F& b, const F& c, F along)
 {
     const F scale = 1.0f / sum(w);
@@ -250,9 +250,9 @@ inline CUDA_CALLABLE unsigned woop_block(const float* records, int block, const 
     return mask;
 }
 
-/// The lanes in which no two areas have opposite signs. An area of zero has either sign: recomputed in float64, it may have any,
-/// but the others keep theirs, because rounding is monotone. So these are all lanes that are hit, and few others. An area is a
-/// NaN where its products overflow; it does not count here.
+/// The lanes in which no two areas have opposite signs. An area of zero has either sign: recomputed in float64, it may have
+/// any, but the others keep theirs, because rounding is monotone. So these are all lanes that are hit, and few others. An area
+/// is a NaN where its products overflow; it does not count here.
 template <int W, class Ray> inline CUDA_CALLABLE unsigned woop_lines(const float* records, int block, const Ray& ray)
 {
     const RayAndBlock<W> own(records, block, ray);
@@ -365,8 +365,8 @@ inline CUDA_CALLABLE unsigned block_steps(unsigned mask, const Step& step, const
     else return mask;
 }
 
-/// W rays x one triangle by steps, likewise. inside: 1 for the lanes that pass all. Returns whether there are any. FIRST: whether
-/// `inside` is not yet set.
+/// W rays x one triangle by steps, likewise. inside: 1 for the lanes that pass all. Returns whether there are any. FIRST:
+/// whether `inside` is not yet set.
 template <int W, bool FIRST = true, class Step, class... Later>
 inline CUDA_CALLABLE bool packet_steps(int* inside, const Step& step, const Later&... later)
 {

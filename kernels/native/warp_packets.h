@@ -41,8 +41,8 @@ template <bool FROM_ZERO> __device__ Met meet_both(const TwoBoxes& at, const Fil
     return {meets_a, meets_b, meets_a && meets_b && b.enter < a.enter};
 }
 
-/// One way through the tree for a warp. All lanes test a node that one of those asks for which met it, and go where most of them
-/// come first. What waits, with who asks for it, is in shared memory: all lanes write the same words there.
+/// One way through the tree for a warp. All lanes test a node that one of those asks for which met it, and go where most of
+/// them come first. What waits, with who asks for it, is in shared memory: all lanes write the same words there.
 template <bool FROM_ZERO, class Walk, class All> __device__ void walk_packet(const All& all, Walk& walk, unsigned team)
 {
     __shared__ int waiting[WARPS_OF_BLOCK][All::LEVELS];
@@ -168,8 +168,8 @@ template <class Walk, class All> __device__ void test_leaves(const All& all, Wal
     }
 }
 
-/// One frustum for a warp: each lane tests the children of another node that waits, and all test the triangles of the leaves that
-/// are found. Rays that do not start at one point are a packet.
+/// One frustum for a warp: each lane tests the children of another node that waits, and all test the triangles of the leaves
+/// that are found. Rays that do not start at one point are a packet.
 template <bool FROM_ZERO, class Walk, class All> __device__ void walk_frustum(const All& all, Walk& walk, unsigned team)
 {
     constexpr int ROOM = WARP * (All::LEVELS + 2);
@@ -307,8 +307,8 @@ template <bool FROM_ZERO, class Walk, class All> __device__ void walk_stream(con
 /// How the rays of a warp go through the tree.
 constexpr int PACKET = 0, STREAMED = 1, FRUSTUM = 2;
 
-/// On CUDA thread i takes part in the rays of its warp; a launch has whole warps. On the CPU item i has the rays that it would have
-/// to itself.
+/// On CUDA thread i takes part in the rays of its warp; a launch has whole warps. On the CPU item i has the rays that it would
+/// have to itself.
 template <int WAY, bool FROM_ZERO, class All> inline CUDA_CALLABLE void walk_together(const All& all, int i)
 {
     using Walk = wrt::Walk<All, FROM_ZERO>;

@@ -29,12 +29,14 @@ constexpr int MOMENTS = 19;
 /// Greatest number of inner nodes on a path from the root.
 constexpr int DEPTH = 64;
 
-/// Squared distance, over the square of what the scene reaches, from which numbers are 0: the powers in `far_children` are in range.
+/// Squared distance, over the square of what the scene reaches, from which numbers are 0: the powers in `far_children` are in
+/// range.
 constexpr float FARTHEST_SQUARE = 1e16f;
 
 constexpr float PI = 3.14159274101257324f, HALF_PI = 1.57079637050628662f, OVER_FOUR_PI = 0.0795774683356285095f;
 
-/// The angle of (x, y) in [-pi, pi], to 2e-7: a polynomial for the smaller one of both over the greater one. 0 for a zero vector.
+/// The angle of (x, y) in [-pi, pi], to 2e-7: a polynomial for the smaller one of both over the greater one. 0 for a zero
+/// vector.
 inline CUDA_CALLABLE float angle_of(float y, float x)
 {
     const float up = WRT_ABS(y), along = WRT_ABS(x), low = up < along ? up : along, high = up < along ? along : up;

@@ -124,8 +124,8 @@ template <int W, bool SHARED> struct WoopPacket {
 };
 
 #if WRT_VECTORS
-/// W rays x a triangle for each, in vectors. Areas of 0 are recomputed only for rays that the signs leave inside: the sign of an
-/// area that is not 0 is exact, so that a ray with areas of both signs is outside whatever a third area is.
+/// W rays x a triangle for each, in vectors. Areas of 0 are recomputed only for rays that the signs leave inside: the sign of
+/// an area that is not 0 is exact, so that a ray with areas of both signs is outside whatever a third area is.
 template <int W, bool SHARED> struct WoopPairs {
     static constexpr int PASSES = 3;
 

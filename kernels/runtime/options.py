@@ -8,6 +8,9 @@ a ray slip between two triangles. Without it, equal expressions give equal bits.
 **No gradients** (`enable_backward`). Searches have no useful derivative (`wrt.kernels.query.hit_gradients` says what has one),
 and code for backward passes would only take time to compile.
 
+**No code for sums of structs** (`UNUSED`). Warp writes two functions for each struct that only backward passes call, and by
+their linkage Clang must generate code for them.
+
 Importing this module chooses the CPU target (`wrt.kernels.compilation.target`), before the first kernel is defined.
 """
 
@@ -21,7 +24,11 @@ from wrt.kernels.compilation import target
 target.apply_environment()
 target.quiet_warp()
 
-EXACT = {"fuse_fp": False}
+UNUSED = "#undef CUDA_CALLABLE\n#define CUDA_CALLABLE __attribute__((internal_linkage))\n"
+"""C++ before the structs of a module for the CPU: what Warp declares by this macro, and nothing calls, is dropped before it is
+optimised. The macro is empty otherwise."""
+
+EXACT = {"fuse_fp": False, "extra_build_options": wp.ModuleBuildOptions(extra_cpu_preamble=UNUSED)}
 """Module options of all device code, with gradients or without."""
 
 

@@ -85,8 +85,9 @@ class Returns:
     range: wp.array(dtype=float)
     """inf for a miss."""
     intensity: wp.array(dtype=float)
+    """(0,) if it is not asked for."""
     distance: wp.array(dtype=wp.float64)
-    """The range before it was rounded; inf for a miss."""
+    """The range before it was rounded; inf for a miss. (0,) if that is the range: one ray, one return, no noise."""
     ray: wp.array(dtype=int)
     """The strongest ray of a return, counted within its beam; -1 for none. (0,) for one ray and one return a beam."""
     mean: wp.array(dtype=float)
@@ -261,6 +262,7 @@ def keyed(given: Noise):
 @native.func_native("sensor_noise.h", "return wrt::is_noisy(noise);")
 def is_noisy(noise: Noise) -> bool:
     """Whether a sensor has any noise."""
+    ...
 
 
 @native.func_native(
@@ -270,6 +272,7 @@ def is_noisy(noise: Noise) -> bool:
 )
 def write_ranges(noise: Noise, begin: int, end: int, returns: Returns):
     """Writes the ranges of returns with noise, given those without, and takes out those that are lost."""
+    ...
 
 
 @exact_kernel
@@ -286,6 +289,7 @@ def add_noise(first: int, block: int, count: int, noise: Noise, returns: Returns
 @native.func_native("sensor_rays.h", "return wrt::end_of_run(primitive.data, begin, end);")
 def end_of_run(primitive: wp.array(dtype=int), begin: int, end: int) -> int:
     """The end of the neighbours that met one triangle."""
+    ...
 
 
 @native.func_native(
@@ -297,30 +301,27 @@ def end_of_run(primitive: wp.array(dtype=int), begin: int, end: int) -> int:
 )
 def write_run(beams: Beams, traced: Traced, detector: Detector, surface: Surface, begin: int, end: int, returns: Returns):
     """Writes ranges and intensities of neighbours that met one surface, without noise, by a simple range law."""
+    ...
 
 
-@exact_kernel
-def measure_single(
-    first: int,
-    block: int,
-    count: int,
-    beams: Beams,
-    traced: Traced,
-    mesh: SceneMesh,
-    noise: Noise,
-    detector: Detector,
-    returns: Returns,
-):
-    """Writes what is measured by one ray and one return a beam: with noise, unless an order is given.
+@native.func_native(
+    "sensor_rays.h",
+    """wrt::write_distances(
+        detector, traced.t.data, traced.primitive.data, beams.order.shape[0] ? beams.order.data : nullptr, traced.place, begin,
+        end, returns.range.data);""",
+)
+def write_distances(beams: Beams, traced: Traced, detector: Detector, begin: int, end: int, returns: Returns):
+    """Writes ranges without noise, whatever power returns have."""
+    ...
 
-    Item: a block of beams, in the order of tracing.
-    """
-    begin = (first + wp.tid()) * block
-    end = wp.min(begin + block, count)
+
+@wp.func
+def measure_power(beams: Beams, traced: Traced, mesh: SceneMesh, detector: Detector, begin: int, end: int, returns: Returns):
+    """Writes ranges and intensities without noise."""
     simple = (detector.exponent == 2.0 or detector.exponent == 0.0) and detector.extinction == 0.0
     surface = Surface()
     surface.primitive = -1
-    i = begin
+    i = int(begin)
     while i < end:
         primitive = traced.primitive[i]
         following = end_of_run(traced.primitive, i, end)
@@ -340,5 +341,19 @@ def measure_single(
                 returns.range[at] = wp.where(detected, t, wp.inf)
                 returns.intensity[at] = wp.where(detected, power, 0.0)
         i = following
+
+
+@wp.func
+def measure_rays(
+    beams: Beams, traced: Traced, mesh: SceneMesh, noise: Noise, detector: Detector, begin: int, end: int, returns: Returns
+):
+    """Writes what is measured by rays begin .. end - 1, one of each beam: with noise, unless an order is given.
+
+    Surfaces are looked up for intensities, and for a threshold, which the returns of all surfaces pass if it is 0.
+    """
+    if returns.intensity.shape[0] == 0 and detector.threshold == 0.0:
+        write_distances(beams, traced, detector, begin, end, returns)
+    else:
+        measure_power(beams, traced, mesh, detector, begin, end, returns)
     if beams.order.shape[0] == 0:
-        write_ranges(keyed(noise), traced.place + begin, traced.place + end, returns)
+        write_ranges(noise, traced.place + begin, traced.place + end, returns)

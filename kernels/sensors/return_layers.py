@@ -9,10 +9,10 @@ from wrt.kernels.query.hit_attributes import SceneMesh, hit_normal
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.sensors.lidar_beams import Beams, across, beam_at, beam_offset, place_of
-from wrt.kernels.sensors.lidar_returns import Detector, Motions, Noise, Returns, Traced, is_noisy, keyed
+from wrt.kernels.sensors.lidar_returns import Detector, Motions, Noise, Returns, Traced, is_noisy, keyed, measure_rays
 from wrt.kernels.sensors.philox import normal_pair, philox
 from wrt.kernels.sensors.pose_paths import Pose, PosePath, pose_of
-from wrt.kernels.sensors.surface_ids import SurfaceIds, surface_ids, write_ids
+from wrt.kernels.sensors.surface_ids import SurfaceIds, label_of, surface_ids
 
 
 @wp.struct
@@ -59,7 +59,7 @@ def return_at(beams: Beams, traced: Traced, detector: Detector, returns: Returns
         found.t = returns.mean[found.at]
         ray = wp.max(returns.ray[found.at], 0)
         found.primitive = traced.primitive[place * beams.spread.shape[0] + ray]
-    if not returns.distance[found.at] < wp.float64(wp.inf):
+    if not returns.range[found.at] < wp.inf:
         found.primitive = int(-1)
     return found
 
@@ -67,7 +67,7 @@ def return_at(beams: Beams, traced: Traced, detector: Detector, returns: Returns
 @native.func_native(
     "sensor_rays.h",
     """wrt::write_points(
-        noise, beams.directions.data + beam, returns.distance.data, pose, begin, end,
+        noise, beams.directions.data + beam, returns.range.data, returns.distance.data, pose, begin, end,
         begin < layers.point.shape[0] ? layers.point.data : nullptr,
         begin < layers.position.shape[0] ? layers.position.data : nullptr);""",
 )
@@ -75,38 +75,31 @@ def write_points(
     beams: Beams, noise: Noise, pose: Pose, beam: int, begin: int, end: int, returns: Returns, layers: ReturnLayers
 ):
     """Writes the points of returns begin .. end - 1 of one sensor at rest, the first of them that of a beam."""
+    ...
 
 
-@exact_kernel
-def fill_points(
-    first: int,
-    block: int,
-    count: int,
-    beams: Beams,
-    path: PosePath,
-    given: Noise,
-    kept: int,
-    returns: Returns,
-    layers: ReturnLayers,
+@wp.func
+def points_of_returns(
+    beams: Beams, path: PosePath, noise: Noise, kept: int, begin: int, end: int, returns: Returns, layers: ReturnLayers
 ):
-    """Writes the points of returns. Item: a block of returns. `given`: their noise; `kept`: returns of each beam."""
-    noise = keyed(given)
-    begin = (first + wp.tid()) * block
-    end = wp.min(begin + block, count)
+    """Writes the points of returns begin .. end - 1. `kept`: returns of each beam."""
     nan = wp.float64(wp.nan)
     pose = Pose()
     sensor = int(-1)
     place = place_of(beams, begin)
     plain = kept == 1 and beams.offsets.shape[0] == 0 and path.times.shape[0] <= 1
+    left = int(begin)
     if plain and place.beam + end - begin <= beams.directions.shape[0]:
         pose = pose_of(path, place.sensor, beams.start)
         write_points(beams, noise, pose, place.beam, begin, end, returns, layers)
-        end = begin
-    for at in range(begin, end):
+        left = end
+    for at in range(left, end):
         point = wp.vec3d(nan, nan, nan)
         position = point
-        distance = returns.distance[at]
-        if distance < wp.float64(wp.inf):
+        if returns.range[at] < wp.inf:
+            distance = wp.float64(returns.range[at])
+            if returns.distance.shape[0] > 0:
+                distance = returns.distance[at]
             number = at
             if kept > 1:
                 number = at / kept
@@ -130,6 +123,42 @@ def fill_points(
 
 
 @exact_kernel
+def fill_points(
+    first: int,
+    block: int,
+    count: int,
+    beams: Beams,
+    path: PosePath,
+    noise: Noise,
+    kept: int,
+    returns: Returns,
+    layers: ReturnLayers,
+):
+    """Writes the points of returns. Item: a block of returns. `kept`: returns of each beam."""
+    begin = (first + wp.tid()) * block
+    points_of_returns(beams, path, keyed(noise), kept, begin, wp.min(begin + block, count), returns, layers)
+
+
+@native.func_native(
+    "sensor_rays.h",
+    """wrt::write_ids(
+        mesh, labels, traced.primitive.data, returns.range.data, begin, end, traced.place,
+        {layers.instance.data, layers.geometry.data, layers.primitive.data, layers.semantic.data});""",
+)
+def write_ids(
+    traced: Traced,
+    mesh: SceneMesh,
+    labels: wp.array(dtype=int),
+    begin: int,
+    end: int,
+    returns: Returns,
+    layers: ReturnLayers,
+):
+    """Writes what the rays begin .. end - 1 met, one of each beam, in the order of their numbers."""
+    ...
+
+
+@exact_kernel
 def fill_ids(
     first: int,
     block: int,
@@ -144,11 +173,52 @@ def fill_ids(
 ):
     """Writes what returns come from. Item: a block of returns, in the order of tracing. `labels`: (I,), or (0,)."""
     begin = (first + wp.tid()) * block
+    end = wp.min(begin + block, count)
+    if returns.ray.shape[0] == 0 and beams.order.shape[0] == 0:
+        write_ids(traced, mesh, labels, begin, end, returns, layers)
+        end = begin
     ids = SurfaceIds()
-    for i in range(begin, wp.min(begin + block, count)):
+    for i in range(begin, end):
         found = return_at(beams, traced, detector, returns, i)
         ids = surface_ids(mesh, ids, found.primitive)
-        write_ids(layers, found.at, labels, ids)
+        if found.at < layers.instance.shape[0]:
+            layers.instance[found.at] = ids.instance
+        if found.at < layers.geometry.shape[0]:
+            layers.geometry[found.at] = ids.geometry
+        if found.at < layers.primitive.shape[0]:
+            layers.primitive[found.at] = ids.primitive
+        if found.at < layers.semantic.shape[0]:
+            layers.semantic[found.at] = label_of(labels, ids)
+
+
+@exact_kernel
+def fill_single(
+    first: int,
+    block: int,
+    count: int,
+    beams: Beams,
+    path: PosePath,
+    traced: Traced,
+    mesh: SceneMesh,
+    labels: wp.array(dtype=int),
+    noise: Noise,
+    detector: Detector,
+    returns: Returns,
+    layers: ReturnLayers,
+):
+    """Writes all that is asked for of what is measured by one ray and one return a beam: returns, and their points and ids.
+
+    Item: a block of beams, in the order of tracing. With an order, only returns are written, without noise.
+    """
+    begin = (first + wp.tid()) * block
+    end = wp.min(begin + block, count)
+    own = keyed(noise)
+    measure_rays(beams, traced, mesh, own, detector, begin, end, returns)
+    if beams.order.shape[0] == 0:
+        if layers.point.shape[0] + layers.position.shape[0] > 0:
+            points_of_returns(beams, path, own, 1, traced.place + begin, traced.place + end, returns, layers)
+        if layers.instance.shape[0] + layers.geometry.shape[0] + layers.primitive.shape[0] + layers.semantic.shape[0] > 0:
+            write_ids(traced, mesh, labels, begin, end, returns, layers)
 
 
 @exact_kernel

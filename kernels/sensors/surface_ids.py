@@ -1,7 +1,5 @@
 """What a ray meets: instance, geometry and triangle. Neighbours often meet the same instance, which is then not searched."""
 
-from typing import Any
-
 import warp as wp
 
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of
@@ -50,16 +48,3 @@ def label_of(labels: wp.array(dtype=int), ids: SurfaceIds):
     if ids.instance >= 0 and labels.shape[0] > 0:
         label = labels[ids.instance]
     return label
-
-
-@wp.func
-def write_ids(images: Any, at: int, labels: wp.array(dtype=int), ids: SurfaceIds):
-    """Writes those ids that are asked for to a place of images or of layers of returns."""
-    if at < images.instance.shape[0]:
-        images.instance[at] = ids.instance
-    if at < images.geometry.shape[0]:
-        images.geometry[at] = ids.geometry
-    if at < images.primitive.shape[0]:
-        images.primitive[at] = ids.primitive
-    if at < images.semantic.shape[0]:
-        images.semantic[at] = label_of(labels, ids)

@@ -12,11 +12,11 @@ from wrt.kernels.runtime.options import exact_kernel
 ROWS = 1024
 """Items of a block, as in table_rows.h."""
 
-COPIES = (1, 2, 4, 8)
-"""Kinds of columns that are copied, by their bytes."""
+COPIES = (1, 2, 4, 8, 24)
+"""Kinds of columns that are copied, by their bytes; 24 are three numbers."""
 
-DOUBLE_TO_FLOAT = 10
-INT_TO_USHORT = 11
+CONVERSIONS = {("<f8", "<f4", 1): 30, ("<f8", "<f4", 3): 31, ("<i4", "<u2", 1): 32}
+"""Kinds of columns that are converted, by the types before and after, and how many numbers a row has."""
 
 
 @wp.struct
@@ -30,7 +30,7 @@ class Column:
     offset: int
     """Of the field in its row, in bytes."""
     kind: int
-    """How values are converted: one of `COPIES`, `DOUBLE_TO_FLOAT` or `INT_TO_USHORT`."""
+    """How values are converted: one of `COPIES` or `CONVERSIONS`."""
     divisor: int
     modulus: int
     """0 for none."""
@@ -53,14 +53,12 @@ class RowSource:
 
 
 ITEMS = f"""static_assert(wrt::ROWS == {ROWS});
-    wrt::RowItems rows;
     const int begin = block * wrt::ROWS, left = source.count - begin, end = begin + (left < wrt::ROWS ? left : wrt::ROWS);
-    wrt::rows_of_block(
-        source.order.shape[0] ? source.order.data : nullptr, source.own, source.id.shape[0] ? source.id.data : nullptr, begin,
-        end, rows);"""
+    const int* order = source.order.shape[0] ? source.order.data : nullptr;
+    const int* id = source.id.shape[0] ? source.id.data : nullptr;"""
 
 
-@native.func_native("table_rows.h", f"{ITEMS}\nreturn rows.count;")
+@native.func_native("table_rows.h", f"{ITEMS}\nreturn wrt::count_rows(order, source.own, id, begin, end);")
 def rows_of(source: RowSource, block: int) -> int:
     """Number of rows of a block."""
 
@@ -68,6 +66,8 @@ def rows_of(source: RowSource, block: int) -> int:
 @native.func_native(
     "table_rows.h",
     f"""{ITEMS}
+    wrt::RowItems rows;
+    wrt::rows_of_block(order, source.own, id, begin, end, rows);
     wrt::write_columns(columns.data, columns.shape[0], rows, table.data, source.begins.data[block], row_bytes);""",
 )
 def write_block(

@@ -4,8 +4,9 @@ Every entry of `wrt.kernels.traversal.TRAVERSALS` that "auto" may choose has a s
 a number and the reason for choosing the traversal, or None where another one is always better. Among the entries that can
 answer the query, "auto" takes the one with the highest score. A score decides about speed alone and never about hits.
 
-The traversal of single rays scores everywhere. Limits that depend on the CPU are in `LIMITS`. Others are measured, too:
-notebooks/records/2026-11-21-plans.md, notebooks/records/2026-11-21-instances.md, notebooks/records/2026-11-22-auto.md.
+The traversal of single rays scores everywhere. The numbers below make the first guess, which calls of many rays on the CPU then
+measure against others (`wrt.engine.plan.contest`). So they are few, and the same on all CPUs
+(notebooks/records/2026-11-28-auto.md).
 """
 
 from collections.abc import Callable
@@ -19,38 +20,25 @@ to be made (notebooks/records/2026-11-21-plans.md; through instances, notebooks/
 if they start at one point (notebooks/records/2026-11-23-few-rays.md).
 """
 
-SURE_RAYS_PER_TRIANGLE = 2.0
-"""Rays per triangle from which coherent rays are traced in packets without a sample (notebooks/records/2026-11-22-auto.md), and
-in a kd-tree if they start at different points (notebooks/records/2026-11-23-few-rays.md).
-"""
+CROWDED_CELLS = 2.0
+"""The same in a kd-tree for rays that start at different points (notebooks/records/2026-11-23-few-rays.md)."""
 
 LEAST_SAMPLED = 2048
-"""Number of rays from which a sample pays: it takes as long as some hundred rays."""
+"""Number of rays from which a sample pays, and comparing plans: a sample takes as long as some hundred rays."""
 
 LEAST_SAMPLED_THROUGH_INSTANCES = 8192
 """The same through instances, where packets have to save the time to set them up: such queries are not prepared
 (notebooks/records/2026-11-22-auto.md).
 """
 
-SHORT_WALK = 5.0
-"""Steps of a ray below which a walk is short: a packet then saves more of what each ray costs besides its steps."""
+GREATEST_SHARE = 0.24
+"""Greatest `Overlap.share` with which rays stay together: packets are then faster."""
 
-DENSE_RAYS_PER_TRIANGLE = 0.5
-"""Rays per triangle from which long walks count as short ones: many rays of a packet then meet the same triangles."""
+MANY_TRIANGLES = 50_000
+"""Triangles from which interleaved walks are faster than streams."""
 
-MANY_RAYS = 1 << 16
-"""Number of incoherent rays from which any hits have a limit of their own: lists of streams are long
-(notebooks/records/2026-11-24-streams.md); of rays from one point from which long walks have one
-(notebooks/records/2026-11-25-packet-pairs.md).
-"""
-
-MANY_COHERENT_RAYS = 1 << 17
-"""The same for coherent rays (notebooks/records/2026-11-25-packet-pairs.md)."""
-
-RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
-"""Rays per instance from which sorting rays by instance pays: for coherent rays, and for others
-(notebooks/records/2026-11-21-instances.md).
-"""
+RAYS_PER_INSTANCE = 1 << 15
+"""Rays per instance from which sorting rays by instance pays."""
 
 
 class Overlap(NamedTuple):
@@ -64,85 +52,6 @@ class Overlap(NamedTuple):
 
     share: float
     steps: float
-
-
-class Limits(NamedTuple):
-    """What depends on the CPU.
-
-    Attributes:
-        incoherent: triangles of the scene from which interleaved walks are faster than streams for incoherent rays.
-        occlusion: the same for any hit of `MANY_RAYS` or more.
-        coherent: the same for coherent rays that part.
-        coherent_many: the same for `MANY_COHERENT_RAYS` or more.
-        few: number of incoherent rays below which they are faster in any scene.
-        long_share, short_share: greatest `Overlap.share` with which packets are faster than these, for long and short walks.
-        long_view_share: the same for long walks of `MANY_RAYS` rays from one point, or more.
-        view_share: the same for short walks of rays from one point.
-        instance_share: the same through instances.
-        large_packet: rays of a packet, in vectors, in a BVH of one level: of dense rays from one point, and of any-hit queries.
-        rough: rays per triangle of the scene up to which packets of rays from one point test each ray against the boxes of
-            leaves.
-        crowded: rays per triangle from which they are larger still.
-    """
-
-    incoherent: float
-    occlusion: float
-    coherent: float
-    coherent_many: float
-    few: float
-    long_share: float
-    short_share: float
-    long_view_share: float
-    view_share: float
-    instance_share: float
-    large_packet: int
-    rough: float
-    crowded: float
-
-
-LIMITS = {
-    8: Limits(
-        incoherent=0,
-        occlusion=100_000,
-        coherent=0,
-        coherent_many=0,
-        few=0,
-        long_share=0.2,
-        short_share=0.245,
-        long_view_share=0.26,
-        view_share=0.29,
-        instance_share=0.2,
-        large_packet=4,
-        rough=12.0,
-        crowded=8.0,
-    ),
-    16: Limits(
-        incoherent=120_000,
-        occlusion=300_000,
-        coherent=500_000,
-        coherent_many=900_000,
-        few=8192,
-        long_share=0.2,
-        short_share=0.245,
-        long_view_share=0.26,
-        view_share=0.29,
-        instance_share=0.22,
-        large_packet=2,
-        rough=12.0,
-        crowded=4.0,
-    ),
-}
-"""`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
-(notebooks/records/2026-11-22-auto.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md; `view_share`:
-notebooks/records/2026-11-23-edge-functions.md; `rough`, `crowded`, `coherent_many`, `short_share`, `long_view_share`:
-notebooks/records/2026-11-25-packet-pairs.md; `incoherent`, `occlusion`: notebooks/records/2026-11-24-streams.md). Fewer lanes
-are taken for 8; they have not been measured.
-"""
-
-
-def limits_for(lanes: int) -> Limits:
-    """The limits of a CPU whose trees have this many children a node."""
-    return LIMITS[16 if lanes >= 16 else 8]
 
 
 COHERENT_REASON, INCOHERENT_REASON = "neighbouring rays are coherent", "neighbouring rays are incoherent"
@@ -162,7 +71,6 @@ class Situation(NamedTuple):
         cull_backfaces: whether rays hit only the front of triangles.
         is_cuda: whether the query runs on CUDA.
         tree: kind of the scene's trees, "bvh" or "kdtree".
-        lanes: children of a node of the tree: on the CPU, usually the lanes of its registers.
         triangles: number of triangles, in all instances.
         instances: number of instances; 0 in scenes of one level.
         own_spaces: whether each tree of the scene has its own coordinate space.
@@ -178,7 +86,6 @@ class Situation(NamedTuple):
     cull_backfaces: bool
     is_cuda: bool
     tree: str
-    lanes: int
     triangles: int
     instances: int
     own_spaces: bool
@@ -188,11 +95,6 @@ class Situation(NamedTuple):
     coherent: bool
     shared_origin: bool
     overlap: Overlap | None = None
-
-    @property
-    def limits(self) -> Limits:
-        """What depends on the CPU."""
-        return limits_for(self.lanes)
 
     @property
     def prefers_single(self) -> bool:
@@ -216,32 +118,22 @@ class Situation(NamedTuple):
 
     @property
     def needs_sample(self) -> bool:
-        """Whether only a sample tells if packets are faster: rays are coherent, and not so dense that packets surely are."""
+        """Whether only a sample tells if packets are faster."""
         if self.prefers_single or self.tests_each_hit or not self.coherent or self.tree != "bvh":
             return False
-        sure = self.rays >= SURE_RAYS_PER_TRIANGLE * self.triangles and (self.shared_origin or not self.instances)
-        least = LEAST_SAMPLED_THROUGH_INSTANCES if self.instances else LEAST_SAMPLED
-        return self.rays >= least and not sure
+        return self.rays >= (LEAST_SAMPLED_THROUGH_INSTANCES if self.instances else LEAST_SAMPLED)
 
     @property
     def crowds_cells(self) -> bool:
         """Whether coherent rays are so numerous that packets are faster than single rays in the cells of a kd-tree."""
-        least = RAYS_PER_TRIANGLE if self.shared_origin else SURE_RAYS_PER_TRIANGLE
-        return self.rays >= least * self.triangles
+        return self.rays >= (RAYS_PER_TRIANGLE if self.shared_origin else CROWDED_CELLS) * self.triangles
 
     @property
     def stays_together(self) -> bool:
         """Whether the rays of a packet take so much the same way that packets are faster."""
-        if self.overlap is None:
-            return self.rays >= RAYS_PER_TRIANGLE * self.triangles and (self.shared_origin or not self.instances)
-        limits = self.limits
-        if self.instances:
-            return self.overlap.share <= limits.instance_share
-        is_short = self.overlap.steps < SHORT_WALK or self.rays >= DENSE_RAYS_PER_TRIANGLE * self.triangles
-        if is_short:
-            return self.overlap.share <= (limits.view_share if self.shared_origin else limits.short_share)
-        many_of_one_point = self.shared_origin and self.rays >= MANY_RAYS
-        return self.overlap.share <= (limits.long_view_share if many_of_one_point else limits.long_share)
+        if self.overlap is not None:
+            return self.overlap.share <= GREATEST_SHARE
+        return self.rays >= RAYS_PER_TRIANGLE * self.triangles and (self.shared_origin or not self.instances)
 
 
 Score = Callable[[Situation], tuple[float, str] | None]
@@ -308,8 +200,9 @@ def score_stream(situation: Situation) -> tuple[float, str] | None:
         return None
     if not situation.instances:
         return score_box_stream(situation)
-    least = (RAYS_PER_INSTANCE if situation.coherent else SCATTERED_PER_INSTANCE) * situation.instances
-    if situation.rays < least or (situation.suits_instance_packets and situation.shared_origin):
+    if situation.rays < RAYS_PER_INSTANCE * situation.instances or (
+        situation.suits_instance_packets and situation.shared_origin
+    ):
         return None
     return STREAMS, "two levels, rays sorted by instance"
 
@@ -332,15 +225,7 @@ def score_interleaved(situation: Situation) -> tuple[float, str] | None:
     """Interleaved walks suit rays that streams suit, if there are enough triangles for the rays to part."""
     if situation.prefers_single or situation.tests_each_hit or situation.instances or situation.tree != "bvh":
         return None
-    limits = situation.limits
-    if situation.coherent:
-        many = situation.rays >= MANY_COHERENT_RAYS
-        enough = situation.triangles >= (limits.coherent_many if many else limits.coherent)
-    else:
-        finds_any_of_many = ANSWERS[situation.query].rules.ends_at_first and situation.rays >= MANY_RAYS
-        least = limits.occlusion if finds_any_of_many else limits.incoherent
-        enough = situation.triangles >= least or situation.rays < limits.few
-    return (INTERLEAVED_RAYS, reason_for_streams(situation)) if enough else None
+    return (INTERLEAVED_RAYS, reason_for_streams(situation)) if situation.triangles >= MANY_TRIANGLES else None
 
 
 def reason_for_streams(situation: Situation) -> str:

@@ -89,8 +89,29 @@ def test_command(tmp_path, monkeypatch):
     assert row["rays"] == 4096
     assert row["ratio"] > 0.0
     assert row["rules_ratio"] >= 1.0, "the rules choose one of the engines"
+    assert row["noise"] >= 1.0
+    assert "the best engine against itself: at most" in done.output
+    assert row["rules"] in row["compared"]
     assert row["best"] in row["milliseconds"]
     assert row["rules"] in row["milliseconds"]
+
+
+def test_a_duel_times_the_best_engine_twice():
+    """On a clock that each run advances by what it takes, the engine's second name included."""
+    now = 0.0
+
+    def takes(seconds):
+        def run() -> None:
+            nonlocal now
+            now += seconds
+
+        return run
+
+    runs = {"auto": takes(0.003), "stream": takes(0.002)}
+    times = {"auto": 5.0, "stream": 1.0, "single": 4.0}
+    noise = auto_choices.duel(times, "stream", runs, 2, lambda: now, lambda name: None)
+    assert times == {"auto": pytest.approx(3.0), "stream": 1.0, "single": 4.0}
+    assert noise == pytest.approx(1.0)
 
 
 def test_sizes_divide_into_tiles():

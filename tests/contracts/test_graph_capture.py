@@ -55,9 +55,6 @@ REFUSED = {
 }
 
 
-KNOWN = ("lidar", "camera", "pinhole", "pose", "rendering", "rays", "instances", "fuzzy", "trajectory", "area", "parts")
-
-
 @pytest.mark.parametrize("call", REFUSED)
 def test_what_needs_results_at_once_is_refused(scene, call):
     for known in (

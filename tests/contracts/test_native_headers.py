@@ -56,6 +56,14 @@ def test_headers_are_formatted():
     assert done.returncode == 0, done.stderr
 
 
+def test_lines_of_headers_fit():
+    """Comments too, which the tool leaves as they are."""
+    style = (native.FOLDER / ".clang-format").read_text()
+    width = int(re.search(r"ColumnLimit: (\d+)", style)[1])
+    lines = [(path.name, len(line)) for path in [*HEADERS, *INSTANCES] for line in path.read_text().splitlines()]
+    assert [(name, length) for name, length in lines if length > width] == []
+
+
 def test_headers_are_for_every_cpu():
     for header in HEADERS:
         assert not has_assembly(header.read_text())

@@ -215,7 +215,7 @@ def test_arrays_of_one_allocation():
     """Aligned, apart, and alive as long as one of them."""
     kinds, device = {"a": wp.vec3, "b": wp.float64, "c": wp.int32}, wp.get_device("cpu")
     block = memory.ArraysOfBlock(kinds, 1000, device)
-    found = {name: block[name] for name in kinds}
+    found = {name: block[name].array for name in kinds}
     struct = Cut()
     block.write_to(struct)
     for number, (name, array) in enumerate(found.items()):

@@ -54,6 +54,14 @@ def fresh_cache(folder: Path, cache: Path) -> Path:
     return header
 
 
+def test_the_header_is_the_one_that_warp_asks_for_and_has_no_bfloat16(folder):
+    """Were its name another, Warp would make one more."""
+    (header,) = headers_in(folder / "cache")
+    content = header.read_bytes()
+    assert b"float16" in content
+    assert b"bfloat16" not in content
+
+
 def test_a_later_process_makes_no_header(folder, tmp_path):
     fresh_cache(folder, tmp_path / "cache")
     (answers, made), _ = done(COUNT + LOAD, tmp_path, WRT_COMPILE_JOBS="2")
@@ -127,11 +135,11 @@ def make(folder: Path, name: str = "a.pch", content: bytes = b"header") -> None:
 
 def test_threads_share_what_one_has_made(own):
     def first():
-        with precompiled_header.shared_header(Module()):
+        with precompiled_header.shared_header(Module(), 1):
             make(own())
 
     def second():
-        with precompiled_header.shared_header(Module()):
+        with precompiled_header.shared_header(Module(), 1):
             assert (own() / "a.pch").read_bytes() == b"header"
             make(own(), "b.pch")
 
@@ -146,14 +154,14 @@ def test_a_thread_waits_for_the_header_and_not_for_the_module(own):
     is_taken, begun = threading.Event(), threading.Event()
 
     def first():
-        with precompiled_header.shared_header(Module()):
+        with precompiled_header.shared_header(Module(), 1):
             begun.set()
             make(own())
             assert is_taken.wait(30.0), "the other thread waited for the module"
 
     def second():
         begun.wait(30.0)
-        with precompiled_header.shared_header(Module()):
+        with precompiled_header.shared_header(Module(), 1):
             is_taken.set()
 
     threads = [threading.Thread(target=work, name=work.__name__) for work in (first, second)]
@@ -167,11 +175,11 @@ def test_a_thread_waits_for_the_header_and_not_for_the_module(own):
 
 def test_a_thread_whose_compiling_fails_lets_others_go_on(own):
     def first():
-        with pytest.raises(RuntimeError, match="clang says"), precompiled_header.shared_header(Module()):
+        with pytest.raises(RuntimeError, match="clang says"), precompiled_header.shared_header(Module(), 1):
             raise RuntimeError("clang says something")
 
     def second():
-        with precompiled_header.shared_header(Module()):
+        with precompiled_header.shared_header(Module(), 1):
             make(own())
 
     compile_on("first", first)
@@ -184,10 +192,10 @@ def test_where_no_header_is_made_threads_wait_once(own):
     meet = threading.Barrier(2, timeout=30.0)
 
     def work():
-        with precompiled_header.shared_header(Module()):
+        with precompiled_header.shared_header(Module(), 1):
             meet.wait()
 
-    with precompiled_header.shared_header(Module()):
+    with precompiled_header.shared_header(Module(), 1):
         pass
     threads = [threading.Thread(target=work, name=f"work{i}") for i in range(2)]
     for thread in threads:
@@ -202,7 +210,7 @@ def test_headers_of_other_flags_lie_apart(own):
 
     def work():
         for flags, name in (("-march=native", "native.pch"), ("", "generic.pch")):
-            with precompiled_header.shared_header(Module(flags)):
+            with precompiled_header.shared_header(Module(flags), 1):
                 make(own(), name)
 
     compile_on("first", work)
@@ -241,11 +249,11 @@ def test_a_warp_that_keeps_headers_elsewhere(tmp_path, monkeypatch):
     """Or that makes none: this thread compiles as it would without."""
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     monkeypatch.setattr(wp._src.context, "runtime", types.SimpleNamespace())
-    with precompiled_header.shared_header(Module()):
+    with precompiled_header.shared_header(Module(), 1):
         pass
     monkeypatch.undo()
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     monkeypatch.setattr(wp.config, "use_precompiled_headers", False)
-    with precompiled_header.shared_header(Module()):
+    with precompiled_header.shared_header(Module(), 1):
         pass
     assert list(tmp_path.iterdir()) == []

@@ -305,6 +305,21 @@ def test_lights_that_glass_blocks_are_named(recwarn):
             wrt.pictures.Rendering(wrt.Scene(glass), camera, integrator="path", lights=[wrt.lights.Sky(1.0), light])
 
 
+def test_open_bodies_of_glass_are_named(recwarn):
+    """By the index of the mesh, whatever the integrator; not other surfaces, nor what another material replaces."""
+    ball, glass = sphere(1), wrt.Material("dielectric")
+    cup = wrt.TriangleMesh(ball.vertices, ball.faces[1:])
+    camera = wrt.PinholeCamera(4, 4, position=(0, -5, 2), look_at=(0, 0, 0))
+    half = np.arange(ball.triangle_count) % 2
+    closed = [ball.with_materials([glass, wrt.Material()], of_face=half), cup.with_materials(wrt.Material("mirror"))]
+    wrt.pictures.Rendering(wrt.Scene(closed), camera, integrator="path", lights=[wrt.lights.Sky(1.0)])
+    assert not recwarn.list
+    for integrator in ("whitted", "distribution", "path"):
+        scene = wrt.Scene([*closed, cup.with_materials([wrt.Material(), glass], of_face=half[1:])])
+        with pytest.warns(UserWarning, match="mesh 2 has glass and is not closed"):
+            wrt.pictures.Rendering(scene, camera, integrator=integrator, lights=[wrt.lights.Sky(1.0)])
+
+
 def stack_radiance(indices, thicknesses, absorptions):
     """The same for layers, by adding them one by one from below."""
 

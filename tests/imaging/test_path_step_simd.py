@@ -15,8 +15,6 @@ from wrt.scenes.shapes import plane
 
 CORNERS = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
 
-SPOT = [wrt.lights.SpotLight((0, 0, 3), (0, 0, -1), 9.0)]
-
 LIGHTS = {
     "point": lambda: [wrt.lights.PointLight((0.5, -1.0, 2.0), 4.0)],
     "directional": lambda: [wrt.lights.DirectionalLight((0.3, 0.2, -1.0), 2.0)],

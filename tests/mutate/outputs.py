@@ -51,8 +51,8 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/sensors/lidar_scan.py",
-        old='wider = dict.fromkeys("xyz", "<f8") if frame == "world" else {}',
-        new="wider = {}",
+        old='"<f8" if frame == "world" else "<f4"',
+        new='"<f4"',
         tests=f"{POINTS}::test_tables_and_files_in_utm_coordinates",
         promise=UTM,
     ),
@@ -92,9 +92,9 @@ MUTATIONS = [
         promise=NARROW,
     ),
     Mutation(
-        path="wrt/sensors/lidar_scan.py",
-        old="if self.pattern.rings.min() < 0 or self.pattern.rings.max() > np.iinfo(np.uint16).max:",
-        new="if self.pattern.rings.min() < 0:",
+        path="wrt/sensors/lidar_pattern.py",
+        old="(self.rings.min() < 0 or self.rings.max() > np.iinfo(np.uint16).max)",
+        new="self.rings.min() < 0",
         tests=f"{FIELDS}::test_tables_have_wider_fields_where_they_are_needed",
         promise=NARROW,
     ),

@@ -5,7 +5,6 @@ from tests.mutate.mutation import Mutation
 _NEAR = "Spawned origins are within 6.7e-6 of the scene's reach of their hits"
 _OWN = "`spawn` neither meets its own triangle again nor jumps across a wall"
 _FRONT = "Surfaces are lit on their front only, by the recipes of the guides"
-_SKY = "canyons, slopes and corners see as much sky as closed forms say, in pictures, too"
 
 _BOUNDS = "tests/queries/test_spawn_bounds.py"
 _NEAR_HITS = f"{_BOUNDS}::test_origins_are_near_their_hits"

@@ -238,6 +238,8 @@ def check_rendering(names):
     np.testing.assert_allclose(names["adaptive"].counts.mean(), 16.0, rtol=0.1)
     assert np.ptp(names["adaptive"].counts) > 0
     assert 0.02 < names["inside"].mean() < 0.98
+    lengths = np.array([[0.3], [0.1], [np.inf]])  # both panes, one, and the beam
+    np.testing.assert_allclose(names["share"], np.exp(-lengths * [0.5, 1.0, 2.0]), rtol=1e-5)
     if "smooth" in names:
         assert names["smooth"].shape == names["color"].shape
         assert np.abs(np.diff(names["smooth"], axis=1)).mean() < np.abs(np.diff(names["color"], axis=1)).mean()
@@ -314,6 +316,16 @@ def check_facades(names):
             np.testing.assert_allclose(np.moveaxis(stored.read(), 0, -1), names["on_map"], rtol=1e-6)
 
 
+def check_reading(names):
+    from wrt.builders.kdtree import KDTREE_BUILDERS
+
+    assert KDTREE_BUILDERS.pop("golden").build is names["build"]  # other tests do not know it
+    for hits in names["found"].values():
+        np.testing.assert_array_equal(hits.t, names["found"]["sweep"].t)
+        assert hits.counters["triangles"].mean() >= names["found"]["sweep"].counters["triangles"].mean()
+    assert (names["found"]["golden"].counters["nodes"] != names["found"]["spatial_median"].counters["nodes"]).any()
+
+
 def check_pytorch(names):
     assert names["losses"][-1] < 0.1 * names["losses"][0]
     assert names["depth"].isfinite().sum() == names["hits"].is_hit.sum() > 1000
@@ -333,6 +345,7 @@ CHECKS = {
     "guides/pytorch.md": check_pytorch,
     "guides/simulation.md": check_simulation,
     "guides/facades.md": check_facades,
+    "reading.md": check_reading,
     "start.md": check_start,
     "tutorial.md": check_tutorial,
     "guides/queries.md": check_queries,

@@ -24,10 +24,6 @@ MESHES = {
 }
 
 
-def as_nearest(hits: wrt.Hits) -> tuple[np.ndarray, np.ndarray]:
-    return hits.batch.primitive.numpy(), hits.t
-
-
 def brute(mesh: wrt.TriangleMesh, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with np.errstate(all="ignore"):
         return nearest64(mesh.vertices, mesh.faces, origins, directions)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from support.hits import assert_same_hits, mixed_rays
@@ -9,6 +11,7 @@ from support.random_instances import BALL, BOX, FLAT, move, random_instances
 
 import wrt
 from wrt.instances.few_moves import MOST_AT_ONCE
+from wrt.instances.instance_list import MOST_OBJECTS
 
 
 @pytest.mark.parametrize("accelerator", ["bvh", "kdtree"])
@@ -103,3 +106,35 @@ def test_a_failed_update_changes_nothing(case):
         call(scene)
     assert vars(scene).keys() == before.keys()
     assert all(vars(scene)[name] is value for name, value in before.items())
+
+
+def test_instances_are_objects_when_they_are_read():
+    """Many that move are arrays until then; what has not changed stays the same object."""
+    count = MOST_OBJECTS + 8
+    given = [wrt.Instance(BOX, move(3.0 * number), mask=number + 1) for number in range(count)]
+    scene = wrt.Scene(given, device="cpu")
+    assert scene.instances[3] is given[3]
+    matrices = np.array([move(3.0 * number, 1.0) for number in range(count)])
+    rows = np.arange(4, count)
+    scene.update(rows, transform=matrices[rows])
+    scene.update([5, *rows, 5], transform=matrices[[0, *rows, 1]])
+    assert "objects" not in vars(scene.state.instances)
+    scene.update(6, mask=2)
+    assert "objects" not in vars(scene.state.instances)
+    listed = scene.instances
+    assert listed is scene.instances
+    assert all(listed[row] is given[row] for row in range(4))
+    expected = matrices.copy()
+    expected[:4], expected[5] = [given[row].transform for row in range(4)], matrices[1]
+    for row, one in enumerate(listed):
+        np.testing.assert_array_equal(one.transform, expected[row])
+        assert (one.mesh, one.mask, one.environment) == (BOX, 2 if row == 6 else row + 1, -1)
+        assert type(one.mask) is int
+        assert not one.transform.flags.writeable
+    scene.update(7, transform=np.eye(4))
+    assert scene.instances[8] is listed[8]
+    scene.update(np.arange(count), transform=np.eye(4), mask=1)
+    assert all(one.mask == 1 and (one.transform == np.eye(4)).all() for one in scene.instances)
+    again = pickle.loads(pickle.dumps(scene))
+    assert [(one.mask, one.transform.tolist()) for one in again.instances] == [(1, np.eye(4).tolist())] * count
+    np.testing.assert_array_equal(listed[7].transform, matrices[7])

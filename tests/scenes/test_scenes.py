@@ -142,6 +142,23 @@ def test_teapot_seams_are_welded(level):
     assert sizes.sum() == mesh.triangle_count
 
 
+@pytest.mark.parametrize("level", [2, 7])
+def test_teapot_without_holes(level):
+    """A fan in each of six rims; front sides stay outside, so that the volume is positive, and right for a finer one."""
+    open_pot, mesh = teapot(level, ground=False), teapot(level, ground=False, closed=True)
+    assert mesh.is_closed
+    assert not open_pot.is_closed
+    np.testing.assert_array_equal(mesh.faces[: open_pot.triangle_count], open_pot.faces)
+    assert mesh.triangle_count == open_pot.triangle_count + 16 * level
+    assert mesh.vertex_count == open_pot.vertex_count + 6
+    directed = mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    assert len(np.unique(directed, axis=0)) == len(directed)
+    assert len(np.unique(np.concatenate([directed, directed[:, ::-1]]), axis=0)) == len(directed)  # each edge both ways
+    assert 15.0 < signed_volume(mesh) < 40.0  # the spout and the handle are counted twice inside the pot
+    with pytest.raises(ValueError, match="level"):
+        teapot(1, closed=True)
+
+
 def test_teapot_normals_point_outward():
     mesh = teapot(16, ground=False)
     assert signed_volume(mesh) > 20.0  # the surface is open: of the sum over its triangles the sign is what counts

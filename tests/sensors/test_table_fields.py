@@ -212,7 +212,7 @@ def test_chosen_layers_as_warp_arrays():
     lidar = Lidar(pattern=LidarPattern.raster(12, 40, horizontal=90, vertical=30))
     pose, expected = look_at([0, 0, 0], [1, 0.1, 0]), lidar.scan(scene, look_at([0, 0, 0], [1, 0.1, 0]), labels=[4, 7])
     scan = lidar.scan(scene, pose, labels=[4, 7], layers=("position", "semantic_id"), to_warp=True)
-    assert set(scan._layers.arrays) == {"range", "intensity", "position", "semantic"}  # the first two are of the measurement
+    assert set(scan._layers.arrays) == {"range", "position", "semantic"}  # the first is of the measurement
     np.testing.assert_array_equal(scan.position.numpy(), expected.position)
     np.testing.assert_array_equal(scan.semantic_id.numpy(), expected.semantic_id)
     for name in ("range", "normal"):

@@ -118,7 +118,7 @@ def built_in_calls() -> Iterator[Call]:
     yield Call("atrium", lambda **o: built_in(scenes.atrium(**o)), {"bays": (1, 1), "storeys": 1, "detail": 1})
     yield Call("cornell_box", lambda **o: built_in(scenes.cornell_box(**o)), {"blocks": False, "cells": 1})
     yield Call("random_triangles", lambda **o: built_in(scenes.random_triangles(**o)), {"count": 4, "size": 0.5, "seed": 1})
-    yield Call("teapot", lambda **o: built_in(scenes.teapot(**o)), {"level": 1, "ground": False})
+    yield Call("teapot", lambda **o: built_in(scenes.teapot(**o)), {"level": 2, "ground": False, "closed": True})
     yield Call("teapot_in_stadium", lambda **o: built_in(scenes.teapot_in_stadium(**o)), {"level": 1, "rows": 1, "segments": 8})
     yield Call("walking_figure", lambda **o: scenes.walking_figure(**o).frames, {"frames": 1, "detail": 3})
     yield Call("waving_cloth", lambda **o: scenes.waving_cloth(**o).frames, {"frames": 1, "cells": 1})

@@ -54,14 +54,32 @@ void returns(const Detector& detector, const Noise& noise, const float* t, const
 {
     const int end = wrt::end_of_run(primitive, 0, 8);
     wrt::write_returns(detector, true, t, directions, directions[0], 1.0f, primitive, 0, 0, end, range, intensity);
+    wrt::write_distances(detector, t, primitive, primitive, 0, 0, 8, range);
     wrt::write_ranges(noise, 0, 8, range, intensity, distance);
     const Pose pose {point[0], turn};
-    wrt::write_points(noise, directions, distance, pose, 0, 8, point, point);
+    wrt::write_points(noise, directions, range, distance, pose, 0, 8, point, point);
+}
+
+template <class T> struct Array {
+    T* data;
+    int shape[1];
+};
+struct Placement {
+    int geometry;
+};
+struct Mesh {
+    Array<int> geometry_first;
+    Array<Placement> placements;
+};
+
+void ids(const Mesh& mesh, const Array<int>& labels, const int* primitive, const float* range, int* out)
+{
+    wrt::write_ids(mesh, labels, primitive, range, 0, 8, 0, {out, out, out, nullptr});
 }
 
 void table(const Column* columns, const int* order, const int* id, unsigned char* out)
 {
     wrt::RowItems rows;
-    wrt::rows_of_block(order, 8, id, 0, 8, rows);
+    wrt::rows_of_block(order, 8, id, 0, wrt::count_rows(order, 8, id, 0, 8), rows);
     wrt::write_columns(columns, 2, rows, out, 0, 27);
 }

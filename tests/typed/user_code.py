@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import trimesh
 import warp as wp
 
 import wrt
@@ -154,3 +156,68 @@ def blocks(scene: wrt.Scene, origins: np.memmap, nearest: np.ndarray) -> None:
     for rows, hits in scene.intersect_blocks(origins, (0.0, 0.0, 1.0), memory="1 GB", progress=True):
         nearest[rows] = hits.t
     scene.occluded_blocks(origins, (0.0, 0.0, 1.0), reduce="sum", axis=0).result()
+    with ThreadPoolExecutor(2) as pool:
+        spread = scene.intersect_blocks(
+            wrt.Rays(origins, origins), executor=pool, reduce={"t": "min", "is_hit": np.sum}, axis=(0, 1)
+        )
+    generated = wrt.batches.GeneratedRays(lambda first, count: (origins[first : first + count], (0, 0, 1)), 10**6)
+    print(
+        spread.result(),
+        scene.count_blocks(generated, executor=wrt.cluster.Workers(pool), reduce=wrt.batches.Histogram(nearest)),
+    )
+    scene.count_blocks([(origins, nearest)]).write(nearest)
+
+
+def meshes(path: str, vertices: np.ndarray, faces: list[tuple[int, int, int]], bodies: list[wrt.TriangleMesh]) -> None:
+    mesh = (
+        wrt.TriangleMesh(vertices, faces, up=(0, 0, 1))
+        .transformed(np.eye(4))
+        .with_materials(wrt.Material(), uv=vertices[:, :2])
+    )
+    loaded = wrt.Scene(trimesh.load(path))
+    loaded.move({"shoulder": np.eye(4)})
+    scene = wrt.Scene([bodies, [mesh]])
+    scene.update({1: vertices, 4: wp.array(vertices)}, rebuild="never")
+    with scene.updating(0, vertices=vertices):
+        print(scene.filtered(ignore={0: [True, False]}, alpha=True))
+    forest = wrt.Scene([wrt.Instance(mesh), wrt.Instance(trimesh.load_mesh(path), wp.array(np.eye(4)))])
+    forest.update(range(2), transform=np.stack([np.eye(4)] * 2))
+    forest.remove(forest.add(wrt.Instance(mesh, mask=3)))
+    moving = wrt.moving.GroupedScene(bodies, "kdtree", accelerators={0: wrt.KdTree()})
+    print(moving, wrt.moving.InstancedScene(trimesh.load_scene(path), wrt.Bvh(), device=wp.get_device("cpu"), cache=path))
+    print(wrt.moving.Motion(vertices={0: (vertices, vertices)}), wrt.analysis.clearance(forest, {0, 1}).distance)
+
+
+def moving_sensors(scene: wrt.Scene, track: np.ndarray, poses: wp.array) -> None:
+    path = wrt.sensors.Trajectory([0.0, 0.1], [[0, 0, 1.8], [1, 0, 1.8]], rotations=None)
+    lidar = wrt.sensors.Lidar(pattern=wrt.sensors.LidarPattern.spinning([-1.0, 1.0], 360, azimuth_offsets=0.5))
+    lidar.scan(scene, path, motions={0: wrt.sensors.Trajectory.from_matrices((0.0, 1.0), track)}, labels=[1, 2], mask=3)
+    assert_type(wrt.sensors.deskew(track[:, 3], 0.0, path, 0.1), np.ndarray)
+    lens = wrt.sensors.BrownConrady.from_matrix([[500, 0, 32], [0, 500, 24], [0, 0, 1]], (0.1, 0.0, 0.0, 0.0))
+    assert_type(lens.project([[0.0, 0.0, 1.0]]), np.ndarray)
+    assert_type(lens.unproject(wp.zeros(3, dtype=wp.vec2d))[1], wp.array)
+    camera = wrt.sensors.Camera(64, 48, lens)
+    lights = [wrt.lights.Sky(1.0), wrt.lights.Sky.gradient((0.1, 0.2, 0.3), 2.0, up=[0, 0, 1])]
+    picture = camera.render(scene, np.eye(4), lights=lights, materials=wrt.Material(), samples=64)
+    images = camera.capture(scene, poses, albedo=True, materials=[wrt.Material()], environment=[0, 1])
+    print(picture.linear, images.flow, camera.to_camera(np.eye(4)).position)
+
+
+def shadows(scene: wrt.Scene, points: np.ndarray, buffer: wp.array) -> None:
+    light = wrt.lights.LightBuffer(scene, (0, 0, 9))
+    assert_type(light.occluded(points, skip=scene.closest_point(points)), np.ndarray)
+    assert_type(light.occluded(buffer), wp.array)
+    area = wrt.lights.AreaLightVisibility.rectangle(scene, (0, 0, 9), (1, 0, 0), (0, 1, 0), samples=4)
+    assert_type(area.visible(points, t_max=np.ones(len(points))), np.ndarray)
+    print(area.occluded(buffer), scene.occluded(light.shadow_rays(points)))
+
+
+def fronts(mesh: trimesh.Trimesh, rays: np.ndarray) -> None:
+    intersector = wrt.compat.RayMeshIntersector(mesh)
+    print(intersector.intersects_any(rays[:, :3], rays[:, 3:]), wrt.compat.ProximityQuery(mesh).signed_distance(rays[:, :3]))
+    scene = wrt.compat.RaycastingScene(device="cpu")
+    print(scene.cast_rays(rays)["t_hit"], scene.compute_signed_distance(rays[:, :3]))
+    wrt.lights.save_lights("lights.npz", wrt.lights.PointLight((0, 0, 1)))
+    wrt.view(
+        wrt.TriangleMesh.from_trimesh(mesh), up=(0, 0, 1), animate=lambda scene, frame: scene.update(0, vertices=rays)
+    ).close()

@@ -58,3 +58,28 @@ def mistakes(mesh: wrt.TriangleMesh, scene: wrt.Scene, origins: np.ndarray, dire
     wrt.lights.PointLight((0, 0, 1), intensity="bright")  # mistake: arg-type
     wrt.analysis.exposure(scene, hits, "sun")  # mistake: arg-type
     wrt.sensors.look_at((0, 0, 1), camera)  # mistake: arg-type
+    wrt.Scene("bunny.ply")  # mistake: arg-type
+    wrt.Scene(origins)  # mistake: arg-type
+    wrt.Instance("bunny.ply", origins)  # mistake: arg-type
+    wrt.TriangleMesh("bunny.ply", origins)  # mistake: arg-type
+    mesh.transformed("x")  # mistake: arg-type
+    scene.move(origins)  # mistake: arg-type
+    scene.remove("all")  # mistake: arg-type
+    scene.intersect_blocks(origins, directions, executor=4)  # mistake: arg-type
+    scene.occluded_blocks(origins, directions, reduce=3)  # mistake: arg-type
+    scene.count_blocks(origins, directions, axis="rays")  # mistake: arg-type
+    wrt.render(scene, camera, integrator="path", lights=[1.0])  # mistake: list-item
+    wrt.render(scene, camera, albedo="red")  # mistake: arg-type
+    wrt.pictures.Rendering(scene, camera, materials="glass")  # mistake: arg-type
+    wrt.save_image("image.png", scene)  # mistake: arg-type
+    lidar = wrt.sensors.Lidar.preset("velodyne_vlp_16")
+    lidar.scan(scene, scene)  # mistake: arg-type
+    lidar.scan(scene, origins, labels="road")  # mistake: arg-type
+    lidar.scan(origins, origins)  # mistake: arg-type
+    wrt.sensors.Camera(64, 48, wrt.sensors.Equirectangular(64, 48)).render(scene, origins, smaples=2)  # mistake: call-arg
+    wrt.sensors.Trajectory("0", origins)  # mistake: arg-type
+    wrt.lights.LightBuffer(scene, (0, 0, 9)).occluded("origins")  # mistake: call-overload
+    wrt.lights.Sky("blue")  # mistake: arg-type
+    wrt.device.differentiable_hits(scene, hits, origins, directions, mesh)  # mistake: arg-type
+    wrt.moving.GroupedScene(mesh, "bhv")  # mistake: arg-type
+    wrt.view(origins)  # mistake: arg-type

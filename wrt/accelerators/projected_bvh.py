@@ -92,7 +92,7 @@ class ProjectedBvh:
         self.config(width=8)
 
     @classmethod
-    def published(cls, areas: Any, **changes: Any) -> ProjectedBvh:
+    def published(cls, areas: tuple[InfluenceArea, ...], **changes: Any) -> ProjectedBvh:
         """The thesis' configuration: binary nodes, cost 1 for a box and 1.2 for a triangle, two triangles in a leaf, 40 bins
         along an axis, axes that face away from the rays, no other rays.
 

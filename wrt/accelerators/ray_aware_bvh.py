@@ -29,8 +29,8 @@ MAX_ARRAY_AREAS = 16
 class RayAwareBvh:
     """A bounding volume hierarchy for the whole scene, and one for the rays of each influence area (Falcone 2024).
 
-        light = wrt.known_rays.PlaneInfluenceArea(position=..., direction=..., width=..., height=..., depth=...)
-        scene = wrt.Scene(mesh, accelerator=wrt.known_rays.RayAwareBvh(areas=[light]))
+        below = dict(position=(0, 0, 9), direction=(0, 0, -1), width=4, height=3, depth=9)
+        scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=[wrt.known_rays.PlaneInfluenceArea(**below)]))
 
     A ray that starts in an area and is aligned with the area's rays is first traced through the area's tree, which holds
     the triangles that touch the area. It is traced through the whole scene's tree only if it leaves the area without a hit

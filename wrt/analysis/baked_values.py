@@ -24,6 +24,7 @@ from wrt.kernels.validation import as_int, as_numbers
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
     from wrt.meshes.mesh import TriangleMesh
     from wrt.query.hits import Hits
     from wrt.scene.scene import Scene
@@ -58,7 +59,7 @@ def bake(
     resolution: int = 1024,
     padding: int = 4,
     rays: int = 64,
-    uv: Any = None,
+    uv: ArrayLike | None = None,
     instance_id: int | None = None,
 ) -> np.ndarray | BakedTexture:
     """Values of a surface at its vertices, or in an image that its texture coordinates lay out.

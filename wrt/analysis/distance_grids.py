@@ -25,6 +25,7 @@ from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
     from wrt.engine.facts.scene_state import SceneState
     from wrt.scene.scene import Scene
 
@@ -70,7 +71,7 @@ class DistanceGrid:
         number = as_int("number", number, 0, 2)
         return self.origin[number] + self.spacing * np.arange(self.values.shape[number])
 
-    def volume(self, device: Any = None) -> wp.Volume:
+    def volume(self, device: str | wp.Device | None = None) -> wp.Volume:
         """The grid as a `wp.Volume` for kernels (`wp.volume_sample_f`), whose world coordinates are the scene's.
 
         In a band, voxels that hold the positive end of the band are not stored: they are its background.
@@ -94,7 +95,7 @@ def distance_grid(
     scene: Scene,
     resolution: int,
     *,
-    bounds: Any = None,
+    bounds: ArrayLike | None = None,
     band: float | None = None,
     sign: SignRule = "auto",
     progress: bool = False,

@@ -18,6 +18,7 @@ from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_t
 from wrt.kernels.validation import as_float, as_int
 
 if TYPE_CHECKING:
+    from wrt.array_types import Indices
     from wrt.engine.facts.scene_state import SceneState
     from wrt.scene.scene import Scene
 
@@ -87,7 +88,7 @@ def closest_pair(scene: Scene, first: int, second: int, *, max_distance: float =
     return pair if ids[0] < ids[1] else turned(pair)
 
 
-def clearance(scene: Scene, instances: Any = None, *, max_distance: float = np.inf) -> ClosestPair:
+def clearance(scene: Scene, instances: Indices | None = None, *, max_distance: float = np.inf) -> ClosestPair:
     """Which two of several instances, or of the meshes of a scene without instances, are nearest, and where.
 
         nearest = wrt.analysis.clearance(scene, max_distance=0.1)

@@ -10,7 +10,7 @@ from wrt.analysis.analysis_arguments import state_of
 from wrt.kernels.validation import as_direction, as_float, as_int, as_numbers
 
 if TYPE_CHECKING:
-    from wrt.engine.rays.array_types import ArrayLike
+    from wrt.array_types import ArrayLike
     from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
     from wrt.scene.scene import Scene
 

@@ -23,8 +23,8 @@ from wrt.query.points.closest_point import closest_point, flat_points, relative_
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.engine.facts.scene_state import SceneState
-    from wrt.engine.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.meshes.mesh import TriangleMesh
     from wrt.query.points.closest_points import ClosestPoints
     from wrt.scene.scene import Scene

@@ -19,13 +19,19 @@ from wrt.kernels.shading.surface import Surface
 from wrt.kernels.validation import as_bool, as_direction, as_float, as_int, as_numbers, first_bad
 
 if TYPE_CHECKING:
-    from wrt.engine.rays.array_types import ArrayLike, Numbers
+    from wrt.array_types import ArrayLike, Numbers
     from wrt.query.hits import Hits
     from wrt.scene.scene import Scene
 
 POINTS = 1 << 16
 """Points whose ambient rays are traced at a time."""
 
+
+GROUP = 8
+"""Directions that follow each other closely are traced together by this number."""
+
+CLOSE = float(np.cos(np.radians(4.0)))
+"""Cosine of the angle between such directions."""
 
 STREAM = "stream"
 """The traversal of rays to given directions, on the CPU."""
@@ -115,6 +121,11 @@ def as_shares(weights: Any, count: int) -> tuple[np.ndarray, bool]:
     return (shares if grouped else shares[None]), grouped
 
 
+def are_close(ways: np.ndarray) -> bool:
+    """Whether unit vectors follow each other closely, as those to a sun do."""
+    return len(ways) >= GROUP and bool(np.median((ways[1:] * ways[:-1]).sum(axis=1)) >= CLOSE)
+
+
 def is_stream_able(scene: Scene) -> bool:
     """Whether rays can be traced in streams. Parallel rays from points that are further apart than triangles are large part
     soon: packets are then up to ten times slower, where streams lose little if points are dense
@@ -138,6 +149,7 @@ class LitSurface:
     def __init__(self, scene: Scene, surface: Hits) -> None:
         from wrt.kernels.fields.exposures import TILE, LitPoints, place_points
         from wrt.kernels.points.point_order import morton_order
+        from wrt.kernels.triangle.support.record_blocks import Corners
 
         self._scene, self._tile, points = scene, int(TILE), LitPoints()
         self._traversal = STREAM if is_stream_able(scene) else AUTO
@@ -147,6 +159,8 @@ class LitSurface:
         places = wp.array(near, dtype=wp.vec3, device=self.device)
         points.order = morton_order(places, wp.vec3(*near.min(axis=0)), wp.vec3(*near.max(axis=0)))
         points.normal, points.origin = (wp.empty(self.count, dtype=wp.vec3d, device=self.device) for _ in range(2))
+        own = 0 if scene.state.instances else self.count
+        points.corners = wp.empty(own, dtype=Corners, device=self.device)
         launch(place_points, self.count, [points], device=self.device, chunk=1024)
         self._points = points
 
@@ -158,31 +172,43 @@ class LitSurface:
         total, part = (wp.zeros((self.count, groups), dtype=wp.float64, device=device) for _ in range(2))
         for begin in range(0, len(ways), step):
             rows = slice(begin, begin + step)
-            weights = wp.array(np.ascontiguousarray(shares[:, rows].T), dtype=wp.float64, device=device)
+            own = np.ascontiguousarray(shares[:, rows].T)
+            weights = wp.array(own, dtype=wp.float64, device=device)
+            some = own != 0.0
+            weighted = (
+                np.stack([some.argmax(axis=1), groups - some[:, ::-1].argmax(axis=1)], axis=1) * some.any(axis=1)[:, None]
+            )
+            weighted = wp.array(weighted.astype(np.int32), dtype=wp.vec2i, device=device)
             for first in range(0, -(-self.count // self._tile), BLOCK // self._tile):
                 rays, dark = self._trace(ways[rows], first)
-                inputs = [self._points, rays, dark, weights, cosine, part, total]
+                inputs = [self._points, rays, dark, weights, weighted, cosine, part, total]
                 launch(add_lit, rays.tiles, inputs, device=device, chunk=4)
         return total.numpy()
 
     def _trace(self, ways: np.ndarray, first: int) -> tuple[Any, wp.array]:
         """Rays to directions from tiles, from the first one on, and whether each is hidden."""
-        from wrt.kernels.fields.exposures import LitRays, count_lit, write_lit
+        from wrt.kernels.fields.exposures import LitRays, count_lit, prepare_ways, write_lit
+        from wrt.kernels.triangle.watertight.woop import ShearedRay
 
         rays, device, tiles = LitRays(), self.device, -(-self.count // self._tile)
         rays.direction, rays.first_tile = wp.array(ways, dtype=wp.vec3, device=device), first
         rays.tiles = min(BLOCK // self._tile, tiles - first)
-        items = len(ways) * rays.tiles
+        in_groups = self._traversal == STREAM and are_close(ways)
+        rays.group, traversal = (GROUP, AUTO) if in_groups else (1, self._traversal)
+        rays.prepared = wp.empty(len(ways), dtype=ShearedRay, device=device)
+        launch(prepare_ways, len(ways), [rays.direction, rays.prepared], device=device)
+        items = -(-len(ways) // rays.group) * rays.tiles
         counted = wp.empty(items, dtype=int, device=device)
         launch(count_lit, items, [self._points, rays, counted], device=device, chunk=64)
-        ends = np.cumsum(counts := counted.numpy())
-        rays.begin = wp.array((ends - counts).astype(np.int32), dtype=int, device=device)
-        if not ends[-1]:
+        begins = np.zeros(items + 1, dtype=np.int32)
+        np.cumsum(counted.numpy(), out=begins[1:])
+        rays.begin = wp.array(begins, dtype=int, device=device)
+        if not begins[-1]:
             return rays, wp.empty(0, dtype=wp.bool, device=device)
-        origins, directions = (empty(int(ends[-1]), kind, device) for kind in (wp.vec3d, wp.vec3))
+        origins, directions = (empty(int(begins[-1]), kind, device) for kind in (wp.vec3d, wp.vec3))
         launch(write_lit, items, [self._points, rays, origins, directions], device=device, chunk=16)
         there = self._scene.device
-        return rays, self._scene.occluded(origins.to(there), directions.to(there), traversal=self._traversal).to(device)
+        return rays, self._scene.occluded(origins.to(there), directions.to(there), traversal=traversal).to(device)
 
 
 def ambient_occlusion(

@@ -22,8 +22,8 @@ from wrt.kernels.validation import as_float
 from wrt.query.points.closest_point import flat_points, relative_points
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, NumpyLike, WarpLike
     from wrt.engine.facts.scene_state import SceneState
-    from wrt.engine.rays.array_types import ArrayLike, NumpyLike, WarpLike
     from wrt.scene.scene import Scene
 
 ACCURACY = 0.5

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -23,6 +23,10 @@ from wrt.meshes.placement import as_meshes, place_meshes
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.scene import Scene
 from wrt.tables import lookup
+
+if TYPE_CHECKING:
+    from wrt.accelerators.accelerator import Accelerator, AcceleratorName
+    from wrt.meshes.instance import Geometry
 
 DEFAULT_TREES = {
     AUTO: Bvh(max_leaf_triangles=1),
@@ -61,8 +65,8 @@ class FanScene(Scene):
 
     def __init__(
         self,
-        geometry: Any,
-        accelerator: Any = AUTO,
+        geometry: Geometry,
+        accelerator: AcceleratorName | Accelerator = AUTO,
         *,
         form: str = NORMALS,
         device: str | wp.Device | None = None,

@@ -21,7 +21,9 @@ from wrt.scene.updates import as_policy
 from wrt.tapes import refuse_tape
 
 if TYPE_CHECKING:
-    from wrt.engine.rays.array_types import ArrayLike, Numbers
+    import trimesh
+
+    from wrt.array_types import ArrayLike, Numbers
     from wrt.query.all_hits import AllHits
     from wrt.query.hits import Hits
     from wrt.scene.updates import UpdatePolicy, UpdateReport
@@ -95,7 +97,7 @@ class PointCloud:
 
     def __init__(
         self,
-        points: Any,
+        points: ArrayLike | trimesh.PointCloud,
         radius: Numbers,
         normals: ArrayLike | None = None,
         *,
@@ -157,7 +159,7 @@ class PointCloud:
 
     def update(
         self,
-        points: Any = None,
+        points: ArrayLike | trimesh.PointCloud | None = None,
         radius: Numbers | None = None,
         normals: ArrayLike | None = None,
         *,

@@ -7,7 +7,7 @@ executor. Dask decides where and when; there is no window, so chunks should hold
 from __future__ import annotations
 
 import hashlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,11 @@ from wrt.query.batches.block_work import BlockQuery, BlockWork, PickledWork
 from wrt.query.batches.shared_files import SharedScene, deliver_scene, dumps, share_scene
 from wrt.query.batches.workers import Workers, task_threads
 from wrt.query.hits import rounds_positions
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from wrt.scene.scene import Scene
 
 FORMS = {
     "t": (np.float32, 0),
@@ -46,14 +51,14 @@ POINT_OPTIONS = ("mask", "environment", "precise")
 
 
 def map_rays(
-    scene: Any,
+    scene: Scene,
     origins: Any,
     directions: Any,
     what: str = "t",
     *,
     t_min: float = 0.0,
     t_max: float = float("inf"),
-    folder: Any = None,
+    folder: str | Path | None = None,
     client: Any = None,
     **options: Any,
 ) -> Any:
@@ -108,12 +113,12 @@ def map_rays(
 
 
 def map_points(
-    scene: Any,
+    scene: Scene,
     points: Any,
     what: str = "distance",
     *,
     max_distance: float = float("inf"),
-    folder: Any = None,
+    folder: str | Path | None = None,
     client: Any = None,
     **options: Any,
 ) -> Any:

@@ -22,6 +22,7 @@ import numpy as np
 from wrt.kernels.validation import as_int, as_real_array, unreadable
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
     from wrt.scene.scene import Scene
 
 
@@ -86,7 +87,7 @@ class DistanceQueries:
         def _threads(self, nthreads: int | None) -> Any: ...
 
     @tensor_arrays
-    def compute_closest_points(self, query_points: Any, nthreads: int | None = 0) -> dict[str, np.ndarray]:
+    def compute_closest_points(self, query_points: ArrayLike, nthreads: int | None = 0) -> dict[str, np.ndarray]:
         """The closest points on the surfaces.
 
         Args:
@@ -124,7 +125,7 @@ class DistanceQueries:
             }
 
     @tensor_arrays
-    def compute_distance(self, query_points: Any, nthreads: int | None = 0) -> np.ndarray:
+    def compute_distance(self, query_points: ArrayLike, nthreads: int | None = 0) -> np.ndarray:
         """Distances to the surfaces: (...) float32; inf in an empty scene, NaN for a point with a NaN or an infinity.
 
         Errors as in `compute_closest_points`.
@@ -135,7 +136,7 @@ class DistanceQueries:
         return np.where(np.isfinite(points).all(axis=-1), found, np.float32(np.nan))
 
     @tensor_arrays
-    def compute_signed_distance(self, query_points: Any, nthreads: int | None = 0, nsamples: int = 1) -> np.ndarray:
+    def compute_signed_distance(self, query_points: ArrayLike, nthreads: int | None = 0, nsamples: int = 1) -> np.ndarray:
         """Distances to the surfaces, negative inside: (...) float32; as in `compute_distance` where there is none.
 
         Args:
@@ -155,7 +156,7 @@ class DistanceQueries:
             return signed_distance(self.scene, points, sign="parity")
 
     @tensor_arrays
-    def compute_occupancy(self, query_points: Any, nthreads: int | None = 0, nsamples: int = 1) -> np.ndarray:
+    def compute_occupancy(self, query_points: ArrayLike, nthreads: int | None = 0, nsamples: int = 1) -> np.ndarray:
         """Whether points are inside: (...) float32, 1 inside and 0 outside. Arguments and errors as in
         `compute_signed_distance`."""
         check_samples(nsamples)

@@ -23,6 +23,7 @@ from wrt.kernels.validation import as_float, as_int, as_numbers, as_real_array
 from wrt.meshes.mesh import TriangleMesh
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
     from wrt.scene.scene import Scene
 FAR_CAMERA = 2.0**14
 """Coordinate beyond which rays of a camera are float64: float32 is spaced by more than 1/1024 there."""
@@ -89,7 +90,7 @@ class RaycastingScene(DistanceQueries):
         return len(self._meshes) - 1
 
     @tensor_arrays
-    def cast_rays(self, rays: Any, nthreads: int | None = 0) -> dict[str, np.ndarray]:
+    def cast_rays(self, rays: ArrayLike, nthreads: int | None = 0) -> dict[str, np.ndarray]:
         """Closest hits.
 
         Args:
@@ -127,7 +128,7 @@ class RaycastingScene(DistanceQueries):
 
     @tensor_arrays
     def test_occlusions(
-        self, rays: Any, tnear: float = 0.0, tfar: float = float("inf"), nthreads: int | None = 0
+        self, rays: ArrayLike, tnear: float = 0.0, tfar: float = float("inf"), nthreads: int | None = 0
     ) -> np.ndarray:
         """Whether anything is hit at tnear <= t <= tfar: (...) bool. Errors as in `cast_rays`, and for a negative or NaN
         range.
@@ -140,7 +141,7 @@ class RaycastingScene(DistanceQueries):
             return self.scene.occluded(origins, directions, t_min=tnear, t_max=tfar)
 
     @tensor_arrays
-    def count_intersections(self, rays: Any, nthreads: int | None = 0) -> np.ndarray:
+    def count_intersections(self, rays: ArrayLike, nthreads: int | None = 0) -> np.ndarray:
         """Number of hits of each ray: (...) int32. Errors as in `cast_rays`."""
         origins, directions = _split(rays)
         with self._threads(nthreads):
@@ -149,7 +150,7 @@ class RaycastingScene(DistanceQueries):
             return self.scene.count(origins, directions)
 
     @tensor_arrays
-    def list_intersections(self, rays: Any, nthreads: int | None = 0) -> dict[str, np.ndarray]:
+    def list_intersections(self, rays: ArrayLike, nthreads: int | None = 0) -> dict[str, np.ndarray]:
         """All M hits of N rays, ray after ray, sorted by t for each ray.
 
         Returns:

@@ -16,6 +16,8 @@ from wrt.query.gradients import differentiable_hits
 from wrt.query.points.differentiable_points import differentiable_points
 
 if TYPE_CHECKING:
+    import torch
+
     from wrt.scene.scene import Scene
 
 INF = float("inf")
@@ -144,7 +146,14 @@ class TorchScene:
         return f"TorchScene({self.scene!r})"
 
     def intersect(
-        self, origins: Any, directions: Any, t_min: Any = 0.0, t_max: Any = INF, *, vertices: Any = None, **options: Any
+        self,
+        origins: torch.Tensor,
+        directions: torch.Tensor,
+        t_min: float | torch.Tensor = 0.0,
+        t_max: float | torch.Tensor = INF,
+        *,
+        vertices: torch.Tensor | None = None,
+        **options: Any,
     ) -> TensorResult:
         """Closest hits, as `wrt.Scene.intersect`.
 
@@ -172,7 +181,7 @@ class TorchScene:
         values = _gradient_function().apply(found, origins, directions, vertices)
         return TensorResult(hits, dict(zip(HIT_VALUES, values, strict=True)))
 
-    def closest_point(self, points: Any, *, vertices: Any = None, **options: Any) -> TensorResult:
+    def closest_point(self, points: torch.Tensor, *, vertices: torch.Tensor | None = None, **options: Any) -> TensorResult:
         """Closest points, as `wrt.Scene.closest_point`.
 
         Args:

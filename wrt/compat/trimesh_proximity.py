@@ -23,6 +23,7 @@ from wrt.kernels.validation import first_bad
 if TYPE_CHECKING:
     import trimesh
 
+    from wrt.array_types import ArrayLike
     from wrt.scene.scene import Scene
 
 
@@ -62,7 +63,7 @@ class ProximityQuery:
         """The `wrt.Scene` of the mesh in its present state; None if the mesh has no faces."""
         return self._rays.scene
 
-    def on_surface(self, points: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def on_surface(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The closest point of any triangle to each point.
 
         Points are searched in float32: where several places are nearly as close, another one than trimesh's may be found, up to
@@ -83,7 +84,7 @@ class ProximityQuery:
         distance = np.where(found.is_hit, np.linalg.norm(closest - points, axis=1), np.inf)
         return closest, distance, found.primitive_id.astype(np.int64)
 
-    def vertex(self, points: Any) -> tuple[np.ndarray, np.ndarray]:
+    def vertex(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """The closest vertex to each point, by the k-d tree of the mesh's vertices, which trimesh keeps: (n,) float64 distances
         and (n,) int64 vertices. Errors as in `on_surface`; ValueError for a point with a NaN or an infinity."""
         points = as_rows(points, "points")
@@ -92,7 +93,7 @@ class ProximityQuery:
         distance, number = self._rays.mesh.kdtree.query(points)
         return distance, number.astype(np.int64)
 
-    def signed_distance(self, points: Any) -> np.ndarray:
+    def signed_distance(self, points: ArrayLike) -> np.ndarray:
         """Distances to the surface, positive inside, as trimesh has them: (n,) float64, NaN for a point with a NaN or an
         infinity. Errors as in `on_surface`."""
         from wrt.analysis.signed_distances import signed_distance

@@ -25,6 +25,7 @@ from wrt.kernels.validation import as_bool, host_array
 if TYPE_CHECKING:
     import trimesh
 
+    from wrt.array_types import ArrayLike
     from wrt.scene.scene import Scene
 
 
@@ -96,8 +97,8 @@ class RayMeshIntersector:
 
     def intersects_id(
         self,
-        ray_origins: Any,
-        ray_directions: Any,
+        ray_origins: ArrayLike,
+        ray_directions: ArrayLike,
         multiple_hits: bool = True,
         max_hits: int | None = None,
         return_locations: bool = False,
@@ -140,7 +141,7 @@ class RayMeshIntersector:
         return (*found, locate(scene, origins, directions, index_ray, index_tri, uv)) if return_locations else found
 
     def intersects_location(
-        self, ray_origins: Any, ray_directions: Any, multiple_hits: bool = True, max_hits: int | None = None
+        self, ray_origins: ArrayLike, ray_directions: ArrayLike, multiple_hits: bool = True, max_hits: int | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points where rays hit the mesh: (locations (h, 3) float64, index_ray (h,) int64, index_tri (h,) int64).
 
@@ -151,7 +152,7 @@ class RayMeshIntersector:
         )
         return locations, index_ray, index_tri
 
-    def intersects_first(self, ray_origins: Any, ray_directions: Any) -> np.ndarray:
+    def intersects_first(self, ray_origins: ArrayLike, ray_directions: ArrayLike) -> np.ndarray:
         """Index of the first face that each ray hits, -1 for a miss: (n,) int64. Errors as in `intersects_id`."""
         origins, directions = _checked_rays(ray_origins, ray_directions)
         scene = self.scene
@@ -159,7 +160,7 @@ class RayMeshIntersector:
             return np.full(len(origins), -1, dtype=np.int64)
         return scene.intersect(origins, directions).primitive_id.astype(np.int64)
 
-    def intersects_any(self, ray_origins: Any, ray_directions: Any) -> np.ndarray:
+    def intersects_any(self, ray_origins: ArrayLike, ray_directions: ArrayLike) -> np.ndarray:
         """Whether each ray hits anything: (n,) bool. Errors as in `intersects_id`."""
         origins, directions = _checked_rays(ray_origins, ray_directions)
         scene = self.scene
@@ -167,7 +168,7 @@ class RayMeshIntersector:
             return np.zeros(len(origins), dtype=bool)
         return scene.occluded(origins, directions)
 
-    def contains_points(self, points: Any) -> np.ndarray:
+    def contains_points(self, points: ArrayLike) -> np.ndarray:
         """Whether points (n, 3) are inside the mesh: (n,) bool; see `wrt.Scene.contains`.
 
         Raises:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 import warp as wp
 
-from wrt.engine.rays.array_types import ArrayT
+from wrt.array_types import ArrayT
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.query.hits import Hits
 from wrt.query.pickled_hits import reduce_hits

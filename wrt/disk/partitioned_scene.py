@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from wrt.engine.facts.query_kinds import Query
     from wrt.engine.plan.plan import Plan
     from wrt.kernels.layout.ray_batch import HitBatch
+    from wrt.meshes.instance import Geometry
 
 MEMORY = "1 GB"
 
@@ -124,7 +125,7 @@ class PartitionedScene(PartQueries):
     @classmethod
     def build(
         cls,
-        geometry: Any,
+        geometry: Geometry,
         folder: str | Path,
         *,
         part_triangles: int = PART_TRIANGLES,

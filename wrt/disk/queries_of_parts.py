@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     import warp as wp
     from typing_extensions import Unpack
 
+    from wrt.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
     from wrt.disk.partition_files import PartList
     from wrt.engine.device_hits import DeviceHits
     from wrt.engine.plan.plan import Plan
-    from wrt.engine.rays.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
     from wrt.engine.rays.device_rays import DeviceRays
     from wrt.engine.rays.rays import Rays
 

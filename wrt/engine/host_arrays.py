@@ -15,10 +15,14 @@ import warp as wp
 
 ELEMENTS: dict[Any, tuple[str, tuple[int, ...]]] = {
     wp.float32: ("<f4", ()),
+    wp.float64: ("<f8", ()),
     wp.int32: ("<i4", ()),
+    wp.int8: ("|i1", ()),
+    wp.uint8: ("|u1", ()),
     wp.bool: ("|b1", ()),
     wp.vec2: ("<f4", (2,)),
     wp.vec3: ("<f4", (3,)),
+    wp.vec3d: ("<f8", (3,)),
 }
 """Element types of kernels: NumPy's name of the type of their numbers, and the shape of an element."""
 

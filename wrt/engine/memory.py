@@ -186,7 +186,8 @@ def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
 class ArraysOfBlock:
     """Flat arrays of one length, cut from one allocation, each at a multiple of `ALIGNED` bytes; undefined at first.
 
-    An array is made when it is asked for, by its name: a kernel only needs addresses.
+    An array is made when it is asked for, by its name: a kernel only needs addresses. On the CPU it is a `HostArray`, unless a
+    graph is being captured, which is made of Warp's arrays.
 
     Args:
         kinds: type of each array.
@@ -197,17 +198,21 @@ class ArraysOfBlock:
     def __init__(self, kinds: Mapping[str, type], count: int, device: wp.Device) -> None:
         self._kinds, self._count, self._begins, size = kinds, count, {}, 0
         for name, dtype in kinds.items():
-            self._begins[name], size = size, size + -(-count * wp.types.type_size_in_bytes(dtype) // ALIGNED) * ALIGNED
-        self._block = empty(size, wp.uint8, device)
+            self._begins[name], size = size, size + -(-count * ELEMENT_BYTES[dtype] // ALIGNED) * ALIGNED
+        self._on_host = device.is_cpu and not device.is_capturing
+        self._device = device
+        self._block = empty_host(size, wp.uint8) if self._on_host else empty(size, wp.uint8, device)
 
-    def __getitem__(self, name: str) -> wp.array:
+    def __getitem__(self, name: str) -> wp.array | HostArray:
         """The array of a name."""
-        device, begin = self._block.device, (self._block.ptr or 0) + self._begins[name]
-        return keep_alive(wp.array(ptr=begin, dtype=self._kinds[name], shape=self._count, device=device), self._block)
+        begin, dtype = (self._block.ptr or 0) + self._begins[name], self._kinds[name]
+        if self._on_host:
+            return HostArray(begin, self._count, dtype, self._block)
+        return keep_alive(wp.array(ptr=begin, dtype=dtype, shape=self._count, device=self._device), self._block)
 
     def write_to(self, struct: Any) -> None:
         """Writes all addresses into the packed form of a struct that has these arrays, and keeps this object alive with it."""
-        if self._block.device.is_capturing:  # a graph on the CPU is made of arrays
+        if self._device.is_capturing:
             for name in self._kinds:
                 setattr(struct, name, self[name])
             return

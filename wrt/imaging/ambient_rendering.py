@@ -11,7 +11,7 @@ data stays on the scene's device; the steps are the kernels of `wrt.kernels.shad
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -27,6 +27,9 @@ from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.kernels.shading.pixel_rays import pinhole_directions
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_point
 from wrt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers
 
 __all__ = ["AmbientRendering"]
 
@@ -81,15 +84,15 @@ class AmbientRendering(SampledPicture):
         camera: Camera,
         *,
         samples: int = 1,
-        light: Any = None,
-        light_color: Any = LIGHT_COLOR,
+        light: ArrayLike | None = None,
+        light_color: Numbers = LIGHT_COLOR,
         shadows: bool = True,
         ambient_samples: int = 16,
         ambient_distance: float | None = None,
         ambient_radius: int = 0,
-        ambient_color: Any = AMBIENT_COLOR,
-        albedo: Any = 0.8,
-        background: Any = BACKGROUND,
+        ambient_color: Numbers = AMBIENT_COLOR,
+        albedo: Numbers = 0.8,
+        background: Numbers = BACKGROUND,
         smooth: bool = True,
         crease_angle: float = 60.0,
         seed: int = 0,

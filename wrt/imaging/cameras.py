@@ -29,7 +29,9 @@ from wrt.meshes.up_axis import default_up
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from wrt.engine.rays.array_types import ArrayLike
+    from wrt.array_types import ArrayLike
+    from wrt.meshes.instance import Geometry
+    from wrt.scene.scene import Scene
 
 __all__ = ["OrthographicCamera", "PinholeCamera"]
 
@@ -55,7 +57,7 @@ class _Camera:
         self.forward, self.right, self.up = frame_of(self.look_at - self.position, as_point("up", up))
 
     @classmethod
-    def from_opencv(cls, width: int, height: int, pose: ArrayLike, **options: Any) -> Self:
+    def from_opencv(cls, width: int, height: int, pose: ArrayLike, **options: float) -> Self:
         """A camera at a pose of OpenCV, ROS or COLMAP: x to the right, y down, z forward.
 
         Args:
@@ -71,7 +73,7 @@ class _Camera:
         return cls._at(width, height, check_pose("pose", pose), 1.0, options)
 
     @classmethod
-    def from_opengl(cls, width: int, height: int, pose: ArrayLike, **options: Any) -> Self:
+    def from_opengl(cls, width: int, height: int, pose: ArrayLike, **options: float) -> Self:
         """A camera at a pose of OpenGL, glTF, trimesh or NeRF data: x to the right, y up, looking along -z.
 
         Args:
@@ -220,7 +222,7 @@ class PinholeCamera(_Camera):
     @classmethod
     def framing(
         cls,
-        geometry: Any,
+        geometry: Geometry | Scene,
         width: int,
         height: int,
         *,

@@ -5,12 +5,15 @@ from __future__ import annotations
 import io
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wrt.atomic_files import replaced
 from wrt.kernels.validation import host_array
+
+if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
 
 __all__ = ["check_path", "save_exr", "save_image", "to_bytes"]
 
@@ -24,7 +27,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 """Options of Pillow's by extension."""
 
 
-def save_image(path: str | Path, image: Any) -> None:
+def save_image(path: str | Path, image: ArrayLike) -> None:
     """Writes an image in the format given by the file's extension.
 
     Args:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterator, Sequence
 from copy import copy
 from functools import cached_property
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -21,6 +21,7 @@ from wrt.builders.bvh.instance_forest import cost_of
 from wrt.engine.free_list import FreeList
 from wrt.engine.memory import keep_alive
 from wrt.instances.instance_boxes import InstanceBoxes, UpperTree
+from wrt.instances.instance_list import InstanceList
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.launch import kept, launch, specialise
 from wrt.kernels.runtime.recorded_launch import record
@@ -42,7 +43,6 @@ from wrt.kernels.traversal.two_level.instance_updates import (
     refit_level,
     span_instances,
 )
-from wrt.meshes.instance import Instance
 
 MATRICES = (wp.mat44f, wp.mat44d, wp.transformf, wp.transformd)
 """Types of arrays of transforms."""
@@ -98,36 +98,24 @@ def transforms_on(device: wp.Device, transforms: Any, count: int) -> wp.array | 
     return found if found is not None and (found.size == count or is_one) else None
 
 
-class MovedInstances(Sequence[Instance]):
-    """Instances whose transforms are on a device until something asks for an instance.
+class MovedInstances(InstanceList):
+    """Instances whose transforms are on a device until something asks for them.
 
     Args:
         base: them with other transforms.
         moves: the arrays of their state.
     """
 
-    def __init__(self, base: tuple[Instance, ...], moves: DeviceMoves) -> None:
-        self.base, self.moves = base, moves
+    def __init__(self, base: InstanceList, moves: DeviceMoves) -> None:
+        super().__init__(base.latest()[0], np.ones(len(base), dtype=bool), None, base.masks, base.environments)
+        self.moves = moves
 
     @cached_property
-    def on_host(self) -> tuple[Instance, ...]:
-        """The instances."""
+    def transforms(self) -> np.ndarray:
+        """(N, 4, 4) float64, read-only; copied from the device."""
         matrices = self.moves.transforms.numpy()
         matrices.flags.writeable = False
-        return tuple(one.moved(matrix, one.mask, one.environment) for one, matrix in zip(self.base, matrices, strict=True))
-
-    def __len__(self) -> int:
-        return len(self.base)
-
-    @overload
-    def __getitem__(self, index: int) -> Instance: ...
-    @overload
-    def __getitem__(self, index: slice) -> tuple[Instance, ...]: ...
-    def __getitem__(self, index: Any) -> Any:
-        return self.on_host[index]
-
-    def __iter__(self) -> Iterator[Instance]:
-        return iter(self.on_host)
+        return matrices
 
 
 class BoxesOnDevice(InstanceBoxes):
@@ -189,9 +177,8 @@ class DeviceMoves:
         bounded.corners = wp.array(boxes.box.reshape(-1), dtype=wp.float64, device=device)
         bounded.norms = wp.array(boxes.norms, dtype=wp.float64, device=device)
         cover.centers, cover.begins, cover.points = (values.to(device) for values in (own.centers, own.begins, own.points))
-        transforms = np.array([instance.transform for instance in state.instances])
         levels = wp.array(state.tree.forest.level_first, dtype=int, device=device)
-        return cls(wp.array(transforms, dtype=wp.mat44d, device=device), bounded, cover, levels)
+        return cls(wp.array(state.instances.transforms, dtype=wp.mat44d, device=device), bounded, cover, levels)
 
     def copied(self, whole: bool) -> DeviceMoves:
         """Arrays of its own for what moves; whole: whether all of it will be written."""
@@ -466,4 +453,4 @@ def fetched(state: Any) -> dict[str, Any]:
     tree.corners, tree.extent = boxes.rounded(), None
     tree = tree.with_boxes(*tree.corners)
     table = state.device_mesh.placements.numpy().astype(Placement.numpy_dtype())  # type: ignore[attr-defined]
-    return {"instances": tuple(state.instances), "boxes": boxes, "built_tree": tree, "table": table, "device_moves": None}
+    return {"instances": state.instances.detached(), "boxes": boxes, "built_tree": tree, "table": table, "device_moves": None}

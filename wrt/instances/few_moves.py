@@ -19,7 +19,6 @@ from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch
 from wrt.kernels.traversal.two_level.instance_bounds import BoundedInstances, CoverPoints
 from wrt.kernels.traversal.two_level.instance_moves import EXTREMES, BoxTree, Moves, move_instances
-from wrt.meshes.instance import Instance
 
 MOST_AT_ONCE = 32
 """Instances up to which one thread moves them, one after the other (notebooks/records/2026-11-23-instances.md)."""
@@ -92,20 +91,20 @@ _movers: FreeList[Mover] = FreeList(MAX_FREE)
 
 
 def move_few(
-    state: Any, instances: tuple[Instance, ...], rows: np.ndarray
+    state: Any, rows: np.ndarray, transforms: np.ndarray, masks: np.ndarray
 ) -> tuple[InstanceBoxes, np.ndarray, UpperTree] | None:
     """Boxes, placements and upper level after some instances have moved; None if the scene's centre must move, too.
 
     Args:
         state: the old one, a `wrt.scene.instanced_state.InstancedState`.
-        instances: all of them.
-        rows: (M,) numbers of those that moved.
+        rows: (M,) numbers of the instances that moved.
+        transforms: (M, 4, 4) float64, where they are now.
+        masks: (M,) int64.
     """
-    transforms = np.array([instances[row].transform for row in rows])
     moves = {
         "rows": rows.astype(np.int32),
-        "transforms": transforms,
-        "masks": np.array([instances[row].mask for row in rows], dtype=np.uint32),
+        "transforms": np.ascontiguousarray(transforms),
+        "masks": masks.astype(np.uint32),
     }
     boxes, table, tree, extremes = state.boxes.copied(), state.table.copy(), state.tree, np.empty(EXTREMES + 2)
     low, high, bounds = tree.corners[0].copy(), tree.corners[1].copy(), tree.host.copy()

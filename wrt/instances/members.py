@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +13,10 @@ from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.kernels.validation import as_bool
 from wrt.meshes.instance import as_instances
 from wrt.meshes.node_graph import NodeGraph
+
+if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Indices
+    from wrt.meshes.instance import Geometry
 
 
 class Members:
@@ -24,7 +28,7 @@ class Members:
 
     state: SceneState
 
-    def move(self, nodes: Mapping[str, Any]) -> None:
+    def move(self, nodes: Mapping[str, ArrayLike]) -> None:
         """Moves nodes of a scene's graph by their names, and with each all nodes below it: in one step, or not at all.
 
             scene = wrt.Scene(trimesh.load("robot.glb"))
@@ -84,7 +88,7 @@ class Members:
             raise ValueError("the scene has no graph; make it from a trimesh.Scene")
         return graph
 
-    def add(self, instances: Any) -> np.ndarray:
+    def add(self, instances: Geometry) -> np.ndarray:
         """Adds instances, after those that are there. Trees of meshes stay; those of new meshes are built.
 
         Args:
@@ -105,7 +109,7 @@ class Members:
             self.state = self.state.with_instances((*self.state.instances, *added), graph)
         return np.arange(first, first + len(added))
 
-    def remove(self, index: Any) -> None:
+    def remove(self, index: Indices) -> None:
         """Removes instances. Later ones move up, as in a list; trees of meshes stay, unless nobody uses them any more.
 
         Hits from before number the triangles of instances that are gone, so queries and gradients refuse them.

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -40,8 +40,10 @@ from wrt.kernels.validation import as_int
 from wrt.tables import one_of
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers
     from wrt.builders.influence.influence_area import InfluenceArea
     from wrt.engine.facts.scene_state import SceneState
+    from wrt.engine.rays.rays import Rays
     from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.scene.scene import Scene
 
@@ -153,10 +155,10 @@ class BreakEven:
 
 def break_even(
     scene: Scene,
-    origins: Any,
-    directions: Any = None,
-    t_min: Any = 0.0,
-    t_max: Any = inf,
+    origins: Rays | ArrayLike,
+    directions: ArrayLike | None = None,
+    t_min: Numbers = 0.0,
+    t_max: Numbers = inf,
     *,
     query: str = CLOSEST,
     samples: int = SAMPLES,

@@ -1,6 +1,6 @@
 """Detection of influence areas: which share of a batch of rays is parallel, or passes through common points, and where.
 
-    rays = ...                                    # of a renderer, a sensor, a simulation
+    rays = wrt.Rays(origins, directions)          # of a renderer, a sensor, a simulation
     found = wrt.known_rays.InfluenceAreas.from_rays(rays.origins, rays.directions, bounds=scene.bounds)
     print(found)                                  # each distribution and its share of the rays
     scene = wrt.Scene(mesh, wrt.known_rays.RayAwareBvh(areas=found))
@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -36,6 +36,9 @@ import warp as wp
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
 from wrt.engine.rays.rays import Rays
 from wrt.kernels.validation import as_float, as_int, as_numbers, as_real_array
+
+if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
 
 SAMPLES = 2000
 """Default number of sampled rays: a distribution with 5 % of the rays is found."""
@@ -100,10 +103,10 @@ class InfluenceAreas(Sequence):
     @classmethod
     def from_rays(
         cls,
-        origins: Any,
-        directions: Any = None,
+        origins: Rays | ArrayLike,
+        directions: ArrayLike | None = None,
         *,
-        bounds: Any = None,
+        bounds: ArrayLike | None = None,
         tolerance: float = 1.0,
         least_share: float = 0.05,
         samples: int = SAMPLES,

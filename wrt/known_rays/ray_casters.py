@@ -28,6 +28,7 @@ from wrt.kernels.runtime.launch import launch, refuse_capture
 from wrt.kernels.validation import as_int, convert_fields
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
     from wrt.builders.influence.influence_area import PlaneInfluenceArea, PointInfluenceArea
     from wrt.kernels.influence.ray_casting import Aim
     from wrt.query.hits import Hits
@@ -184,7 +185,7 @@ class SquareCapCaster(_Caster):
         return self._directions(cast_square_cap, aim, *_check_batch(count, seed))
 
 
-def point_shadow_rays(hits: Hits, position: Any) -> Rays:
+def point_shadow_rays(hits: Hits, position: ArrayLike) -> Rays:
     """Rays from hits to a point light; they start off the surface on the light's side (`Hits.spawn`) and end at the light.
 
     Args:
@@ -204,7 +205,7 @@ def point_shadow_rays(hits: Hits, position: Any) -> Rays:
         return Rays(origins, light - origins, 0.0, 1.0)
 
 
-def directional_shadow_rays(hits: Hits, direction: Any) -> Rays:
+def directional_shadow_rays(hits: Hits, direction: ArrayLike) -> Rays:
     """Rays from hits towards a light at infinity; errors as in `point_shadow_rays`.
 
     Args:

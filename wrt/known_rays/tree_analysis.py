@@ -188,8 +188,9 @@ def analyse(
 ) -> TreeAnalysis:
     """Measures the bounding volume hierarchy of a scene.
 
-        area = wrt.known_rays.PlaneInfluenceArea(...)
-        print(wrt.known_rays.analyse(wrt.Scene(mesh, wrt.known_rays.ProjectedBvh(areas=area)), area, rays).summary())
+        area = wrt.known_rays.PointInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), fov=(60, 40), near=1, far=20)
+        scene = wrt.Scene(mesh, wrt.known_rays.ProjectedBvh(areas=[area]))
+        print(wrt.known_rays.analyse(scene, area, rays).summary())
 
     Args:
         scene: a scene whose tree is a bounding volume hierarchy.

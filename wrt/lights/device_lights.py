@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -14,9 +14,12 @@ from wrt.lights.light_sources import AreaLight, DirectionalLight, PointLight, Sp
 from wrt.lights.sky_image import Sky
 from wrt.scene.scene import Scene
 
-__all__ = ["Light", "check_lights", "device_lights", "samples_sky"]
+__all__ = ["Light", "Lights", "check_lights", "device_lights", "samples_sky"]
 
 Light = PointLight | SpotLight | DirectionalLight | AreaLight | Sky
+
+Lights: TypeAlias = "Light | Sequence[Light]"
+"""As pictures take them."""
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 

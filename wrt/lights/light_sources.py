@@ -16,7 +16,7 @@ from wrt.materials.material import Color, as_color
 from wrt.meshes.placement import MAX_COORDINATE
 
 if TYPE_CHECKING:
-    from wrt.engine.rays.array_types import ArrayLike, Numbers
+    from wrt.array_types import ArrayLike, Numbers
 
 __all__ = ["AreaLight", "DirectionalLight", "PointLight", "SpotLight"]
 

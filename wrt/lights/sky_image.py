@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wrt.kernels.validation import as_direction, as_float, as_real_array, first_bad
 from wrt.materials.material import as_color
+
+if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers
 
 __all__ = ["Sky"]
 
@@ -35,11 +38,11 @@ class Sky:
         ValueError: a value that is not finite, or negative.
     """
 
-    def __init__(self, radiance: Any = 1.0) -> None:
+    def __init__(self, radiance: Numbers = 1.0) -> None:
         self._set(np.array(as_color("radiance", radiance), np.float32).reshape(1, 1, 3), (0.0, 0.0, 1.0), None)
 
     @classmethod
-    def gradient(cls, horizon: Any, zenith: Any, ground: Any = 0.0, *, up: Any = (0.0, 0.0, 1.0)) -> Sky:
+    def gradient(cls, horizon: Numbers, zenith: Numbers, ground: Numbers = 0.0, *, up: ArrayLike = (0.0, 0.0, 1.0)) -> Sky:
         """A sky that changes from the horizon to the zenith, linearly with the height on the sphere, over a ground.
 
         Args:
@@ -57,7 +60,9 @@ class Sky:
         return sky
 
     @classmethod
-    def image(cls, image: Any, *, scale: float = 1.0, up: Any = (0.0, 0.0, 1.0), east: Any = None) -> Sky:
+    def image(
+        cls, image: ArrayLike, *, scale: float = 1.0, up: ArrayLike = (0.0, 0.0, 1.0), east: ArrayLike | None = None
+    ) -> Sky:
         """A sky from an image in longitude and latitude (equirectangular). Bright parts are sampled more often.
 
         Args:

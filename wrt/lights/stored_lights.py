@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from wrt.lights.device_lights import Light, check_lights
 from wrt.lights.light_sources import AreaLight, DirectionalLight, PointLight, SpotLight
 from wrt.lights.sky_image import Sky
 from wrt.scene.archives import check_format, checked_reading, read_archive, write_archive
+
+if TYPE_CHECKING:
+    from wrt.lights.device_lights import Lights
 
 FORMAT = 1
 
@@ -31,7 +34,7 @@ FIELDS: dict[type, tuple[str, ...]] = {
 KINDS = {kind.__name__: kind for kind in FIELDS}
 
 
-def save_lights(path: str | Path, lights: Any) -> None:
+def save_lights(path: str | Path, lights: Lights) -> None:
     """Writes lights to a file that `load_lights` reads.
 
         scene.save("court.npz")

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from wrt.kernels.validation import as_float, as_numbers, convert_fields, host_array
 from wrt.tables import one_of
+
+if TYPE_CHECKING:
+    import PIL.Image
+
+    from wrt.array_types import ArrayLike
 
 __all__ = ["KINDS", "Material", "Texture"]
 
@@ -44,7 +49,7 @@ class Texture:
         ValueError: a wrong shape, values that are not in [0, 1], or an unknown `wrap`.
     """
 
-    def __init__(self, image: Any, *, wrap: str | tuple[str, str] = "repeat") -> None:
+    def __init__(self, image: ArrayLike | PIL.Image.Image, *, wrap: str | tuple[str, str] = "repeat") -> None:
         self.wrap = _wrap(wrap)
         if hasattr(image, "convert"):
             image = image.convert("RGBA" if has_alpha(image) else "RGB")
@@ -164,6 +169,10 @@ def cutoff_of_image(cutoff: float, factor: float) -> float:
     if cutoff <= 0.0:
         return 0.0
     return cutoff / factor if cutoff <= factor else NOWHERE
+
+
+Materials: TypeAlias = "Material | Iterable[Material]"
+"""One for all, or one for each mesh."""
 
 
 def as_color(name: str, value: Any, maximum: float = np.inf) -> Color:

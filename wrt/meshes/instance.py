@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from math import isfinite, sqrt
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -14,6 +14,17 @@ from wrt.kernels.validation import as_int, as_numbers, as_real_array
 from wrt.meshes.graph_transforms import graph_transform
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, members_of
+
+if TYPE_CHECKING:
+    import trimesh
+    from trimesh.parent import Geometry as OfTrimesh
+
+    from wrt.array_types import ArrayLike
+
+Member: TypeAlias = "TriangleMesh | Instance | OfTrimesh"
+
+Geometry: TypeAlias = "Member | Sequence[Member] | Sequence[Sequence[Member]]"
+"""What scenes are made of; objects of trimesh are meshes and scenes."""
 
 MAX_CONDITION = 1e12
 """Condition number from which a map counts as singular: its inverse has no reliable digits."""
@@ -68,13 +79,20 @@ class Instance:
 
     __slots__ = ("environment", "mask", "mesh", "transform")
 
-    def __init__(self, mesh: Any, transform: Any = None, *, mask: int = MAX_MASK, environment: int = EVERY) -> None:
+    def __init__(
+        self,
+        mesh: TriangleMesh | trimesh.parent.Geometry,
+        transform: ArrayLike | None = None,
+        *,
+        mask: int = MAX_MASK,
+        environment: int = EVERY,
+    ) -> None:
         if not (isinstance(mesh, TriangleMesh) or (hasattr(mesh, "faces") and hasattr(mesh, "vertices"))):
             raise TypeError(
                 f"mesh must be a wrt.TriangleMesh or a trimesh.Trimesh, not {type(mesh).__name__}; pass a trimesh.Scene to "
                 "wrt.Scene directly"
             )
-        self.mesh = mesh
+        self.mesh: Any = mesh
         self.transform = check_transform(np.eye(4) if transform is None else transform)
         self.mask = check_mask(mask)
         self.environment = check_environment(environment)
@@ -166,14 +184,17 @@ def check_transforms(transforms: Any, count: int) -> np.ndarray:
                 check_transform(matrices[number])
         matrices.flags.writeable = False
         return matrices
-    linear = matrices[:, :3, :3]
+    entries = np.ascontiguousarray(matrices.reshape(-1, 16).T)
+    a, b, c, x, d, e, f, y, g, h, i, z = entries[:12]
     with np.errstate(all="ignore"):  # a NaN is not below any bound
-        largest = np.sqrt(np.square(linear).sum(axis=(1, 2)))  # at least the largest singular value
-        least = np.abs(np.linalg.det(linear)) / np.square(largest)  # at most the smallest one
+        square = a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + i * i
+        largest = np.sqrt(square)  # as in `is_surely_regular`
+        least = np.abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) / np.maximum(square, TINY)
         fine = (largest <= MAX_SCALE) & (least >= 1.0 / MAX_SCALE) & (largest < MAX_CONDITION * least)
-        fine &= (np.abs(matrices[:, 3] - (0.0, 0.0, 0.0, 1.0)) <= 1e-12).all(axis=1) & np.isfinite(matrices[:, :3, 3]).all(
-            axis=1
-        )
+        for values in (x, y, z):
+            fine &= np.isfinite(values)
+        for values, wanted in zip(entries[12:], LAST_ROW, strict=True):
+            fine &= np.abs(values - wanted) <= 1e-12
     for number in np.flatnonzero(~fine).tolist():
         check_transform(matrices[number])
     matrices.flags.writeable = False
@@ -185,25 +206,21 @@ def matrices_of(transforms: wp.array) -> np.ndarray:
     if transforms.dtype not in (wp.transformf, wp.transformd):
         return transforms.numpy()
     values = transforms.numpy().astype(np.float64)
-    x, y, z, w = np.moveaxis(values[..., 3:] / np.linalg.norm(values[..., 3:], axis=-1, keepdims=True), -1, 0)
     matrices = np.zeros((*values.shape[:-1], 4, 4))
     matrices[..., :3, 3], matrices[..., 3, 3] = values[..., :3], 1.0
-    matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - z * w),
-        2 * (x * z + y * w),
-    )
-    matrices[..., 1, 0], matrices[..., 1, 1], matrices[..., 1, 2] = (
-        2 * (x * y + z * w),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - x * w),
-    )
-    matrices[..., 2, 0], matrices[..., 2, 1], matrices[..., 2, 2] = (
-        2 * (x * z - y * w),
-        2 * (y * z + x * w),
-        1 - 2 * (x * x + y * y),
-    )
+    matrices[..., :3, :3] = rotation_matrices(values[..., 3:] / np.linalg.norm(values[..., 3:], axis=-1, keepdims=True))
     return matrices
+
+
+def rotation_matrices(unit: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) matrices of (..., 4) unit quaternions x, y, z, w."""
+    x, y, z, w = np.moveaxis(unit, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def check_environment(environment: Any) -> int:
@@ -232,11 +249,14 @@ def check_mask(mask: Any) -> int:
     return mask
 
 
-def check_extent(instances: Sequence[Instance], geometry_ids: Sequence[int], meshes: Sequence[TriangleMesh]) -> None:
+def check_extent(
+    transforms: np.ndarray, masks: np.ndarray, geometry_ids: Sequence[int], meshes: Sequence[TriangleMesh]
+) -> None:
     """Refuses a scene beyond float32, or so large that float64 does not resolve positions within one of its instances.
 
     Args:
-        instances: those with mask 0, which no ray sees, are not checked for resolution.
+        transforms: (N, 4, 4) of the instances.
+        masks: (N,); instances with mask 0, which no ray sees, are not checked for resolution.
         geometry_ids: the mesh of each instance.
         meshes: each mesh once.
 
@@ -244,7 +264,6 @@ def check_extent(instances: Sequence[Instance], geometry_ids: Sequence[int], mes
         ValueError: there is such an instance.
     """
     boxes = np.array([mesh.bounds for mesh in meshes])[np.array(geometry_ids)]
-    transforms = np.array([instance.transform for instance in instances])
     linear, shift = transforms[:, :3, :3], transforms[:, :3, 3]
     half = (np.abs(linear) @ ((boxes[:, 1] - boxes[:, 0]) / 2)[:, :, None])[:, :, 0]
     middle = (linear @ boxes.mean(axis=1)[:, :, None])[:, :, 0] + shift
@@ -257,7 +276,7 @@ def check_extent(instances: Sequence[Instance], geometry_ids: Sequence[int], mes
         )
     center = ((middle - half).min(axis=0) + (middle + half).max(axis=0)) / 2
     size, distance = 2.0 * half.max(axis=1), np.abs(middle - center).max(axis=1)
-    lost = (size < MIN_RELATIVE_SIZE * distance) & (size > 0.0) & np.array([instance.mask != 0 for instance in instances])
+    lost = (size < MIN_RELATIVE_SIZE * distance) & (size > 0.0) & (masks != 0)
     if lost.any():
         worst = int(np.flatnonzero(lost)[0])
         raise ValueError(

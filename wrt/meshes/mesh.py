@@ -35,6 +35,8 @@ from wrt.meshes.up_axis import Direction, checked_up, common_up, mapped_up, up_o
 if TYPE_CHECKING:
     import trimesh
 
+    from wrt.array_types import ArrayLike, Numbers
+
 __all__ = ["TriangleMesh"]
 
 
@@ -60,7 +62,7 @@ class TriangleMesh:
             or `up` is not three finite numbers that are not all zero.
     """
 
-    def __init__(self, vertices: Any, faces: Any, *, name: str | None = None, up: Any = None) -> None:
+    def __init__(self, vertices: ArrayLike, faces: ArrayLike, *, name: str | None = None, up: ArrayLike | None = None) -> None:
         self._vertices = checked_vertices(vertices)
         self._faces = checked_faces(faces, len(self._vertices))
         self.name = name
@@ -156,7 +158,7 @@ class TriangleMesh:
         return cls.concatenate(parts, name=name)
 
     @classmethod
-    def from_heightmap(cls, heights: Any, *, spacing: Any = 1.0, origin: Any = (0, 0, 0)) -> TriangleMesh:
+    def from_heightmap(cls, heights: ArrayLike, *, spacing: Numbers = 1.0, origin: ArrayLike = (0, 0, 0)) -> TriangleMesh:
         """A terrain, z up: vertex i * columns + j is at origin + (j dx, i dy, heights[i, j]), float64.
 
         Args:
@@ -321,7 +323,7 @@ class TriangleMesh:
 
     # -- derived meshes ----------------------------------------------------------------------------------------------------
 
-    def transformed(self, matrix: Any) -> TriangleMesh:
+    def transformed(self, matrix: ArrayLike) -> TriangleMesh:
         """Applies an affine map: p -> (matrix @ [p, 1])[:3].
 
         A map that mirrors (negative determinant) also swaps vertices 1 and 2 of every triangle, so that normals keep
@@ -350,7 +352,12 @@ class TriangleMesh:
         return result
 
     def with_materials(
-        self, materials: Material | Iterable[Material], of_face: Any = None, *, uv: Any = None, colors: Any = None
+        self,
+        materials: Material | Iterable[Material],
+        of_face: ArrayLike | None = None,
+        *,
+        uv: ArrayLike | None = None,
+        colors: ArrayLike | None = None,
     ) -> TriangleMesh:
         """The same mesh with materials. `transformed`, `concatenate`, `welded`, pickles and `Scene.save` keep them; mesh
         files do not.

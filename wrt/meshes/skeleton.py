@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wrt.kernels.validation import as_int, as_numbers, as_real_array, first_bad
+
+if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +56,7 @@ class Skeleton:
         """Number of bones."""
         return len(self.parents)
 
-    def maps(self, angles: Any) -> np.ndarray:
+    def maps(self, angles: ArrayLike) -> np.ndarray:
         """(..., B, 4, 4) float64 maps of the bones from the rest pose.
 
         Args:

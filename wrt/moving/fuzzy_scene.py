@@ -25,6 +25,7 @@ from wrt.scene.mesh_state import MeshState
 from wrt.scene.scene import Scene
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
     from wrt.builders.motion_clusters import Decomposition
 
 MOTION_TOLERANCE = 1e-3
@@ -73,11 +74,11 @@ class FuzzyScene(Scene):
 
     def __init__(
         self,
-        frames: Any,
-        faces: Any,
+        frames: ArrayLike,
+        faces: ArrayLike,
         *,
         clusters: int = 16,
-        transforms: Any = None,
+        transforms: ArrayLike | None = None,
         rest: int | str = 0,
         accelerator: Bvh | KdTree | None = None,
         device: str | wp.Device | None = None,

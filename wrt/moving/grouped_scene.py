@@ -41,9 +41,13 @@ from wrt.scene.scene import Scene
 from wrt.scene.updates import MovedTriangles, UpdatePolicy, UpdateReport, can_move, move_tree, typical_motion
 
 if TYPE_CHECKING:
+    from wrt.accelerators.accelerator import Accelerator, AcceleratorName
+    from wrt.array_types import ArrayLike
     from wrt.builders import tree as common
+    from wrt.meshes.instance import Geometry
     from wrt.meshes.mesh import TriangleMesh
     from wrt.meshes.placement import PlacedMeshes
+    from wrt.scene.updates import When
 
 
 class GroupedScene(Scene):
@@ -73,10 +77,10 @@ class GroupedScene(Scene):
 
     def __init__(
         self,
-        geometry: Any,
-        accelerator: Any = AUTO,
+        geometry: Geometry,
+        accelerator: AcceleratorName | Accelerator = AUTO,
         *,
-        accelerators: Mapping[int, Any] | None = None,
+        accelerators: Mapping[int, AcceleratorName | Accelerator] | None = None,
         top: str = TREE,
         triangle_test: str = AUTO,
         device: str | wp.Device | None = None,
@@ -99,7 +103,11 @@ class GroupedScene(Scene):
         return self.state.reports
 
     def move(
-        self, nodes: Mapping[Any, Any] | None = None, *, vertices: Mapping[int, Any] | None = None, rebuild: Any = "auto"
+        self,
+        nodes: Mapping[str, ArrayLike] | None = None,
+        *,
+        vertices: Mapping[int, ArrayLike] | None = None,
+        rebuild: When | UpdatePolicy = "auto",
     ) -> None:
         """As `Scene.move`, which a scene of groups refuses: its meshes hang on no nodes. `update` moves them.
 

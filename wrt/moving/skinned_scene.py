@@ -16,7 +16,7 @@ References: guenther-2006-skinned.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import warp as wp
@@ -33,6 +33,9 @@ from wrt.meshes.placement import find_center, moved_mesh, place_meshes
 from wrt.meshes.skeleton import Skeleton, skinned
 from wrt.moving.fuzzy_scene import FrameTrees, FuzzyState, as_maps, check_kdtree, cluster_rows, join_parts, triangle_corners
 from wrt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
 
 MARGIN = 0.05
 """Enlargement of a sampled box on each side, as a share of its longest side."""
@@ -72,9 +75,9 @@ class SkinnedScene(Scene):
 
     def __init__(
         self,
-        vertices: Any,
-        faces: Any,
-        weights: Any,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        weights: ArrayLike,
         skeleton: Skeleton,
         *,
         samples: int = 64,
@@ -95,7 +98,7 @@ class SkinnedScene(Scene):
             self._trees: dict[int, Any] = {}
             self._pose(np.tile(np.eye(4), (len(skeleton), 1, 1)), settings, new_mark())
 
-    def pose(self, maps: Any) -> None:
+    def pose(self, maps: ArrayLike) -> None:
         """Shows a pose: later queries see the skin as it is in it.
 
         Args:

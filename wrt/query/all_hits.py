@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Generic
 import numpy as np
 import warp as wp
 
+from wrt.array_types import ArrayT
 from wrt.engine.device_hits import DeviceHits, shaped
 from wrt.engine.executor import on_device
 from wrt.engine.facts.query_kinds import ALL, COUNT, Query
@@ -27,7 +28,6 @@ from wrt.engine.launch.traversal_launch import divide, kernel_and_inputs, no_wor
 from wrt.engine.memory import empty
 from wrt.engine.plan.choices import find_plan
 from wrt.engine.plan.plan import Plan, traversal_config, traversal_of
-from wrt.engine.rays.array_types import ArrayT
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.traversal.capabilities import Capabilities

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     import warp as wp
     from typing_extensions import Unpack
 
+    from wrt.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
     from wrt.engine.facts.scene_state import SceneState
     from wrt.engine.plan.plan import Plan
-    from wrt.engine.rays.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
     from wrt.query.all_hits import AllHits
     from wrt.query.hits import Hits
     from wrt.query.query_options import Closest, Counted, Listed, Occluded

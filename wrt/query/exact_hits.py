@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.array_types import ArrayT
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.executor import on_device
 from wrt.engine.facts.query_kinds import AUTO, CLOSEST, EXACT, Query
@@ -18,7 +19,6 @@ from wrt.engine.memory import empty, keep_alive
 from wrt.engine.plan.choices import find_plan
 from wrt.engine.plan.plan import stack_levels, traversal_config, traversal_of
 from wrt.engine.plan.planner import DEFAULT_TEST
-from wrt.engine.rays.array_types import ArrayT
 from wrt.engine.rays.device_rays import flatten_shared
 from wrt.engine.rays.rays import as_vectors, one_object
 from wrt.kernels.runtime.launch import kept, launch, specialise, use_threads

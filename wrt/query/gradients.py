@@ -13,6 +13,7 @@ from wrt.kernels.runtime.launch import kept, launch, load
 from wrt.kernels.validation import as_real_array
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
     from wrt.query.api import Queries
     from wrt.query.hits import Hits
 
@@ -40,7 +41,12 @@ class DifferentiableHits:
 
 
 def differentiable_hits(
-    scene: Queries, hits: Hits, origins: Any, directions: Any, vertices: Any = None, transforms: Any = None
+    scene: Queries,
+    hits: Hits,
+    origins: ArrayLike,
+    directions: ArrayLike,
+    vertices: ArrayLike | None = None,
+    transforms: ArrayLike | None = None,
 ) -> DifferentiableHits:
     """Recomputes hits as smooth functions of rays, vertices and transforms; the triangle that each ray hits is fixed.
 
@@ -124,7 +130,7 @@ def _transforms(scene: Queries, transforms: Any, device: wp.Device) -> wp.array:
         if transforms.device != device:
             raise ValueError(f"transforms are on {transforms.device}, the scene on {device}; copy them there")
         return transforms
-    values = [one.transform for one in scene.instances] if transforms is None else transforms
+    values = scene.state.instances.transforms if transforms is None else transforms
     matrices = as_real_array("transforms", values)
     if matrices.shape != (count, 4, 4):
         raise ValueError(f"transforms have the shape {matrices.shape}; pass ({count}, 4, 4), one for each instance")
@@ -152,7 +158,7 @@ def _placed_triangles(scene: Queries, hits: Hits) -> list[wp.array]:
     instance, geometry, local = hits.located
     face_of = wp.empty_like(local)
     launch(number_faces, len(local), [geometry, local, first_face, face_of], device=device)
-    signs = np.sign(np.linalg.det(np.array([one.transform[:3, :3] for one in scene.instances])))
+    signs = np.sign(np.linalg.det(scene.state.instances.transforms[:, :3, :3]))
     return [faces, face_of, instance, wp.array(signs, dtype=wp.float64, device=device)]
 
 

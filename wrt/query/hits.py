@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeAlias, overload
 import numpy as np
 import warp as wp
 
+from wrt.array_types import ArrayLike, ArrayT, NumpyLike, WarpLike
 from wrt.engine.device_hits import shaped
 from wrt.engine.memory import empty
-from wrt.engine.rays.array_types import ArrayLike, ArrayT, NumpyLike, WarpLike
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_float
 from wrt.tables import lookup
@@ -187,7 +187,7 @@ class Hits(Generic[ArrayT]):
         own triangle again at any angle. In the corner of two walls, it starts in front of both: near edges the point is moved
         away from them, too. An origin is at most 6.7e-6 times this extent away from the point of the hit.
 
-            d = ...  # (N, 3), or (samples, N, 3)
+            d = (0.3, 0.2, 1.0)  # to the sun; or (N, 3), or (samples, N, 3)
             lit = hits.faces(d) & ~scene.occluded(hits.spawn(d), d)  # a surface is lit on its front only
             through = scene.intersect(hits.spawn(-hits.normal), -hits.normal)  # a ray that leaves the back
 

@@ -15,8 +15,8 @@ from wrt.engine.facts.query_kinds import Query
 from wrt.kernels.validation import as_bool
 
 if TYPE_CHECKING:
+    from wrt.array_types import Numbers
     from wrt.engine.plan.plan import Plan
-    from wrt.engine.rays.array_types import Numbers
     from wrt.query.hits import Hits
 
 Method = TypeVar("Method", bound=Callable[..., Any])

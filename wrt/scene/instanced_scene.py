@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.engine.facts.scene_settings import as_settings
 from wrt.kernels.runtime.launch import use_threads
 from wrt.scene.instanced_state import build_instanced_state
 from wrt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import warp as wp
+
+    from wrt.accelerators.accelerator import Accelerator, AcceleratorName
+    from wrt.meshes.instance import Geometry
+    from wrt.scene.storage import TreeSource
 
 
 class InstancedScene(Scene):
@@ -37,13 +46,13 @@ class InstancedScene(Scene):
 
     def __init__(
         self,
-        geometry: Any,
-        accelerator: Any = AUTO,
+        geometry: Geometry,
+        accelerator: AcceleratorName | Accelerator = AUTO,
         *,
         triangle_test: str = AUTO,
-        device: Any = None,
+        device: str | wp.Device | None = None,
         num_threads: int | None = None,
-        cache: Any = None,
+        cache: str | Path | TreeSource | None = None,
     ) -> None:
         settings = as_settings(accelerator, triangle_test, device, num_threads)
         with use_threads(settings.num_threads):

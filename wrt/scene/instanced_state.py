@@ -11,7 +11,7 @@ instances builds the upper level again, which takes microseconds an instance; tr
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -25,6 +25,7 @@ from wrt.engine.facts.scene_state import SceneState, Settings, new_mark
 from wrt.instances.device_moves import DeviceMoves, MovedInstances, fetched, move_on_device, transforms_on
 from wrt.instances.few_moves import MOST_AT_ONCE, move_few
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, UpperTree, build_upper, cover, on_device, write_maps
+from wrt.instances.instance_list import InstanceList
 from wrt.instances.instance_tables import first_triangles, geometry_table, part_table, upper_struct
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
@@ -49,6 +50,7 @@ class InstancedState(SceneState):
 
     Attributes:
         geometry_ids: the mesh of each instance.
+        numbers: (N,) int32, the same.
         mesh_states: the state of each mesh, in its own space.
         covers: for the meshes, points in whose convex hull their triangles are.
         boxes: the maps of the instances, and their boxes.
@@ -66,6 +68,7 @@ class InstancedState(SceneState):
     }
 
     geometry_ids: tuple[int, ...] = ()
+    numbers: np.ndarray | None = None
     mesh_states: tuple[MeshState, ...] = ()
     covers: Covers | None = None
     boxes: InstanceBoxes | None = None
@@ -167,6 +170,7 @@ class InstancedState(SceneState):
         if vertices is None and transform is None and mask is None and environment is None:
             raise TypeError("there is nothing to update; pass vertices, transform, mask or environment")
         chosen = None if is_all(index, len(self.instances)) else self.chosen(index)
+        chosen = None if chosen is not None and is_all(chosen, len(self.instances)) else chosen
         if vertices is None and mask is None and environment is None:
             moved = self._moved_on_device(chosen, transform)
             if moved is not None:
@@ -174,24 +178,17 @@ class InstancedState(SceneState):
         refuse_capture("such an update", self.device)
         if self.device_moves is not None:
             return self.on_host().updated(index, vertices, transform, mask, policy, environment)
-        chosen = np.arange(len(self.instances)) if chosen is None else chosen
-        matrices = None if transform is None else check_transforms(transform, len(chosen))
+        count = len(self.instances) if chosen is None else len(chosen)
+        matrices = None if transform is None else check_transforms(transform, count)
         mask = None if mask is None else check_mask(mask)
         environment = None if environment is None else check_environment(environment)
-        instances, rows = list(self.instances), chosen.tolist()
-        for place, number in enumerate(rows):
-            old = instances[number]
-            instances[number] = old.moved(
-                old.transform if matrices is None else matrices[place],
-                old.mask if mask is None else mask,
-                old.environment if environment is None else environment,
-            )
+        instances = self.instances.moved(chosen, matrices, mask, environment)
         with use_threads(self.num_threads):
             if vertices is not None:
-                return self._bent(tuple(instances), rows, vertices, policy)
+                return self._bent(instances, range(count) if chosen is None else chosen.tolist(), vertices, policy)
             if environment is not None:
-                return self.with_instances(tuple(instances), self.graph)
-            return self._moved(tuple(instances), chosen if len(chosen) == 1 else np.unique(chosen))
+                return self.with_instances(instances[:], self.graph)
+            return self._moved(instances, chosen if chosen is None or count == 1 else np.unique(chosen))
 
     def _moved_on_device(self, rows: np.ndarray | None, transform: Any) -> InstancedState | None:
         """The state after instances have moved by transforms on its device; None if they go through the host.
@@ -215,8 +212,7 @@ class InstancedState(SceneState):
             device_moves, boxes, placements, tree = done
             if not (device.is_capturing or boxes.are_resolved):
                 return None
-            base = self.instances.base if isinstance(self.instances, MovedInstances) else self.instances
-            instances: Any = MovedInstances(base, device_moves)
+            instances = MovedInstances(self.instances, device_moves)
             state = assemble(self, instances, boxes, None, tree, 0 if is_due else moved, placements, device_moves)
             if is_due and state.tree.is_degraded:
                 state = state.on_host()
@@ -231,7 +227,9 @@ class InstancedState(SceneState):
         """(M,) numbers of the instances that a caller means: an index, or several; errors as in `wrt.Scene.update`."""
         return check_indices(index, len(self.instances), "instance")
 
-    def _bent(self, instances: tuple[Instance, ...], chosen: list[int], vertices: Any, policy: UpdatePolicy) -> InstancedState:
+    def _bent(
+        self, instances: InstanceList, chosen: Sequence[int], vertices: Any, policy: UpdatePolicy | None
+    ) -> InstancedState:
         """The state after the vertices of a mesh have moved."""
         states, number = self.mesh_states, self.geometry_ids[chosen[0]]
         if any(self.geometry_ids[one] != number for one in chosen):
@@ -240,41 +238,43 @@ class InstancedState(SceneState):
         part.complete()
         states = (*states[:number], part, *states[number + 1 :])
         covers = (*self.covers.each[:number], cover(part), *self.covers.each[number + 1 :])
-        instances = tuple(
+        bent = tuple(
             Instance(part.meshes[0], one.transform, mask=one.mask, environment=one.environment) if own == number else one
             for one, own in zip(instances, self.geometry_ids, strict=True)
         )
-        check_extent(instances, self.geometry_ids, [part.meshes[0] for part in states])
+        instances = InstanceList(bent)
+        check_extent(*instances.some(None), self.geometry_ids, [part.meshes[0] for part in states])
         placed = place_instances(instances, self.geometry_ids, states, covers, self.settings, self.mark)
         placed = replace(placed, graph=self.graph, hit_filter=self.hit_filter)
         given = (*self.given[:number], part.meshes[0], *self.given[number + 1 :])
         return replace(placed, given=given, last_update=part.last_update)
 
-    def _moved(self, instances: tuple[Instance, ...], rows: np.ndarray) -> InstancedState:
-        """The state after some instances have moved: the nodes above them get new boxes."""
+    def _moved(self, instances: InstanceList, rows: np.ndarray | None) -> InstancedState:
+        """The state after some instances have moved, or all: the nodes above them get new boxes."""
         forest = self.tree.forest
-        moved = self.moved + int(np.count_nonzero(forest.layered[rows]))
+        moved = self.moved + (forest.layered_count if rows is None else int(np.count_nonzero(forest.layered[rows])))
         is_due = 2 * moved > forest.layered_count
         state = self._kept(instances, rows, 0 if is_due else moved)
         if is_due and state.tree.is_degraded:
             return place(self, instances, state.boxes, state.table, None, 0)
         return state
 
-    def _kept(self, instances: tuple[Instance, ...], rows: np.ndarray, moved: int) -> InstancedState:
-        """The state after some instances have moved, with the nodes of this one."""
-        if len(rows) <= MOST_AT_ONCE:
-            found = move_few(self, instances, rows)
+    def _kept(self, instances: InstanceList, rows: np.ndarray | None, moved: int) -> InstancedState:
+        """The state after some instances have moved, or all, with the nodes of this one."""
+        transforms, masks = instances.some(rows)
+        if len(transforms) <= MOST_AT_ONCE:
+            few = np.arange(len(instances)) if rows is None else rows
+            found = move_few(self, few, transforms, masks)
             if found is not None:
                 return assemble(self, instances, *found, moved)
-        transforms = np.array([instances[row].transform for row in rows])
-        numbers = np.array([self.geometry_ids[row] for row in rows])
-        moved_boxes, inverses = InstanceBoxes.of(transforms, numbers, self.covers)
-        boxes = self.boxes.with_rows(rows, moved_boxes)
+        numbers = self.numbers if rows is None else self.numbers[rows]
+        boxes, inverses = InstanceBoxes.of(transforms, numbers, self.covers)
+        boxes = boxes if rows is None else self.boxes.with_rows(rows, boxes)
         if not boxes.are_resolved:
-            check_extent(instances, self.geometry_ids, [part.meshes[0] for part in self.mesh_states])
+            check_extent(*instances.some(None), self.geometry_ids, [part.meshes[0] for part in self.mesh_states])
         table = self.table.copy()
-        write_maps(table, rows, transforms, inverses)
-        table["mask"][rows] = [instances[row].mask for row in rows]
+        write_maps(table, slice(None) if rows is None else rows, transforms, inverses)
+        table["mask"][slice(None) if rows is None else rows] = masks
         return place(self, instances, boxes, table, self.tree, moved, rows)
 
     def with_instances(self, instances: tuple[Instance, ...], graph: NodeGraph | None) -> InstancedState:
@@ -303,7 +303,9 @@ class InstancedState(SceneState):
 
 
 def is_all(index: Any, count: int) -> bool:
-    """Whether an index names all instances in their order, as a range."""
+    """Whether an index, a range or an array, names all instances in their order."""
+    if isinstance(index, np.ndarray):
+        return len(index) == count and bool((index == np.arange(count)).all())
     return type(index) is range and index == range(count)
 
 
@@ -344,19 +346,20 @@ def place_members(
             find_center((meshes[-1],))
         except ValueError as error:
             raise ValueError(f"mesh {number} of the instances: {error}") from None
-    check_extent(instances, geometry_ids, meshes)
+    listed = InstanceList(instances)
+    check_extent(*listed.some(None), geometry_ids, meshes)
     states, covers = [], []
     for key, mesh in zip(given, meshes, strict=True):
         state, points = known.get(key) or (build_state((mesh,), settings, cache), None)
         state.complete()  # trees of the lower level cannot grow during a query
         states.append(state)
         covers.append(cover(state) if points is None else points)
-    placed = place_instances(instances, geometry_ids, tuple(states), tuple(covers), settings, mark)
+    placed = place_instances(listed, geometry_ids, tuple(states), tuple(covers), settings, mark)
     return replace(placed, given=tuple(given.values()))
 
 
 def place_instances(
-    instances: tuple[Instance, ...],
+    instances: InstanceList,
     geometry_ids: tuple[int, ...],
     states: tuple[MeshState, ...],
     covers: tuple[np.ndarray, ...],
@@ -365,12 +368,11 @@ def place_instances(
 ) -> InstancedState:
     """The state of instances of meshes: builds the upper level; errors as in `first_triangles`."""
     first = first_triangles(states, geometry_ids)
-    transforms, known = np.array([instance.transform for instance in instances]), Covers.of(covers, states)
-    boxes, inverses = InstanceBoxes.of(transforms, np.array(geometry_ids), known)
+    known, numbers = Covers.of(covers, states), np.array(geometry_ids, dtype=np.int32)
+    boxes, inverses = InstanceBoxes.of(instances.transforms, numbers, known)
     table: Any = np.zeros(len(instances), dtype=Placement.numpy_dtype())  # type: ignore[attr-defined]
-    write_maps(table, slice(None), transforms, inverses)
-    table["geometry"], table["first"] = geometry_ids, first[:-1]
-    table["mask"] = [instance.mask for instance in instances]
+    write_maps(table, slice(None), instances.transforms, inverses)
+    table["geometry"], table["first"], table["mask"] = numbers, first[:-1], instances.masks
     mesh = SceneMesh()
     mesh.geometry_first = wp.array(first, dtype=int, device=settings.device)
     mesh.geometries = geometry_table(states, settings.device)
@@ -383,6 +385,7 @@ def place_instances(
         instances=instances,
         mark=mark,
         geometry_ids=geometry_ids,
+        numbers=numbers,
         mesh_states=states,
         covers=known,
         boxes=boxes,
@@ -395,7 +398,7 @@ def place_instances(
 
 def place(
     old: InstancedState,
-    instances: tuple[Instance, ...],
+    instances: InstanceList,
     boxes: InstanceBoxes,
     table: np.ndarray,
     tree: UpperTree | None,
@@ -410,10 +413,10 @@ def place(
         table: their placements, without origins.
         tree: whose nodes are kept; None to build the upper level.
         moved: as in `InstancedState`.
-        rows: instances that are elsewhere, if a tree is given.
+        rows: instances that are elsewhere, if a tree is given; None for all.
     """
     center, device = np.array(boxes.frame[0]), old.settings.device
-    if tree is not None and old.boxes.frame == boxes.frame:
+    if tree is not None and rows is not None and old.boxes.frame == boxes.frame:
         table["origin"][rows] = boxes.origin[rows] - center
         corners = tuple(values.copy() for values in tree.corners)
         corners[0][rows], corners[1][rows] = boxes.rounded(rows)
@@ -421,7 +424,7 @@ def place(
         table["origin"], rows, corners = boxes.origin - center, None, boxes.rounded()
     if tree is None:
         depth = max(getattr(state.tree, "depth", 0) for state in old.mesh_states)  # stacks for kd-trees have one size
-        environments = np.array([instance.environment for instance in instances], dtype=np.int32)
+        environments = instances.environments.astype(np.int32)
         tree = build_upper(corners, environments, max(old.mesh_states[0].width, 2), depth, device)  # type: ignore[arg-type]
     else:
         tree = tree.with_boxes(*corners, rows)  # type: ignore[call-arg]
@@ -430,7 +433,7 @@ def place(
 
 def assemble(
     old: InstancedState,
-    instances: tuple[Instance, ...],
+    instances: InstanceList,
     boxes: InstanceBoxes,
     table: np.ndarray | None,
     tree: UpperTree,

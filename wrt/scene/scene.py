@@ -24,10 +24,12 @@ from wrt.scene.mesh_state import state_of_meshes
 from wrt.scene.updates import UpdatePolicy, When, as_policy
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
+    from wrt.array_types import ArrayLike, Indices
     from wrt.builders import tree as common
-    from wrt.engine.rays.array_types import ArrayLike
+    from wrt.meshes.instance import Geometry
     from wrt.scene.scene_statistics import SceneStatistics
     from wrt.scene.storage import TreeSource
     from wrt.scene.updates import UpdateReport
@@ -90,7 +92,7 @@ class Scene(Queries, Members):
 
     def __init__(
         self,
-        geometry: Any,
+        geometry: Geometry,
         accelerator: AcceleratorName | Accelerator = AUTO,
         *,
         triangle_test: str = AUTO,
@@ -107,7 +109,7 @@ class Scene(Queries, Members):
 
     def update(
         self,
-        index: Any,
+        index: Indices | Mapping[int, ArrayLike],
         *,
         vertices: ArrayLike | None = None,
         transform: ArrayLike | None = None,
@@ -119,9 +121,9 @@ class Scene(Queries, Members):
 
             scene.update(0, vertices=points)                    # mesh 0
             scene.update({1: points, 4: others})                # meshes 1 and 4, in one step
-            scene.update(3, transform=matrix)                   # instance 3
-            scene.update(range(100), transform=matrices)        # many at once, which takes a few microseconds each
-            scene.update(3, vertices=points)                    # of instances: the mesh of instance 3, in all its instances
+            forest.update(3, transform=matrix)                  # of a scene of instances: instance 3
+            forest.update(range(100), transform=matrices)       # many at once, which takes a few microseconds each
+            forest.update(3, vertices=points)                   # the mesh of instance 3, in all its instances
 
         The tree keeps its nodes, which is faster than a build: a BVH is refitted, the leaves of a kd-tree are filled again. The
         further triangles move, the slower queries become. So the tree is rebuilt, in parts or as a whole, once its cost is too
@@ -242,7 +244,7 @@ class Scene(Queries, Members):
     @property
     def instances(self) -> tuple[Instance, ...]:
         """The instances of a scene of two levels, in the order of instance ids; empty in a scene of meshes."""
-        return tuple(self.state.instances)
+        return self.state.instances[:]
 
     @property
     def geometry_ids(self) -> tuple[int, ...]:
@@ -318,7 +320,7 @@ class Scene(Queries, Members):
         other.__dict__ |= self.__dict__
         return other
 
-    def filtered(self, *, ignore: Any = None, alpha: bool = False) -> Scene:
+    def filtered(self, *, ignore: ArrayLike | Mapping[int, ArrayLike] | None = None, alpha: bool = False) -> Scene:
         """A scene of the same tree whose rays pass through chosen triangles, or through the holes of alpha masks.
 
             glassless = scene.filtered(ignore=is_glass)       # (T,) bool

@@ -43,10 +43,8 @@ def sliced(state: InstancedState, chosen: list[int], transforms: np.ndarray) -> 
     boxes = joined(state.boxes, still, moved)
     if not boxes.are_resolved:
         for one in matrices.reshape(transforms.shape):
-            placed = list(state.instances)
-            for number, matrix in zip(chosen, one, strict=True):
-                placed[number] = placed[number].moved(matrix, placed[number].mask, placed[number].environment)
-            check_extent(placed, state.geometry_ids, [part.meshes[0] for part in state.mesh_states])
+            placed = state.instances.moved(moving, one, None, None)
+            check_extent(placed.transforms, placed.masks, state.geometry_ids, [part.meshes[0] for part in state.mesh_states])
     rows = (np.arange(slices)[:, None] * count + moving).ravel()
     table, center = np.tile(state.table, slices), np.array(boxes.frame[0])
     table["origin"] = np.tile(state.boxes.origin - center, (slices, 1))

@@ -270,7 +270,7 @@ def scene_arrays(scene: SceneState) -> dict[str, np.ndarray]:
             arrays |= {f"nodes.{name}": getattr(scene.graph, name) for name in NODE_FIELDS}
         arrays["geometry"] = np.array(scene.geometry_ids)
         for name in INSTANCE_FIELDS:
-            arrays[name] = np.array([getattr(instance, name) for instance in scene.instances])
+            arrays[name] = getattr(scene.instances, f"{name}s")
         for number, part in enumerate(scene.parts):
             arrays |= {f"tree{number}.{name}": array for name, array in pack_tree(part.tree).items()}
     else:

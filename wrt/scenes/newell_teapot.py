@@ -1,7 +1,8 @@
 """Martin Newell's teapot: 32 bicubic Bezier patches, tessellated at any level.
 
 Newell measured a Melitta teapot and published its control points in his thesis. The bottom was added later by others
-(Crow). The spout and the handle end inside the body, and the lid is slightly above the rim, so the surface is not closed.
+(Crow). The spout and the handle end inside the body, and the lid is slightly above the rim, so the surface is not closed,
+unless it is asked for.
 
 Each patch is evaluated on a lattice of (level + 1) x (level + 1) parameters. The evaluation is exactly symmetric: reversing
 a patch's control points reverses its points bit for bit. So neighbouring patches agree exactly along their common curve,
@@ -20,7 +21,7 @@ import numpy as np
 
 from wrt.kernels.validation import as_bool
 from wrt.meshes.mesh import TriangleMesh
-from wrt.scenes.shapes import check_count, plane, sheets, without_collapsed
+from wrt.scenes.shapes import check_count, plane, sheets, with_caps, without_collapsed
 
 __all__ = ["bernstein", "teapot", "teapot_patches"]
 
@@ -28,7 +29,7 @@ _GROUND_HALF_SIZE = 100.0
 _GROUND_CELLS = 16
 
 
-def teapot(level: int = 16, ground: bool = True) -> TriangleMesh:
+def teapot(level: int = 16, ground: bool = True, closed: bool = False) -> TriangleMesh:
     """The teapot on a wide ground, 6.4 units long and 3.15 high, handle at -x, spout at +x.
 
     Args:
@@ -36,17 +37,23 @@ def teapot(level: int = 16, ground: bool = True) -> TriangleMesh:
             for the lip of the spout, has 52).
         ground: whether to add a ground plane at z = 0, 200 x 200 units, whose edge looks like a horizon; 512 more
             triangles.
+        closed: whether to close the holes, as a body of glass needs it: each of the six, such as the rim and the ends of the
+            handle, gets a fan of triangles. Pot, lid, spout and handle are then solid bodies, the last two reaching into the
+            pot.
 
     Raises:
         TypeError: level is not a whole number.
-        ValueError: level < 1.
+        ValueError: level < 1, or 1 if it shall be closed.
     """
-    level, ground = check_count("level", level), as_bool("ground", ground)
+    ground, closed = as_bool("ground", ground), as_bool("closed", closed)
+    level = check_count("level", level, 2 if closed else 1)
     weights = bernstein(level)
     patches = _blend(weights, _blend(weights, teapot_patches()).swapaxes(1, 2)).swapaxes(1, 2)
     patches = np.round(patches, 12)  # the weights sum to 1 only up to rounding: this makes collapsed sides one point again
     # Rows lead away from the axis and columns clockwise: swapping the two turns the normals outward.
     pot = without_collapsed(sheets(patches.swapaxes(1, 2)).welded())
+    if closed:
+        pot = with_caps(pot)
     if not ground:
         return TriangleMesh(pot.vertices, pot.faces, name="teapot")
     half = _GROUND_HALF_SIZE

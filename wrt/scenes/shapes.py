@@ -95,6 +95,25 @@ def copies(mesh: TriangleMesh, offsets: Any) -> TriangleMesh:
     return TriangleMesh(vertices, (mesh.faces + starts[:, None, None]).reshape(-1, 3))
 
 
+def with_caps(mesh: TriangleMesh) -> TriangleMesh:
+    """The mesh with a fan of triangles in each of its holes, around the mean of the corners at the rim.
+
+    mesh: with welded vertices, no two of whose holes share a vertex.
+    """
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]).tolist()
+    known = {(a, b) for a, b in edges}
+    after = {b: a for a, b in known if (b, a) not in known}  # a fan runs along the rim in the other direction
+    points, fans = [], []
+    while after:
+        rim = [next(iter(after))]
+        while (corner := after.pop(rim[-1])) != rim[0]:
+            rim.append(corner)
+        center = mesh.vertex_count + len(points)
+        points.append(mesh.vertices[rim].mean(axis=0))
+        fans += [(center, a, b) for a, b in zip(rim, [*rim[1:], rim[0]], strict=True)]
+    return TriangleMesh(np.concatenate([mesh.vertices, points]), np.concatenate([mesh.faces, fans]), name=mesh.name)
+
+
 def without_collapsed(mesh: TriangleMesh) -> TriangleMesh:
     """Drops triangles without area, as where a side of a sheet shrinks to a point."""
     return TriangleMesh(mesh.vertices, mesh.faces[mesh.face_normals.any(axis=1)], name=mesh.name)

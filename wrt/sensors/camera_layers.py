@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.engine.host_arrays import as_array
 from wrt.engine.memory import empty
 from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.integrators.device_materials import device_materials, scene_materials, shaded_mesh
@@ -127,7 +128,7 @@ class Flow:
 
         made.make(("position", "instance"))
         images = Images()
-        images.position, images.instance = made.arrays["position"], made.arrays["instance"]
+        images.position, images.instance = as_array(made.arrays["position"]), as_array(made.arrays["instance"])
         for found in made.found:
             self._fill_slice(beams, images, found)
 

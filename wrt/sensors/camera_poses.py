@@ -10,7 +10,7 @@ from wrt.imaging.view_frames import check_pose
 from wrt.sensors.checks import check_matrix, check_real
 
 if TYPE_CHECKING:
-    from wrt.engine.rays.array_types import ArrayLike
+    from wrt.array_types import ArrayLike
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From the optical frame to OpenGL's, whose y points up and whose z points backward; and back."""

@@ -39,11 +39,19 @@ from wrt.sensors.time_slices import (
 from wrt.sensors.trajectory import Trajectory, as_trajectory
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from wrt.array_types import ArrayLike, Numbers
     from wrt.clouds.point_cloud import PointCloud
+    from wrt.engine.plan.plan import Plan
     from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
+    from wrt.imaging.integrators.render_settings import RenderSettings, SettingOptions
     from wrt.imaging.integrators.rendering_job import Rendering
     from wrt.kernels.sensors.lidar_beams import Beams
+    from wrt.lights.device_lights import Lights
+    from wrt.materials.material import Materials
     from wrt.scene.scene import Scene
+    from wrt.sensors.trajectory import Pose
 
 MAX_PIXELS = (1 << 31) - 1
 
@@ -108,7 +116,7 @@ class Camera:
         lens = lens_of(camera)
         return cls(camera.width, camera.height, lens), camera.pose
 
-    def to_camera(self, pose: Any) -> PinholeCamera | OrthographicCamera:
+    def to_camera(self, pose: ArrayLike) -> PinholeCamera | OrthographicCamera:
         """The same view as a `wrt.PinholeCamera`, or a `wrt.OrthographicCamera` for an orthographic lens.
 
         Args:
@@ -126,18 +134,18 @@ class Camera:
     def capture(
         self,
         scene: Scene | PointCloud,
-        pose: Any,
+        pose: Pose,
         *,
         time: float = 0.0,
         motions: Mapping[int, Trajectory] | None = None,
         slices: int = 1,
-        labels: Any = None,
+        labels: ArrayLike | None = None,
         miss: float = np.inf,
-        mask: Any = None,
-        environment: Any = None,
-        traversal: Any = "auto",
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
+        traversal: str | Plan = "auto",
         albedo: bool = False,
-        materials: Any = None,
+        materials: Materials | None = None,
         flow: float | None = None,
         layers: Sequence[str] | None = None,
         to_warp: bool | None = None,
@@ -218,16 +226,16 @@ class Camera:
 
     def render(
         self,
-        scene: Any,
-        pose: Any,
+        scene: Scene,
+        pose: Pose,
         *,
         time: float = 0.0,
         motions: Mapping[int, Trajectory] | None = None,
         integrator: str = "path",
-        lights: Any = None,
-        materials: Any = None,
-        settings: Any = None,
-        **options: Any,
+        lights: Lights | None = None,
+        materials: Materials | None = None,
+        settings: RenderSettings | None = None,
+        **options: Unpack[SettingOptions],
     ) -> Rendering:
         """A picture in colour, by the integrators of `wrt.pictures.Rendering`, all samples of which are made.
 
@@ -253,8 +261,8 @@ class Camera:
         end = time + self.line_delay * (self.height - 1)
         path.check_covers(time, end, "the times of the image")
         motions = as_motions(motions, scene, time, end)
-        options = {"integrator": integrator, "lights": lights, "materials": materials, "settings": settings, **options}
-        return render(scene, self, path, time, motions, **options).advance()
+        given: dict[str, Any] = {"lights": lights, "materials": materials, "settings": settings, **options}
+        return render(scene, self, path, time, motions, integrator=integrator, **given).advance()
 
     def beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
         """The rays of all pixels in the optical frame, for kernels.

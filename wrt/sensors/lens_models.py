@@ -8,7 +8,7 @@ optical frame: x to the right, y down, z forward.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import numpy as np
 import warp as wp
@@ -18,6 +18,7 @@ from wrt.kernels.validation import as_int, as_real_array, convert_fields
 from wrt.sensors.checks import check_at_least, check_real
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, NumpyLike
     from wrt.kernels.sensors.lenses import Lens as DeviceLens
 
 MODELS = ("brown_conrady", "kannala_brandt", "f_theta", "double_sphere", "equirectangular", "orthographic")
@@ -33,7 +34,11 @@ class LensModel:
     one_centre: ClassVar[bool] = True
     """Whether all rays start at one point."""
 
-    def project(self, points: Any) -> Any:
+    @overload
+    def project(self, points: NumpyLike) -> np.ndarray: ...
+    @overload
+    def project(self, points: wp.array) -> wp.array: ...
+    def project(self, points: ArrayLike) -> np.ndarray | wp.array:
         """Pixels of points.
 
         Args:
@@ -52,7 +57,11 @@ class LensModel:
         launch(project_points, len(given), [self.struct(), given, pixels], device=device, chunk=1024)
         return pixels.reshape(shape) if isinstance(points, wp.array) else pixels.numpy().reshape(*shape, 2)
 
-    def unproject(self, pixels: Any) -> tuple[Any, Any]:
+    @overload
+    def unproject(self, pixels: NumpyLike) -> tuple[np.ndarray, np.ndarray]: ...
+    @overload
+    def unproject(self, pixels: wp.array) -> tuple[wp.array, wp.array]: ...
+    def unproject(self, pixels: ArrayLike) -> Any:
         """Rays of pixels.
 
         Args:
@@ -143,7 +152,7 @@ class BrownConrady(_FocalLens):
         object.__setattr__(self, "distortion", tuple(values.tolist()))
 
     @classmethod
-    def from_matrix(cls, matrix: Any, distortion: Any = ()) -> BrownConrady:
+    def from_matrix(cls, matrix: ArrayLike, distortion: ArrayLike = ()) -> BrownConrady:
         """The lens of a camera matrix K: without distortion, pixel (u, v) looks along K^-1 (u, v, 1).
 
         Args:
@@ -190,7 +199,7 @@ class KannalaBrandt(_FocalLens):
         _check_angle(self.max_angle)
 
     @classmethod
-    def from_matrix(cls, matrix: Any, distortion: Any = (), max_angle: float = np.pi) -> KannalaBrandt:
+    def from_matrix(cls, matrix: ArrayLike, distortion: ArrayLike = (), max_angle: float = np.pi) -> KannalaBrandt:
         """The lens of a camera matrix K; arguments and errors as in `BrownConrady.from_matrix` and the class."""
         *focal, skew = _focal(matrix)
         return cls(*focal, distortion, max_angle, skew)  # type: ignore[arg-type, call-arg]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from math import prod
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
 from wrt.sensors.lidar_scan import LidarScan
 from wrt.sensors.outputs.hit_outputs import as_layers
-from wrt.sensors.outputs.measured_returns import MeasuredReturns
+from wrt.sensors.outputs.measured_returns import MeasuredReturns, no_noise
 from wrt.sensors.placed.device_poses import DevicePoses, as_poses
 from wrt.sensors.placed.values_on_devices import refuse_captured_scan, refuse_host_values, stays_on
 from wrt.sensors.time_slices import (
@@ -40,11 +40,14 @@ from wrt.sensors.trajectory import Trajectory
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers
     from wrt.clouds.point_cloud import PointCloud
+    from wrt.engine.plan.plan import Plan
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.kernels.sensors.lidar_returns import Detector, Noise
     from wrt.scene.scene import Scene
     from wrt.sensors.time_slices import TracedSlice
+    from wrt.sensors.trajectory import Pose
 
 KEEP = {"strongest": 0, "first": 1, "last": 2}
 """Which returns of a beam are kept, and their numbers in `wrt.kernels.sensors.lidar_returns`."""
@@ -157,16 +160,16 @@ class Lidar:
     def scan(
         self,
         scene: Scene | PointCloud,
-        pose: Any,
+        pose: Pose,
         *,
         time: float = 0.0,
         motions: Mapping[int, Trajectory] | None = None,
         slices: int = 1,
-        reflectance: Any = 1.0,
-        mask: Any = None,
-        environment: Any = None,
-        traversal: Any = "auto",
-        labels: Any = None,
+        reflectance: Numbers = 1.0,
+        mask: Numbers | None = None,
+        environment: Numbers | None = None,
+        traversal: str | Plan = "auto",
+        labels: ArrayLike | None = None,
         seed: int | wp.array | None = None,
         layers: Sequence[str] | None = None,
         to_warp: bool | None = None,
@@ -333,14 +336,6 @@ def reflect_by_point(found: TracedSlice, detector: Detector) -> None:
     point, mesh, device = found.traced.primitive.numpy(), found.surface[1], detector.reflectance.device
     mesh.geometry_first = wp.array(np.arange(len(point) + 1), dtype=int, device=device)
     detector.reflectance = wp.array(detector.reflectance.numpy()[np.maximum(point, 0)], dtype=float, device=device)
-
-
-@cache
-def no_noise() -> Noise:
-    """The noise of an ideal sensor."""
-    from wrt.kernels.sensors.lidar_returns import Noise
-
-    return Noise()
 
 
 def as_noise(lidar: Lidar, seed: Any, device: wp.Device) -> Noise:

@@ -10,10 +10,11 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import kept
-from wrt.kernels.validation import as_bool, as_float, as_int
+from wrt.kernels.validation import as_bool, as_float, as_int, host_array
 from wrt.sensors.checks import as_integers, check_at_least, check_real
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.sensors.time_slices import Slice
 
@@ -50,7 +51,13 @@ class LidarPattern:
             not unit vectors.
     """
 
-    def __init__(self, directions: Any, times: Any = None, rings: Any = None, offsets: Any = None) -> None:
+    def __init__(
+        self,
+        directions: ArrayLike,
+        times: ArrayLike | None = None,
+        rings: ArrayLike | None = None,
+        offsets: ArrayLike | None = None,
+    ) -> None:
         self.is_warp = isinstance(directions, wp.array)
         self.directions = self._vectors("directions", directions)
         self.shape = self.directions.shape if self.is_warp else self.directions.shape[:-1]
@@ -90,6 +97,11 @@ class LidarPattern:
         """Firing times of the first and the last beam, in seconds."""
         return float(self.times.min()), float(self.times.max())
 
+    @cached_property
+    def has_wide_rings(self) -> bool:
+        """Whether some rings are not from 0 to 65535."""
+        return bool(self.rings.size) and (self.rings.min() < 0 or self.rings.max() > np.iinfo(np.uint16).max)
+
     def cut(self, sensors: tuple[int, ...], slices: int) -> tuple[np.ndarray | None, list[Slice]]:
         """The order in which beams are traced, and the slices of a scan that starts at 0, as of
         `wrt.sensors.time_slices.cut_slices`; the last few are kept.
@@ -126,13 +138,13 @@ class LidarPattern:
     @classmethod
     def spinning(
         cls,
-        elevations: Any,
+        elevations: ArrayLike,
         columns: int,
         *,
         rate: float = 10.0,
-        azimuth_offsets: Any = 0.0,
-        firing_times: Any = 0.0,
-        rings: Any = None,
+        azimuth_offsets: Numbers = 0.0,
+        firing_times: Numbers = 0.0,
+        rings: ArrayLike | None = None,
         clockwise: bool = True,
         radius: float = 0.0,
     ) -> LidarPattern:
@@ -151,18 +163,18 @@ class LidarPattern:
         Raises:
             TypeError, ValueError: as the class; a number out of range.
         """
-        elevations = np.radians(check_real("elevations", elevations, (None,)))[:, None]
+        heights = np.radians(check_real("elevations", elevations, (None,)))[:, None]
         columns, clockwise = as_int("columns", columns, 1), as_bool("clockwise", clockwise)
         rate = check_at_least("rate", rate, 1e-6)
         radius = check_at_least("radius", radius, 0.0)
         times = np.arange(columns) / (columns * rate) + np.reshape(check_real("firing_times", firing_times), (-1, 1))
-        times = np.broadcast_to(times, (len(elevations), columns))
+        times = np.broadcast_to(times, (len(heights), columns))
         encoder = (-2.0 if clockwise else 2.0) * np.pi * rate * times
         azimuth = encoder + np.reshape(np.radians(check_real("azimuth_offsets", azimuth_offsets)), (-1, 1))
-        flat = np.cos(elevations)
-        directions = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), 0.0 * azimuth + np.sin(elevations)], axis=-1)
+        flat = np.cos(heights)
+        directions = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), 0.0 * azimuth + np.sin(heights)], axis=-1)
         offsets = None if radius == 0.0 else radius * np.stack([np.cos(encoder), np.sin(encoder), 0.0 * encoder], axis=-1)
-        return cls(directions, times, None if rings is None else np.reshape(rings, (-1, 1)), offsets)
+        return cls(directions, times, None if rings is None else host_array("rings", rings).reshape(-1, 1), offsets)
 
     @classmethod
     def raster(
@@ -261,7 +273,7 @@ class LidarPattern:
         array = check_real(name, values)
         array = as_integers(name, array, dtype) if dtype is np.int32 else array
         try:
-            array = np.array(np.broadcast_to(array, self.shape), dtype=dtype)
+            array = np.array(np.broadcast_to(array, self.shape), dtype=dtype, order="C")
         except ValueError:
             raise ValueError(f"{name} has the shape {array.shape}, which does not broadcast to {self.shape}") from None
         array.setflags(write=False)

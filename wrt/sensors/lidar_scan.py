@@ -138,28 +138,19 @@ class LidarScan(HitOutputs):
             ValueError: an unknown frame.
         """
         choices = {"sensor": lambda: self.point, "world": lambda: self.position, "start": self.deskewed}
-        points, row = lookup(choices, frame, "frame")(), self._row_type(frame)
-        kept, layers, organized = self._kept, self._layers, as_bool("organized", organized)
+        kept, layers, organized, pattern = self._kept, self._layers, as_bool("organized", organized), self.pattern
+        read, place = lookup(choices, frame, "frame"), "position" if frame == "world" else "point"
+        ids = ("instance", "semantic") if len(layers.labels) else ("instance",)
+        self._make_ready((place, "intensity", *ids))
         fields = [
-            *coordinates(points, row["x"].str),
-            Field("intensity", "<f4", as_host(self.intensity).ravel()),
-            Field("ring", row["ring"].str, self.pattern.rings.ravel(), kept),
-            Field("time", row["time"].str, self.pattern.times.ravel(), kept),
-            Field("return_number", "u1", np.arange(kept, dtype=np.uint8)),
-            Field("instance_id", "<i4", as_host(self.instance_id).ravel()),
+            coordinates(read(), "<f8" if frame == "world" else "<f4"),
+            Field(("intensity",), "<f4", as_host(self.intensity).ravel()),
+            Field(("ring",), "<i4" if pattern.has_wide_rings else "<u2", pattern.rings.ravel(), kept),
+            Field(("time",), "<f8" if max(map(abs, pattern.span)) >= LONG_TIME else "<f4", pattern.times.ravel(), kept),
+            Field(("return_number",), "u1", np.arange(kept, dtype=np.uint8)),
+            *(Field((f"{name}_id",), "<i4", as_host(getattr(self, f"{name}_id")).ravel()) for name in ids),
         ]
-        if len(layers.labels):
-            fields.append(Field("semantic_id", "<i4", as_host(self.semantic_id).ravel()))
         if organized:
             return row_table(fields, None, layers.count, None, layers.num_threads).reshape(self.shape)
-        order = self.pattern.order_of_returns(kept)
-        return row_table(fields, fields[7].values, layers.count, (order, len(order)), layers.num_threads)
-
-    def _row_type(self, frame: str) -> np.dtype:
-        """The type of a row in a frame."""
-        wider = dict.fromkeys("xyz", "<f8") if frame == "world" else {}
-        if self.pattern.rings.min() < 0 or self.pattern.rings.max() > np.iinfo(np.uint16).max:
-            wider["ring"] = "<i4"
-        if max(map(abs, self.pattern.span)) >= LONG_TIME:
-            wider["time"] = "<f8"
-        return np.dtype([(name, wider.get(name, POINT_TYPE[name].str)) for name in POINT_TYPE.names])
+        order = pattern.order_of_returns(kept)
+        return row_table(fields, fields[5].values, layers.count, (order, len(order)), layers.num_threads)

@@ -25,6 +25,7 @@ from wrt.engine.executor import closest_of_relative
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.engine.rays.device_rays import relative_rays
 from wrt.instances.instance_boxes import on_device
+from wrt.kernels.runtime.argument_packing import blank
 from wrt.kernels.runtime.launch import as_device, kept
 from wrt.kernels.validation import as_int, as_real_array
 from wrt.meshes.placement import check_index
@@ -45,7 +46,7 @@ MAX_TOGETHER = 1 << 17
 
 
 KEPT_BYTES = 1 << 16
-"""Size of labels up to which those of the last few scans are kept on a GPU."""
+"""Size of labels up to which those of the last few scans are kept."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +190,7 @@ def trace_slices(scene: Scene | PointCloud, rays: SensorRays, bodies: Bodies, pa
         raise ValueError("mask, environment and traversal are for a wrt.Scene; of a point cloud, leave them out")
     count, device, together, found = len(scene.state.instances), scene.device, False, None
     few = len(parts) * count <= MAX_TOGETHER
-    if bodies.chosen and len(parts) > 1 and few and all(one.environment < 0 for one in scene.instances):
+    if bodies.chosen and len(parts) > 1 and few and (scene.state.instances.environments < 0).all():
         together = rays.each.get("environment") is None
     if together:
         scene.state = sliced(scene.state, bodies.chosen, bodies.transforms)  # type: ignore[arg-type]
@@ -208,7 +209,7 @@ def trace_slices(scene: Scene | PointCloud, rays: SensorRays, bodies: Bodies, pa
                 scene.update(bodies.chosen, transform=bodies.transforms[number])  # type: ignore[call-arg]
             hits = rays.hits(scene, part.begin, part.end, part.shape or rays.shape)
             within, mesh = (0, hits.count), scene.state.device_mesh
-        traced = Traced()
+        traced = blank(Traced)
         traced.place, traced.directions = part.begin, part_of(rays.directions, *own)
         if within == (0, hits.count):
             hits.point_to(traced, ("t", "primitive"))
@@ -326,21 +327,28 @@ def labels_on(labels: Any, scene: Scene | PointCloud) -> wp.array:
         return labels
     refuse_host_values("labels", labels, wp.int32, scene.device)
     values = as_real_array("labels", labels)
+    if values.nbytes <= KEPT_BYTES:
+        return _kept_labels(values.tobytes(), values.dtype.str, values.shape, count, scene.device.alias)
+    return on_device(checked_labels(values, count), wp.int32, scene.device)
+
+
+def checked_labels(values: np.ndarray, count: int) -> np.ndarray:
+    """Labels as int32; errors as in `labels_on`."""
     if values.dtype.kind not in "iu":
         raise TypeError(f"labels must hold integers, not {values.dtype}")
     if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
-        raise ValueError(f"labels must be {count} numbers from 0 to 2**31 - 1, one for each instance, not {labels!r:.80}")
-    values = values.astype(np.int32)
-    if scene.device.is_cpu or values.nbytes > KEPT_BYTES:
-        return on_device(values, wp.int32, scene.device)
-    return _kept_labels(values.tobytes(), scene.device.alias)
+        raise ValueError(
+            f"labels must be {count} numbers from 0 to 2**31 - 1, one for each instance, not {values.tolist()!r:.80}"
+        )
+    return values.astype(np.int32)
 
 
 @lru_cache(maxsize=16)
-def _kept_labels(data: bytes, device: str) -> wp.array:
-    """Labels on a GPU, which waits for every copy; kept for the next scan."""
+def _kept_labels(data: bytes, kind: str, shape: tuple[int, ...], count: int, device: str) -> wp.array:
+    """Labels of a few instances, whose check takes longer than to find them; kept for the next scan."""
+    values = checked_labels(np.frombuffer(data, dtype=kind).reshape(shape), count)
     with kept(as_device(device)):
-        return wp.array(np.frombuffer(data, dtype=np.int32), dtype=wp.int32, device=device)
+        return wp.array(values, dtype=wp.int32, device=device)
 
 
 def as_motions(motions: Any, scene: Scene | PointCloud, begin: float, end: float) -> Mapping[int, Trajectory]:

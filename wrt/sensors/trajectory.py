@@ -4,22 +4,28 @@ from __future__ import annotations
 
 from functools import cached_property
 from math import sqrt
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias, overload
 
 import numpy as np
 import warp as wp
 
 from wrt.engine.memory import keep_alive
 from wrt.engine.rays.rays import as_vectors
+from wrt.kernels.runtime.argument_packing import blank
 from wrt.kernels.runtime.launch import as_device, launch, refuse_capture
 from wrt.kernels.validation import first_bad
+from wrt.meshes.instance import rotation_matrices
 from wrt.sensors.checks import SAME_STRETCH, as_time, check_matrix, check_real, is_rigid
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers, NumpyLike
     from wrt.kernels.sensors.pose_paths import PosePath
 
 IDENTITY = np.eye(3)
 IDENTITY.setflags(write=False)
+
+Pose: TypeAlias = "ArrayLike | Trajectory"
+"""Where a sensor is: at rest, many at rest, or over time."""
 
 
 class Trajectory:
@@ -47,7 +53,9 @@ class Trajectory:
         ValueError: wrong shapes, numbers that are not finite, times that do not ascend, or a quaternion of length 0.
     """
 
-    def __init__(self, times: Any, positions: Any, rotations: Any = None, *, stretch: Any = None) -> None:
+    def __init__(
+        self, times: ArrayLike, positions: ArrayLike, rotations: ArrayLike | None = None, *, stretch: ArrayLike | None = None
+    ) -> None:
         self.times = check_real("times", times, (None,))
         count = len(self.times)
         if count == 0:
@@ -74,7 +82,7 @@ class Trajectory:
         return f"Trajectory({len(self.times)} poses, {self.times[0]:g} to {self.times[-1]:g} s)"
 
     @classmethod
-    def from_matrices(cls, times: Any, matrices: Any) -> Trajectory:
+    def from_matrices(cls, times: ArrayLike, matrices: ArrayLike) -> Trajectory:
         """A trajectory through (K, 4, 4) poses or transforms of a body, such as those of `wrt.Instance`.
 
         Args:
@@ -129,7 +137,7 @@ class Trajectory:
         """(K, 4, 4) float64, the transforms at the times of the keys."""
         return self._matrices(self.positions, self.rotations)
 
-    def at(self, times: Any) -> np.ndarray:
+    def at(self, times: Numbers) -> np.ndarray:
         """The transforms at some times: (..., 4, 4) float64, from the moving frame, stretch included, to the world.
 
         Args:
@@ -144,7 +152,7 @@ class Trajectory:
         positions, rotations, _, _ = self._evaluate(times.ravel())
         return self._matrices(positions, rotations).reshape(*times.shape, 4, 4)
 
-    def velocities(self, times: Any) -> tuple[np.ndarray, np.ndarray]:
+    def velocities(self, times: Numbers) -> tuple[np.ndarray, np.ndarray]:
         """Velocity of the frame's origin and angular velocity, both (..., 3) float64 in the world, a second.
 
         Args:
@@ -186,7 +194,7 @@ class Trajectory:
             if self.is_still:
                 from wrt.kernels.sensors.pose_paths import PosePath
 
-                path = PosePath()
+                path = blank(PosePath)
                 path.position, path.rotation = wp.vec3d(*self.positions[0].tolist()), wp.quatd(*self.rotations[0].tolist())
             else:
                 path = pose_path(self.times, self.positions, self.rotations, device)
@@ -237,9 +245,12 @@ class StillPoses:
         self.poses = check_real("pose", poses)
         if self.poses.ndim < 3 or self.poses.shape[-2:] != (4, 4) or not self.poses.size:
             raise ValueError(f"pose must be one matrix (4, 4) or many of them, (..., 4, 4), not of shape {self.poses.shape}")
-        turns = (flat := self.poses.reshape(-1, 4, 4))[:, :3, :3]
-        rigid = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max(axis=(1, 2)) <= 1e-6
-        rigid &= (np.linalg.det(turns) > 0.0) & (flat[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+        rows = np.ascontiguousarray(self.poses.reshape(-1, 16).T).reshape(4, 4, -1)  # long rows are computed faster
+        x, y, z = rows[:3, :3]
+        rigid = (rows[3] == np.array([[0.0], [0.0], [0.0], [1.0]])).all(axis=0)
+        for one, other, wanted in ((x, x, 1.0), (y, y, 1.0), (z, z, 1.0), (x, y, 0.0), (x, z, 0.0), (y, z, 0.0)):
+            rigid &= np.abs((one * other).sum(axis=0) - wanted) <= 1e-6
+        rigid &= (x * np.cross(y, z, axis=0)).sum(axis=0) > 0.0
         if not rigid.all():
             raise ValueError(f"pose {int(rigid.argmin())} does more than move and turn; sensors have no scale")
         self.shape = self.poses.shape[:-2]
@@ -301,7 +312,11 @@ def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:
     return pose
 
 
-def deskew(points: Any, times: Any, trajectory: Trajectory | StillPoses, time: float) -> Any:
+@overload
+def deskew(points: NumpyLike, times: Numbers, trajectory: Trajectory | StillPoses, time: float) -> np.ndarray: ...
+@overload
+def deskew(points: wp.array, times: Numbers, trajectory: Trajectory | StillPoses, time: float) -> wp.array: ...
+def deskew(points: Any, times: Numbers, trajectory: Trajectory | StillPoses, time: float) -> Any:
     """Points that were measured one after the other, as if the sensor had measured all of them at one time.
 
     Each point is transformed to the world by the sensor's pose at its own time, and from there to the sensor's frame at `time`.
@@ -365,28 +380,16 @@ def quaternions(rotations: np.ndarray) -> np.ndarray:
     trace = np.trace(rotations, axis1=1, axis2=2)
     squares = np.concatenate([np.diagonal(rotations, axis1=1, axis2=2), trace[:, None]], axis=1)
     found = np.empty((len(rotations), 4))
-    for row, (matrix, largest) in enumerate(zip(rotations, squares.argmax(axis=1), strict=True)):
-        if largest == 3:
-            found[row] = [
-                matrix[2, 1] - matrix[1, 2],
-                matrix[0, 2] - matrix[2, 0],
-                matrix[1, 0] - matrix[0, 1],
-                1.0 + trace[row],
-            ]
+    largest = squares.argmax(axis=1)
+    for i in range(4):
+        rows = np.flatnonzero(largest == i)
+        matrix = np.moveaxis(rotations[rows], 0, 2)
+        if i == 3:
+            turned = matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]
+            found[rows] = np.stack([*turned, 1.0 + trace[rows]], axis=1)
         else:
-            i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
-            found[row, i] = 1.0 + matrix[i, i] - matrix[j, j] - matrix[k, k]
-            found[row, j], found[row, k] = matrix[j, i] + matrix[i, j], matrix[k, i] + matrix[i, k]
-            found[row, 3] = matrix[k, j] - matrix[j, k]
+            j, k = (i + 1) % 3, (i + 2) % 3
+            found[rows, i] = 1.0 + matrix[i, i] - matrix[j, j] - matrix[k, k]
+            found[rows, j], found[rows, k] = matrix[j, i] + matrix[i, j], matrix[k, i] + matrix[i, k]
+            found[rows, 3] = matrix[k, j] - matrix[j, k]
     return found / np.linalg.norm(found, axis=1, keepdims=True)
-
-
-def rotation_matrices(unit: np.ndarray) -> np.ndarray:
-    """(K, 3, 3) matrices of (K, 4) unit quaternions x, y, z, w."""
-    x, y, z, w = unit.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)

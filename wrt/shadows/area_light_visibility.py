@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import warp as wp
@@ -21,6 +21,7 @@ from wrt.kernels.runtime.launch import launch, specialise, use_threads
 from wrt.kernels.validation import as_int, as_numbers, as_point, as_real_array, first_bad, host_array
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.scene.scene import Scene
 
 MAX_SAMPLES = 4096
@@ -60,7 +61,7 @@ class AreaLightVisibility:
             that are not finite or above 1e37; an unknown triangle test, or one whose rays must share their origin.
     """
 
-    def __init__(self, scene: Scene, positions: Any, *, triangle_test: str = AUTO) -> None:
+    def __init__(self, scene: Scene, positions: ArrayLike, *, triangle_test: str = AUTO) -> None:
         self.scene = scene
         self._positions = check_samples(positions)
         self._query = Query(ANY, "packet", triangle_test)
@@ -72,9 +73,9 @@ class AreaLightVisibility:
     def rectangle(
         cls,
         scene: Scene,
-        corner: Any,
-        edge_u: Any,
-        edge_v: Any,
+        corner: ArrayLike,
+        edge_u: ArrayLike,
+        edge_v: ArrayLike,
         samples: int = 16,
         *,
         patterns: int = 16,
@@ -127,7 +128,7 @@ class AreaLightVisibility:
         """
         return pattern_of(np.arange(as_int("count", count, 0), dtype=np.int64), self.patterns)
 
-    def shadow_rays(self, points: Any, t_min: Any = 0.0, t_max: Any = 1.0) -> Rays:
+    def shadow_rays(self, points: ArrayLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0) -> Rays:
         """The rays that `occluded` answers: (..., S) rays from the points to their samples, which they reach at t = 1.
 
         Args:
@@ -146,11 +147,16 @@ class AreaLightVisibility:
             directions = (self._positions - center).astype(np.float32)[chosen] - near[:, None]
             origins = near.astype(np.float64) + center
         shape = (*points.shape[:-1], self.samples)
-        ranges = [bound if np.ndim(bound) == 0 else host_array("t_min or t_max", bound)[..., None] for bound in (t_min, t_max)]
+        arrays = [host_array("t_min or t_max", bound) for bound in (t_min, t_max)]
+        ranges = [array if array.ndim == 0 else array[..., None] for array in arrays]
         each = np.broadcast_to(origins[:, None], directions.shape)
         return Rays(each.reshape(*shape, 3), directions.reshape(*shape, 3), *ranges)
 
-    def occluded(self, points: Any, t_min: Any = 0.0, t_max: Any = 1.0) -> Any:
+    @overload
+    def occluded(self, points: NumpyLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0) -> np.ndarray: ...
+    @overload
+    def occluded(self, points: WarpLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0) -> wp.array: ...
+    def occluded(self, points: ArrayLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0) -> Any:
         """Whether each sample is hidden from each point: (..., S) bool, a NumPy array if the points were, else a Warp array.
 
         A point with a NaN or an infinity sees all samples, as its rays hit nothing.
@@ -165,7 +171,11 @@ class AreaLightVisibility:
         """
         return self._answer(points, t_min, t_max, True)
 
-    def visible(self, points: Any, t_min: Any = 0.0, t_max: Any = 1.0) -> Any:
+    @overload
+    def visible(self, points: NumpyLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0) -> np.ndarray: ...
+    @overload
+    def visible(self, points: WarpLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0) -> wp.array: ...
+    def visible(self, points: ArrayLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0) -> Any:
         """The fraction of the samples that each point sees: (...) float32. Arguments and errors as in `occluded`."""
         return self._answer(points, t_min, t_max, False)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import warp as wp
@@ -22,8 +22,10 @@ from wrt.kernels.validation import as_bool, as_int, as_point, as_real_array
 from wrt.query.skip import SceneTriangles, check_skip, skipped_triangles
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.kernels.layout.light_cells import LightCells
     from wrt.kernels.traversal.traversal_config import TraversalConfig
+    from wrt.query.hits import Hits
     from wrt.scene.scene import Scene
 
 CELLS_PER_TRIANGLE = 8
@@ -74,7 +76,7 @@ class LightBuffer:
     def __init__(
         self,
         scene: Scene,
-        position: Any,
+        position: ArrayLike,
         resolution: int | None = None,
         *,
         triangle_test: str = AUTO,
@@ -123,7 +125,7 @@ class LightBuffer:
         at = ", ".join(f"{x:.4g}" for x in self._position)
         return f"LightBuffer(({at}), resolution={self.resolution}, {self.entry_count:,} entries, {self.bytes / 1e6:.1f} MB)"
 
-    def update(self, position: Any = None) -> None:
+    def update(self, position: ArrayLike | None = None) -> None:
         """Builds the buffer again, for the scene as it is now.
 
         Args:
@@ -141,7 +143,7 @@ class LightBuffer:
             self._position = before
             raise
 
-    def shadow_rays(self, points: Any, t_min: Any = 0.0, t_max: Any = 1.0) -> Rays:
+    def shadow_rays(self, points: ArrayLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0) -> Rays:
         """The rays that `occluded` answers: from the points to the light, which they reach at t = 1.
 
         Args:
@@ -157,7 +159,17 @@ class LightBuffer:
         relative = (points.astype(np.float64) - center).astype(np.float32).astype(np.float64)
         return Rays(relative + center, (self._position - center - relative).astype(np.float32), t_min, t_max)
 
-    def occluded(self, points: Any, t_min: Any = 0.0, t_max: Any = 1.0, *, skip: Any = None) -> Any:
+    @overload
+    def occluded(
+        self, points: NumpyLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0, *, skip: Hits | Numbers | None = None
+    ) -> np.ndarray: ...
+    @overload
+    def occluded(
+        self, points: WarpLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0, *, skip: Hits | Numbers | None = None
+    ) -> wp.array: ...
+    def occluded(
+        self, points: ArrayLike, t_min: Numbers = 0.0, t_max: Numbers = 1.0, *, skip: Hits | Numbers | None = None
+    ) -> Any:
         """Whether each point is in shadow: (...) bool, a NumPy array if the points were, else a Warp array.
 
         Points with a NaN or an infinity, and the position of the light itself, are not in shadow.

@@ -35,6 +35,8 @@ from wrt.viewer.web_server import WebServer, check_viser
 if TYPE_CHECKING:
     import viser
 
+    from wrt.array_types import ArrayLike
+
 __all__ = ["Viewer", "view"]
 
 MOST_CLIENTS = 16
@@ -81,10 +83,10 @@ class Viewer:
         server: WebServer,
         *,
         camera: PinholeCamera,
-        up: Any,
+        up: ArrayLike,
         first: ViewRequest,
         options: Mapping[str, Mapping[str, Any]],
-        animate: Callable[[Scene, int], Any] | None = None,
+        animate: Callable[[Scene, int], object] | None = None,
         frames: int = 0,
     ) -> None:
         self.shared = SharedScene(scene, animate, frames)
@@ -130,7 +132,9 @@ class Viewer:
         """Stops the animation at the frame that is shown; without one, does nothing."""
         self._panel.pause()
 
-    def add_points(self, points: Any, values: Any = None, *, name: str = "points", size: float = 2.0) -> None:
+    def add_points(
+        self, points: ArrayLike, values: ArrayLike | None = None, *, name: str = "points", size: float = 2.0
+    ) -> None:
         """Draws points over the picture, such as those of a scan, until others are drawn under the same name.
 
             scan = lidar.scan(scene, pose)
@@ -308,18 +312,18 @@ class Viewer:
 
 
 def view(
-    scene: Any,
+    scene: Scene | TriangleMesh,
     *,
     block: bool | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     token: bool | str | None = None,
     camera: PinholeCamera | None = None,
-    up: Any = None,
+    up: ArrayLike | None = None,
     integrator: str = "ambient",
     samples: int = 4,
     options: Mapping[str, Mapping[str, Any]] | None = None,
-    animate: Callable[[Scene, int], Any] | None = None,
+    animate: Callable[[Scene, int], object] | None = None,
     frames: int = 0,
     open_browser: bool = False,
 ) -> Viewer:

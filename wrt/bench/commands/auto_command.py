@@ -124,3 +124,7 @@ def print_choices(choices: Sequence[Choice], console: Console) -> None:
         good, fair = (sum(ratio <= limit for ratio in ratios) for limit in (GOOD, BAD))
         found = f"within {GOOD} of the best in {good}, within {BAD} in {fair}, at most {max(ratios):.2f}"
         console.print(f"{len(choices)} cases: {name} {found}", highlight=False)
+    noise = sorted(row.noise for row in choices)
+    beyond = sum(row.ratio > GOOD * row.noise for row in choices)
+    found = f"at most {noise[len(noise) // 2]:.2f} in half of the cases, {noise[-1]:.2f} in all"
+    console.print(f"the best engine against itself: {found}; auto is beyond {GOOD} times that in {beyond}", highlight=False)

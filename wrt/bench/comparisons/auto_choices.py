@@ -1,12 +1,14 @@
 """What "auto" chooses for a grid of cases, and its time over that of the best engine.
 
 The engines are all traversals that "auto" may choose and that can answer the query, those in packets with every culling that
-"auto" may choose.
+"auto" may choose. Then "auto" and the fastest of them take more turns, and the latter twice in each round: how far it is from
+itself is what cannot be told from noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import gc
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -15,7 +17,7 @@ from wrt.bench.comparisons.auto_cases import KINDS, SIZES, Case, cases
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST, QUERIES
 from wrt.engine.plan.call_clock import call_clock
-from wrt.engine.plan.choices import make_plan
+from wrt.engine.plan.choices import find_choice, make_plan
 from wrt.engine.plan.plan import Plan, config_for_layout, kernel_factory, plan_for_query, traversal_config
 from wrt.engine.plan.plan_checks import can_answer, fits
 from wrt.engine.plan.planner import choose_plan, default_test
@@ -39,6 +41,12 @@ LEARNING_SECONDS, LEARNING_CALLS = 0.6, 8
 SETTLE = 0.01
 """Seconds below which a turn starts with an untimed call."""
 
+DUEL_SECONDS, MOST_ROUNDS = 0.3, 25
+"""Seconds for more turns of "auto" and the best engine, and rounds at most: the least of a few turns is still by chance."""
+
+AGAIN = " again"
+"""After the name of the best engine, which is timed against itself."""
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -53,6 +61,8 @@ class Choice:
         reason: as in the plan.
         best: the fastest engine.
         ratio, rules_ratio: time of "auto", and of what the rules choose, over the time of the best.
+        noise: times of the best against itself, the greater over the smaller: ratios that near to one may be chance.
+        compared: the engines that "auto" could choose from, as their kernels were loaded.
         auto_milliseconds: least time of "auto".
         milliseconds: least time of each engine, which other work on the machine changes least; hopeless ones are left out.
         open3d: the same of Open3D; None if it did not take part.
@@ -72,6 +82,8 @@ class Choice:
     auto_milliseconds: float
     milliseconds: dict[str, float]
     open3d: float | None = None
+    noise: float = 1.0
+    compared: tuple[str, ...] = ()
 
 
 def compare_choices(
@@ -97,9 +109,12 @@ def compare_choices(
         on_turn: told the name of each turn.
     """
     expect_engines(scene, mesh, kinds, sizes)
+    gc.collect()
+    gc.freeze()  # every round collects garbage: what is there now would be scanned each time
     for case in cases(mesh, kinds, sizes):
         begin = f"{name}, {case.kind}, {case.rays_count:,} rays"
         yield compare(name, scene, case, rounds, peer, lambda engine, begin=begin: on_turn(f"{begin}: {engine}"))  # type: ignore[misc]
+    gc.unfreeze()
 
 
 def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn: Callable[[str], None]) -> Choice:
@@ -126,7 +141,9 @@ def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn
     timings: dict[str, Timing] = take_turns(contenders, rounds, settle=SETTLE, clock=clock, on_turn=on_turn)
     beside = timings.pop("Open3D", None)
     times = {engine: 1e3 * timing.spread[0] for engine, timing in timings.items()}
-    auto, plan = times.pop(AUTO), explain(scene, case)
+    best = min((engine for engine in times if engine != AUTO), key=times.__getitem__)
+    noise = duel(times, best, runs, rounds, clock, on_turn)
+    auto, (plan, compared) = times.pop(AUTO), explain(scene, case)
     best = min(times, key=times.__getitem__)
     return Choice(
         scene=name,
@@ -143,7 +160,36 @@ def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn
         auto_milliseconds=auto,
         milliseconds=times,
         open3d=None if beside is None else 1e3 * beside.spread[0],
+        noise=noise,
+        compared=compared,
     )
+
+
+def duel(
+    times: dict[str, float],
+    best: str,
+    runs: Mapping[str, Callable[[], Any]],
+    rounds: int,
+    clock: Callable[[], float],
+    on_turn: Callable[[str], None],
+) -> float:
+    """More turns of "auto" and of the best engine, and as many of the latter under another name; `Choice.noise`.
+
+    Args:
+        times: least milliseconds so far; what is found is put in.
+        best: the engine.
+        runs: what is timed, by name.
+        rounds: at least.
+        clock, on_turn: as in `take_turns`.
+    """
+    again = best + AGAIN
+    contenders = [Contender(AUTO, runs[AUTO]), Contender(best, runs[best]), Contender(again, runs[best])]
+    more = min(max(rounds, int(DUEL_SECONDS / (6e-3 * times[best]))), MOST_ROUNDS)  # each turn may have an untimed call
+    timings = take_turns(contenders, more, settle=SETTLE, clock=clock, on_turn=on_turn)
+    found = {name: 1e3 * timing.spread[0] for name, timing in timings.items()}
+    for name in (AUTO, best):
+        times[name] = min(times[name], found[name])
+    return max(found[best], found[again]) / min(found[best], found[again])
 
 
 def class_of_case(scene: Scene, case: Case) -> str:
@@ -160,9 +206,13 @@ def settle(run: Callable[[], Any], clock: Callable[[], float]) -> None:
         calls += 1
 
 
-def explain(scene: Scene, case: Case) -> Plan:
-    """The plan of "auto" after what it has learned."""
-    return scene.explain(case.rays, query=ANY if case.is_occlusion else CLOSEST)
+def explain(scene: Scene, case: Case) -> tuple[Plan, tuple[str, ...]]:
+    """The plan of "auto" after what it has learned, and the engines that it has compared."""
+    kind = ANY if case.is_occlusion else CLOSEST
+    plan, rays = scene.explain(case.rays, query=kind), to_device(case.rays, scene.state.device, scene.state.center)
+    with use_threads(scene.num_threads):
+        contest = find_choice(scene.state, rays.facts, QUERIES[kind], rays.sample).contest
+    return plan, () if contest is None else tuple(contest.ways())
 
 
 def expect_engines(scene: Scene, mesh: TriangleMesh, kinds: Sequence[str], sizes: Sequence[int]) -> None:

@@ -122,7 +122,7 @@ class Glass:
         from wrt.lights import AreaLight, Sky
         from wrt.materials.material import Material
 
-        pot = scenes.build("teapot", level=8, ground=False)
+        pot = scenes.build("teapot", level=8, ground=False, closed=True)
         low, high = pot.bounds
         ground = scenes.shapes.plane(low[:2] - 4 * pot.extent, high[:2] + 4 * pot.extent, z=low[2])
         self.threads, self.lamp_at, self.lamp_radius = threads, pot.center + pot.extent * np.array([1, -1, 2]), 0.4 * pot.extent

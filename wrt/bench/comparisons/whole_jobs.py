@@ -13,6 +13,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -130,11 +131,16 @@ class Cell:
 def scan_contenders(cell: Cell) -> list[Contender]:
     """A scan: its ranges, and points and labels beside them."""
     origin, directions = cell.lidar_rays
-    scan = lambda: cell.lidar.scan(cell.scene, cell.lidar_pose, labels=cell.labels)  # noqa: E731
+    ranges = "range", "intensity"
+    points = *ranges, "position", "primitive_id", "instance_id"
+
+    def scan(layers: tuple[str, ...]) -> list[Any]:
+        return _read(cell.lidar.scan(cell.scene, cell.lidar_pose, labels=cell.labels, layers=layers), *layers)
+
     return [
         Contender(RAYS, lambda: cell.scene.intersect(origin, directions, 0.0, cell.lidar.max_range)),
-        Contender("ranges and intensities", lambda: _read(scan(), "range", "intensity")),
-        Contender("and points, ids", lambda: _read(scan(), "range", "intensity", "position", "instance_id")),
+        Contender("ranges and intensities", lambda: scan(ranges)),
+        Contender("and points, ids", lambda: scan(points)),
         _of_open3d(cell, "Open3D, points by hand", lambda trace: trace(cell.lidar_rays)),
     ]
 
@@ -165,8 +171,10 @@ def table_contenders(cell: Cell) -> list[Contender]:
 
 
 def step_contenders(cell: Cell) -> list[Contender]:
-    """A robot's step: two cameras and a lidar at new poses, a table of each, and the lidar's in a file."""
-    number = [0]
+    """A robot's step: two cameras and a lidar at new poses, a table of each, and the lidar's in a new file.
+
+    A file that replaces another one is waited for until it is on the disk (`wrt.atomic_files`)."""
+    number, folder, files = [0], tempfile.TemporaryDirectory(), count()
 
     def moved(pose: np.ndarray) -> np.ndarray:
         number[0] += 1
@@ -174,10 +182,8 @@ def step_contenders(cell: Cell) -> list[Contender]:
         pose[0, 3] += 1e-6 * number[0]
         return pose
 
-    folder = tempfile.TemporaryDirectory()
-
     def path() -> Path:
-        return Path(folder.name) / "scan.ply"  # the folder lives as long as the contenders
+        return Path(folder.name) / f"scan{next(files)}.ply"  # the folder lives as long as the contenders
 
     def rays() -> None:
         for origin, directions in cell.camera_rays:

@@ -9,8 +9,6 @@ import weakref
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from wrt.cluster.identity.array_hashes import array_hash
 
 _lock = threading.Lock()
@@ -30,7 +28,7 @@ def state_hash(state: Any) -> str:
     for mesh in state.meshes:
         whole.update(remembered(mesh, mesh_hash).encode())
     if state.instances:
-        whole.update(array_hash(np.array([instance.transform for instance in state.instances])).encode())
+        whole.update(array_hash(state.instances.transforms).encode())
         whole.update(json.dumps([[instance.mask, instance.environment] for instance in state.instances]).encode())
     for part in (state, *state.parts):
         if part.hit_filter is not None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections import deque
 from collections.abc import Hashable
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
@@ -46,6 +47,8 @@ class QueryCache:
             kind of triangle record.
         choices: a `wrt.engine.plan.choices.Choice` and how often it will be used, by query and rays; read without a lock.
         learned: a `wrt.engine.plan.learner.Learner` by class of queries and rays; updates keep them.
+        few_points: launches that are prepared for closest points to few points and wait for a caller
+            (`wrt.query.points.few_points`).
         distinct: what `SceneState.distinct` has found, one state or none; None as long as nobody asked.
     """
 
@@ -57,6 +60,7 @@ class QueryCache:
         self.missed_savings = 0.0
         self.calls: dict[Hashable, Any] = {}
         self.tables: dict[tuple[str, str], Any] = {}
+        self.few_points: deque[Any] = deque()
         self.distinct: tuple[Any, ...] | None = None
         self.choices: dict[Hashable, list[Any]] = {}
         self.learned: dict[Hashable, Any] = {}

@@ -50,7 +50,7 @@ class SceneState:
         device_mesh: all triangles on the device, for kernels.
         lazy_tree: the tree that is built while rays are traced; None if it is complete.
         area_trees: the trees of influence areas; None if there are none (`wrt.engine.launch.area_trees`).
-        instances: what a scene of two levels is made of; none in others.
+        instances: what a scene of two levels is made of, a `wrt.instances.instance_list.InstanceList`; () in others.
         only_single: whether rays go one by one, whatever traversal "auto" would choose.
         hit_filter: what rays pass through; None for nothing.
         mark: by which hits know their scene.
@@ -74,7 +74,7 @@ class SceneState:
     device_mesh: SceneMesh
     lazy_tree: LazyKdTree | None = None
     area_trees: Any = None
-    instances: tuple[Instance, ...] = ()
+    instances: Any = ()
     only_single: bool = False
     hit_filter: HitFilter | None = None
     mark: str = field(default_factory=new_mark)

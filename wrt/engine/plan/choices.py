@@ -17,6 +17,7 @@ from wrt.engine.plan.plan import ChosenPlan, Plan
 from wrt.engine.plan.plan_checks import check_plan
 from wrt.engine.plan.planner import choose_plan, chosen_plan
 from wrt.kernels.runtime.launch import get_num_threads
+from wrt.kernels.traversal.traversal_scores import LEAST_SAMPLED
 from wrt.tables import one_of
 
 if TYPE_CHECKING:
@@ -29,9 +30,6 @@ MEASURED, RULES = "measured", "rules"
 """How "auto" chooses: by rules and then by what calls take, or by rules alone."""
 
 VARIABLE = "WRT_AUTO"
-
-FEWEST_MEASURED = 2048
-"""Rays of a call from which it is measured: fewer take about as long as measuring them."""
 
 CHOICE_USES = 64
 """Queries after which a choice for many rays is made again: it may depend on a sample of the rays, and a camera moves. A sample
@@ -119,9 +117,7 @@ def find_choice(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     kind, traversal, triangle_test, cull_backfaces = query[:4]
     count = rays.count
     if isinstance(traversal, Plan):
-        culled = cull_backfaces or traversal.cull_backfaces
-        plan = check_plan(replace(traversal, cull_backfaces=culled), scene.facts, rays, kind)
-        return Choice(chosen_plan(scene, plan, count, kind))
+        return given_choice(scene, rays, query, traversal)
     is_named = isinstance(traversal, str) and isinstance(triangle_test, str)
     if not is_named or (scene.changes_plans and is_changing(scene, count)):
         return Choice(chosen_plan(scene, choose_plan(scene, rays, query, sample), count, kind))
@@ -146,9 +142,23 @@ def find_choice(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     return scene.cache.keep_choice(key, Choice(chosen, contest), uses)
 
 
+def given_choice(scene: SceneState, rays: RayFacts, query: Query, given: Plan) -> Choice:
+    """The caller's plan; errors as in `make_plan`."""
+    key = given, query.kind, query.cull_backfaces, rays
+    try:
+        kept = scene.cache.choices.get(key)
+    except TypeError:  # a field that has no hash is refused below
+        kept = None
+    if kept is not None:
+        return kept[0]
+    culled = query.cull_backfaces or given.cull_backfaces
+    plan = check_plan(replace(given, cull_backfaces=culled), scene.facts, rays, query.kind)
+    return scene.cache.keep_choice(key, Choice(chosen_plan(scene, plan, rays.count, query.kind)), float("inf"))
+
+
 def find_contest(scene: SceneState, rays: RayFacts, query: Query, chosen: ChosenPlan, known: Contest | None) -> Contest | None:
     """What compares a plan with its rivals, told what the rules say now; None if nothing does."""
-    measured = scene.is_cpu and query.traversal == AUTO and rays.count >= FEWEST_MEASURED and get_auto() == MEASURED
+    measured = scene.is_cpu and query.traversal == AUTO and rays.count >= LEAST_SAMPLED and get_auto() == MEASURED
     if not measured or scene.facts.tree != "bvh" or scene.area_trees is not None or scene.facts.has_masks:
         return None
     contest = known or Contest(rays, query, chosen, learner_of(scene, rays, query, chosen.name))

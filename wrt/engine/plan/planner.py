@@ -18,7 +18,7 @@ from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS, Traversal
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.traversal_scores import Overlap, Situation, limits_for
+from wrt.kernels.traversal.traversal_scores import Overlap, Situation
 from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.tables import lookup
 
@@ -34,22 +34,19 @@ DEFAULT_TEST = "woop"
 (notebooks/records/2026-11-21-plans.md).
 """
 
-PACKET_VECTORS = 2
-"""Rays of a packet, in vectors of the tree's width: best or within 5 % of the best of 1, 2, 4 and 8 with 16 lanes
-(notebooks/records/2026-11-21-plans.md); `Limits.large_packet` and CROWDED_PACKET have the exceptions.
-"""
+PACKET = 32
+"""Rays of a packet on boxes of one level: with 16 lanes best or within 5 % of the best of 16, 32, 64 and 128
+(notebooks/records/2026-11-21-plans.md), with 8 at least as fast as 16 and 64 (notebooks/records/2026-11-28-auto.md)."""
 
 CROWDED_PACKET = 64
-"""Rays of a packet of camera rays that are at least `Limits.crowded` for each triangle
-(notebooks/records/2026-11-23-edge-functions.md)."""
+"""The same of crowded rays: 0.7 of the time of 32 with 16 lanes, 1.06 with 8 (notebooks/records/2026-11-28-auto.md)."""
 
-MANY_RAYS_PER_TRIANGLE = 1.0
-"""Rays per triangle of the scene from which packets of camera rays have `Limits.large_packet` vectors
-(notebooks/records/2026-11-23-edge-functions.md)."""
+LEAST_VECTORS = 2
+"""Vectors of a packet at least, through instances, and in the cells of a kd-tree."""
 
-ROUGH_RAYS_PER_TRIANGLE = 2.0
-"""Rays per triangle up to which camera rays use a transient frustum at each leaf if the triangle test does not filter pairs: a
-packet then reaches a leaf with few active rays (notebooks/records/2026-11-21-plans.md). Else it is `Limits.rough`."""
+CROWDED = 8.0
+"""Rays for each triangle from which rays from one point are crowded in a scene of one level: they meet few triangles at each
+leaf."""
 
 STREAMS, CUDA_STREAM = (16384, 4096, 1024, 256), 16
 """Rays of a stream, the largest first. Longer streams fill their vector lanes better, if each thread still has several
@@ -70,7 +67,7 @@ MOST_RIVALS = 3
 """Plans that are compared with the one of the rules: each costs time, and kernels."""
 
 MANY = 1 << 30
-"""More rays, triangles or instances than any limit."""
+"""More triangles, or rays, than any limit."""
 
 CACHED_BYTES = 1 << 24
 """Bytes of triangle records that the caches of a core hold. Rays are not sorted for scenes with fewer."""
@@ -85,7 +82,7 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     if given == AUTO:
         situation = situation_of(known, rays, kind, cull_backfaces, has_wide_form=wide_form_pays(scene, rays))
         if situation.needs_sample and sample is not None and not known.points:
-            situation = situation._replace(overlap=measure_overlap(scene, sample(), PACKET_VECTORS * known.width, kind))
+            situation = situation._replace(overlap=measure_overlap(scene, sample(), LEAST_VECTORS * known.width, kind))
         name, reason = choose_traversal(known, situation, test.name)
         reason = "alpha masks decide hits one by one" if known.has_masks else reason
         reason = reason.partition(",")[0] if known.points else reason  # the rest is about triangles
@@ -98,7 +95,7 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     width = wide_width(known.width) if Capabilities.WIDE_FORM in chosen.capabilities else known.width
     options: dict[str, Any] = {}
     if Capabilities.PACKETS in chosen.capabilities:
-        options["packet"] = packet_vectors(known, rays, kind, chosen) * width
+        options["packet"] = packet_vectors(known, rays, chosen) * width
         options["culling"] = choose_culling(known, rays, chosen, test)
     if Capabilities.STREAMS in chosen.capabilities:
         options["stream"] = stream_size(known, rays, chosen)
@@ -163,22 +160,20 @@ def choose_traversal(scene: SceneFacts, situation: Situation, triangle_test: str
 
 def rival_plans(scene: SceneState, rays: RayFacts, query: Query, plan: Plan) -> list[Plan]:
     """A plan of the rules, and at most `MOST_RIVALS` others: packets with the other culling, and what the rules choose for a
-    sample that shares more or less, and for other numbers of rays, of triangles or of instances. Short rays take the same way,
+    sample that shares all or nothing, and for few or many triangles, or rays through instances. Short rays take the same way,
     however different they are, so packets are compared for incoherent rays, too."""
     known, kind, found = scene.facts, query.kind, {plan.engine: plan}
     told = situation_of(known, rays, kind, query.cull_backfaces)
     if told.prefers_single:
         return [plan]
     together, parted = told._replace(coherent=True, overlap=Overlap(0.0, 0.0)), told._replace(overlap=Overlap(1.0, 0.0))
-    many = parted._replace(rays=MANY)
-    walks = [parted, many._replace(triangles=1, lanes=16), many._replace(triangles=MANY)]
-    if told.instances:
-        walks += [parted._replace(instances=1), parted._replace(instances=MANY)]
+    ends = (0, MANY)
+    walks = [parted, *(parted._replace(rays=end) if told.instances else parted._replace(triangles=end) for end in ends)]
     others = [together, *walks] if told.coherent else [*walks, together]
     test = plan.triangle_test
     if plan.culling and rays.shared_origin:
-        for dense in (True, False):
-            culling = best_culling(known, dense, traversal_of(plan), TRIANGLE_TESTS[test])
+        for crowded in (True, False):
+            culling = best_culling(known, crowded, traversal_of(plan), TRIANGLE_TESTS[test])
             rival = replace(plan, culling=culling)
             found.setdefault(rival.engine, rival)
     for one in others:
@@ -202,7 +197,6 @@ def situation_of(
         cull_backfaces=cull_backfaces,
         is_cuda=scene.is_cuda,
         tree=scene.tree,
-        lanes=scene.width,
         triangles=MANY if scene.points else scene.triangles,
         instances=scene.instances,
         own_spaces=scene.own_spaces,
@@ -239,36 +233,31 @@ def stream_size(scene: SceneFacts, rays: RayFacts, traversal: Traversal) -> int:
     return next((size for size in STREAMS if size <= most), STREAMS[-1])
 
 
-def packet_vectors(scene: SceneFacts, rays: RayFacts, query: str, traversal: Traversal) -> int:
+def packet_vectors(scene: SceneFacts, rays: RayFacts, traversal: Traversal) -> int:
     """Rays of a packet, in vectors of the tree's width."""
     if Capabilities.ONE_VECTOR in traversal.capabilities:
         return 1
-    limits = limits_for(scene.width)
-    if is_dense(scene, rays, limits.crowded):
-        return max(CROWDED_PACKET // scene.width, PACKET_VECTORS)
-    measured = scene.tree == "bvh" and traversal.walks_boxes("bvh")
-    large = is_dense(scene, rays, MANY_RAYS_PER_TRIANGLE) or (ANSWERS[query].rules.ends_at_first and not scene.instances)
-    return limits.large_packet if measured and large else PACKET_VECTORS
+    by_boxes = traversal.walks_boxes(scene.tree) and not (scene.is_cuda or scene.instances)
+    rays_of_packet = CROWDED_PACKET if is_crowded(scene, rays) else PACKET if by_boxes else 0
+    return max(rays_of_packet // scene.width, LEAST_VECTORS)
 
 
-def is_dense(scene: SceneFacts, rays: RayFacts, least: float) -> bool:
-    """Whether rays from one point are at least this many for each triangle, in a scene of one level."""
-    from_one_point = rays.shared_origin and not scene.instances
-    return from_one_point and rays.count >= least * scene.triangles
+def is_crowded(scene: SceneFacts, rays: RayFacts) -> bool:
+    """Whether rays from one point crowd in a scene of one level."""
+    return rays.shared_origin and not scene.instances and rays.count >= CROWDED * scene.triangles
 
 
 def choose_culling(scene: SceneFacts, rays: RayFacts, traversal: Traversal, test: TriangleTest) -> str:
     """Name of the culling with the best score among those that fit."""
-    least = limits_for(scene.width).rough if test.packet_form.pairs else ROUGH_RAYS_PER_TRIANGLE
-    return best_culling(scene, is_dense(scene, rays, least), traversal, test)
+    return best_culling(scene, is_crowded(scene, rays), traversal, test)
 
 
-def best_culling(scene: SceneFacts, dense: bool, traversal: Traversal, test: TriangleTest) -> str:
-    """The same for rays of which it is known whether they are dense."""
+def best_culling(scene: SceneFacts, crowded: bool, traversal: Traversal, test: TriangleTest) -> str:
+    """The same for rays of which it is known whether they crowd."""
     kind, best, name = scene.tree, 0.0, ""
     for culling in CULLINGS.values():
-        dense_score, sparse_score = culling.filtered_scores if test.packet_form.pairs else culling.scores
-        score = dense_score if dense else sparse_score
+        crowded_score, usual_score = culling.filtered_scores if test.packet_form.pairs else culling.scores
+        score = crowded_score if crowded else usual_score
         if score > best and fits(culling, traversal, kind, test):
             best, name = score, culling.name
     return name

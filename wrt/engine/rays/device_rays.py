@@ -28,6 +28,9 @@ FLOATS = FLOAT32, FLOAT64
 RUN = 64
 """Equal vectors that are written at a time."""
 
+REPEATED = 2
+"""Times that vectors in float64 are repeated from which on they are made relative to the centre before."""
+
 ARRAYS = {"origins": wp.vec3, "directions": wp.vec3, "t_min": wp.float32, "t_max": wp.float32}
 """The arrays of rays."""
 
@@ -298,7 +301,10 @@ def _vectors(
     elif device.is_cuda and (repeats := repeats_of(values, shape)) is not None:
         return repeated(values, shape, repeats, device, center), 1
     else:
-        values, stride = flatten_shared(values, shape, (3,))
+        if values.dtype == np.float64 and device.is_cpu and REPEATED * values.size <= 3 * math.prod(shape):
+            with np.errstate(over="ignore", invalid="ignore"):  # once, and half as much is repeated
+                values = (values - center).astype(np.float32)
+        values, stride = flatten_shared(values, shape, (3,))  # type: ignore[arg-type]
         if len(values) == 1 and values.dtype == np.float64 and device.is_cpu:  # a launch would take longer
             with np.errstate(over="ignore"):
                 values = (values - center).astype(np.float32)

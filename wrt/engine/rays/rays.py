@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Union, overload
 import numpy as np
 import warp as wp
 
-from wrt.engine.rays.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
+from wrt.array_types import ArrayLike, ArrayT, Numbers, NumpyLike, WarpLike
 from wrt.kernels.validation import as_real_array, resolved, unreadable
 
 MAX_RAYS = (1 << 31) - 1

@@ -109,7 +109,7 @@ class AdaptiveRendering:
         size = f"{self.camera.width} x {self.camera.height}"
         return f"AdaptiveRendering({self._halves[0].integrator!r}, {size}, {self.counts.mean():.1f} of {self.samples} samples)"
 
-    def advance(self, progress: Callable[[int, int], Any] | None = None) -> AdaptiveRendering:
+    def advance(self, progress: Callable[[int, int], object] | None = None) -> AdaptiveRendering:
         """Adds all samples that are missing, and returns the picture.
 
         Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.validation import as_int, convert_fields
 from wrt.materials.material import as_color
 from wrt.tables import one_of
+
+if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike, Numbers
 
 __all__ = ["INTEGRATORS", "RenderSettings"]
 
@@ -139,15 +142,15 @@ class SharedOptions(TypedDict, total=False):
 class AmbientOptions(SharedOptions, total=False):
     """Of "ambient": keywords of `wrt.pictures.AmbientRendering`."""
 
-    light: Any
-    light_color: Any
+    light: ArrayLike | None
+    light_color: Numbers
     shadows: bool
     ambient_samples: int
     ambient_distance: float | None
     ambient_radius: int
-    ambient_color: Any
-    albedo: Any
-    background: Any
+    ambient_color: Numbers
+    albedo: Numbers
+    background: Numbers
     tile_pixels: int | None
 
 
@@ -163,7 +166,7 @@ class SettingOptions(SharedOptions, total=False):
     threshold: float
     roulette: bool
     sample_lights: bool
-    ambient: Any
+    ambient: Numbers | None
     max_radiance: float
     exposure: float
     tone_mapping: str

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from wrt.imaging.integrators.render_settings import PictureOptions, RenderSettings
     from wrt.imaging.integrators.scene_motion import Motion
+    from wrt.lights.device_lights import Lights
+    from wrt.materials.material import Materials
 
 __all__ = ["new_picture", "render"]
 
@@ -31,11 +33,11 @@ def render(
     camera: Camera,
     *,
     integrator: str = "ambient",
-    lights: Any = None,
-    materials: Any = None,
+    lights: Lights | None = None,
+    materials: Materials | None = None,
     motion: Motion | None = None,
     settings: RenderSettings | None = None,
-    progress: Callable[[int, int], Any] | None = None,
+    progress: Callable[[int, int], object] | None = None,
     **options: Unpack[PictureOptions],
 ) -> np.ndarray:
     """Renders an image.

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from wrt.imaging.integrators.render_settings import SettingOptions
+    from wrt.lights.device_lights import Lights
+    from wrt.materials.material import Materials
 
 __all__ = ["LAYERS", "Rendering"]
 
@@ -50,6 +52,11 @@ LAYERS = ("depth", "normal", "albedo", "primitive_id", "geometry_id", "instance_
 NOT_HIT = (
     "no path hits a {}: it does not shine through glass, and what is behind glass gets none of its light; give a "
     "wrt.lights.AreaLight in its place, or leave panes out by scene.filtered(ignore=...)"
+)
+
+OPEN_GLASS = (
+    "mesh {} has glass and is not closed: a ray that goes through a hole counts as outside where it is inside, so that what is "
+    "seen through the glass is wrong; close the mesh (a pane needs two sides and a rim)"
 )
 
 DEFAULT_SKY = ((0.79, 0.81, 0.83), (0.48, 0.59, 0.73), (0.2, 0.2, 0.2))
@@ -101,8 +108,8 @@ class Rendering(SampledPicture):
         camera: Camera,
         *,
         integrator: str = "path",
-        lights: Any = None,
-        materials: Any = None,
+        lights: Lights | None = None,
+        materials: Materials | None = None,
         motion: Motion | None = None,
         settings: RenderSettings | None = None,
         **options: Unpack[SettingOptions],
@@ -121,6 +128,7 @@ class Rendering(SampledPicture):
         given = None if lights is None else check_lights(lights)
         self._lights = _default_lights(camera, scene) if given is None and not found.emission.any() else given or ()
         self._found = found
+        _warn_of_open_glass(self._scene, found)
         if integrator == "path" and given:
             _warn_of_glass(given, found)
         device = scene.device
@@ -385,6 +393,18 @@ def camera_model(camera: Camera, settings: RenderSettings, scene: Scene, samples
     model.lens_up = wp.vec3d(*(settings.lens_radius * camera.up))
     model.focus = focus  # type: ignore[assignment]
     return model
+
+
+def _warn_of_open_glass(scene: Scene, found: SceneMaterials) -> None:
+    """Says which mesh with glass is not closed, the first of them."""
+    glass = [number for number, material in enumerate(found.mesh.materials) if material.kind == "dielectric"]
+    if not glass:
+        return
+    sizes = np.cumsum([mesh.triangle_count for mesh in scene.meshes])[:-1]
+    for number, (mesh, own) in enumerate(zip(scene.meshes, np.split(found.of_face, sizes), strict=True)):
+        if np.isin(own, glass).any() and not mesh.is_closed:
+            warnings.warn(OPEN_GLASS.format(number), stacklevel=3)
+            return
 
 
 def _warn_of_glass(lights: Sequence[Any], found: SceneMaterials) -> None:

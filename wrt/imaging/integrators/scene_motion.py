@@ -12,13 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wrt.kernels.validation import as_numbers
 from wrt.meshes.instance import check_transform
 from wrt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
 
 __all__ = ["Motion"]
 
@@ -40,8 +43,8 @@ class Motion:
 
     def __init__(
         self,
-        vertices: Mapping[int, tuple[Any, Any]] | None = None,
-        transforms: Mapping[int, tuple[Any, Any]] | None = None,
+        vertices: Mapping[int, tuple[ArrayLike, ArrayLike]] | None = None,
+        transforms: Mapping[int, tuple[ArrayLike, ArrayLike]] | None = None,
     ) -> None:
         self.vertices = {index: _keys("vertices", index, pair) for index, pair in (vertices or {}).items()}
         self.transforms = {index: _keys("transforms", index, pair) for index, pair in (transforms or {}).items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,8 +12,14 @@ from wrt.query.blocks import MEMORY, How, blocks_of
 from wrt.query.query_options import chosen, lists_options
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from concurrent.futures import Executor
+
+    from wrt.array_types import ArrayLike, Numbers
     from wrt.engine.plan.plan import Plan
-    from wrt.engine.rays.array_types import Numbers
+    from wrt.query.batches.block_rows import HasRows, PointRows, RayRows
+    from wrt.query.batches.reductions import ReduceBy
+    from wrt.query.batches.workers import Workers
     from wrt.query.blocks import Blocks
     from wrt.query.hits import Hits
 
@@ -29,16 +35,16 @@ class BlockQueries:
     @lists_options
     def intersect_blocks(
         self,
-        origins: Any,
-        directions: Any = None,
+        origins: RayRows,
+        directions: ArrayLike | HasRows | None = None,
         t_min: Numbers = 0.0,
         t_max: Numbers = INF,
         *,
         memory: int | str = MEMORY,
         progress: bool = False,
-        executor: Any = None,
-        reduce: Any = None,
-        axis: Any = None,
+        executor: Executor | Workers | None = None,
+        reduce: ReduceBy | Mapping[str, ReduceBy] | None = None,
+        axis: int | Sequence[int] | None = None,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
         mask: Numbers | None = None,
@@ -92,16 +98,16 @@ class BlockQueries:
     @lists_options
     def occluded_blocks(
         self,
-        origins: Any,
-        directions: Any = None,
+        origins: RayRows,
+        directions: ArrayLike | HasRows | None = None,
         t_min: Numbers = 0.0,
         t_max: Numbers = INF,
         *,
         memory: int | str = MEMORY,
         progress: bool = False,
-        executor: Any = None,
-        reduce: Any = None,
-        axis: Any = None,
+        executor: Executor | Workers | None = None,
+        reduce: ReduceBy | Mapping[str, ReduceBy] | None = None,
+        axis: int | Sequence[int] | None = None,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
         mask: Numbers | None = None,
@@ -132,16 +138,16 @@ class BlockQueries:
     @lists_options
     def count_blocks(
         self,
-        origins: Any,
-        directions: Any = None,
+        origins: RayRows,
+        directions: ArrayLike | HasRows | None = None,
         t_min: Numbers = 0.0,
         t_max: Numbers = INF,
         *,
         memory: int | str = MEMORY,
         progress: bool = False,
-        executor: Any = None,
-        reduce: Any = None,
-        axis: Any = None,
+        executor: Executor | Workers | None = None,
+        reduce: ReduceBy | Mapping[str, ReduceBy] | None = None,
+        axis: int | Sequence[int] | None = None,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
         mask: Numbers | None = None,
@@ -172,14 +178,14 @@ class BlockQueries:
     @lists_options
     def closest_point_blocks(
         self,
-        points: Any,
+        points: PointRows,
         *,
         max_distance: Numbers = INF,
         memory: int | str = MEMORY,
         progress: bool = False,
-        executor: Any = None,
-        reduce: Any = None,
-        axis: Any = None,
+        executor: Executor | Workers | None = None,
+        reduce: ReduceBy | Mapping[str, ReduceBy] | None = None,
+        axis: int | Sequence[int] | None = None,
         mask: Numbers | None = None,
         environment: Numbers | None = None,
         precise: bool = False,
@@ -209,7 +215,7 @@ class BlockQueries:
             shape = source.shape
         except ValueError:
             own = np.shape(max_distance)  # type: ignore[arg-type]
-            raise ValueError(f"max_distance {own} does not broadcast to points {np.shape(points)}") from None
+            raise ValueError(f"max_distance {own} does not broadcast to points {np.shape(points)}") from None  # type: ignore[arg-type]
         if not shape:
             raise ValueError("points must have a leading axis to cut into blocks: pass points of shape (N, 3)")
         how, columns = How(memory, progress, executor, reduce, axis), {"mask": mask, "environment": environment}

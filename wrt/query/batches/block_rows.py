@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -18,6 +18,24 @@ from wrt.engine.rays.rays import Rays, leading_shape
 from wrt.kernels.validation import as_float, as_int, convert_fields
 from wrt.query.hits import Hits
 from wrt.query.skip import SceneTriangles
+
+if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
+
+
+class HasRows(Protocol):
+    """Arrays of which rows are read as they are needed, such as those of zarr."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    def __getitem__(self, rows: slice, /) -> Any: ...
+
+
+RayRows: TypeAlias = "ArrayLike | HasRows | Rays | GeneratedRays | Iterable[tuple[ArrayLike, ArrayLike]] | Iterable[Rays]"
+"""Origins of any number of rays, or the rays themselves."""
+
+PointRows: TypeAlias = "ArrayLike | HasRows | Iterable[ArrayLike]"
 
 
 @dataclass(frozen=True)

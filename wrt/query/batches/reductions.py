@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -47,6 +47,10 @@ class Reduction(Protocol):
             state: of all blocks.
         """
         ...
+
+
+ReduceBy: TypeAlias = "str | Reduction | Callable[[np.ndarray, tuple[int, ...]], np.ndarray]"
+"""What `reduce` takes, for one array."""
 
 
 @dataclass(frozen=True)

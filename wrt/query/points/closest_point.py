@@ -24,6 +24,7 @@ from wrt.kernels.runtime.launch import launch, refuse_capture, specialise, use_t
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.validation import as_bool, as_int, as_real_array
 from wrt.query.points.closest_points import ClosestPoints
+from wrt.query.points.few_points import FewPoints, may_be_few
 from wrt.query.points.similar_instances import check_maps
 from wrt.tapes import refuse_tape
 
@@ -73,7 +74,10 @@ def closest_point(
     k = as_room(k)
     if as_bool("counters", counters) and k is not None:
         raise ValueError("counters are those of the search for one triangle; leave k out")
+    is_plain = k is None and mask is None and environment is None and not counters and not in_order
     with use_threads(scene.num_threads):
+        if is_plain and may_be_few(scene, points, max_distance, MIN_SORTED):
+            return of_few(scene, points, max_distance)
         given = as_points(scene, points, max_distance, "max_distance", mask, environment, in_order)
         if k is not None:
             hits, feature, form = find_some(scene, given, k)
@@ -81,6 +85,18 @@ def closest_point(
         work = wp.zeros(given.batch.count, dtype=Counters, device=scene.device) if counters else None
         hits, feature = find_nearest(scene, given.batch, work, in_order)
     return ClosestPoints(hits, feature, given.form, scene, work)
+
+
+def of_few(scene: SceneState, points: np.ndarray, max_distance: float) -> ClosestPoints:
+    """The closest point of each of few points, by a kept launch (`may_be_few`)."""
+    try:
+        launch = scene.cache.few_points.pop()
+    except IndexError:
+        config = point_config(scene, "nearest")
+        launch = FewPoints(scene, config, space_of(scene, config))
+    hits, feature = launch.find(scene, points, max_distance)
+    scene.cache.few_points.append(launch)
+    return ClosestPoints(hits, feature, ResultForm(points.shape[:-1], False, points.dtype.type), scene)
 
 
 def find_nearest(

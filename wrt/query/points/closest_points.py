@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from wrt.array_types import ArrayT
 from wrt.engine.device_hits import shaped
-from wrt.engine.rays.array_types import ArrayT
 from wrt.query.all_hits import AllHits
 from wrt.query.hits import Hits
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -12,6 +12,7 @@ from wrt.kernels.runtime.launch import load
 from wrt.query.gradients import on_device
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
     from wrt.query.api import Queries
     from wrt.query.points.closest_points import ClosestPoints
 
@@ -31,7 +32,9 @@ class DifferentiablePoints:
     position: wp.array
 
 
-def differentiable_points(scene: Queries, found: ClosestPoints, points: Any, vertices: Any = None) -> DifferentiablePoints:
+def differentiable_points(
+    scene: Queries, found: ClosestPoints, points: ArrayLike, vertices: ArrayLike | None = None
+) -> DifferentiablePoints:
     """Recomputes closest points as smooth functions of points and vertices; triangle and feature of each are fixed.
 
         found = scene.closest_point(points)  # not on the tape

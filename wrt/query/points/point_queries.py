@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     import numpy as np
     import warp as wp
 
+    from wrt.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.engine.facts.scene_state import SceneState
     from wrt.engine.plan.plan import Plan
-    from wrt.engine.rays.array_types import ArrayLike, Numbers, NumpyLike, WarpLike
     from wrt.meshes.instance import Instance
     from wrt.meshes.mesh import TriangleMesh
     from wrt.query.hits import Hits

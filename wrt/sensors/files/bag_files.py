@@ -29,7 +29,9 @@ MOST_BYTES = (1 << 32) - 1
 """Bytes of the data of a message, whose length has 32 bits."""
 
 
-def write_bag(path: str | Path, topics: Mapping[str, Iterable[LidarScan | CameraImages]], frames: Any = None) -> None:
+def write_bag(
+    path: str | Path, topics: Mapping[str, Iterable[LidarScan | CameraImages]], frames: Mapping[str, str] | None = None
+) -> None:
     """Writes scans and images to a ROS 2 bag: a folder.
 
         wrt.sensors.write_bag("drive", {"/points": scans, "/depth": images}, {"/points": "lidar", "/depth": "camera"})

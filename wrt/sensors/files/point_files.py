@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -31,7 +31,7 @@ KITTI_ERROR = 1e-3
 """Metres by which float32 may move a point of KITTI's files, whose coordinates are relative to the sensor."""
 
 
-def write_points(path: str | Path, points: Any) -> None:
+def write_points(path: str | Path, points: np.ndarray) -> None:
     """Writes a table of points to a file, in the format of its suffix.
 
         wrt.sensors.write_points("scan.ply", scan.to_structured("world"))

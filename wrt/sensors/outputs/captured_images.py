@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
+from wrt.kernels.runtime.argument_packing import blank
 from wrt.kernels.validation import as_bool
 from wrt.sensors.fired_rays import launch_blocks
 from wrt.sensors.outputs.hit_outputs import HitOutputs, TracedLayers
@@ -49,12 +50,7 @@ class CapturedLayers(TracedLayers):
         "primitive": wp.int32,
         "semantic": wp.int32,
     }
-    TOGETHER = (
-        ("distance", "depth"),
-        ("position",),
-        ("normal", "camera_normal"),
-        ("instance", "geometry", "primitive", "semantic"),
-    )
+    APART = (("normal", "camera_normal"),)
 
     def __init__(
         self,
@@ -71,24 +67,21 @@ class CapturedLayers(TracedLayers):
         self.motion_error = motion_error
         super().__init__(found, count, labels, num_threads)
 
-    def new_struct(self) -> Any:
-        from wrt.kernels.sensors.camera_images import Images
+    def make_together(self, names: Sequence[str]) -> None:
+        from wrt.kernels.sensors.camera_images import Images, fill_images
 
-        return Images()
+        with self.new_arrays(blank(Images), names) as images:
+            for found in self.found:
+                inputs = [self._beams, found.traced, found.mesh, self.labels, found.origins, self._miss, images]
+                launch_blocks(fill_images, found.part.end - found.part.begin, inputs, self.device)
 
-    def fill(self, group: tuple[str, ...], struct: Any) -> None:
-        from wrt.kernels.sensors.camera_images import fill_depths, fill_image_ids, fill_image_normals, fill_positions
+    def make_apart(self, names: Sequence[str]) -> None:
+        from wrt.kernels.sensors.camera_images import Images, fill_image_normals
 
-        for found in self.found:
-            traced, mesh = found.traced, found.mesh
-            kernel, given = {
-                "distance": (fill_depths, [traced, self._miss]),
-                "position": (fill_positions, [traced, found.origins]),
-                "normal": (fill_image_normals, [self._path, *found.surface]),
-                "instance": (fill_image_ids, [traced, mesh, self.labels]),
-            }[group[0]]
-            inputs = [self._beams, *given, struct]
-            launch_blocks(kernel, found.part.end - found.part.begin, inputs, self.device)
+        with self.new_arrays(blank(Images), names) as images:
+            for found in self.found:
+                inputs = [self._beams, self._path, *found.surface, images]
+                launch_blocks(fill_image_normals, found.part.end - found.part.begin, inputs, self.device)
 
 
 class CameraImages(HitOutputs):
@@ -174,18 +167,17 @@ class CameraImages(HitOutputs):
             TypeError: `organized` is no bool.
             ValueError: a layer that was not chosen.
         """
-        organized = as_bool("organized", organized)
+        organized, layers = as_bool("organized", organized), self._layers
         height, width = self.camera.height, self.camera.width
-        kind, names = "<u2" if max(height, width) <= MAX_USHORT else "<i4", [("instance_id", self.instance_id)]
-        if len(self._layers.labels):
-            names.append(("semantic_id", self.semantic_id))
+        ids = ("instance", "semantic") if len(layers.labels) else ("instance",)
+        self._make_ready(("position", "depth", *ids))
+        kind = "<u2" if max(height, width) <= MAX_USHORT else "<i4"
         fields = [
-            *coordinates(self.position, "<f8"),
-            Field("depth", "<f4", as_host(self.depth).ravel()),
-            Field("row", kind, np.arange(height, dtype=kind), width),
-            Field("column", kind, np.arange(width, dtype=kind)),
-            *(Field(name, "<i4", as_host(values).ravel()) for name, values in names),
+            coordinates(self.position, "<f8"),
+            Field(("depth",), "<f4", as_host(self.depth).ravel()),
+            Field(("row",), kind, np.arange(height, dtype=kind), width),
+            Field(("column",), kind, np.arange(width, dtype=kind)),
+            *(Field((f"{name}_id",), "<i4", as_host(getattr(self, f"{name}_id")).ravel()) for name in ids),
         ]
-        ids = None if organized else as_host(self.instance_id).ravel()
-        table = row_table(fields, ids, self._layers.count, None, self._layers.num_threads)
+        table = row_table(fields, None if organized else fields[4].values, layers.count, None, layers.num_threads)
         return table.reshape(self.shape) if organized else table

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import warp as wp
 
+from wrt.engine.host_arrays import HostArray, as_array
 from wrt.engine.memory import keep_alive, outputs_of
 from wrt.kernels.runtime.launch import refuse_capture, use_threads
 from wrt.sensors.outputs.row_tables import as_host
@@ -31,7 +33,7 @@ class TracedLayers:
 
     Attributes:
         found: the hits, slice by slice.
-        arrays: the layers that are made: flat arrays by their name.
+        arrays: the layers that are made: flat arrays by their name, Warp's or a `HostArray`.
         device: where they are.
         labels: (I,) int32 of each instance, or (0,).
     """
@@ -39,13 +41,13 @@ class TracedLayers:
     KINDS: ClassVar[dict[str, Any]]
     """Types of layers by their name, in the order in which they are made."""
 
-    TOGETHER: ClassVar[Sequence[tuple[str, ...]]]
-    """Layers that one kernel makes of the same work: who reads one of them gets all that were chosen."""
+    APART: ClassVar[Sequence[tuple[str, ...]]]
+    """Layers that have kernels of their own, which make those of a group together. One kernel makes all others."""
 
     def __init__(self, found: Sequence[TracedSlice], count: int, labels: wp.array, num_threads: int | None) -> None:
         self.found, self.count, self.labels, self.num_threads = found, count, labels, num_threads
         self.device = labels.device
-        self.arrays: dict[str, wp.array] = {}
+        self.arrays: dict[str, wp.array | HostArray] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """What tables need beside the layers that were read: pickles leave out the hits."""
@@ -56,24 +58,38 @@ class TracedLayers:
         wanted = [name for name in self.KINDS if name in names and name not in self.arrays]
         if not wanted:
             return
+        groups = [[name for name in wanted if name in group] for group in self.APART]
         with use_threads(self.num_threads):
-            for group in self.TOGETHER:
-                if chosen := {name: self.KINDS[name] for name in group if name in wanted}:
-                    self._make(group, chosen)
+            if together := [name for name in wanted if not any(name in group for group in groups)]:
+                self.make_together(together)
+            for group in groups:
+                if group:
+                    self.make_apart(group)
 
-    def _make(self, group: tuple[str, ...], chosen: Mapping[str, Any]) -> None:
-        struct = self.new_struct()
-        arrays = outputs_of(struct, chosen, self.count, self.device)
-        self.fill(group, struct)
-        self.arrays |= {name: arrays[name] for name in chosen}
+    @contextmanager
+    def new_arrays(self, struct: Any, names: Iterable[str]) -> Iterator[Any]:
+        """Gives a struct of the kernels arrays for layers of some names, which are made when the `with` block ends."""
+        kinds = {name: self.KINDS[name] for name in names}
+        arrays = outputs_of(struct, kinds, self.count, self.device)
+        yield struct
+        self.arrays |= {name: arrays[name] for name in kinds}
 
-    def new_struct(self) -> Any:
-        """The layers as kernels see them, none of them asked for."""
+    def make_together(self, names: Sequence[str]) -> None:
+        """Makes layers that are in no group of `APART`."""
         raise NotImplementedError
 
-    def fill(self, group: tuple[str, ...], struct: Any) -> None:
-        """Runs the kernel of a group of `TOGETHER`; the struct has the arrays of those layers that are wanted."""
+    def make_apart(self, names: Sequence[str]) -> None:
+        """Makes layers of one group of `APART`."""
         raise NotImplementedError
+
+    def beside(self, name: str) -> set[str]:
+        """All layers that the kernel of one makes."""
+        apart = {name: group for group in self.APART for name in group}
+        return set(apart[name]) if name in apart else set(self.KINDS) - set(apart)
+
+    def companions(self, name: str) -> Sequence[str]:
+        """Layers that are made when one is read and none were chosen: itself, and what comes with it for nothing."""
+        return (name,)
 
 
 def as_layers(layers: Any, known: Iterable[str]) -> tuple[str, ...] | None:
@@ -113,12 +129,12 @@ class HitOutputs:
         self, layers: TracedLayers, shape: tuple[int, ...], to_warp: bool, chosen: Sequence[str] | None = None
     ) -> None:
         self._layers, self.shape, self._to_warp = layers, shape, to_warp
-        self._chosen = tuple(layers.KINDS) if chosen is None else tuple(chosen)
+        self._chosen, self._is_chosen = tuple(layers.KINDS) if chosen is None else tuple(chosen), chosen is not None
         if to_warp:
             layers.make(self._chosen)
             if layers.device.is_capturing:
                 for values in layers.arrays.values():  # the graph reads what they are made of whenever it is launched
-                    keep_alive(values, (values.used, layers))  # type: ignore[attr-defined]
+                    keep_alive(values, (values.used, layers))  # type: ignore[arg-type, attr-defined]
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(shape={self.shape})"
@@ -165,23 +181,27 @@ class HitOutputs:
     def semantic_id(self) -> Any:
         return self._out("semantic")
 
+    def _make_ready(self, names: Iterable[str]) -> None:
+        """Makes layers together that are read next, but for those that were not chosen, which are refused then."""
+        self._layers.make([name for name in names if name in self._chosen and public_name(name) not in vars(self)])
+
     def _out(self, name: str) -> Any:
         return self._shaped(self._layer(name))
 
-    def _layer(self, name: str) -> wp.array:
-        """A layer as a flat array; made now, with those chosen ones that the same kernel makes."""
+    def _layer(self, name: str) -> wp.array | HostArray:
+        """A layer as a flat array; made now, along with the other chosen ones, if some were chosen."""
         if name not in self._chosen:
             public = public_name(name)
             raise ValueError(f"{public} is none of the layers that were chosen; add it: layers=(..., {public!r})")
         if name not in self._layers.arrays:
             refuse_capture("a layer of a sensor that is read for the first time", self._layers.device)
-            group = next(group for group in self._layers.TOGETHER if name in group)
-            self._layers.make(set(group) & set(self._chosen))
+            beside, lone = self._layers.beside(name), self._layers.companions(name)
+            self._layers.make(beside & set(self._chosen) if self._is_chosen else lone)
         return self._layers.arrays[name]
 
-    def _shaped(self, values: wp.array | None) -> Any:
+    def _shaped(self, values: wp.array | HostArray | None) -> Any:
         """A flat array in the form of results; None stays None."""
         if values is None or self._to_warp:
-            return values if values is None else values.reshape(self.shape)
+            return values if values is None else as_array(values).reshape(self.shape)
         array = values.numpy()
         return array.reshape(self.shape + array.shape[1:])

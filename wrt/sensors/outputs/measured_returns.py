@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import warp as wp
 
 from wrt.engine.memory import outputs_of
+from wrt.kernels.runtime.argument_packing import blank
 from wrt.kernels.runtime.launch import launch
 from wrt.sensors.fired_rays import launch_blocks
-from wrt.sensors.outputs.hit_outputs import TracedLayers
+from wrt.sensors.outputs.hit_outputs import IDS, TracedLayers
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.kernels.sensors.lidar_returns import Detector, Noise
     from wrt.kernels.sensors.pose_paths import PosePath
     from wrt.sensors.time_slices import TracedSlice
 
-MEASURED = {"range": wp.float32, "intensity": wp.float32, "distance": wp.float64}
-"""Arrays of `wrt.kernels.sensors.lidar_returns.Returns` that are made of one ray and one return a beam."""
+GATHERED = {"range": wp.float32, "intensity": wp.float32, "distance": wp.float64, "ray": wp.int32, "mean": wp.float32}
+"""Arrays of `wrt.kernels.sensors.lidar_returns.Returns`."""
 
-GATHERED = MEASURED | {"ray": wp.int32, "mean": wp.float32}
+
+@cache
+def no_noise() -> Noise:
+    """The noise of an ideal sensor."""
+    from wrt.kernels.sensors.lidar_returns import Noise
+
+    return Noise()
 
 
 class MeasuredReturns(TracedLayers):
@@ -48,14 +56,7 @@ class MeasuredReturns(TracedLayers):
         "normal": wp.vec3,
         "radial_velocity": wp.float32,
     }
-    TOGETHER = (
-        ("range", "intensity"),
-        ("point",),
-        ("position",),
-        ("instance", "geometry", "primitive", "semantic"),
-        ("normal",),
-        ("radial_velocity",),
-    )
+    APART = (("normal",), ("radial_velocity",))
 
     def __init__(
         self,
@@ -66,58 +67,90 @@ class MeasuredReturns(TracedLayers):
         num_threads: int | None,
     ) -> None:
         self._beams, self._path, self._noise, self._detector = scan
-        self._counts = counts
+        self._counts, self._is_exact = counts, scan[2] is no_noise()
         self._measured: Any = None
         super().__init__(found, counts[0] * counts[1], labels, num_threads)
 
-    def new_struct(self) -> Any:
-        from wrt.kernels.sensors.return_layers import ReturnLayers
+    @property
+    def _is_single(self) -> bool:
+        """Whether beams have one ray and one return."""
+        return self._counts[1] == self._counts[2] == 1
 
-        return ReturnLayers()
+    def companions(self, name: str) -> Sequence[str]:
+        both = name in ("range", "intensity") and not (self._is_single and self._detector.threshold == 0.0)
+        return ("range", "intensity") if both else (name,)
 
-    def _make(self, group: tuple[str, ...], chosen: Mapping[str, Any]) -> None:
-        if group[0] == "range":
-            self._measure()
-        else:
-            super()._make(group, chosen)
+    def make_together(self, names: Sequence[str]) -> None:
+        one, asked = self.found[0], set(names)
+        if self._measured is None:
+            at_once = self._is_single and len(self.found) == 1 and not self._beams.order.size and one.surface[0] is one.traced
+            self._measure(asked if at_once else asked & {"range", "intensity"})
+        elif asked & {"range", "intensity"}:
+            self._measure(asked & {"range", "intensity"})
+        asked -= set(self.arrays)
+        if points := asked & {"point", "position"}:
+            self._fill_points(points)
+        if ids := asked.intersection(IDS):
+            self._fill_ids(ids)
 
-    def fill(self, group: tuple[str, ...], struct: Any) -> None:
-        from wrt.kernels.sensors.return_layers import fill_ids, fill_normals, fill_points, fill_velocities
+    def make_apart(self, names: Sequence[str]) -> None:
+        from wrt.kernels.sensors.return_layers import ReturnLayers, fill_normals, fill_velocities
 
-        returns, device = self._measure(), self.device
-        if group[0] in ("point", "position"):
-            inputs = [self._beams, self._path, self._noise, self._counts[1], returns, struct]
-            launch_blocks(fill_points, self.count, inputs, device)
-            return
-        for found in self.found:
-            count = (found.part.end - found.part.begin) * self._counts[1]
-            last = [self._detector, returns, struct]
-            if group[0] == "radial_velocity":
-                inputs = [self._beams, self._path, found.traced, found.mesh, found.motions, *last]
-                launch_blocks(fill_velocities, count, inputs, device)
-            else:
-                normals, hits = group[0] == "normal", (found.traced, found.mesh)
-                kernel, given = (fill_normals, found.surface) if normals else (fill_ids, (*hits, self.labels))
-                launch_blocks(kernel, count, [self._beams, *given, *last], device)
+        if self._measured is None:
+            self._measure(set())
+        with self.new_arrays(blank(ReturnLayers), names) as layers:
+            for found in self.found:
+                count = (found.part.end - found.part.begin) * self._counts[1]
+                last = [self._detector, self._measured, layers]
+                if names[0] == "normal":
+                    launch_blocks(fill_normals, count, [self._beams, *found.surface, *last], self.device)
+                else:
+                    inputs = [self._beams, self._path, found.traced, found.mesh, found.motions, *last]
+                    launch_blocks(fill_velocities, count, inputs, self.device)
 
-    def _measure(self) -> Any:
-        """What is measured of all returns, as kernels see it."""
-        if self._measured is not None:
-            return self._measured
-        from wrt.kernels.sensors.lidar_returns import Returns, add_noise, gather_returns, measure_single
+    def _measure(self, names: set[str]) -> None:
+        """Measures all returns, and makes the other layers of these names along with them.
 
-        _, kept, bundle = self._counts
-        returns, single = Returns(), kept == bundle == 1
-        arrays = outputs_of(returns, MEASURED if single else GATHERED, self.count, self.device)
-        for found in self.found:
-            given, count = [self._beams, *found.surface], found.part.end - found.part.begin
-            if single:
-                inputs = [*given, self._noise, self._detector, returns]
-                launch_blocks(measure_single, count, inputs, self.device)
-            else:
-                launch(gather_returns, count, [*given, self._detector, returns], device=self.device, chunk=1024)
-        if not single or self._beams.order.size:  # else each block of beams is one of returns
-            launch_blocks(add_noise, self.count, [self._noise, returns], self.device)
-        self.arrays |= {name: arrays[name] for name in ("range", "intensity")}
+        Args:
+            names: more than range and intensity only of beams of one ray, traced at once in the order of their numbers.
+        """
+        from wrt.kernels.sensors.lidar_returns import Returns, add_noise, gather_returns
+        from wrt.kernels.sensors.return_layers import ReturnLayers, fill_single
+
+        kinds, ordered = set(GATHERED), bool(self._beams.order.size)
+        if self._is_single:
+            needs_power = "intensity" in names or self._detector.threshold > 0.0
+            unused = {"ray", "mean", *(() if needs_power else ("intensity",)), *(("distance",) if self._is_exact else ())}
+            kinds -= unused
+        returns = blank(Returns)
+        arrays = outputs_of(returns, {name: GATHERED[name] for name in GATHERED if name in kinds}, self.count, self.device)
+        with self.new_arrays(blank(ReturnLayers), names - kinds) as layers:
+            for found in self.found:
+                count = found.part.end - found.part.begin
+                if self._is_single:
+                    given = [self._beams, self._path, *found.surface, self.labels]
+                    launch_blocks(fill_single, count, [*given, self._noise, self._detector, returns, layers], self.device)
+                else:
+                    inputs = [self._beams, *found.surface, self._detector, returns]
+                    launch(gather_returns, count, inputs, device=self.device, chunk=1024)
+            if ordered or not self._is_single:  # else each block of beams is one of returns, which has its noise
+                launch_blocks(add_noise, self.count, [self._noise, returns], self.device)
+        for name in kinds & {"range", "intensity"}:
+            self.arrays.setdefault(name, arrays[name])  # callers may have changed one that they were given
         self._measured = returns
-        return returns
+
+    def _fill_points(self, names: set[str]) -> None:
+        from wrt.kernels.sensors.return_layers import ReturnLayers, fill_points
+
+        with self.new_arrays(blank(ReturnLayers), names) as layers:
+            inputs = [self._beams, self._path, self._noise, self._counts[1], self._measured, layers]
+            launch_blocks(fill_points, self.count, inputs, self.device)
+
+    def _fill_ids(self, names: set[str]) -> None:
+        from wrt.kernels.sensors.return_layers import ReturnLayers, fill_ids
+
+        with self.new_arrays(blank(ReturnLayers), names) as layers:
+            for found in self.found:
+                count = (found.part.end - found.part.begin) * self._counts[1]
+                inputs = [self._beams, found.traced, found.mesh, self.labels, self._detector, self._measured, layers]
+                launch_blocks(fill_ids, count, inputs, self.device)

@@ -10,7 +10,8 @@ import warp as wp
 
 from wrt.kernels.runtime.launch import launch, specialise
 from wrt.kernels.validation import host_array
-from wrt.sensors.trajectory import StillPoses, Trajectory, as_trajectory, quaternions, rotation_matrices
+from wrt.meshes.instance import rotation_matrices
+from wrt.sensors.trajectory import StillPoses, Trajectory, as_trajectory, quaternions
 
 if TYPE_CHECKING:
     from wrt.kernels.sensors.pose_paths import PosePath

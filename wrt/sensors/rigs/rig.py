@@ -18,10 +18,12 @@ from wrt.sensors.trajectory import StillPoses, Trajectory, as_trajectory
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.array_types import ArrayLike
     from wrt.clouds.point_cloud import PointCloud
     from wrt.scene.scene import Scene
     from wrt.sensors.lidar_scan import LidarScan
     from wrt.sensors.outputs.captured_images import CameraImages
+    from wrt.sensors.trajectory import Pose
 
 ARC_ERROR = 1e-6
 """Largest distance, in units of length, between a mounted sensor's arc and the chords that it moves along."""
@@ -51,7 +53,7 @@ class Rig:
         ValueError: no sensor, or a mount that does more than move and turn.
     """
 
-    def __init__(self, sensors: Mapping[str, tuple[Lidar | Camera, Any]]) -> None:
+    def __init__(self, sensors: Mapping[str, tuple[Lidar | Camera, ArrayLike]]) -> None:
         if not isinstance(sensors, Mapping):
             raise TypeError(f"sensors must be a dict from names to pairs of a sensor and its mount, not {sensors!r:.60}")
         if not sensors:
@@ -70,7 +72,7 @@ class Rig:
     def measure(
         self,
         scene: Scene | PointCloud,
-        pose: Any,
+        pose: Pose,
         *,
         time: float = 0.0,
         seed: int | wp.array | None = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
@@ -18,7 +19,7 @@ else:
     ArrayT = TypeVar("ArrayT", covariant=True)
 """Of results: `np.ndarray`, or `wp.array`; Any where it depends on values."""
 
-__all__ = ["ArrayLike", "ArrayT", "Numbers", "NumpyLike", "WarpLike"]
+__all__ = ["ArrayLike", "ArrayT", "Indices", "Numbers", "NumpyLike", "WarpLike"]
 
 
 class Table(Protocol):
@@ -47,3 +48,6 @@ ArrayLike: TypeAlias = "NumpyLike | WarpLike"
 
 Numbers: TypeAlias = "float | np.number | ArrayLike"
 """One number, or an array."""
+
+Indices: TypeAlias = "int | np.integer | Sequence[int] | set[int] | ArrayLike"
+"""One index, or several."""
