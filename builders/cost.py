@@ -169,7 +169,6 @@ def no_split():
 @native.func_native("cost.h", "return wrt::leaf_cost(cost, triangles);")
 def leaf_cost(cost: SplitCost, triangles: int) -> float:
     """Cost of a leaf."""
-    ...
 
 
 @wp.func
@@ -195,7 +194,6 @@ def axis_frame(cost: SplitCost, axis: int, low: wp.vec3, high: wp.vec3, triangle
 @native.func_native("cost.h", "return wrt::plane_cost(cost, frame, position, left, right);")
 def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int) -> float:
     """Cost of a split into children with these numbers of triangles."""
-    ...
 
 
 @wp.func

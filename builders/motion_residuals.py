@@ -4,15 +4,13 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 CHUNK = 1024
 """Vertices or triangles that are worth a chunk of their own."""
 
 
-@wp.kernel
+@exact_kernel
 def measure_vertices(
     first: int,
     cluster: int,
@@ -35,7 +33,7 @@ def measure_vertices(
     sizes[cluster, vertex] = size[0] + size[1] + size[2]
 
 
-@wp.kernel
+@exact_kernel
 def choose_clusters(
     first: int,
     faces: wp.array(dtype=wp.vec3i),

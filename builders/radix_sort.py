@@ -14,9 +14,7 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 DIGITS = wp.constant(256)
 PASSES = 4
@@ -59,7 +57,6 @@ def chunk_of(item: int, count: wp.vec3i, size: int, chunks: int):
 )
 def count_range(keys: wp.array2d(dtype=float), places: wp.array2d(dtype=int), chunk: KeyChunk, source: int, shift: int):
     """Counts the digits of a chunk's keys."""
-    ...
 
 
 @native.func_native(
@@ -80,10 +77,9 @@ def move_range(
     shift: int,
 ):
     """Moves a chunk's keys and values to their positions in the other half of the row."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def count_digits(
     first: int,
     keys: wp.array2d(dtype=float),
@@ -97,7 +93,7 @@ def count_digits(
     count_range(keys, places, chunk_of(first + wp.tid(), count, size, places.shape[1] / DIGITS), source, shift)
 
 
-@wp.kernel
+@exact_kernel
 def scan_digits(first: int, places: wp.array2d(dtype=int)):
     """Item: a row. Turns counts into positions."""
     row = first + wp.tid()
@@ -108,7 +104,7 @@ def scan_digits(first: int, places: wp.array2d(dtype=int)):
         place += here
 
 
-@wp.kernel
+@exact_kernel
 def move_keys(
     first: int,
     keys: wp.array2d(dtype=float),

@@ -8,9 +8,7 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 MAX_CORNER = 2.0**126
 """Largest absolute coordinate of a box. float32 ends at 2^128, and builders add and subtract two coordinates."""
@@ -34,10 +32,9 @@ def store_box(vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i)
     """Writes the box of triangle i. Native, because Warp's indexing computes the address of each element anew.
 
     Adding 0 turns -0 into +0, so that equal positions have equal bits."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes):
     """Item: a triangle. Writes its box."""
     store_box(vertices, faces, boxes, first + wp.tid())
@@ -55,10 +52,9 @@ def reduce_corners(
     vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), items: int, i: int, found: wp.array(dtype=int)
 ):
     """Share i of `items` of the minima of all corners' coordinates and of the negated ones, and of the largest absolute one."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def find_corner_bounds(
     first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), items: int, found: wp.array(dtype=int)
 ):

@@ -30,12 +30,10 @@ from wrt.kernels.influence.silhouette import shared_area
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
-@wp.kernel
+@exact_kernel
 def measure_overlaps(
     first: int,
     view: AreaView,

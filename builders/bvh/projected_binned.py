@@ -43,10 +43,8 @@ from wrt.kernels.influence.box_projection import NEEDS_NEAR, NEEDS_WINDOW, whole
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 SIDES = 2 * MAX_BINS
 """Boxes per axis: the union of all bins before each bin, and the union of each bin and all after it."""
@@ -98,7 +96,6 @@ def sweep_axis(
 
     boxes: lower x of all boxes, then lower y, lower z, upper x, upper y, upper z. First the boxes on the left of each bin, then
     the boxes from each bin on. The box of bin 0 and all bins after it is the node's."""
-    ...
 
 
 @native.func_native(
@@ -114,7 +111,6 @@ def sweep_axis(
 )
 def areas_needed(areas: wp.array(dtype=float), count: int) -> float:
     """The most complete clipping that any of the boxes needs: NEEDS_NEAR, NEEDS_WINDOW, or 0.0 for none."""
-    ...
 
 
 @wp.func
@@ -245,7 +241,7 @@ def weight_of_parent(rays: KnownRays, tree: BinaryTree, pair: int):
     return rays.parent_weight[pair]
 
 
-@wp.kernel
+@exact_kernel
 def weigh_nodes(first: int, rays: KnownRays, tree: BinaryTree, pairs: wp.array(dtype=wp.vec2i)):
     """Item: a range of pairs. Writes the weights of their nodes, and the parent weights of these nodes' own pairs."""
     item = first + wp.tid()

@@ -40,10 +40,8 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.job_queue import BOUNDS, on_cpu
 from wrt.kernels.runtime.launch import load, specialise
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.runtime.workspace import give_back, host_view, take
-
-exact_module(__name__)
 
 STEP_WORDS = 3
 
@@ -53,7 +51,6 @@ CALLS = "(const wrt::Call*)steps.data"
 @native.func_native("calls.h", on_cpu(f"for (int i = 0; i < (int)steps.shape[0] / {STEP_WORDS}; ++i) ({CALLS})[i].run();"))
 def call_steps(steps: wp.array(dtype=wp.int64)) -> int:
     """Calls all steps, each for the items in its launch bounds."""
-    ...
 
 
 @native.func_native(
@@ -65,16 +62,15 @@ def call_steps(steps: wp.array(dtype=wp.int64)) -> int:
 )
 def collapse_steps(steps: wp.array(dtype=wp.int64), totals: wp.array(dtype=int), level_first: wp.array(dtype=int)) -> int:
     """The levels of `wrt.builders.bvh.phases.collapse`: solve, and for each level pick, scan and list. Returns their number."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def run_steps(first: int, steps: wp.array(dtype=wp.int64)):
     """One item: calls all steps."""
     call_steps(steps)
 
 
-@wp.kernel
+@exact_kernel
 def run_collapse(
     first: int,
     steps: wp.array(dtype=wp.int64),

@@ -55,9 +55,7 @@ from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 MAX_UNDIVIDED_BLOCKS = 32
 """Blocks of references up to which a node is not divided by its planes: a compromise between duplicate references and the
@@ -111,7 +109,7 @@ class LeafLists:
     """Triangles per block of `primitive`."""
 
 
-@wp.kernel
+@exact_kernel
 def count_references(first: int, nodes: wp.array(dtype=wp.vec2i), cells: Cells):
     """One item. Counts references, children before parents."""
     for i in range(nodes.shape[0]):
@@ -146,7 +144,7 @@ def set_position(cells: Cells, node: int, position: int, first_reference: int):
     cells.references[node] = wp.vec2i(first_reference, cells.references[node][1])
 
 
-@wp.kernel
+@exact_kernel
 def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: Cells, tree: BinaryTree):
     """One item. Places nodes, parents before children. The root's cell and its position, 0, are set. most: references of a node
     that is kept whole."""
@@ -188,7 +186,6 @@ def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: C
 @native.func_native("reference.h", "wrt::write_clipped(boxes, triangle, low, high, references.data + (size_t)i * 8);")
 def write_clipped(boxes: Boxes, triangle: int, low: wp.vec3, high: wp.vec3, references: wp.array(dtype=float), i: int):
     """Writes reference number i: a triangle's box, clipped to a cell."""
-    ...
 
 
 @wp.func
@@ -233,7 +230,7 @@ def gather(lists: LeafLists, boxes: Boxes, cells: Cells, at: int, references: wp
 build_subtree = make_build_subtree(SURFACE)
 
 
-@wp.kernel
+@exact_kernel
 def divide_lists(
     first: int,
     lists: LeafLists,
@@ -259,7 +256,7 @@ def divide_lists(
         subtrees[number] = wp.vec2i(task.first + 1, end)
 
 
-@wp.kernel
+@exact_kernel
 def join_boxes(first: int, cells: Cells, tree: BinaryTree):
     """One item. Computes the boxes of inner nodes, children before parents."""
     for i in range(cells.totals[0]):

@@ -100,7 +100,6 @@ def clip_range(
     a remaining part.
 
     Returns the number of remaining references. inner_low, inner_high: their box."""
-    ...
 
 
 @wp.func

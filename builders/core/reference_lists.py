@@ -81,7 +81,6 @@ def measure_sides(
     sides: wp.ref[Sides],
 ):
     """Counts the references of a range on both sides of a plane, and computes their boxes."""
-    ...
 
 
 @native.func_native(
@@ -102,7 +101,6 @@ def move_range(
 ):
     """Moves a range to the two sides of a plane, in order. If the target is the source, one side may begin where the range
     begins: it is compacted in place."""
-    ...
 
 
 @wp.func

@@ -28,6 +28,9 @@ from wrt.kernels.runtime.options import specialised_kernel
 
 STACK = kdtree.MAX_TREE_DEPTH + 1
 
+SPARE_MEMORY = 1.5
+"""Working memory of a task relative to its own lists, at least a third; doubled whenever it is too small."""
+
 
 @with_known_layout
 @wp.struct
@@ -261,7 +264,7 @@ def build_tasks(
     method: Method,
     rules: tuple[SplitCost, StopLimits],
     make_tasks: Callable[[float], tuple[Reservation, Any, wp.array]],
-    spare: float,
+    spare: float | None = None,
     phase: Callable[[str], AbstractContextManager] = nullcontext,
     name: str = "subtrees",
 ) -> tuple[Reservation, Any, wp.array]:
@@ -270,13 +273,14 @@ def build_tasks(
     Args:
         method, rules: as in `build_subtrees`.
         make_tasks: spare -> the tasks, their lists and their roots.
-        spare: as in `Reservation`, for the first attempt.
+        spare: as in `Reservation`, for the first attempt; None for `SPARE_MEMORY`.
         phase: times the phases `name`, of `make_tasks`, and "subtrees".
         name: see `phase`.
 
     Returns:
         The tasks, their lists, and the result of each task.
     """
+    spare = SPARE_MEMORY if spare is None else spare
     while True:
         with phase(name):
             reservation, memory, frames = make_tasks(spare)

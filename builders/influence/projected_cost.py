@@ -29,11 +29,9 @@ from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceA
 from wrt.kernels.influence.box_clipping import projected_area
 from wrt.kernels.influence.view import AreaView, direction_at
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.validation import as_numbers
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -129,7 +127,7 @@ def check_areas(areas: Sequence[InfluenceArea]) -> tuple[InfluenceArea, ...]:
     return areas
 
 
-@wp.kernel
+@exact_kernel
 def project_boxes(
     first: int,
     view: AreaView,

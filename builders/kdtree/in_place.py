@@ -67,9 +67,6 @@ would keep its thread busy after all others have finished (notebooks/records/202
 MAX_LEVELS = 12
 """Levels after which the build switches to subtrees whatever the number of live nodes."""
 
-SPARE_MEMORY = 1.5
-"""Working memory of a task relative to its own lists; doubled whenever it is too small."""
-
 ITEM_CHUNKS_PER_THREAD = 8
 """Chunks of items per thread: enough to balance the load, because claiming a chunk costs almost nothing."""
 
@@ -131,7 +128,7 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, method: Metho
         levels = InPlaceLevels(triangles, config, target, events)
         levels.split()
         levels.count_members()
-    reservation, lists, results = build_tasks(method, config.rules(triangles), levels.make_tasks, SPARE_MEMORY, phase, "fill")
+    reservation, lists, results = build_tasks(method, config.rules(triangles), levels.make_tasks, phase=phase, name="fill")
     work = [events.position, events.value, levels.membership.node, levels.membership.shared, *arrays_of(lists)]
     return assemble(triangles, config, phase, levels.levels, (reservation, results), work)
 

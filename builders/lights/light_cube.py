@@ -27,9 +27,7 @@ from wrt.builders.lights.light_raster import COUNT, COVER, FILL, INFINITY_BITS, 
 from wrt.kernels.layout.light_cells import CELL_BYTES, CELL_WORDS, ENTRY_BYTES, FACES, LightCells
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 REACH = 4.0
 """Rays are answered from lists if their reach is at most this many times the extent of the scene."""
@@ -41,7 +39,7 @@ LARGEST, SMALLEST = 1e11, 1e-9
 """Extents of scenes between which no product of the watertight test overflows or underflows, so that triangles cover cells."""
 
 
-@wp.kernel
+@exact_kernel
 def clear_cells(first: int, words: wp.array(dtype=int)):
     """Item: a cell."""
     at = 4 * (first + wp.tid())
@@ -51,14 +49,14 @@ def clear_cells(first: int, words: wp.array(dtype=int)):
     words[at + 3] = wp.static(INFINITY_BITS)
 
 
-@wp.kernel
+@exact_kernel
 def take_counts(first: int, words: wp.array(dtype=int), counts: wp.array(dtype=int)):
     """Item: a cell."""
     cell = first + wp.tid()
     counts[cell] = words[4 * cell + 1]
 
 
-@wp.kernel
+@exact_kernel
 def put_begins(first: int, begins: wp.array(dtype=int), words: wp.array(dtype=int)):
     """Item: a cell."""
     cell = first + wp.tid()
@@ -68,10 +66,9 @@ def put_begins(first: int, begins: wp.array(dtype=int), words: wp.array(dtype=in
 @native.func_native("light_raster.h", "wrt::sort_entries((unsigned long long*)entries.data + begin, count);")
 def sort_entries(entries: wp.array(dtype=wp.uint64), begin: int, count: int):
     """Sorts a list in place: by insertion, long ones by heapsort."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def sort_lists(first: int, words: wp.array(dtype=int), entries: wp.array(dtype=wp.uint64)):
     """Moves `begin` back to the first entry, sorts the list, and writes its least depth. Item: a cell."""
     cell = first + wp.tid()

@@ -11,10 +11,7 @@ def load_closest(hits: HitBatch, i: int, t_max: float):
     """The best hit that is stored for ray i."""
     best = start(t_max)
     if hits.primitive[i] >= 0:
-        best.t = hits.t[i]
-        best.primitive = hits.primitive[i]
-        best.u = hits.uv[i][0]
-        best.v = hits.uv[i][1]
+        best = BestHit(hits.t[i], hits.primitive[i], hits.uv[i][0], hits.uv[i][1])
     return best
 
 

@@ -35,20 +35,14 @@ class Skipping:
 @wp.func
 def skip_for(skipped: wp.array(dtype=int), hits: HitBatch, i: int, t_min: float):
     """What ray i ignores. skipped: (N,), or (n,) for rays in rows of n that share them by column."""
-    search = Skipping()
-    search.t_min = t_min
-    search.skipped = skipped[i % skipped.shape[0]]
-    return search
+    return Skipping(t_min, skipped[i % skipped.shape[0]])
 
 
 @wp.func
 def accept_unskipped(search: wp.ref[Skipping], i: int, best: BestHit, t: float, primitive: int, u: float, v: float):
     """Keeps the closest hit that is not on the ignored triangle."""
     if primitive != search.skipped and improves(t, primitive, search.t_min, best):
-        best.t = t
-        best.primitive = primitive
-        best.u = u
-        best.v = v
+        best = BestHit(t, primitive, u, v)
     return best
 
 

@@ -40,7 +40,6 @@ the radius, in the frame of Duff et al. (2017); on a sphere those of the normal 
 be computed later, without the ray, to the precision of the point.
 
     cloud_test.py      the ray for filter and decision, and the boxes and records of points
-    cloud_stream.py    the decision about a candidate of a stream
     cloud_walk.py      the kernels of a cloud: a walk, and brute force
     tangent_planes.py  hits as triangles in tangential planes, for all that is computed from triangles
 

@@ -13,17 +13,14 @@ from functools import cache, partial
 
 import warp as wp
 
-from wrt.kernels.on_demand import OnDemand
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.triangle.support.lane_form import HandWritten
 from wrt.kernels.triangle.support.record_blocks import Record
 from wrt.kernels.triangle.support.triangle_contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.support.vectors import dot
-
-exact_module(__name__)
 
 SPHERE, BOX, DISC = 4, 6, 7
 """Components of a record."""
@@ -99,6 +96,21 @@ def meet_point(width: int, components: int) -> wp.Function:
     return meet_point_native
 
 
+@cache
+def candidate_point(components: int, width: int) -> wp.Function:
+    """`wp.func(records, slot, ray, slabs, t_min) -> vec3 (t, u, v)`: the same, for streams."""
+    meet = meet_point(width, components)
+
+    @wp.func
+    def candidate(records: wp.array(dtype=float), slot: int, ray: wp.ref[PointRay], slabs: wp.ref[RaySlabs], t_min: float):
+        u = float(0.0)
+        v = float(0.0)
+        t = meet(records, slot, ray, slabs, t_min, u, v)
+        return wp.vec3(t, u, v)
+
+    return candidate
+
+
 @dataclass(frozen=True)
 class PointRecord(Record):
     """The record of a point.
@@ -128,7 +140,7 @@ def point_test(name: str, components: int) -> TriangleTest:
         lanes=HandWritten(near, None),  # type: ignore[arg-type]  (no packets)
         line_test=near,
         crossing=CrossingForms(meet_point(1, components), near, near),
-        own_step=OnDemand("cloud_stream", "make_point_step", "wrt.kernels.clouds"),
+        own_candidate=partial(candidate_point, components),
     )
 
 
@@ -153,16 +165,14 @@ def copy_point(
     records: wp.array(dtype=float),
 ):
     """Writes the record of a slot; NaN for an unused lane."""
-    ...
 
 
 @native.func_native("spheres.h", "wrt::point_box(records.data + i * components, components, 1, low.c, high.c);")
 def point_box(records: wp.array(dtype=float), components: int, i: int, low: wp.ref[wp.vec3], high: wp.ref[wp.vec3]):
     """The box of the record i, in blocks of one."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def pack_points(
     first: int,
     points: CloudPoints,
@@ -175,7 +185,7 @@ def pack_points(
     copy_point(points, primitive, first + wp.tid(), width, components, records)
 
 
-@wp.kernel
+@exact_kernel
 def box_points(
     first: int,
     records: wp.array(dtype=float),

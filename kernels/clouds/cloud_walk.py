@@ -33,12 +33,12 @@ class CloudSearch:
 @wp.func
 def begin_search(points: TriangleBlocks, ray: Ray, low: wp.vec3, high: wp.vec3):
     """The search of a ray for points in a box."""
-    search = CloudSearch()
-    search.points = points
-    search.ray = prepare(ray.origin, ray.direction)
-    search.slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, low, high))
-    search.t_min = ray.t_min
-    return search
+    return CloudSearch(
+        points,
+        prepare(ray.origin, ray.direction),
+        ray_slabs(ray.origin, ray.direction, reach(ray.origin, low, high)),
+        ray.t_min,
+    )
 
 
 @cache
@@ -58,10 +58,7 @@ def make_point_step(config: TraversalConfig) -> wp.Function:
             if t >= search.t_min and t <= best.t:
                 best = accept(hits, i, best, t, primitive, u, v)
         elif improves(t, primitive, search.t_min, best):
-            best.t = t
-            best.primitive = primitive
-            best.u = u
-            best.v = v
+            best = BestHit(t, primitive, u, v)
         return best
 
     return step

@@ -9,9 +9,7 @@ import warp as wp
 
 from wrt.kernels.clouds.cloud_test import CloudPoints
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
 @native.func_native(
@@ -25,10 +23,9 @@ exact_module(__name__)
 )
 def tangent_triangle(points: CloudPoints, id: int, uv: wp.vec2, size: float, i: int, vertices: wp.array(dtype=wp.vec3)):
     """Writes the three vertices of the triangle of hit i."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def make_tangents(
     first: int,
     points: CloudPoints,

@@ -13,10 +13,8 @@ References: barill-2018.
 import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import WideNodes, first_block, leaf_triangles
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 MOMENTS = wp.constant(19)
 """Floats of a lane: centre (3), area vector (3), five of the second moment, seven of the third one, radius (1)."""
@@ -68,7 +66,7 @@ def corner_of(triangles: TriangleBlocks, slot: int, corner: int, width: int):
     return wp.vec3d(wp.float64(r[base]), wp.float64(r[base + width]), wp.float64(r[base + 2 * width]))
 
 
-@wp.kernel
+@exact_kernel
 def sum_leaves(first: int, width: int, tree: WideNodes, triangles: TriangleBlocks, sums: Sums):
     """The sums of a lane that is a leaf or is not used. Item: a lane."""
     lane = first + wp.tid()
@@ -99,7 +97,7 @@ def sum_leaves(first: int, width: int, tree: WideNodes, triangles: TriangleBlock
         sums.third[lane] = third
 
 
-@wp.kernel
+@exact_kernel
 def sum_children(first: int, width: int, begin: int, tree: WideNodes, sums: Sums):
     """The sums of the lanes of a node that are nodes of the next level. Item: a node of a level that begins at `begin`."""
     node = begin + first + wp.tid()
@@ -189,7 +187,7 @@ def store_third(moments: wp.array(dtype=float), base: int, width: int, s: vec10d
     moments[base + 6 * width] = float(wp.float64(45.0) * s[4])
 
 
-@wp.kernel
+@exact_kernel
 def store_moments(
     first: int,
     width: int,
@@ -227,7 +225,7 @@ def store_moments(
     moments[base + RADIUS * width] = float(radius)
 
 
-@wp.kernel
+@exact_kernel
 def gather_radii(first: int, width: int, begin: int, tree: WideNodes, moments: wp.array(dtype=float)):
     """A smaller radius of the lanes of a node that are nodes, by those of their children. Item: a node of a level."""
     node = begin + first + wp.tid()

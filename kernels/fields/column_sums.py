@@ -7,9 +7,7 @@ a rule, such as a sun in its month: only weights other than 0 are stored, row by
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 TILE = 256
 """Columns of a tile, as in column_sums.h."""
@@ -48,10 +46,9 @@ class BooleanColumns:
 )
 def sum_columns_of_tile(columns: BooleanColumns, rows: WeightedRows, tile: int, sums: wp.array2d(dtype=wp.float64)):
     """Writes the sums of the columns of a tile."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def sum_columns(first: int, columns: BooleanColumns, rows: WeightedRows, sums: wp.array2d(dtype=wp.float64)):
     """Writes sums (G, P). Item: a tile. On the CPU."""
     sum_columns_of_tile(columns, rows, first + wp.tid(), sums)

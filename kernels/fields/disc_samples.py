@@ -2,15 +2,13 @@
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 OPEN, KEPT, LEFT_OUT = wp.constant(0), wp.constant(1), wp.constant(2)
 """What is known of a point."""
 
 
-@wp.kernel
+@exact_kernel
 def settle(
     first: int,
     grid: wp.uint64,

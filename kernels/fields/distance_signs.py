@@ -14,9 +14,7 @@ References: baerentzen-aanaes-2005.
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import is_finite
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
 @wp.struct
@@ -33,7 +31,7 @@ class Pseudonormals:
     """(F, 3), of the edges behind the first, the second and the third vertex."""
 
 
-@wp.kernel
+@exact_kernel
 def find_sides(
     first: int,
     normals: Pseudonormals,
@@ -69,21 +67,21 @@ def find_sides(
         side[i] = wp.where(wp.dot(apart, normal) < 0.0, wp.int8(-1), wp.int8(1))
 
 
-@wp.kernel
+@exact_kernel
 def sides_of_rule(first: int, inside: wp.array(dtype=wp.bool), side: wp.array(dtype=wp.int8)):
     """Writes -1 for a point that is inside, else 1. Item: a point."""
     i = first + wp.tid()
     side[i] = wp.where(inside[i], wp.int8(-1), wp.int8(1))
 
 
-@wp.kernel
+@exact_kernel
 def sides_of_numbers(first: int, number: wp.array(dtype=float), side: wp.array(dtype=wp.int8)):
     """Writes -1 where a winding number is above 1/2 or below -1/2, else 1. Item: a point."""
     i = first + wp.tid()
     side[i] = wp.where(wp.abs(number[i]) > 0.5, wp.int8(-1), wp.int8(1))
 
 
-@wp.kernel
+@exact_kernel
 def apply_signs(
     first: int,
     points: wp.array(dtype=wp.vec3),

@@ -15,11 +15,9 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import FARTHEST, checked_ray
 from wrt.kernels.query.hit_attributes import SceneMesh, triangle_of
 from wrt.kernels.query.spawn import footing, front_normal, meets_own, spawn_origin
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.watertight.woop import ShearedRay, intersect, permuted, prepare
-
-exact_module(__name__)
 
 TILE = wp.constant(256)
 """Points of a tile."""
@@ -59,7 +57,7 @@ class LitRays:
     """(groups tiles + 1,) number of the first ray of each group of directions and tile, and the number of rays."""
 
 
-@wp.kernel
+@exact_kernel
 def place_points(first: int, points: LitPoints):
     """Writes where rays leave a point. Item: a point, in the order in which they are taken."""
     i = first + wp.tid()
@@ -83,7 +81,7 @@ def place_points(first: int, points: LitPoints):
     points.origin[i] = origin
 
 
-@wp.kernel
+@exact_kernel
 def prepare_ways(first: int, directions: wp.array(dtype=wp.vec3), prepared: wp.array(dtype=ShearedRay)):
     """Prepares rays to directions. Item: a direction."""
     i = first + wp.tid()
@@ -106,7 +104,7 @@ def meets_triangle(points: LitPoints, i: int, primitive: int, direction: wp.vec3
     return intersect(ray, points.corners[i])[0] >= 0.0
 
 
-@wp.kernel
+@exact_kernel
 def count_lit(first: int, points: LitPoints, rays: LitRays, count: wp.array(dtype=int)):
     """Counts the rays of a tile: directions that are in front of points. Item: a group of directions and a tile."""
     item = first + wp.tid()
@@ -120,7 +118,7 @@ def count_lit(first: int, points: LitPoints, rays: LitRays, count: wp.array(dtyp
     count[item] = found
 
 
-@wp.kernel
+@exact_kernel
 def write_lit(
     first: int, points: LitPoints, rays: LitRays, origins: wp.array(dtype=wp.vec3d), directions: wp.array(dtype=wp.vec3)
 ):
@@ -148,7 +146,7 @@ def write_lit(
                 ray += 1
 
 
-@wp.kernel
+@exact_kernel
 def add_lit(
     first: int,
     points: LitPoints,

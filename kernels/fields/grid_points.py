@@ -7,9 +7,7 @@ References: morton-1966.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 BLOCK = wp.constant(8)
 """Points of a block along an axis."""
@@ -44,14 +42,14 @@ def index_of(grid: Grid, i: int):
     return grid.blocks[i // BLOCK_POINTS] + inner
 
 
-@wp.kernel
+@exact_kernel
 def place_points(first: int, grid: Grid, points: wp.array(dtype=wp.vec3d)):
     """Writes a point of a block. Item: a point."""
     i = first + wp.tid()
     points[i] = grid.origin + grid.spacing * wp.vec3d(index_of(grid, i))
 
 
-@wp.kernel
+@exact_kernel
 def place_middles(first: int, grid: Grid, points: wp.array(dtype=wp.vec3d)):
     """Writes the middle of a block. Item: a block."""
     i = first + wp.tid()
@@ -59,7 +57,7 @@ def place_middles(first: int, grid: Grid, points: wp.array(dtype=wp.vec3d)):
     points[i] = grid.origin + grid.spacing * (wp.vec3d(grid.blocks[i]) + wp.vec3d(half, half, half))
 
 
-@wp.kernel
+@exact_kernel
 def store_values(
     first: int,
     grid: Grid,

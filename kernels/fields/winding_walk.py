@@ -8,10 +8,8 @@ from wrt.kernels.fields.cluster_moments import MOMENTS, RADIUS
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH, WideNodes
 from wrt.kernels.layout.ray_batch import is_finite
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -30,7 +28,7 @@ LEAST_FAR = wp.constant(1e-24)
 """Least squared distance from which moments do: from there on, its power of -3/2 is in the range of float32."""
 
 
-@wp.kernel
+@exact_kernel
 def set_far(first: int, width: int, factor: float, clusters: Clusters):
     """Squared distances from which moments do: `factor` radii. Item: a lane."""
     lane = first + wp.tid()

@@ -33,11 +33,9 @@ from wrt.kernels.influence.area_lanes import LANE_WORDS, MARK_WORDS, AreaSplits,
 from wrt.kernels.influence.region_tests import Region
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES
-
-exact_module(__name__)
 
 ANY_SINE = 2.0
 """A bound that the sine of no angle reaches."""
@@ -112,7 +110,7 @@ def find_list(areas: AreaTree, point: wp.vec3d):
     return ~child
 
 
-@wp.kernel
+@exact_kernel
 def list_points(first: int, areas: AreaTree, points: wp.array(dtype=wp.vec3d), lists: wp.array(dtype=int)):
     """Writes the list of the leaf that contains a point, -1 outside the root. Item: a point."""
     i = first + wp.tid()
@@ -179,7 +177,7 @@ def take_areas(
         last = which
 
 
-@wp.kernel
+@exact_kernel
 def assign_rays(
     first: int,
     rays: RayBatch,
@@ -223,7 +221,7 @@ def assign_rays(
     sums[item] = sum_blocks(marks)
 
 
-@wp.kernel
+@exact_kernel
 def mark_unassigned(
     first: int,
     areas: int,

@@ -50,7 +50,6 @@ class AreaSplits:
 @native.func_native("area_lanes.h", f"{_CHECK}return wrt::load_area_rays(batch, first, count, {_BLOCK});")
 def load_block(batch: RayBatch, first: int, count: int, lanes: wp.array(dtype=float), marks: wp.array(dtype=int)) -> int:
     """Loads up to `count` rays from `first` on, with list 0, and bounds their origins; returns the number of rays."""
-    ...
 
 
 @native.func_native("area_lanes.h", f"wrt::try_area(number, region, view, sine, touch, which, {_BLOCK});")
@@ -69,7 +68,6 @@ def try_area(
     A ray belongs to an area if it starts in the region, if its direction agrees with the area's distribution (forward or
     backward; in radial areas a ray that starts at the common point always agrees), and if part of its range lies in the region.
     """
-    ...
 
 
 @native.func_native(
@@ -88,7 +86,6 @@ def store_block(
 ):
     """Writes where the rays are split (`wrt.kernels.influence.area_assignment.assign_rays`) and adds them to the sums of the
     lanes."""
-    ...
 
 
 @native.func_native(
@@ -102,4 +99,3 @@ def sum_blocks(marks: wp.array(dtype=int)) -> wp.vec4i:
 
     Returns (rays that leave their area before they end, greatest area, `areas` less the least area, rays without an area).
     """
-    ...

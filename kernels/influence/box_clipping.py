@@ -26,13 +26,11 @@ from wrt.kernels.runtime import native
 @native.func_native("clipped_areas.h", "return wrt::clipped_area(view, low, high, by_near);")
 def clipped_area(view: AreaView, low: wp.vec3, high: wp.vec3, by_near: bool) -> float:
     """Area of a box's projection within the window. `by_near`: whether the near plane may cut the box."""
-    ...
 
 
 @native.func_native("clipped_areas.h", "wrt::clipped_areas(view, boxes.data, count, by_near, areas.data);")
 def clipped_areas(view: AreaView, boxes: wp.array(dtype=float), count: int, by_near: bool, areas: wp.array(dtype=float)):
     """`clipped_area` of many boxes. Arrays as in `whole_areas`."""
-    ...
 
 
 @wp.func

@@ -41,7 +41,6 @@ _SAME = f"static_assert(wrt::NEEDS_WINDOW == {NEEDS_WINDOW} && wrt::NEEDS_NEAR =
 def whole_area(view: AreaView, low: wp.vec3, high: wp.vec3) -> float:
     """Area of a box's projection if it lies wholly inside or outside the window; else NEEDS_WINDOW. NEEDS_NEAR if the near
     plane cuts the box, whatever the window does. 0 for an empty box."""
-    ...
 
 
 @native.func_native("projected_areas.h", "wrt::whole_areas(view, boxes.data, count, areas.data);")
@@ -49,4 +48,3 @@ def whole_areas(view: AreaView, boxes: wp.array(dtype=float), count: int, areas:
     """`whole_area` of many boxes in vector lanes, with the same bits.
 
     boxes: (6 * count,) lower x, then lower y, lower z, upper x, upper y, upper z. areas: (count,) results."""
-    ...

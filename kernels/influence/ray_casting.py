@@ -19,10 +19,8 @@ References: urena-2013; falcone-2024 (section 5.6.2, appendix B).
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.sampling import TWO_PI, mix, spread_point
-
-exact_module(__name__)
 
 SECOND = wp.constant(wp.uint32(0x51ED27))
 """Turns a seed into the seed of a second, independent pair of numbers."""
@@ -72,7 +70,7 @@ def in_square_cap(aim: Aim, u: wp.float64, v: wp.float64):
     return wp.normalize(in_scene(aim, x, y, one))
 
 
-@wp.kernel
+@exact_kernel
 def cast_plane(first: int, aim: Aim, seed: wp.uint32, origins: wp.array(dtype=wp.vec3d), directions: wp.array(dtype=wp.vec3)):
     """Writes a ray from the rectangle, parallel to `forward` or within a circular cap around it. Item: a ray."""
     i = first + wp.tid()
@@ -84,7 +82,7 @@ def cast_plane(first: int, aim: Aim, seed: wp.uint32, origins: wp.array(dtype=wp
     directions[i] = wp.vec3(in_circular_cap(aim, wp.float64(turn[0]), wp.float64(turn[1])))
 
 
-@wp.kernel
+@exact_kernel
 def cast_circular_cap(first: int, aim: Aim, seed: wp.uint32, directions: wp.array(dtype=wp.vec3)):
     """Writes a direction of a circular cap. Item: a ray."""
     i = first + wp.tid()
@@ -92,7 +90,7 @@ def cast_circular_cap(first: int, aim: Aim, seed: wp.uint32, directions: wp.arra
     directions[i] = wp.vec3(in_circular_cap(aim, wp.float64(place[0]), wp.float64(place[1])))
 
 
-@wp.kernel
+@exact_kernel
 def cast_square_cap(first: int, aim: Aim, seed: wp.uint32, directions: wp.array(dtype=wp.vec3)):
     """Writes a direction of a square cap. Item: a ray."""
     i = first + wp.tid()

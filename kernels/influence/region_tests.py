@@ -21,9 +21,7 @@ References: gottschalk-1996; falcone-2024 (sections 5.3 and A.4 to A.7).
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 ROUNDING = wp.constant(wp.float64(2.0**-46))
 """Error of the ends of a projection, as a fraction of the magnitudes that are summed: 2^6 roundings."""
@@ -168,7 +166,7 @@ def classify_box(region: Region, low: wp.vec3d, high: wp.vec3d):
     return wp.where(encloses_box(region, low, high), ENCLOSED, INTERSECTING)
 
 
-@wp.kernel
+@exact_kernel
 def contain_points(
     first: int, regions: wp.array(dtype=Region), points: wp.array(dtype=wp.vec3d), inside: wp.array2d(dtype=wp.bool)
 ):
@@ -178,7 +176,7 @@ def contain_points(
         inside[i, number] = contains_point(regions[number], points[i])
 
 
-@wp.kernel
+@exact_kernel
 def classify_boxes(
     first: int,
     regions: wp.array(dtype=Region),
@@ -195,7 +193,7 @@ def classify_boxes(
         result[i, number] = wp.uint8(classify_box(regions[number], lowest, highest))
 
 
-@wp.kernel
+@exact_kernel
 def classify_pairs(
     first: int,
     regions: wp.array(dtype=Region),

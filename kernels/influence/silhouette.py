@@ -163,7 +163,6 @@ above."""
 """)
 def silhouette(index: int) -> int:
     """Entry of `SILHOUETTES`."""
-    ...
 
 
 @wp.func

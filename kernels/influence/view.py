@@ -5,10 +5,8 @@ References: falcone-2024.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -86,7 +84,7 @@ def belongs_to_area(view: AreaView, origin: wp.vec3, direction: wp.vec3, sine: f
     return contains_view_point(view, origin) and is_aligned(view, origin, direction, sine)
 
 
-@wp.kernel
+@exact_kernel
 def mark_rays_of_area(
     first: int,
     view: AreaView,

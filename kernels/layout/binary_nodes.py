@@ -25,9 +25,7 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.unchecked import load_float, load_int
 from wrt.kernels.runtime.launch import kept, launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 WIDTH = 2
 """Children of a node, and triangles of a block of the tree that the layout is made from."""
@@ -65,7 +63,7 @@ class BinaryPart:
     triangles: PackedTriangles
 
 
-@wp.kernel
+@exact_kernel
 def pack_nodes(first: int, tree: WideNodes, nodes: wp.array(dtype=wp.vec4)):
     """Writes a node. Item: a node."""
     i = first + wp.tid()
@@ -85,7 +83,7 @@ def pack_nodes(first: int, tree: WideNodes, nodes: wp.array(dtype=wp.vec4)):
     nodes[4 * i + 3] = wp.vec4(left, right, 0.0, 0.0)
 
 
-@wp.kernel
+@exact_kernel
 def pack_corners(
     first: int,
     vertices: wp.array(dtype=wp.vec3),

@@ -55,7 +55,6 @@ def leaf_node(first_block: int, triangles: int):
 @wp.func_native("return nodes.data[index];")
 def load_node(nodes: wp.array(dtype=wp.vec2i), index: int) -> wp.vec2i:
     """Node `index`, without the bounds check of `nodes[index]`; every traversal step depends on the latency of this load."""
-    ...
 
 
 @wp.func

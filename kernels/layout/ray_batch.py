@@ -13,10 +13,8 @@ inf: every ray ends at `FARTHEST`, the largest float32.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 TINY = wp.constant(2.0**-126)
 """Smallest normal float32."""
@@ -163,7 +161,7 @@ def store_hit(hits: HitBatch, i: int, t: float, primitive: int, u: float, v: flo
     hits.uv[i] = wp.vec2(u, v)
 
 
-@wp.kernel
+@exact_kernel
 def center_float64_points(first: int, points: wp.array(dtype=wp.vec3d), center: wp.vec3d, out: wp.array(dtype=wp.vec3)):
     """Converts a float64 point to float32 relative to the centre. Item: a point.
 
@@ -173,7 +171,7 @@ def center_float64_points(first: int, points: wp.array(dtype=wp.vec3d), center: 
     out[i] = wp.vec3(points[i] - center)
 
 
-@wp.kernel
+@exact_kernel
 def repeat_points(
     first: int, points: wp.array(dtype=wp.vec3), lengths: wp.vec4i, strides: wp.vec4i, out: wp.array(dtype=wp.vec3)
 ):

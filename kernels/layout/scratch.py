@@ -16,7 +16,6 @@ import warp as wp
 """)
 def take_scratch(bytes: int) -> wp.uint64:
     """Address of so much memory, on the CPU; it is aligned as any type needs."""
-    ...
 
 
 @wp.func_native("""
@@ -26,4 +25,3 @@ def take_scratch(bytes: int) -> wp.uint64:
 """)
 def leave_scratch(scratch: wp.uint64):
     """Gives memory of `take_scratch` back."""
-    ...

@@ -2,12 +2,10 @@
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
-@wp.kernel
+@exact_kernel
 def triangle_cells(
     first: int,
     vertices: wp.array(dtype=wp.vec3d),

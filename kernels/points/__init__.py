@@ -54,7 +54,6 @@ finds nothing, nor does one farther than 1.8e19 from all triangles: its square o
     point_triangle.py   the distance in plain Warp, for brute force and for your own kernels
     point_batch.py      points and answers on the device
     point_order.py      the order in which points are searched
-    brute_points.py     every triangle
     device_points.py    points in your own kernels
     exact_points.py     the nearest triangle in float64
     point_gradients.py  closest points of given triangles, with adjoints

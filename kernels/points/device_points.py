@@ -13,10 +13,7 @@ from wrt.kernels.answers.answer_kind import start
 from wrt.kernels.points.tree_points import GUARDS, space_code
 from wrt.kernels.query.device_functions import TRIANGLE_TEST, NoScene, QueryFunction, centered, hit_of
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle import TRIANGLE_TESTS
-
-exact_module(__name__)
 
 ENTER_TREE = "space.enter((float)point.c[0], (float)point.c[1], (float)point.c[2])"
 ENTER_INSTANCES = "space.enter(point.c[0], point.c[1], point.c[2], scene.mask, scene.environment)"

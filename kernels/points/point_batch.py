@@ -4,9 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 
 
 @wp.struct
@@ -70,7 +68,7 @@ def make_widen(dtype: type) -> wp.Kernel:
     return specialised_kernel(relative_in_float64)
 
 
-@wp.kernel
+@exact_kernel
 def copy_lists(first: int, lists: NearLists, begin: wp.array(dtype=int), to: NearestBatch):
     """Copies the list of a point to where it begins among others. Item: a point."""
     i = first + wp.tid()

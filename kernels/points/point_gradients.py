@@ -15,9 +15,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.query.hit_gradients import result_types
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__, gradients=True)
+from wrt.kernels.runtime.options import specialised_kernel
 
 
 @wp.func

@@ -14,9 +14,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 BITS = 7
 """Bits of the number of a cell along an axis."""
@@ -34,7 +32,7 @@ def cell_of(offset: float, scale: float):
     return apart
 
 
-@wp.kernel
+@exact_kernel
 def find_cells(
     first: int,
     position: wp.array(dtype=wp.vec3),

@@ -33,14 +33,11 @@ from wrt.kernels.layout.instance_maps import SceneRay
 from wrt.kernels.layout.ray_batch import Ray, checked_ray
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, hit_normal, hit_position
 from wrt.kernels.query.spawn import faces_front, spawn_origin
-from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import PARTS, InstanceTree, make_instance_walk
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 TRIANGLE_TEST = "woop"
 """The test that handles use: watertight, and one of those that count crossings exactly."""

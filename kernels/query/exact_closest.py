@@ -7,13 +7,11 @@ import warp as wp
 
 from wrt.kernels.answers.exact_hit import ExactSearch
 from wrt.kernels.layout.ray_batch import FARTHEST, HitBatch, checked_ray, store_hit
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -118,7 +116,7 @@ def exact_corners(mesh: ExactMesh, primitive: int):
     return wp.matrix_from_rows(mesh.vertices[face[0]], mesh.vertices[face[1]], mesh.vertices[face[2]])
 
 
-@wp.kernel
+@exact_kernel
 def exact_positions(
     first: int,
     mesh: ExactMesh,
@@ -137,7 +135,7 @@ def exact_positions(
     positions[i] = point
 
 
-@wp.kernel
+@exact_kernel
 def exact_normals(first: int, mesh: ExactMesh, primitive: wp.array(dtype=int), normals: wp.array(dtype=wp.vec3d)):
     """Writes the unit normal of the hit triangle by its winding; 0 for a miss and for a degenerate triangle. Item: a ray."""
     i = first + wp.tid()

@@ -3,9 +3,7 @@
 import warp as wp
 
 from wrt.kernels.layout.instance_maps import Geometry, Placement, scene_point
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
 @wp.struct
@@ -112,7 +110,7 @@ def hit_normal(mesh: SceneMesh, primitive: int):
     return normal
 
 
-@wp.kernel
+@exact_kernel
 def hit_positions(
     first: int,
     mesh: SceneMesh,
@@ -130,7 +128,7 @@ GRAZING = wp.constant(wp.float64(1e-4))
 plane."""
 
 
-@wp.kernel
+@exact_kernel
 def intersect_planes(
     first: int,
     vertices: wp.array(dtype=wp.vec3d),
@@ -162,14 +160,14 @@ def intersect_planes(
     positions[i] = point
 
 
-@wp.kernel
+@exact_kernel
 def hit_normals(first: int, mesh: SceneMesh, primitive: wp.array(dtype=int), normals: wp.array(dtype=wp.vec3)):
     """Writes the normal of the triangle that a ray hits. Item: a ray."""
     i = first + wp.tid()
     normals[i] = hit_normal(mesh, primitive[i])
 
 
-@wp.kernel
+@exact_kernel
 def locate_geometry(
     first: int,
     mesh: SceneMesh,
@@ -197,28 +195,28 @@ def locate_geometry(
     local[i] = inside
 
 
-@wp.kernel
+@exact_kernel
 def mark_hits(first: int, primitive: wp.array(dtype=int), is_hit: wp.array(dtype=wp.bool)):
     """Writes whether a ray hit anything. Item: a ray."""
     i = first + wp.tid()
     is_hit[i] = primitive[i] >= 0
 
 
-@wp.kernel
+@exact_kernel
 def round_vectors(first: int, values: wp.array(dtype=wp.vec3d), rounded: wp.array(dtype=wp.vec3)):
     """Rounds vectors to float32. Item: a ray."""
     i = first + wp.tid()
     rounded[i] = wp.vec3(values[i])
 
 
-@wp.kernel
+@exact_kernel
 def widen_vectors(first: int, values: wp.array(dtype=wp.vec3), widened: wp.array(dtype=wp.vec3d)):
     """Converts vectors to float64. Item: a ray."""
     i = first + wp.tid()
     widened[i] = wp.vec3d(values[i])
 
 
-@wp.kernel
+@exact_kernel
 def number_faces(
     first: int,
     geometry: wp.array(dtype=int),

@@ -25,9 +25,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__, gradients=True)
+from wrt.kernels.runtime.options import specialised_kernel
 
 
 def result_types(double: bool) -> tuple[type, type, type]:

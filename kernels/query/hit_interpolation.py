@@ -4,12 +4,10 @@ import warp as wp
 
 from wrt.kernels.layout.instance_maps import scene_normal
 from wrt.kernels.query.hit_attributes import SceneMesh, triangle_of, winding
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
-@wp.kernel
+@exact_kernel
 def interpolate_at_hits(
     first: int,
     mesh: SceneMesh,
@@ -35,7 +33,7 @@ def interpolate_at_hits(
             out[i, k] = wp.nan
 
 
-@wp.kernel
+@exact_kernel
 def smooth_normals_at_hits(
     first: int,
     mesh: SceneMesh,

@@ -8,9 +8,7 @@ their final positions.
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 MAX_INSERTION_SORT = wp.constant(16)
 """A list of at most this many hits is sorted by insertion; a longer list by heapsort, in O(n log n)."""
@@ -69,7 +67,7 @@ def sort_hits(hits: HitBatch, begin: int, count: int):
             sift_down(hits, begin, 0, count - 1 - i)
 
 
-@wp.kernel
+@exact_kernel
 def gather_hits(first: int, found: HitBatch, order: wp.array(dtype=int), offsets: wp.array(dtype=wp.int64), hits: HitBatch):
     """Sorts the hits of a traced ray and copies the nearest ones to the ray's elements of `hits`. Item: a traced ray.
 
@@ -97,14 +95,14 @@ def gather_hits(first: int, found: HitBatch, order: wp.array(dtype=int), offsets
             hits.uv[place + k] = found.uv[begin + k]
 
 
-@wp.kernel
+@exact_kernel
 def sort_lists(first: int, found: HitBatch):
     """Sorts the hits of a ray, from `begins` on. Item: a ray."""
     i = first + wp.tid()
     sort_hits(found, found.begins[i], found.counts[i])
 
 
-@wp.kernel
+@exact_kernel
 def lengths_of_lists(first: int, counts: wp.array(dtype=int), most: int, lengths: wp.array(dtype=wp.int64)):
     """Writes the length of a ray's list, at most `most`, and 0 after the last one. Item: an element of `lengths`."""
     i = first + wp.tid()
@@ -114,14 +112,14 @@ def lengths_of_lists(first: int, counts: wp.array(dtype=int), most: int, lengths
     lengths[i] = wp.int64(length)
 
 
-@wp.kernel
+@exact_kernel
 def narrow_offsets(first: int, offsets: wp.array(dtype=wp.int64), begins: wp.array(dtype=int)):
     """Copies the first index of a list; only sums below 2^31 are of use. Item: a list."""
     i = first + wp.tid()
     begins[i] = int(offsets[i])
 
 
-@wp.kernel
+@exact_kernel
 def number_rays(first: int, offsets: wp.array(dtype=wp.int64), ray_id: wp.array(dtype=int)):
     """Writes the number of a ray to each of its hits. Item: a ray."""
     i = first + wp.tid()
@@ -129,7 +127,7 @@ def number_rays(first: int, offsets: wp.array(dtype=wp.int64), ray_id: wp.array(
         ray_id[k] = i
 
 
-@wp.kernel
+@exact_kernel
 def count_listed(first: int, offsets: wp.array(dtype=wp.int64), counts: wp.array(dtype=int)):
     """Writes the number of hits in a ray's list. Item: a ray."""
     i = first + wp.tid()
@@ -140,7 +138,7 @@ ODD, NONZERO, POSITIVE = 0, 1, 2
 """What `decide_inside` asks of a number."""
 
 
-@wp.kernel
+@exact_kernel
 def decide_inside(first: int, counts: wp.array(dtype=int), rule: int, inside: wp.array(dtype=wp.bool)):
     """Writes whether a number of crossings, or their sum by sign, is as the rule asks. Item: a ray."""
     i = first + wp.tid()
@@ -152,14 +150,14 @@ def decide_inside(first: int, counts: wp.array(dtype=int), rule: int, inside: wp
     inside[i] = is_so
 
 
-@wp.kernel
+@exact_kernel
 def find_unequal(first: int, one: wp.array(dtype=wp.bool), other: wp.array(dtype=wp.bool), unequal: wp.array(dtype=int)):
     """Writes whether two answers differ, as 0 or 1. Item: a ray."""
     i = first + wp.tid()
     unequal[i] = wp.where(one[i] == other[i], 0, 1)
 
 
-@wp.kernel
+@exact_kernel
 def list_marked(first: int, marked: wp.array(dtype=int), places: wp.array(dtype=int), numbers: wp.array(dtype=int)):
     """Writes the number of an item that is marked by 1, at its place. Item: an element."""
     i = first + wp.tid()
@@ -167,7 +165,7 @@ def list_marked(first: int, marked: wp.array(dtype=int), places: wp.array(dtype=
         numbers[places[i] - 1] = i
 
 
-@wp.kernel
+@exact_kernel
 def aim_outwards(
     first: int,
     origins: wp.array(dtype=wp.vec3),

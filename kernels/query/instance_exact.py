@@ -21,14 +21,12 @@ from wrt.kernels.layout.ray_batch import Ray, RayBatch, is_direction, usable_dir
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays, rounded_ray, search_for, store_exact
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import PARTS, InstanceTree, root_of, upper_slabs
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -164,7 +162,7 @@ def exact_corners_of(scene: SceneMesh, geometries: wp.array(dtype=ExactGeometry)
     return corners
 
 
-@wp.kernel
+@exact_kernel
 def exact_positions(
     first: int,
     scene: SceneMesh,
@@ -183,7 +181,7 @@ def exact_positions(
     positions[i] = point
 
 
-@wp.kernel
+@exact_kernel
 def exact_normals(
     first: int,
     scene: SceneMesh,

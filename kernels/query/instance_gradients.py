@@ -11,9 +11,7 @@ from typing import Any
 import warp as wp
 
 from wrt.kernels.query.hit_gradients import Edges, result_types, store_hit
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__, gradients=True)
+from wrt.kernels.runtime.options import specialised_kernel
 
 
 @wp.func

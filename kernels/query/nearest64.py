@@ -13,9 +13,7 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import as_device, get_num_threads, launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 LANES = 8
 """Triangles that are tested at a time."""
@@ -50,7 +48,6 @@ def test_tile(
     found: wp.ref[Nearest],
 ):
     """Tests the triangles begin .. end - 1; of equally near ones the first counts. z: as in `longest_axis`."""
-    ...
 
 
 @wp.func
@@ -65,7 +62,7 @@ def longest_axis(direction: wp.vec3d):
     return wp.where(valid, axis, -1)
 
 
-@wp.kernel
+@exact_kernel
 def find_nearest(
     first: int,
     size: int,
@@ -88,7 +85,7 @@ def find_nearest(
                 hits[ray] = found
 
 
-@wp.kernel
+@exact_kernel
 def sum_angles(
     first: int, corners: wp.array2d(dtype=wp.float64), points: wp.array(dtype=wp.vec3d), sums: wp.array(dtype=wp.float64)
 ):

@@ -34,9 +34,7 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch, is_finite
 from wrt.kernels.query.hit_attributes import SceneMesh, triangle_of
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 PLANE_TOLERANCE = wp.constant(2.0**-22)
 """Tolerance as a fraction of the largest coordinate: four roundings of half a unit in the last place, two of a point, two of a
@@ -60,7 +58,7 @@ def is_ordered(a: wp.vec3d, b: wp.vec3d):
     return a[0] < b[0] or (a[0] == b[0] and (a[1] < b[1] or (a[1] == b[1] and a[2] <= b[2])))
 
 
-@wp.kernel
+@exact_kernel
 def connect_points(
     first: int,
     from_points: wp.array(dtype=wp.vec3d),
@@ -115,7 +113,7 @@ def obstructs(mesh: SceneMesh, primitive: int, start: wp.vec3, end: wp.vec3, rou
     return not (passes_through(mesh, primitive, start, rounding) or passes_through(mesh, primitive, end, rounding))
 
 
-@wp.kernel
+@exact_kernel
 def classify_by_nearest(
     first: int,
     mesh: SceneMesh,
@@ -131,7 +129,7 @@ def classify_by_nearest(
         visibility[i] = wp.where(obstructs(mesh, primitive[i], rays.origins[i], targets[i], rounding), HIDDEN, UNDECIDED)
 
 
-@wp.kernel
+@exact_kernel
 def classify_by_all_hits(
     first: int,
     mesh: SceneMesh,

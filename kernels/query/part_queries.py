@@ -13,9 +13,7 @@ from wrt.kernels.answers import ANSWERS, batch_kinds
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, named_kernel, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import named_kernel, specialised_kernel
 
 AHEAD = wp.constant(16)
 """Rays by which a kernel is ahead of itself when it fetches what it will read: rays of a queue are far apart in memory."""
@@ -24,7 +22,6 @@ AHEAD = wp.constant(16)
 @native.func_native("part_queries.h", "wrt::fetch_ray(rays, hits, i);")
 def fetch_ray(rays: RayBatch, hits: HitBatch, i: int):
     """Fetches a ray and its best hit into the caches of a core. An address without an array does no harm."""
-    ...
 
 
 @native.func_native(
@@ -42,7 +39,6 @@ def fetch_merged(
 ):
     """Fetches what merging a closest hit reads and writes into the caches of a core: the corners half as far ahead as the face
     that names them."""
-    ...
 
 
 @cache

@@ -63,12 +63,10 @@ import warp as wp
 from wrt.kernels.layout.instance_maps import object_ray
 from wrt.kernels.layout.ray_batch import FARTHEST, checked_ray
 from wrt.kernels.query.hit_attributes import SceneMesh, Triangle, geometry_of, triangle_of, winding
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import reach
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.watertight.woop import intersect, prepare
-
-exact_module(__name__)
 
 OFFSET = wp.constant(2.0**-21)
 """Distance of origins from the surface as a fraction of the point's reach: eight roundings of half a unit in the last place."""
@@ -201,7 +199,7 @@ def faces_front(mesh: SceneMesh, primitive: int, direction: wp.vec3):
     return result
 
 
-@wp.kernel
+@exact_kernel
 def spawn_origins(
     first: int,
     mesh: SceneMesh,
@@ -221,7 +219,7 @@ def spawn_origins(
     origins[i] = spawn_origin(mesh, primitive[hit], uv[hit], directions[i * direction_stride], sided)
 
 
-@wp.kernel
+@exact_kernel
 def mark_facing(
     first: int,
     mesh: SceneMesh,

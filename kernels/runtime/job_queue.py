@@ -33,10 +33,8 @@ import warp as wp
 
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.core_pinning import MAX_SLEEPERS, SLEEPER_WORDS
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.runtime.schedules import SCHEDULES
-
-exact_module(__name__)
 
 MAX_SPINNING, SPIN_NS, STAYS, FIRST_SLOT = 65, 66, 67, 128
 """Words of the job queue: greatest number of helpers that spin at a time; nanoseconds for which a helper spins before it
@@ -119,7 +117,6 @@ JOBS = "auto& b = *(wrt::pool::JobQueue*)job_queue.data;\n"
 @native.func_native("pool.h", on_cpu(f"{JOBS}wrt::pool::run_as_helper<{BOUNDS}>(b, helper);"))
 def run_as_helper_native(job_queue: wp.array(dtype=wp.int64), helper: wp.int64) -> int:
     """The loop of the helper with a number; returns when the job queue is closed."""
-    ...
 
 
 RUN_AS_CALLER = f"wrt::pool::run_as_caller<{BOUNDS}>(b, b.slots[slot], (const wrt::pool::Job*)job);"
@@ -128,40 +125,37 @@ RUN_AS_CALLER = f"wrt::pool::run_as_caller<{BOUNDS}>(b, b.slots[slot], (const wr
 @native.func_native("pool.h", on_cpu(f"{layout_checks()}{JOBS}{RUN_AS_CALLER}"))
 def run_as_caller_native(job_queue: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) -> int:
     """Begins the job at address `job` in a slot, or continues the current one and those that follow it."""
-    ...
 
 
 @native.func_native("pool.h", on_cpu(f"{JOBS}wrt::pool::stop(b.slots[slot]);"))
 def stop_native(job_queue: wp.array(dtype=wp.int64), slot: wp.int64) -> int:
     """Stops the job of a slot: no thread takes another chunk."""
-    ...
 
 
 @native.func_native("pool.h", on_cpu(f"{JOBS}wrt::pool::close(b);"))
 def close_native(job_queue: wp.array(dtype=wp.int64)) -> int:
     """Makes all helpers return."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def run_as_helper(job_queue: wp.array(dtype=wp.int64), helper: wp.int64):
     """Runs a helper thread. One item."""
     run_as_helper_native(job_queue, helper)
 
 
-@wp.kernel
+@exact_kernel
 def run_as_caller(job_queue: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64):
     """Runs one turn of the caller of a slot's job. One item. job: address of a `Job`."""
     run_as_caller_native(job_queue, slot, job)
 
 
-@wp.kernel
+@exact_kernel
 def stop(job_queue: wp.array(dtype=wp.int64), slot: wp.int64):
     """Stops the job of a slot. One item."""
     stop_native(job_queue, slot)
 
 
-@wp.kernel
+@exact_kernel
 def close(job_queue: wp.array(dtype=wp.int64)):
     """Closes the job queue. One item."""
     close_native(job_queue)

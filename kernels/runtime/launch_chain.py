@@ -30,9 +30,7 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.job_queue import BOUNDS, MAX_ARGUMENT_BYTES, on_cpu
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, load
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 ALTERNATIVE_NUMBERS = 9
 """Numbers of 64 bits of an alternative: entry point (0: there is none), launch bounds, arguments, their bytes, where the end is
@@ -97,10 +95,9 @@ def run_stages(
     stages: wp.array(dtype=wp.int64), begin: int, end: int, counts: wp.array(dtype=int), size: int, tile: int
 ) -> int:
     """Runs the stages begin .. end - 1 for a tile, as long as items are left."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def run_chain(
     first: int, start: int, stages: wp.array(dtype=wp.int64), begin: int, end: int, counts: wp.array(dtype=int), size: int
 ):

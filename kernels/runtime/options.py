@@ -33,15 +33,22 @@ EXACT = {"fuse_fp": False, "extra_build_options": wp.ModuleBuildOptions(extra_cp
 
 
 def exact_module(name: str, gradients: bool = False) -> None:
-    """Sets the options of all kernels of a Python module. Call it at the top of every file with a `@wp.kernel`.
-
-    Other files need no call: functions are compiled with the options of the kernel that calls them.
+    """Sets the options of all kernels of a Warp module.
 
     Args:
-        name: name of the module, `__name__`.
+        name: name of the module.
         gradients: whether the kernels have backward passes.
     """
     wp.set_module_options(EXACT | {"enable_backward": gradients}, name)
+
+
+def exact_kernel(function: Callable) -> wp.Kernel:
+    """The kernel of a function, in the Warp module of its Python module, as `wp.kernel` makes it, but with the options above.
+
+    Functions need no such decorator: they are compiled with the options of the kernel that calls them.
+    """
+    exact_module(function.__module__)
+    return wp.kernel(function)
 
 
 def named_kernel(function: Callable, name: str) -> wp.Kernel:
@@ -52,7 +59,7 @@ def named_kernel(function: Callable, name: str) -> wp.Kernel:
         name: of the kernel, another one for each.
     """
     function.__qualname__ = name
-    return wp.kernel(function)
+    return exact_kernel(function)
 
 
 CUDA_BLOCK = 128
@@ -69,7 +76,7 @@ def cuda_block(kernel: wp.Kernel) -> int:
 def specialised_kernel(
     function: Callable, gradients: bool = False, bounds: tuple[int, int] | None = None, beside: str = ""
 ) -> wp.Kernel:
-    """The kernel of a function that a factory made, in a Warp module of its own, with the options of `exact_module`.
+    """The kernel of a function that a factory made, in a Warp module of its own, with the options of `exact_kernel`.
 
     Specialisations of one function differ in the values that they capture (`wp.static`). In a module of its own, each is
     compiled when it is first launched, and making another does not compile it again.

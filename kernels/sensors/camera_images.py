@@ -4,13 +4,11 @@ import warp as wp
 
 from wrt.kernels.query.hit_attributes import SceneMesh, hit_normal
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.sensors.lidar_beams import Beams, beam_at, place_of
 from wrt.kernels.sensors.lidar_returns import Traced
 from wrt.kernels.sensors.pose_paths import PosePath, pose_of
 from wrt.kernels.sensors.surface_ids import SurfaceIds, label_of, surface_ids
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -85,7 +83,7 @@ def ids_by_order(
             images.semantic[pixel] = label_of(labels, ids)
 
 
-@wp.kernel
+@exact_kernel
 def fill_images(
     first: int,
     block: int,
@@ -115,7 +113,7 @@ def fill_images(
             ids_by_order(beams, traced, mesh, labels, images, begin, end)
 
 
-@wp.kernel
+@exact_kernel
 def fill_image_normals(
     first: int, block: int, count: int, beams: Beams, path: PosePath, traced: Traced, mesh: SceneMesh, images: Images
 ):

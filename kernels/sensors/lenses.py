@@ -12,9 +12,7 @@ References: brown-1966; kannala-brandt-2006; usenko-2018; opencv (documentation)
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 BROWN_CONRADY = wp.constant(0)
 KANNALA_BRANDT = wp.constant(1)
@@ -250,14 +248,14 @@ def unproject(lens: Lens, pixel: wp.vec2d):
     return ray
 
 
-@wp.kernel
+@exact_kernel
 def project_points(first: int, lens: Lens, points: wp.array(dtype=wp.vec3d), pixels: wp.array(dtype=wp.vec2d)):
     """Writes the pixel of a point. Item: a point."""
     i = first + wp.tid()
     pixels[i] = project(lens, points[i])
 
 
-@wp.kernel
+@exact_kernel
 def unproject_pixels(
     first: int,
     lens: Lens,
@@ -272,7 +270,7 @@ def unproject_pixels(
     directions[i] = ray.direction
 
 
-@wp.kernel
+@exact_kernel
 def image_rays(
     first: int,
     lens: Lens,

@@ -6,10 +6,8 @@ A beam of light widens. It is a bundle of rays around its axis, spread over a di
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.sensors.pose_paths import Pose, PosePath, pose_of
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -80,7 +78,6 @@ def across(axis: wp.vec3d):
 @native.func_native("sensor_rays.h", "wrt::turn_axes<wp::vec3d>(axes.data, turn, begin, end, turned.data);")
 def turn_axes(axes: wp.array(dtype=wp.vec3), turn: wp.quatd, begin: int, end: int, turned: wp.array(dtype=wp.vec3)):
     """Writes the directions of axes begin .. end - 1, normalised and turned."""
-    ...
 
 
 @wp.func
@@ -90,7 +87,7 @@ def is_one_still(beams: Beams, path: PosePath):
     return path.times.shape[0] == 0 and alone
 
 
-@wp.kernel
+@exact_kernel
 def fire_beams(
     first: int,
     block: int,

@@ -24,10 +24,8 @@ import warp as wp
 
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, triangle_normal, triangle_of
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.sensors.lidar_beams import Beams, beam_at
-
-exact_module(__name__)
 
 STRONGEST = wp.constant(0)
 FIRST = wp.constant(1)
@@ -186,7 +184,7 @@ def insert_return(detector: Detector, returns: Returns, begin: int, distance: fl
             returns.ray[place] = ray
 
 
-@wp.kernel
+@exact_kernel
 def gather_returns(first: int, beams: Beams, traced: Traced, mesh: SceneMesh, detector: Detector, returns: Returns):
     """Groups the hits of a beam's rays to returns. Item: a beam, in the order of tracing."""
     i = first + wp.tid()
@@ -240,7 +238,7 @@ def gather_returns(first: int, beams: Beams, traced: Traced, mesh: SceneMesh, de
             ray = following
 
 
-@wp.kernel
+@exact_kernel
 def take_seed(first: int, seed: wp.array(dtype=wp.uint64), taken: wp.array(dtype=wp.uint64)):
     """Copies a seed, and leaves the next number in its place. Item: the seed."""
     taken[0] = seed[0]
@@ -277,7 +275,7 @@ def write_ranges(noise: Noise, begin: int, end: int, returns: Returns):
     ...
 
 
-@wp.kernel
+@exact_kernel
 def add_noise(first: int, block: int, count: int, noise: Noise, returns: Returns):
     """Writes what is measured of returns that are known without noise. Item: a block of returns."""
     begin = (first + wp.tid()) * block

@@ -12,9 +12,7 @@ References: salmon-2011; box-muller-1958.
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 UNIT = wp.constant(wp.float64(2.0**-32))
 TWO_PI = wp.constant(wp.float64(6.283185307179586))
@@ -28,7 +26,6 @@ TWO_PI = wp.constant(wp.float64(6.283185307179586))
 )
 def philox(counter: wp.vec4ui, key: wp.vec2ui) -> wp.vec4ui:
     """Four random words of 32 bits for a counter of four words and a key of two."""
-    ...
 
 
 @wp.func
@@ -45,7 +42,7 @@ def normal_pair(first: wp.uint32, second: wp.uint32):
     return wp.vec2d(radius * wp.cos(angle), radius * wp.sin(angle))
 
 
-@wp.kernel
+@exact_kernel
 def random_words(first: int, key: wp.vec2ui, counters: wp.array(dtype=wp.vec4ui), words: wp.array(dtype=wp.vec4ui)):
     """Writes the words of a counter. Item: a counter."""
     i = first + wp.tid()

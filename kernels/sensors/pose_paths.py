@@ -10,9 +10,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 
 SMALL = wp.constant(wp.float64(1e-14))
 
@@ -95,7 +93,7 @@ def pose_of(path: PosePath, sensor: int, time: wp.float64):
     return pose
 
 
-@wp.kernel
+@exact_kernel
 def poses_at(
     first: int,
     path: PosePath,
@@ -114,7 +112,7 @@ def poses_at(
     spins[i] = pose.spin
 
 
-@wp.kernel
+@exact_kernel
 def points_to_world(
     first: int,
     path: PosePath,
@@ -128,7 +126,7 @@ def points_to_world(
     moved[i] = pose.position + wp.quat_rotate(pose.rotation, points[i])
 
 
-@wp.kernel
+@exact_kernel
 def points_to_frame(
     first: int,
     path: PosePath,

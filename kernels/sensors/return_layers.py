@@ -7,14 +7,12 @@ import warp as wp
 
 from wrt.kernels.query.hit_attributes import SceneMesh, hit_normal
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.sensors.lidar_beams import Beams, across, beam_at, beam_offset, place_of
 from wrt.kernels.sensors.lidar_returns import Detector, Motions, Noise, Returns, Traced, is_noisy, keyed, measure_rays
 from wrt.kernels.sensors.philox import normal_pair, philox
 from wrt.kernels.sensors.pose_paths import Pose, PosePath, pose_of
 from wrt.kernels.sensors.surface_ids import SurfaceIds, label_of, surface_ids
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -124,7 +122,7 @@ def points_of_returns(
             layers.position[at] = position
 
 
-@wp.kernel
+@exact_kernel
 def fill_points(
     first: int,
     block: int,
@@ -160,7 +158,7 @@ def write_ids(
     ...
 
 
-@wp.kernel
+@exact_kernel
 def fill_ids(
     first: int,
     block: int,
@@ -193,7 +191,7 @@ def fill_ids(
             layers.semantic[found.at] = label_of(labels, ids)
 
 
-@wp.kernel
+@exact_kernel
 def fill_single(
     first: int,
     block: int,
@@ -223,7 +221,7 @@ def fill_single(
             write_ids(traced, mesh, labels, begin, end, returns, layers)
 
 
-@wp.kernel
+@exact_kernel
 def fill_normals(
     first: int,
     block: int,
@@ -256,7 +254,7 @@ def surface_velocity(motions: Motions, instance: int, point: wp.vec3d):
     return velocity
 
 
-@wp.kernel
+@exact_kernel
 def fill_velocities(
     first: int,
     block: int,

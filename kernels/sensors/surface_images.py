@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.sensors.camera_images import Images
 from wrt.kernels.sensors.lenses import Lens, project, unproject
 from wrt.kernels.sensors.lidar_beams import Beams, beam_at
@@ -14,10 +14,8 @@ from wrt.kernels.shading.wavefront.pixel_samples import FILTER, PixelSamples, pi
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
 from wrt.kernels.shading.wavefront.scene_light import LitScene, material_at_point
 
-exact_module(__name__)
 
-
-@wp.kernel
+@exact_kernel
 def fill_albedo(
     first: int,
     beams: Beams,
@@ -47,7 +45,7 @@ class Later:
     """(M,) from where a body is at the exposure to where it will be."""
 
 
-@wp.kernel
+@exact_kernel
 def fill_flow(
     first: int,
     beams: Beams,
@@ -80,7 +78,7 @@ def fill_flow(
     flow[pixel] = moved
 
 
-@wp.kernel
+@exact_kernel
 def start_lens_rays(
     first: int,
     lens: Lens,

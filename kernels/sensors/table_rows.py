@@ -7,9 +7,7 @@ write them, block by block, from the row on at which each block begins.
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 ROWS = 1024
 """Items of a block, as in table_rows.h."""
@@ -63,7 +61,6 @@ ITEMS = f"""static_assert(wrt::ROWS == {ROWS});
 @native.func_native("table_rows.h", f"{ITEMS}\nreturn wrt::count_rows(order, source.own, id, begin, end);")
 def rows_of(source: RowSource, block: int) -> int:
     """Number of rows of a block."""
-    ...
 
 
 @native.func_native(
@@ -77,17 +74,16 @@ def write_block(
     source: RowSource, columns: wp.array(dtype=Column), row_bytes: int, block: int, table: wp.array(dtype=wp.uint8)
 ):
     """Writes the rows of a block."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def count_rows(first: int, source: RowSource):
     """Counts the rows of a block. Item: a block. On the CPU."""
     block = first + wp.tid()
     source.begins[block] = rows_of(source, block)
 
 
-@wp.kernel
+@exact_kernel
 def write_rows(first: int, source: RowSource, columns: wp.array(dtype=Column), row_bytes: int, table: wp.array(dtype=wp.uint8)):
     """Writes the rows of a block. Item: a block. On the CPU."""
     write_block(source, columns, row_bytes, first + wp.tid(), table)

@@ -8,14 +8,12 @@ References: zhukov-1998; landis-2002.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.sampling import cosine_direction, mix, spread_point
 from wrt.kernels.shading.surface import Surface
 
-exact_module(__name__)
 
-
-@wp.kernel
+@exact_kernel
 def ambient_rays(
     first: int,
     surface: Surface,
@@ -46,7 +44,7 @@ def ambient_rays(
         directions[item * count + k] = direction
 
 
-@wp.kernel
+@exact_kernel
 def count_open(
     first: int, points: wp.array(dtype=int), count: int, occluded: wp.array(dtype=wp.bool), open_rays: wp.array(dtype=int)
 ):
@@ -70,7 +68,7 @@ MIN_ALIKE = wp.constant(8)
 """Points that are alike; where there are fewer, all in the window are asked."""
 
 
-@wp.kernel
+@exact_kernel
 def share_open(
     first: int,
     surface: Surface,

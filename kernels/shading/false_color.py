@@ -5,9 +5,7 @@ Colours are for display, in [0, 1]. `to_bytes` rounds them to 8 bits.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 GREY = wp.constant(wp.vec3(0.16, 0.17, 0.19))
 """Of pixels without a value."""
@@ -26,7 +24,7 @@ def heat(share: float):
     return wp.vec3(red, green, blue)
 
 
-@wp.kernel
+@exact_kernel
 def color_values(first: int, values: wp.array(dtype=float), low: float, high: float, image: wp.array(dtype=wp.vec3)):
     """Item: a pixel. The colour of its value between `low` and `high`; `GREY` for one that is NaN or infinite."""
     i = first + wp.tid()
@@ -37,7 +35,7 @@ def color_values(first: int, values: wp.array(dtype=float), low: float, high: fl
         image[i] = GREY
 
 
-@wp.kernel
+@exact_kernel
 def color_depths(first: int, t: wp.array(dtype=float), low: float, high: float, image: wp.array(dtype=wp.vec3)):
     """Item: a pixel. White for `low`, dark for `high`; `GREY` for a miss."""
     i = first + wp.tid()
@@ -49,7 +47,7 @@ def color_depths(first: int, t: wp.array(dtype=float), low: float, high: float, 
         image[i] = GREY
 
 
-@wp.kernel
+@exact_kernel
 def color_normals(first: int, normals: wp.array(dtype=wp.vec3), image: wp.array(dtype=wp.vec3)):
     """Item: a pixel. Components from -1 to 1 as red, green and blue from 0 to 1; `GREY` for a normal of 0."""
     i = first + wp.tid()
@@ -69,7 +67,7 @@ def mixed(number: int):
     return (h ^ (h >> wp.uint32(16))) & wp.uint32(0xFFFFFF)
 
 
-@wp.kernel
+@exact_kernel
 def color_ids(first: int, ids: wp.array(dtype=int), image: wp.array(dtype=wp.vec3)):
     """Item: a pixel. A bright colour for each id, the same in each picture; `GREY` for ids below 0."""
     i = first + wp.tid()
@@ -83,7 +81,7 @@ def color_ids(first: int, ids: wp.array(dtype=int), image: wp.array(dtype=wp.vec
         image[i] = GREY
 
 
-@wp.kernel
+@exact_kernel
 def to_bytes(first: int, image: wp.array(dtype=wp.vec3), pixels: wp.array(dtype=wp.uint8)):
     """Item: a pixel. pixels: (3 N,), red, green and blue of each, rounded to the nearest as `wrt.save_image` does."""
     i = first + wp.tid()

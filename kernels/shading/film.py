@@ -5,10 +5,8 @@ References: iec-61966-1999.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.surface import Surface
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -35,7 +33,7 @@ class Received:
     """(N,) number of ambient rays that are not occluded."""
 
 
-@wp.kernel
+@exact_kernel
 def expose(
     first: int,
     surface: Surface,
@@ -74,7 +72,7 @@ def display(linear: float):
     return result
 
 
-@wp.kernel
+@exact_kernel
 def develop(first: int, film: wp.array(dtype=wp.vec3), samples: int, image: wp.array(dtype=wp.vec3)):
     """Item: a pixel. Writes the display colour of the mean of its samples."""
     i = first + wp.tid()

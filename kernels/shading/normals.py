@@ -10,9 +10,7 @@ References: thuermer-wuethrich-1998.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 MAX_VALENCE = wp.constant(256)
 """Vertices of more triangles are shaded flat, because each of their corners reads all the others."""
@@ -35,7 +33,7 @@ def face_normal(vertices: wp.array(dtype=wp.vec3), face: wp.vec3i):
     return unit_or_zero(wp.cross(wp.vec3d(vertices[face[1]]) - a, wp.vec3d(vertices[face[2]]) - a))
 
 
-@wp.kernel
+@exact_kernel
 def face_normals_and_angles(
     first: int,
     vertices: wp.array(dtype=wp.vec3),
@@ -66,7 +64,7 @@ class VertexCorners:
     """(3 F,) the concatenated lists."""
 
 
-@wp.kernel
+@exact_kernel
 def smooth_corner_normals(
     first: int,
     around: VertexCorners,

@@ -6,9 +6,7 @@ origin, or with a narrow field of view, loses no precision.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
 @wp.struct
@@ -40,14 +38,14 @@ def on_picture(view: View, pixel: int):
     return x * view.right + y * view.up
 
 
-@wp.kernel
+@exact_kernel
 def pinhole_directions(first: int, view: View, first_pixel: int, directions: wp.array(dtype=wp.vec3)):
     """Item: a pixel of a tile. Writes the unit direction of its ray."""
     i = first + wp.tid()
     directions[i] = wp.vec3(wp.normalize(view.forward + on_picture(view, first_pixel + i)))
 
 
-@wp.kernel
+@exact_kernel
 def orthographic_origins(first: int, view: View, first_pixel: int, origins: wp.array(dtype=wp.vec3d)):
     """Item: a pixel of a tile. Writes the origin of its ray, in the plane through the camera's position."""
     i = first + wp.tid()

@@ -45,7 +45,6 @@ def mix(value: wp.uint32, salt: wp.uint32):
 """)
 def reverse_bits(x: wp.uint32) -> wp.uint32:
     """Reverses the order of the 32 bits."""
-    ...
 
 
 @wp.func

@@ -15,12 +15,10 @@ import warp as wp
 from wrt.kernels.layout.instance_maps import scene_normal
 from wrt.kernels.query.hit_attributes import SceneMesh, Triangle, triangle_of, winding
 from wrt.kernels.query.spawn import INSET
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.normals import unit_or_zero
 from wrt.kernels.shading.surface import OFFSET
 from wrt.kernels.simd.boxes import reach
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -88,7 +86,7 @@ def record_of(mesh: SceneMesh, triangle: Triangle):
     return record
 
 
-@wp.kernel
+@exact_kernel
 def make_face_records(
     first: int,
     mesh: SceneMesh,

@@ -15,11 +15,9 @@ import warp as wp
 from wrt.kernels.layout.instance_maps import scene_normal
 from wrt.kernels.query.hit_attributes import SceneMesh, Triangle, triangle_of, winding
 from wrt.kernels.query.spawn import keep_from_edges
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.normals import unit_or_zero
 from wrt.kernels.simd.boxes import reach
-
-exact_module(__name__)
 
 OFFSET = wp.constant(2.0**-18)
 """Distance of secondary origins from the surface, relative to the point's reach: eight times that of `wrt.kernels.query.spawn`,
@@ -73,7 +71,7 @@ def raised_exact(point: wp.vec3d, corner: wp.vec3d, normal: wp.vec3d):
     return -wp.min(wp.float64(0.0), wp.dot(point - corner, normal)) * normal
 
 
-@wp.kernel
+@exact_kernel
 def find_surface(
     first: int,
     scene: Appearance,

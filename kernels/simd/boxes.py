@@ -114,7 +114,6 @@ def cross_plane(slabs: wp.ref[RaySlabs], axis: int, position: float) -> wp.vec3:
     The code is native and takes its argument by reference: Warp otherwise copies a vector that is indexed by a variable to
     memory at every use.
     """
-    ...
 
 
 @wp.func

@@ -18,13 +18,11 @@ from wrt.kernels.runtime import native
 @native.func_native("lanes.h", "return wrt::lowest_bit(mask);")
 def lowest_bit(mask: wp.uint32) -> int:
     """Index of the lowest set bit; `mask` must not be 0."""
-    ...
 
 
 @native.func_native("lanes.h", "return wrt::count_bits(mask);")
 def count_bits(mask: wp.uint32) -> int:
     """Number of set bits."""
-    ...
 
 
 @cache

@@ -4,7 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.answers.answer_kind import improves, start
+from wrt.kernels.answers.answer_kind import BestHit, improves, start
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
@@ -56,10 +56,7 @@ def make_brute_force_kernel(config: TraversalConfig) -> wp.Kernel:
                     if hit[0] >= ray.t_min and hit[0] <= ray.t_max:
                         best = accept(hits, i, best, hit[0], triangles.primitive[tested], hit[1], hit[2])
                 elif improves(hit[0], triangles.primitive[tested], ray.t_min, best):
-                    best.t = hit[0]
-                    best.primitive = triangles.primitive[tested]
-                    best.u = hit[1]
-                    best.v = hit[2]
+                    best = BestHit(hit[0], triangles.primitive[tested], hit[1], hit[2])
                     if wp.static(any_hit):
                         break
                 tested += 1

@@ -111,7 +111,6 @@ def enter(slabs: RaySlabs, low: wp.vec3, high: wp.vec3, t_min: float, t_max: flo
 @native.func_native("leaf.h", "return wrt::comes_from_front<1>((const float*)&corners, wrt::box_ray(slabs));")
 def comes_from_front(slabs: wp.ref[RaySlabs], corners: wp.ref[Corners]) -> bool:
     """Whether a ray comes from the side from which a triangle is wound counter-clockwise; false if it is seen edge-on."""
-    ...
 
 
 @cache
@@ -190,10 +189,7 @@ def block_step(config: TraversalConfig) -> wp.Function:
             t = t_lanes[lane]
             primitive = triangles.primitive[block * wp.static(width) + lane]
             if improves(t, primitive, t_min, best):
-                best.t = t
-                best.primitive = primitive
-                best.u = u_lanes[lane]
-                best.v = v_lanes[lane]
+                best = BestHit(t, primitive, u_lanes[lane], v_lanes[lane])
                 if wp.static(any_hit):
                     mask = wp.uint32(0)
         return best
@@ -217,10 +213,7 @@ def scalar_block_step(config: TraversalConfig) -> wp.Function:
                 break
             hit = candidate(triangles.records, slot, state, slabs)
             if improves(hit[0], primitive, t_min, best):
-                best.t = hit[0]
-                best.primitive = primitive
-                best.u = hit[1]
-                best.v = hit[2]
+                best = BestHit(hit[0], primitive, hit[1], hit[2])
                 if wp.static(any_hit):
                     break
             slot += 1

@@ -39,7 +39,6 @@ BITS_OF_ONE = 0x3F800000
 @wp.func_native(f"return __builtin_bit_cast(unsigned, x) <= {BITS_OF_ONE}u;")
 def in_unit_interval(x: float) -> bool:
     """Whether 0 <= x <= 1. Wrong only for -0."""
-    ...
 
 
 @wp.func

@@ -33,7 +33,6 @@ Interval = wp.types.vector(length=2, dtype=wp.float32)
 )
 def fused_entry(slabs: RaySlabs, low: wp.vec3, high: wp.vec3, t_min: float, t_max: float) -> wp.vec2:
     """(entry, 1 if the box is met) by the box test of interleaved walks."""
-    ...
 
 
 @cache

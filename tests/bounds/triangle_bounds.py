@@ -187,7 +187,6 @@ def edge_functions(
     corners: wp.array(dtype=float), i0: int, point: wp.vec3, half: float, sx: float, sy: float, edges: wp.array(dtype=float)
 ) -> float:
     """Writes the nine coefficients of a triangle and the half size of the box; returns e, negative if the pair is left out."""
-    ...
 
 
 @cache
@@ -278,7 +277,6 @@ def keeps_vertices(
     slack: float,
 ) -> bool:
     """Whether vertex culling keeps triangle i0 for a packet of two rays, whose main axis is x."""
-    ...
 
 
 @cache
@@ -354,7 +352,6 @@ def clip_to_cell(
     corners: wp.array(dtype=float), i0: int, low: wp.vec3, high: wp.vec3, pad: float, box: wp.array(dtype=float)
 ) -> bool:
     """Whether triangle i0 is in a cell; writes the box of its part there."""
-    ...
 
 
 @cache

@@ -20,14 +20,12 @@ from wrt.builders.cost import SplitCost, SurfaceAreaCost
 from wrt.builders.triangle_boxes import Boxes, boxes_of
 from wrt.builders.triangle_references import write_references, write_sizes
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 CPU = wp.get_device("cpu")
 
 
-@wp.kernel
+@exact_kernel
 def find_plane(
     first: int,
     boxes: Boxes,

@@ -12,10 +12,10 @@ import wrt
 from wrt.builders.classics.kdtree import streaming
 from wrt.builders.classics.kdtree.nested import nested
 from wrt.builders.core import levels as levels_engine
+from wrt.builders.core import subtrees
 from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place
 from wrt.builders.kdtree.events.event_sort import sorted_events
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
-from wrt.builders.kdtree.scan import scanning
 from wrt.builders.kdtree.update.kdtree_update import subtree_end
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import use_threads
@@ -243,14 +243,12 @@ def test_nested_chunks_do_not_show(soup, monkeypatch):
         np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
 
 
-@pytest.mark.parametrize(
-    ("builder", "module"), [("in_place", in_place), ("nested", nested), ("binned", scanning), ("streaming", streaming)]
-)
-def test_small_shares_are_enlarged(builder, module, monkeypatch):
+@pytest.mark.parametrize("builder", ["in_place", "nested", "binned", "streaming"])
+def test_small_shares_are_enlarged(builder, monkeypatch):
     """A build that runs out of memory in a task starts over with more, and ends with the same tree."""
     mesh = wrt.scenes.build("teapot_in_stadium", level=4)
     reference, _ = build(mesh, builder)
-    monkeypatch.setattr(module, "SPARE_MEMORY", 0.4 if builder == "streaming" else 0.01)
+    monkeypatch.setattr(subtrees, "SPARE_MEMORY", 0.4 if builder == "streaming" else 0.01)
     tree, _ = build(mesh, builder)
     np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
     np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())

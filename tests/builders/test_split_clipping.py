@@ -14,6 +14,7 @@ from wrt import scenes
 from wrt.builders.classics.kdtree import streaming
 from wrt.builders.classics.kdtree.nested import nested
 from wrt.builders.core import levels as levels_engine
+from wrt.builders.core import subtrees
 from wrt.builders.core.clip import PAD
 from wrt.builders.kdtree import KDTREE_BUILDERS, BuilderCapabilities, binned, in_place
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
@@ -196,12 +197,12 @@ def test_hard_meshes_in_bounded_memory(name):
     np.testing.assert_array_equal(hits.primitive_id, brute.primitive_id)
 
 
-@pytest.mark.parametrize(("builder", "module", "spare"), [("sweep", in_place, 0.01), ("streaming", streaming, 0.4)])
-def test_small_shares_are_enlarged(builder, module, spare, monkeypatch):
+@pytest.mark.parametrize(("builder", "spare"), [("sweep", 0.01), ("streaming", 0.4)])
+def test_small_shares_are_enlarged(builder, spare, monkeypatch):
     """A task leaves room for new events in its share; where that is too small, the build starts over, to the same tree."""
     mesh = scenes.build("random_triangles", count=1500, size=0.5, seed=9)
     reference, _ = build(mesh, builder, split_clipping=True)
-    monkeypatch.setattr(module, "SPARE_MEMORY", spare)
+    monkeypatch.setattr(subtrees, "SPARE_MEMORY", spare)
     tree, _ = build(mesh, builder, split_clipping=True)
     np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
     np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())

@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 MAX_ARGUMENTS = 8
-MAKERS = ("kernel", "specialised_kernel")
+MAKERS = ("kernel", "exact_kernel", "specialised_kernel")
 """Functions, and last names of decorators, that make a kernel of a function."""
 
 PUBLIC = {

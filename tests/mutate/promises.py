@@ -6,8 +6,8 @@ MUTATIONS = [
     # -- hits ----------------------------------------------------------------------------------------------------------
     Mutation(
         path="kernels/answers/skipped_triangle.py",
-        old="search.skipped = skipped[i % skipped.shape[0]]",
-        new="search.skipped = skipped[0]",
+        old="return Skipping(t_min, skipped[i % skipped.shape[0]])",
+        new="return Skipping(t_min, skipped[0])",
         tests="tests/queries/test_skip.py::test_shapes_and_kinds",
         promise="`skip` is the mesh without the triangle, for each ray its own",
     ),

@@ -8,14 +8,12 @@ import warp as wp
 from support.point_oracles import squares
 
 from wrt.kernels.points.point_triangle import OnTriangle, nearest_on_triangle
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 UNIT = 2.0**-24
 
 
-@wp.kernel
+@exact_kernel
 def each_triangle(corners: wp.array2d(dtype=wp.vec3), found: wp.array(dtype=OnTriangle)):
     i = wp.tid()
     found[i] = nearest_on_triangle(corners[i, 0], corners[i, 1], corners[i, 2])

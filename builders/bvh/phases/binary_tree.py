@@ -74,13 +74,11 @@ BOTH = "wrt::sides_of_both(boxes.data + (size_t)pair * 16, boxes.data + (size_t)
 @native.func_native("reference.h", "return wrt::sides_of(boxes.data + (size_t)node * 8).half_area();")
 def half_area(boxes: wp.array(dtype=float), node: int) -> float:
     """Half the surface area of a node's box."""
-    ...
 
 
 @native.func_native("reference.h", f"return {BOTH}.half_area();")
 def half_area_of_both(boxes: wp.array(dtype=float), pair: int) -> float:
     """Half the surface area of the box around both nodes of a pair."""
-    ...
 
 
 @wp.func

@@ -121,13 +121,11 @@ ALL = "scratch.box.data, scratch.count.data"
 @native.func_native("bins.h", f"wrt::centroid_domain({RANGE}, count, domain.data + (size_t)at * 8);")
 def centroid_domain(references: wp.array(dtype=float), begin: int, count: int, domain: wp.array(dtype=float), at: int):
     """Writes the box of the doubled centroids of a range."""
-    ...
 
 
 @native.func_native("bins.h", f"wrt::range_box({RANGE}, count, boxes.data + (size_t)node * 8);")
 def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: wp.array(dtype=float), node: int):
     """Writes the box of a range of triangles."""
-    ...
 
 
 @native.func_native("bins.h", f"wrt::bin_range<{SLOT_BINS}>({RANGE}, count, binning, {GRID}, {COUNTS});")
@@ -137,19 +135,16 @@ def bin_range(references: wp.array(dtype=float), begin: int, count: int, binning
     The last lane of a bin counts down by one per triangle, in the same instruction that adds -0 to the other lanes; a separate
     counter would need another load and store. The lane is moved to `count` before float32 can no longer represent it
     exactly."""
-    ...
 
 
 @native.func_native("bins.h", f"wrt::merge_bins<{SLOT_BINS}>({ALL}, slot, first, end, axes * bins);")
 def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int, axes: int):
     """Replaces the bins of a slot by the union of those of the slots first .. end - 1."""
-    ...
 
 
 @native.func_native("bins.h", f"wrt::find_best_plane<{MAX_BINS}>(cost, {GRID}, {COUNTS}, bins, axes, count, plane);")
 def find_best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, axes: int, count: int, plane: wp.ref[Plane]):
     """Sweeps the bins of a slot from both ends, and finds the plane of least cost."""
-    ...
 
 
 @wp.func
@@ -163,7 +158,6 @@ def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, axes: in
 @native.func_native("bins.h", f"wrt::write_child_boxes({GRID} + axis * bins * 8, bins, plane, boxes.data + (size_t)pair * 16);")
 def write_child_boxes(scratch: Scratch, slot: int, bins: int, axis: int, plane: int, boxes: wp.array(dtype=float), pair: int):
     """Writes the boxes of the bins on both sides of a plane."""
-    ...
 
 
 @native.func_native(
@@ -185,4 +179,3 @@ def partition_range(
     """Moves a range to the two sides of a plane, in order, and writes the boxes of their doubled centroids to `domain`.
 
     to: where the references of the left and of the right side go. at: where their boxes go."""
-    ...

@@ -36,10 +36,8 @@ from wrt.builders.bvh.phases.bvh_bins import (
 from wrt.builders.core.levels import Chunk
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_float, store_float
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 
 @with_known_layout
@@ -69,7 +67,7 @@ def merge_parts(node: BinnedNode, parts: wp.array(dtype=float), domain: wp.array
         store_float(domain, at * 8 + lane, least)
 
 
-@wp.kernel
+@exact_kernel
 def bin_chunks(
     first: int,
     rules: BuildRules,
@@ -161,13 +159,13 @@ def add_chunks(index: int, node: BinnedNode, size: int, chunks: wp.array(dtype=C
         chunks[node.chunk_first + i] = chunk
 
 
-@wp.kernel
+@exact_kernel
 def cut_root(first: int, nodes: wp.array(dtype=BinnedNode), size: int, chunks: wp.array(dtype=Chunk)):
     """One item. Makes the chunks of the first level."""
     add_chunks(0, nodes[0], size, chunks)
 
 
-@wp.kernel
+@exact_kernel
 def emit_children(
     first: int,
     triangles: int,
@@ -215,7 +213,7 @@ def emit_children(
     totals[0] = total
 
 
-@wp.kernel
+@exact_kernel
 def partition_chunks(
     first: int,
     references: wp.array(dtype=float),

@@ -19,9 +19,7 @@ from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.unchecked import store_float
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 
 CODE_BITS = 30
 """Bits of a code, 10 for each axis."""
@@ -87,7 +85,7 @@ def spread(cell: int):
     return (bits | (bits << 2)) & 0x09249249
 
 
-@wp.kernel
+@exact_kernel
 def write_codes(first: int, boxes: Boxes, low: wp.vec3, scale: wp.vec3, tree: MergedTree):
     """Item: a triangle. Writes the code of the middle of its box."""
     i = first + wp.tid()
@@ -100,7 +98,7 @@ def write_codes(first: int, boxes: Boxes, low: wp.vec3, scale: wp.vec3, tree: Me
     tree.triangle[i] = i
 
 
-@wp.kernel
+@exact_kernel
 def begin_clusters(first: int, boxes: Boxes, count: int, tree: MergedTree):
     """Item: a triangle in the order of the codes. Writes its box; it is a cluster."""
     i = first + wp.tid()
@@ -117,7 +115,6 @@ def begin_clusters(first: int, boxes: Boxes, count: int, tree: MergedTree):
 @native.func_native("merging.h", "wrt::merge_from(tree, i, count, by_area);")
 def merge_from(tree: MergedTree, i: int, count: int, by_area: bool):
     """Goes up from triangle i."""
-    ...
 
 
 @cache

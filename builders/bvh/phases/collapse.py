@@ -41,11 +41,9 @@ from wrt.builders.tree import BuildStats, Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, check_blocks, leaf_child
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.runtime.workspace import read_ints, write
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 NO_NODE = wp.constant(0x7FFFFFFF)
 """Binary node of an unused lane."""
@@ -84,7 +82,6 @@ def combine(
 
     pairs: indices of their costs; LEAF for leaves. leaves: what they cost as leaves. inner: A(n) C_t. holds_large: what
     `holds_large_part` is to say of the parent; it takes the place of F(n, W), which is never needed."""
-    ...
 
 
 @cache
@@ -241,7 +238,7 @@ def search_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
     return [make_solve(heuristic), make_pick_children(heuristic)]
 
 
-@wp.kernel
+@exact_kernel
 def scan_level(first: int, level_first: int, level_end: int, wide: WideLevels, totals: wp.array(dtype=int)):
     """One item: the prefix sum over a level. totals: (2,) wide nodes and blocks so far."""
     nodes = totals[0]
@@ -255,7 +252,7 @@ def scan_level(first: int, level_first: int, level_end: int, wide: WideLevels, t
     totals[1] = blocks
 
 
-@wp.kernel
+@exact_kernel
 def list_children(first: int, level_first: int, width: int, wide: WideLevels):
     """Item: a node of the level. Lists its inner children."""
     index = level_first + first + wp.tid()
@@ -267,7 +264,7 @@ def list_children(first: int, level_first: int, width: int, wide: WideLevels):
             to += 1
 
 
-@wp.kernel
+@exact_kernel
 def write_nodes(
     first: int,
     tree: BinaryTree,

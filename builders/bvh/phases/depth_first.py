@@ -10,9 +10,7 @@ from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 STACK = MAX_WIDE_DEPTH + 2
 
@@ -32,10 +30,9 @@ class Links:
 @native.func_native("reference.h", "wrt::join_boxes(out.data + (size_t)o * 8, a.data + (size_t)i * 8, b.data + (size_t)j * 8);")
 def join_boxes(out: wp.array(dtype=float), o: int, a: wp.array(dtype=float), i: int, b: wp.array(dtype=float), j: int):
     """Sets box o of `out` to the box around box i of `a` and box j of `b`."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def lay_out(first: int, tree: BinaryTree, result: BinaryTree, links: Links, pairs: wp.array(dtype=int)):
     """One item. Copies the tree depth first: pairs without gaps, parents before children, and triangles in the leaves' order.
 

@@ -30,13 +30,11 @@ THIN = 2.0**-10
 @native.func_native("reference.h", f"return wrt::sides_of(boxes.data + (size_t)node * 8).is_flat({THIN}f);")
 def is_flat(boxes: wp.array(dtype=float), node: int) -> bool:
     """Whether a node's box is flat."""
-    ...
 
 
 @native.func_native("reference.h", f"return {BOTH}.is_flat({THIN}f);")
 def are_flat(boxes: wp.array(dtype=float), pair: int) -> bool:
     """Whether the box around both nodes of a pair is flat."""
-    ...
 
 
 @wp.func

@@ -13,7 +13,7 @@ import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
-from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, empty_tree
+from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, empty_tree, half_area
 from wrt.builders.bvh.phases.cluster_merging import CHUNK, MergedTree
 from wrt.builders.bvh.phases.large_boxes import is_flat
 from wrt.builders.cost import leaf_cost
@@ -21,12 +21,9 @@ from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH, check_blocks, leaf_child
 from wrt.kernels.layout.unchecked import load_float, store_float
-from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import get_num_threads, launch
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.runtime.workspace import Workspace
-
-exact_module(__name__)
 
 DEEPEST = wp.constant(126)
 """Depth that stands for itself and all greater ones."""
@@ -38,12 +35,6 @@ DEPTH_BITS = 7
 
 TASKS_PER_THREAD = 4
 """Subtrees per thread of the collapse."""
-
-
-@native.func_native("reference.h", "return wrt::sides_of(boxes.data + (size_t)node * 8).half_area();")
-def half_area(boxes: wp.array(dtype=float), node: int) -> float:
-    """Half the surface area of a node's box."""
-    ...
 
 
 @wp.struct
@@ -76,7 +67,7 @@ def place_of(tree: MergedTree, count: int, inner: int):
     return place
 
 
-@wp.kernel
+@exact_kernel
 def write_pairs(first: int, count: int, merged: MergedTree, tree: BinaryTree, depths: wp.array(dtype=int)):
     """Item: an inner node, by its number less `count`; 0 is none. Writes its children, and how deep it is."""
     inner = first + wp.tid()
@@ -182,7 +173,7 @@ def is_leaf_of_two(rules: BuildRules, tree: MergedTree, count: int, node: int):
     return area * leaf_cost(rules.cost, 2) <= area * rules.cost.traversal + parts
 
 
-@wp.kernel
+@exact_kernel
 def place_nodes(first: int, count: int, rules: BuildRules, tree: MergedTree, nodes: OrderedNodes):
     """Item: an inner node, by its number less `count`; 0 is none. Puts it where it is among all inner nodes."""
     inner = first + wp.tid()
@@ -197,7 +188,7 @@ def place_nodes(first: int, count: int, rules: BuildRules, tree: MergedTree, nod
     nodes.rank[inner] = wp.where(depth == NO_NODE, -1, 0)
 
 
-@wp.kernel
+@exact_kernel
 def rank_nodes(first: int, count: int, tree: MergedTree, nodes: OrderedNodes):
     """Item: a place in the order of depths. Ranks its node, counts its leaves, and finds where levels begin."""
     i = first + wp.tid()
@@ -218,7 +209,7 @@ def rank_nodes(first: int, count: int, tree: MergedTree, nodes: OrderedNodes):
     nodes.leaves[i] = leaves
 
 
-@wp.kernel
+@exact_kernel
 def write_binary(
     first: int,
     count: int,

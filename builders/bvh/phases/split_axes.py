@@ -125,10 +125,7 @@ def axis_order(rules: AxisRules, size: wp.vec3, along: wp.vec3, depth: int):
                 other = axis[j]
                 axis[j] = axis[j + 1]
                 axis[j + 1] = other
-    order = AxisOrder()
-    order.axis = axis
-    order.quality = quality
-    return order
+    return AxisOrder(axis, quality)
 
 
 @wp.func

@@ -97,7 +97,6 @@ def bin_parts(
 ):
     """Bins the parts of a range of triangles along an axis: boxes and numbers of entering triangles in `scratch`, numbers of
     leaving ones in `leaving`, in the same layout."""
-    ...
 
 
 @native.func_native(
@@ -118,7 +117,6 @@ def divide_parts(
 ) -> wp.vec2i:
     """Moves a range to the sides of the plane before slab `plane`, in order, and straddlers to both, with the boxes of their
     parts. Returns the numbers of both sides."""
-    ...
 
 
 MIN_OVERLAP = wp.constant(1e-5)

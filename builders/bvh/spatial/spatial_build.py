@@ -57,9 +57,7 @@ from wrt.builders.triangle_boxes import CHUNK, Boxes, TriangleBoxes
 from wrt.builders.triangle_references import write_order, write_references
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import launch, load
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 STACK = MAX_WIDE_DEPTH + 2
 
@@ -67,14 +65,14 @@ WEIGHED_PAIRS = 4096
 """Pairs of a work item that weighs nodes."""
 
 
-@wp.kernel
+@exact_kernel
 def begin_references(first: int, boxes: Boxes, triangles: int, size: int, references: wp.array(dtype=float)):
     """Item: `size` triangles. Writes their references."""
     begin = (first + wp.tid()) * size
     write_references(boxes, begin, wp.min(triangles, begin + size), references)
 
 
-@wp.kernel
+@exact_kernel
 def build_branches(
     first: int,
     rules: BuildRules,

@@ -24,10 +24,8 @@ from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_WIDE_DEPTH, first_block, leaf_triangles
 from wrt.kernels.runtime.launch import launch, load
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY, max_of, min_of
-
-exact_module(__name__)
 
 
 @wp.func
@@ -51,7 +49,7 @@ def leaf_box(
     return low, high
 
 
-@wp.kernel
+@exact_kernel
 def refit_nodes(
     first: int,
     level_first: int,
@@ -95,7 +93,7 @@ class Upward:
     """(nodes,) those that are done; 0 before and after a launch."""
 
 
-@wp.kernel
+@exact_kernel
 def link_upward(first: int, width: int, child: wp.array(dtype=int), links: Upward):
     """Item: a node."""
     node = first + wp.tid()
@@ -118,7 +116,6 @@ def link_upward(first: int, width: int, child: wp.array(dtype=int), links: Upwar
 """)
 def fence():
     """What this thread wrote is seen before what it writes from here on."""
-    ...
 
 
 @wp.func_native("""
@@ -130,10 +127,9 @@ def fence():
 """)
 def load_written(values: wp.array(dtype=float), i: int) -> float:
     """values[i], which another thread of the launch may have written."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def refit_upward(
     first: int,
     width: int,

@@ -11,10 +11,8 @@ from wrt.builders.cost import SplitCost, SurfaceAreaCost, leaf_cost
 from wrt.builders.tree import Bvh
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, leaf_triangles
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY, max_of, min_of
-
-exact_module(__name__)
 
 
 @wp.func
@@ -24,7 +22,7 @@ def area_of(low: wp.vec3, high: wp.vec3):
     return size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
 
 
-@wp.kernel
+@exact_kernel
 def sum_costs(
     first: int,
     level_first: int,

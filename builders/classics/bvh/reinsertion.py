@@ -49,9 +49,7 @@ from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 SEARCHES = 64
 """Least number of searches in a launch."""
@@ -74,10 +72,9 @@ class InsertionPositions:
 @native.func_native("reference.h", "return wrt::sides_of_both(a.data + (size_t)i * 8, b.data + (size_t)j * 8).half_area();")
 def joined_area(a: wp.array(dtype=float), i: int, b: wp.array(dtype=float), j: int) -> float:
     """Half the surface area of the box around box i of `a` and box j of `b`, both as in `BinaryTree.box`."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def find_insertion_positions(first: int, tree: BinaryTree, links: Links, places: InsertionPositions):
     """Item: a node other than the first, which is the root. The second node is unused."""
     node = first + wp.tid() + 2
@@ -181,7 +178,7 @@ def refit_upwards(tree: BinaryTree, links: Links, bottom: int):
         at = load_int(links.parent, at >> 1)
 
 
-@wp.kernel
+@exact_kernel
 def move_nodes(
     first: int,
     tree: BinaryTree,
@@ -207,7 +204,7 @@ def move_nodes(
             moved[0] += 1
 
 
-@wp.kernel
+@exact_kernel
 def join_leaves(first: int, rules: BuildRules, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i)):
     """Item: a subtree. Turns nodes that are small by these rules into leaves."""
     pairs = subtrees[first + wp.tid()]

@@ -43,9 +43,7 @@ from wrt.builders.triangle_references import copy_references
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 MIN_SUBSET = 1024
 """Least number of triangles of a subset; a mesh that has fewer than twice as many is built whole."""
@@ -96,16 +94,14 @@ def find_block(
 
     planes: 4 floats a pair, the axis as a unit vector and the doubled coordinate; those of pair 0 are not used. A step waits
     for the one before, so one triangle at a time would take several times as long."""
-    ...
 
 
 @wp.func_native("const int key = value; memcpy(keys.data + i, &key, 4);")
 def store_key(keys: wp.array2d(dtype=float), i: int, value: int):
     """Writes a key, not negative, as the bits of a float: `radix_sort` orders bits."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def find_leaves(
     first: int,
     references: wp.array(dtype=float),
@@ -122,28 +118,28 @@ def find_leaves(
     find_block(references, begin, end, tree, planes, limit, keys, values)
 
 
-@wp.kernel
+@exact_kernel
 def keep_leaves(first: int, ids: wp.array(dtype=int), leaves: wp.array(dtype=int), keys: wp.array2d(dtype=float)):
     """Item: a triangle of the subset. It stays in its leaf, so that no leaf is empty."""
     i = first + wp.tid()
     store_key(keys, ids[i], leaves[i])
 
 
-@wp.kernel
+@exact_kernel
 def move_references(first: int, values: wp.array2d(dtype=int), count: int, references: wp.array(dtype=float)):
     """Item: a place. Copies the reference of its triangle to the second buffer."""
     i = first + wp.tid()
     copy_references(references, values[0, i], 1, references, count + i)
 
 
-@wp.kernel
+@exact_kernel
 def bound_tasks(first: int, tasks: wp.array(dtype=Frame), references: wp.array(dtype=float), tree: BinaryTree):
     """Item: a task. Writes its box."""
     task = tasks[first + wp.tid()]
     range_box(references, task.buffer + task.first, task.count, tree.box, task.node)
 
 
-@wp.kernel
+@exact_kernel
 def link_pairs(first: int, nodes: wp.array(dtype=wp.vec4i), tree: BinaryTree):
     """One item. Writes the inner nodes, given as (node, pair, first, count), from the last to the first: parents come first."""
     for at in range(nodes.shape[0]):

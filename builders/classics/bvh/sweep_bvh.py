@@ -40,10 +40,8 @@ from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import get_num_threads, launch, load
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY, max_of, min_of
-
-exact_module(__name__)
 
 STACK = MAX_WIDE_DEPTH + 1
 
@@ -115,7 +113,7 @@ def area_of(box: Box):
 # -- 1. sort -------------------------------------------------------------------------------------------------------------------
 
 
-@wp.kernel
+@exact_kernel
 def emit_keys(first: int, boxes: Boxes, lists: SweepLists):
     """Item: a triangle. Writes its box, and its centroids, which are sorted later, to `SweepLists.suffix`."""
     i = first + wp.tid()
@@ -242,7 +240,7 @@ def emit_leaf(lists: SweepLists, frame: Frame, tree: BinaryTree):
         tree.order[i] = lists.sorted[0, i]
 
 
-@wp.kernel
+@exact_kernel
 def split_large(
     first: int,
     rules: BuildRules,
@@ -278,7 +276,7 @@ def split_large(
             made[0] += 1
 
 
-@wp.kernel
+@exact_kernel
 def build_by_sweep(
     first: int,
     rules: BuildRules,

@@ -97,7 +97,6 @@ def place_samples(lists: ReferenceLists, number: int, frame: Frame, axis: int):
 )
 def count_samples(lists: ReferenceLists, number: int, first: int, count: int, axis: int, at: int):
     """The second scan: for every sample, counts the triangles to its left; the counts to the right follow all of these."""
-    ...
 
 
 @wp.struct

@@ -43,10 +43,8 @@ from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 STACK = kdtree.MAX_TREE_DEPTH + 1
 
@@ -237,7 +235,6 @@ def classify(work: Workspace, i: int, split: Split):
 )
 def copy_entry(lists: Workspace, source: int, target: int):
     """Lists a triangle and its box a second time."""
-    ...
 
 
 @native.func_native(
@@ -247,7 +244,6 @@ def copy_entry(lists: Workspace, source: int, target: int):
 )
 def clip(lists: Workspace, i: int, pad: float, low: wp.vec3, high: wp.vec3) -> bool:
     """Shrinks the box of a listed triangle to its part in a cell; False if there is none."""
-    ...
 
 
 @wp.func
@@ -292,7 +288,7 @@ def link_right(work: Workspace, parent: int, index: int):
     work.nodes[parent] = kdtree.inner_node(kdtree.split_axis(node), kdtree.split_position(node), index)
 
 
-@wp.kernel
+@exact_kernel
 def build_serially(first: int, cost: SplitCost, limits: StopLimits, root: PendingNode, work: Workspace):
     """One item: the whole build. The caller has listed all triangles as the root's."""
     width = 1 << cost.width_bits
@@ -340,7 +336,7 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, root: Pendin
     work.used[1] = lanes
 
 
-@wp.kernel
+@exact_kernel
 def list_all(first: int, boxes: Boxes, work: Workspace):
     """Item: a triangle. Lists it in the root."""
     i = first + wp.tid()

@@ -47,18 +47,13 @@ from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import write_order
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch, load, specialise
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 SAMPLES = 1024
 """Bins per axis, with a sample between any two."""
 
 EXACT = 8192
 """Triangles of a node up to which every plane is tried."""
-
-SPARE_MEMORY = 1.5
-"""Working memory of a task relative to its own lists, at least a third; doubled whenever it is too small."""
 
 
 @native.func_native(
@@ -67,16 +62,14 @@ SPARE_MEMORY = 1.5
 )
 def write_events(references: wp.array(dtype=float), first: int, count: int, axis: int, lists: EventLists, begin: int) -> int:
     """Writes the events of a range of references along one axis, unsorted; returns their number."""
-    ...
 
 
 @native.func_native("events.h", "wrt::sort_pairs(lists.event.data + begin, count);")
 def sort_events(lists: EventLists, begin: int, count: int):
     """Sorts a range of events by position, stably. An equal amount of memory behind it is scratch."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def list_task_events(
     first: int,
     references: wp.array(dtype=float),
@@ -108,7 +101,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         levels = ReferenceLevels(triangles, config, LevelRules(EXACT, SAMPLES, sampled=0))
         levels.split()
     tasks = partial(list_events, levels, triangles, config)
-    reservation, lists, results = build_tasks(method, config.rules(triangles), tasks, SPARE_MEMORY, phase, "sort")
+    reservation, lists, results = build_tasks(method, config.rules(triangles), tasks, phase=phase, name="sort")
     work = [levels.references, *arrays_of(lists)]
     return assemble(triangles, config, phase, levels.levels, (reservation, results), work)
 

@@ -42,7 +42,6 @@ LEFT, RIGHT, BOTH = wp.constant(1), wp.constant(2), wp.constant(3)
 @native.func_native("events.h", "wrt::note_event(event, axis, lists.straddler.data + ((size_t)first * 2 + number) * 8);")
 def note_event(lists: EventLists, first: int, number: int, axis: int, event: wp.vec2i):
     """Stores an event as a side of a straddler's box."""
-    ...
 
 
 @native.func_native(
@@ -54,7 +53,6 @@ def clip_straddlers(lists: EventLists, first: int, count: int, pad: float, low: 
     """Writes the parts of the straddlers in a cell behind them; returns the number of nonempty parts.
 
     first: the task's first triangle."""
-    ...
 
 
 @native.func_native(
@@ -64,7 +62,6 @@ def clip_straddlers(lists: EventLists, first: int, count: int, pad: float, low: 
 )
 def list_new_events(lists: EventLists, first: int, straddlers: int, count: int, axis: int) -> int:
     """Lists the events, along one axis and unsorted, of the parts that `clip_straddlers` wrote; returns their number."""
-    ...
 
 
 @wp.func

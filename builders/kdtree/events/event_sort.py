@@ -14,9 +14,7 @@ import warp as wp
 from wrt.builders.radix_sort import sort_rows
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 END = wp.constant(0)
 PLANAR = wp.constant(1)
@@ -66,16 +64,14 @@ class Events:
 @wp.func_native("return events.position.data[(size_t)axis * events.position.shape[1] + i];")
 def event_position(events: Events, axis: int, i: int) -> float:
     """events.position[axis, i], without index checks: see `wrt.kernels.layout.unchecked`."""
-    ...
 
 
 @wp.func_native("return events.value.data[(size_t)axis * events.value.shape[1] + i];")
 def event_value(events: Events, axis: int, i: int) -> int:
     """events.value[axis, i], without index checks."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def count_planar(first: int, size: int, boxes: Boxes, triangles: int, counts: wp.array2d(dtype=int)):
     """Item: a chunk of triangles. Counts its planar events. counts: (3, chunks)."""
     chunk = first + wp.tid()
@@ -86,7 +82,7 @@ def count_planar(first: int, size: int, boxes: Boxes, triangles: int, counts: wp
         counts[axis, chunk] = planar
 
 
-@wp.kernel
+@exact_kernel
 def emit_events(
     first: int, size: int, boxes: Boxes, triangles: int, planar_before: wp.array2d(dtype=int), total: wp.vec3i, events: Events
 ):

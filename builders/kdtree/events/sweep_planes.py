@@ -121,4 +121,3 @@ def find_least_plane(
     """Searches the events begin .. begin + count - 1, none of which is of a planar triangle.
 
     left_before: triangles that have begun before them. right_before: triangles that have not ended before them."""
-    ...

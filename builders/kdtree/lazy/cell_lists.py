@@ -14,9 +14,7 @@ from wrt.builders.core.subtrees import Frame
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
 @wp.struct
@@ -38,17 +36,16 @@ class Pair:
 @native.func_native("clusters.h", "return wrt::choose_triangles(boxes, order.data, pair, writing, ids.data);")
 def choose_triangles(boxes: Boxes, order: wp.array(dtype=int), pair: Pair, writing: bool, ids: wp.array(dtype=int)) -> int:
     """Counts the triangles of a cluster that are in a cell, and writes their ids if `writing`."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def count_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.array(dtype=Pair), counts: wp.array(dtype=int)):
     """Item: a pair. Writes its number of triangles."""
     i = first + wp.tid()
     counts[i] = choose_triangles(boxes, order, pairs[i], False, counts)
 
 
-@wp.kernel
+@exact_kernel
 def fill_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.array(dtype=Pair), ids: wp.array(dtype=int)):
     """Item: a pair. Writes the ids of its triangles."""
     choose_triangles(boxes, order, pairs[first + wp.tid()], True, ids)
@@ -57,10 +54,9 @@ def fill_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.a
 @native.func_native("clusters.h", "wrt::gather_references(boxes, ids.data, references.data, frame);")
 def gather_references(boxes: Boxes, ids: wp.array(dtype=int), references: wp.array(dtype=float), frame: wp.ref[Frame]):
     """Writes the references of a node's ids, and computes their box."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def list_references(
     first: int, boxes: Boxes, ids: wp.array(dtype=int), references: wp.array(dtype=float), frames: wp.array(dtype=Frame)
 ):

@@ -21,9 +21,7 @@ from wrt.builders.kdtree.lazy.triangle_clusters import Clusters
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 MAX_GROWN_AREA = 1.5
 """Area of the boxes of all clusters, relative to that after the last sort, from which on they are sorted anew. Both are
@@ -70,10 +68,9 @@ def box_of_range(
     boxes: Boxes, order: wp.array(dtype=int), begin: int, end: int, cluster: int, corners: wp.array2d(dtype=float)
 ):
     """The box of the triangles order[begin .. end - 1], and that of their centres: (low, -high) of both."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def measure_clusters(
     first: int, boxes: Boxes, order: wp.array(dtype=int), starts: wp.array(dtype=int), corners: wp.array2d(dtype=float)
 ):

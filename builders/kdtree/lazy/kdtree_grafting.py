@@ -6,9 +6,7 @@ import warp as wp
 
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 EMPTY = (0, 3)
 """An empty leaf."""
@@ -16,7 +14,7 @@ EMPTY = (0, 3)
 EMPTY_LEAF = wp.constant(wp.vec2i(*EMPTY))
 
 
-@wp.kernel
+@exact_kernel
 def move_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), shift: wp.array(dtype=int), enlarged: wp.array(dtype=wp.vec2i)):
     """Item: a node. Copies it to its new index. shift: (nodes,) increase of each node's index."""
     i = first + wp.tid()
@@ -49,7 +47,7 @@ def insert_gaps(nodes: wp.array, leaves: np.ndarray, sizes: np.ndarray) -> tuple
     return enlarged, shift
 
 
-@wp.kernel
+@exact_kernel
 def close_finished(first: int, skeleton: wp.array(dtype=wp.vec2i)):
     """One item. Turns parts of the skeleton that are completely built into empty leaves. Their nodes remain, unreachable."""
     for i in range(skeleton.shape[0]):

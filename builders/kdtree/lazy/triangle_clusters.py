@@ -16,9 +16,7 @@ from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import get_num_threads, launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 MAX_CELLS = 1 << 15
 """Most cells of the grid, so that their boxes fit the second-level cache of a core."""
@@ -99,7 +97,6 @@ def count_range(
     corners: wp.array2d(dtype=float),
 ):
     """Computes the cells of a chunk of `size` triangles and, per cell, their number and their box, (low, -high)."""
-    ...
 
 
 @wp.func_native(
@@ -118,10 +115,9 @@ def fill_range(
     order: wp.array(dtype=int),
 ):
     """Writes ids to the next positions of their cells."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def count_cells(
     first: int,
     boxes: Boxes,
@@ -136,7 +132,7 @@ def count_cells(
     count_range(boxes, ids, size, grid, first + wp.tid(), cell_of, counts, corners)
 
 
-@wp.kernel
+@exact_kernel
 def fill_cells(
     first: int,
     ids: wp.array(dtype=int),
@@ -203,7 +199,7 @@ def cores(grid: Grid, used: np.ndarray, low: np.ndarray, high: np.ndarray) -> tu
     return np.clip(begin, low, high).astype(np.float32), np.clip(end, low, high).astype(np.float32)
 
 
-@wp.kernel
+@exact_kernel
 def list_leaves(
     first: int,
     nodes: wp.array(dtype=wp.vec2i),

@@ -12,12 +12,10 @@ from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
-@wp.kernel
+@exact_kernel
 def copy_subtrees(
     first: int,
     parts: Parts,
@@ -44,7 +42,7 @@ def copy_subtrees(
         primitive[block_base[number] * width + i] = parts.primitive[task.blocks_first * width + i]
 
 
-@wp.kernel
+@exact_kernel
 def write_top(
     first: int,
     axis: wp.array(dtype=int),

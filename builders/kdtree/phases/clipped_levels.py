@@ -27,9 +27,7 @@ from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, store_byte, store_int
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 MERGE_CHUNK = 8192
 """Events of a list that one item merges with new ones."""
@@ -51,7 +49,7 @@ def side_in(boxes: Boxes, nodes: wp.array(dtype=LiveNode), own: int, reference: 
     return side
 
 
-@wp.kernel
+@exact_kernel
 def count_straddlers(
     first: int,
     size: int,
@@ -69,7 +67,7 @@ def count_straddlers(
     counts[chunk] = count
 
 
-@wp.kernel
+@exact_kernel
 def classify_references(
     first: int,
     size: int,
@@ -103,7 +101,6 @@ def classify_references(
 @native.func_native("clip.h", "return wrt::clip_part(lists, wrt::cell_of(low, high, lists.pad), boxes, triangle, source, to);")
 def clip_part(lists: ClippedMesh, boxes: Boxes, triangle: int, low: wp.vec3, high: wp.vec3, source: int, to: int) -> bool:
     """Writes the box of a reference's part in a cell; False if there is none."""
-    ...
 
 
 @wp.func
@@ -122,7 +119,7 @@ def clip_to_children(mesh: ClippedMesh, boxes: Boxes, node: LiveNode, triangle: 
     return side
 
 
-@wp.kernel
+@exact_kernel
 def clip_straddlers(
     first: int,
     mesh: ClippedMesh,
@@ -170,7 +167,7 @@ def new_before(events: Events, parts: Events, axis: int, place: int):
     return high
 
 
-@wp.kernel
+@exact_kernel
 def count_kept(first: int, events: Events, straddles: wp.array(dtype=wp.uint8), kept: wp.array2d(dtype=int)):
     """Item: axis * chunks + chunk. kept: (3, chunks) events that are not of straddlers."""
     item = first + wp.tid()
@@ -189,7 +186,7 @@ def copy_event(source: Events, axis: int, i: int, target: Events, to: int):
     target.value[axis, to] = event_value(source, axis, i)
 
 
-@wp.kernel
+@exact_kernel
 def merge_events(
     first: int,
     events: Events,
@@ -226,7 +223,7 @@ def merge_events(
         to += 1
 
 
-@wp.kernel
+@exact_kernel
 def name_triangles(first: int, triangle: wp.array(dtype=int), listed: wp.array(dtype=int)):
     """Item: an entry of a list of references. Replaces it by its triangle."""
     i = first + wp.tid()

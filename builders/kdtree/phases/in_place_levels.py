@@ -31,10 +31,8 @@ from wrt.builders.kdtree.phases.membership import Membership, member, member_cou
 from wrt.builders.tree import StopLimits
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY
-
-exact_module(__name__)
 
 SLACK = 1.0 + 1e-5
 """Factor by which the bound of a chunk must exceed a known cost before the chunk is skipped: far more than rounding."""
@@ -70,10 +68,9 @@ def count_range(
 ):
     """Counts, per live node, the triangles that begin and those that end among the events begin .. end - 1 of a chunk, and
     finds the node's first event there."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def count_events(first: int, events: Events, membership: Membership, counts: wp.array3d(dtype=wp.vec3i)):
     """Item: axis * chunks + chunk.
 
@@ -84,7 +81,7 @@ def count_events(first: int, events: Events, membership: Membership, counts: wp.
     count_range(events, axis, chunk, chunk_begin(events, axis, chunk), chunk_begin(events, axis, chunk + 1), membership, counts)
 
 
-@wp.kernel
+@exact_kernel
 def sum_blocks(first: int, block_chunks: int, counts: wp.array3d(dtype=wp.vec3i), sums: wp.array3d(dtype=wp.vec2i)):
     """Item: axis * blocks + block. Adds the counts of the block's chunks. sums: (3, blocks, nodes) output."""
     item = first + wp.tid()
@@ -100,7 +97,7 @@ def sum_blocks(first: int, block_chunks: int, counts: wp.array3d(dtype=wp.vec3i)
             row[index] = row[index] + wp.vec2i(here[0], here[1])
 
 
-@wp.kernel
+@exact_kernel
 def scan_blocks(first: int, sums: wp.array3d(dtype=wp.vec2i)):
     """Item: axis * nodes + a live node. Turns the sums of blocks into the counts before them."""
     item = first + wp.tid()
@@ -113,7 +110,7 @@ def scan_blocks(first: int, sums: wp.array3d(dtype=wp.vec2i)):
         total += here
 
 
-@wp.kernel
+@exact_kernel
 def scan_chunks(
     first: int,
     cost: SplitCost,
@@ -153,7 +150,7 @@ def scan_chunks(
                     min_costs[index] = wp.min(min_costs[index], known)
 
 
-@wp.kernel
+@exact_kernel
 def min_of_blocks(first: int, block_cost: wp.array3d(dtype=float), min_known_cost: wp.array(dtype=float)):
     """Item: a live node. min_known_cost: (nodes,) output, its least cost of all blocks and axes."""
     index = first + wp.tid()
@@ -210,7 +207,7 @@ def sweep_chunk(
             close_planar(cost, along[node], sweeps[node])
 
 
-@wp.kernel
+@exact_kernel
 def search_planes(
     first: int,
     cost: SplitCost,
@@ -257,7 +254,7 @@ def search_planes(
         sweep_chunk(cost, events, axis, begin, end, membership, along, row)
 
 
-@wp.kernel
+@exact_kernel
 def keep_best(first: int, together: int, sweeps: wp.array3d(dtype=Sweep)):
     """Writes the best plane of a node in `together` chunks to the first of them.
 
@@ -276,7 +273,7 @@ def keep_best(first: int, together: int, sweeps: wp.array3d(dtype=Sweep)):
     sweeps[axis, begin, index].best = best
 
 
-@wp.kernel
+@exact_kernel
 def decide(
     first: int,
     together: int,

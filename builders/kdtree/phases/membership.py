@@ -12,9 +12,7 @@ import warp as wp
 from wrt.builders.core.levels import LiveNode, side_of
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.unchecked import load_int, store_int
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
 @wp.struct
@@ -58,7 +56,7 @@ def count_children(boxes: Boxes, nodes: wp.array(dtype=LiveNode), membership: Me
     return count
 
 
-@wp.kernel
+@exact_kernel
 def count_shared(
     first: int,
     size: int,
@@ -81,7 +79,7 @@ def count_shared(
     counts[chunk] = room
 
 
-@wp.kernel
+@exact_kernel
 def refine_members(
     first: int,
     size: int,

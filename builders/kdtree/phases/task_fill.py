@@ -11,12 +11,10 @@ from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import Events, event_position, event_value
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
 from wrt.kernels.layout.unchecked import load_int, store_int, store_pair
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
-@wp.kernel
+@exact_kernel
 def count_task_triangles(first: int, size: int, triangles: int, membership: Membership, counts: wp.array2d(dtype=int)):
     """Item: a chunk of triangles. Counts its triangles per task. counts: (chunks, live nodes)."""
     chunk = first + wp.tid()
@@ -29,7 +27,7 @@ def count_task_triangles(first: int, size: int, triangles: int, membership: Memb
             row[member(membership, own, m)] += 1
 
 
-@wp.kernel
+@exact_kernel
 def scan_columns(first: int, counts: wp.array2d(dtype=int), totals: wp.array(dtype=int)):
     """Item: a column. Turns its counts into `totals` and the counts before them, and adds them up there."""
     column = first + wp.tid()
@@ -41,7 +39,7 @@ def scan_columns(first: int, counts: wp.array2d(dtype=int), totals: wp.array(dty
     totals[column] = total
 
 
-@wp.kernel
+@exact_kernel
 def fill_task_triangles(
     first: int,
     size: int,
@@ -81,7 +79,7 @@ def local_index(local: Membership, own: int, triangle: int, number: int):
     return load_int(local.shared, ~own + 1 + number)
 
 
-@wp.kernel
+@exact_kernel
 def count_task_events(first: int, events: Events, membership: Membership, counts: wp.array3d(dtype=int)):
     """Item: axis * chunks + chunk. Counts its events per task. counts: (3, chunks, tasks)."""
     item = first + wp.tid()
@@ -96,7 +94,7 @@ def count_task_events(first: int, events: Events, membership: Membership, counts
             row[member(membership, own, m)] += 1
 
 
-@wp.kernel
+@exact_kernel
 def fill_task_events(
     first: int,
     events: Events,

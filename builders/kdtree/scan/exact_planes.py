@@ -31,7 +31,6 @@ def values_for(triangles: int) -> int:
 )
 def gather_axis(lists: ReferenceLists, number: int, first: int, count: int, axis: int, padded: int):
     """Writes the intervals of a range along one axis: a row of lower ends, a row of upper ends."""
-    ...
 
 
 @native.func_native(
@@ -41,7 +40,6 @@ def gather_axis(lists: ReferenceLists, number: int, first: int, count: int, axis
 )
 def count_sides(lists: ReferenceLists, number: int, padded: int, position: float) -> wp.vec3i:
     """Numbers of triangles to the left of a plane, in it, and to the right. Straddlers count on both sides."""
-    ...
 
 
 @cache

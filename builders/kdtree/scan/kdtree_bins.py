@@ -66,19 +66,16 @@ def bin_range(
     slot: int,
 ):
     """Counts every `step`-th reference of a range in the bins of a slot."""
-    ...
 
 
 @native.func_native("scan.h", "wrt::sum_counters(counter.data, counter.shape[1], slot, first, end, 6 * bins);")
 def merge_bins(counter: wp.array2d(dtype=int), slot: int, first: int, end: int, bins: int):
     """Replaces the bins of a slot by the sums of those of the slots first .. end - 1."""
-    ...
 
 
 @wp.func_native("return counter.data[(size_t)slot * counter.shape[1] + i];")
 def bin_count(counter: wp.array2d(dtype=int), slot: int, i: int) -> int:
     """counter[slot, i], without index checks: see `wrt.kernels.layout.unchecked`."""
-    ...
 
 
 @wp.func

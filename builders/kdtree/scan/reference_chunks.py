@@ -19,9 +19,7 @@ from wrt.builders.tree import StopLimits
 from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import copy_references, write_references
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 
 
 @native.func_native(
@@ -47,7 +45,6 @@ def clip_chunk(
 ):
     """Clips a chunk's straddlers to the cells of the children of its node, which is split, counts the references of both sides,
     and computes their boxes. Writes them to the target if they are `moving`."""
-    ...
 
 
 @wp.func
@@ -62,14 +59,14 @@ def sample_step(triangles: int, sampled: int):
     return step
 
 
-@wp.kernel
+@exact_kernel
 def make_references(first: int, boxes: Boxes, triangles: int, size: int, references: wp.array(dtype=float)):
     """Item: a chunk of `size` triangles. Writes their references."""
     begin = (first + wp.tid()) * size
     write_references(boxes, begin, wp.min(triangles, begin + size), references)
 
 
-@wp.kernel
+@exact_kernel
 def bin_chunks(
     first: int,
     bins: int,
@@ -91,7 +88,7 @@ def bin_chunks(
         bin_range(references, chunk.begin + skip, chunk.end - chunk.begin - skip, step, node_binning, counter, slot)
 
 
-@wp.kernel
+@exact_kernel
 def decide(
     first: int,
     cost: SplitCost,
@@ -133,7 +130,7 @@ def make_decide(memory_type: type, search: wp.Function) -> wp.Kernel:
     return specialised_kernel(decide_by_search)
 
 
-@wp.kernel
+@exact_kernel
 def measure_chunks(
     first: int,
     mesh: ClippedMesh,
@@ -159,7 +156,7 @@ def measure_chunks(
     measured[slot] = sides
 
 
-@wp.kernel
+@exact_kernel
 def move_chunks(
     first: int,
     mesh: ClippedMesh,

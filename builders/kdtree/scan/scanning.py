@@ -33,13 +33,7 @@ from wrt.builders.tree import KdTree, Phases, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import copy_references
 from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
-
-SPARE_MEMORY = 1.5
-"""Working memory of a task relative to its own lists; doubled whenever it is too small."""
-
+from wrt.kernels.runtime.options import exact_kernel
 
 MIN_VALUES = 16
 """Floats that a search may write down in any node."""
@@ -51,7 +45,7 @@ MIN_LARGE = 1 << 13
 """Triangles below which a node is not worth more than one thread."""
 
 
-@wp.kernel
+@exact_kernel
 def copy_lists(
     first: int,
     references: wp.array(dtype=float),
@@ -116,7 +110,7 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
         levels = ReferenceLevels(triangles, config, scan.levels) if scan.by_bins else SearchedLevels(triangles, config, scan)
         levels.split()
     tasks = partial(make_tasks, levels.references, levels.nodes["frame"], triangles, config, scan)
-    reservation, lists, results = build_tasks(scan.method, config.rules(triangles), tasks, SPARE_MEMORY, phase)
+    reservation, lists, results = build_tasks(scan.method, config.rules(triangles), tasks, phase=phase)
     work = [levels.references, lists.reference, lists.counter, lists.value]
     return assemble(triangles, config, phase, levels.levels, (reservation, results), work)
 

@@ -23,14 +23,12 @@ from wrt.builders.tree import BuildStats, KdTree
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 STACK = kdtree.MAX_TREE_DEPTH + 1
 
 
-@wp.kernel
+@exact_kernel
 def find_leaves(
     first: int,
     nodes: wp.array(dtype=wp.vec2i),

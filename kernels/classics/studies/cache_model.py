@@ -12,15 +12,13 @@ cannot exclude.
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 LINE = wp.constant(64)
 """Bytes of a cache line."""
 
 
-@wp.kernel
+@exact_kernel
 def count_misses(
     first: int,
     addresses: wp.array(dtype=wp.int64),

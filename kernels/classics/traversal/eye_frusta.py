@@ -149,13 +149,11 @@ def gather_directions(layout: PacketLayout) -> wp.Function:
 def bound_block(rays: RayBatch, low: wp.vec3, high: wp.vec3, lanes: wp.array(dtype=float), count: int):
     """Derives the factors of a block from the ends of the directions of its first `count` frusta; low, high: bounds of the
     scene."""
-    ...
 
 
 @native.func_native("frustum.h", f"wrt::frustum_bounds({_ROWS}, f, bounds);")
 def frustum_bounds(lanes: wp.array(dtype=float), f: int, bounds: wp.ref[PacketBounds]):
     """Sets what `wrt.kernels.traversal.packet.culling.interval_culling` reads to the bounds of lane f."""
-    ...
 
 
 @cache
@@ -182,13 +180,11 @@ def push_children(width: int) -> wp.Function:
 @native.func_native("frustum.h", f"return wrt::frusta_waiting({_ROWS}, place);")
 def frusta_waiting(lanes: wp.array(dtype=float), place: int) -> wp.uint32:
     """The frusta that enter a waiting child before their best hits, one bit each."""
-    ...
 
 
 @native.func_native("frustum.h", f"{_ROWS}.t_max[f] = end;")
 def shorten_frustum(lanes: wp.array(dtype=float), f: int, end: float):
     """Sets the end of a frustum's range; -inf if all of its rays are done."""
-    ...
 
 
 @cache

@@ -71,7 +71,6 @@ class ScaledRay:
 @wp.func_native("return __builtin_bit_cast(float, __builtin_bit_cast(int, size) & 0x7f800000);")
 def power_of_two(size: float) -> float:
     """The largest power of two that is at most a normal number."""
-    ...
 
 
 @wp.func

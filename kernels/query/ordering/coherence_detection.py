@@ -6,9 +6,7 @@ hundred rays is several times as fast as NumPy code (notebooks/records/2026-11-2
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 PAIRS = wp.constant(64)
 """Number of pairs of neighbouring rays that are compared; must be even."""
@@ -97,7 +95,7 @@ def count_columns(directions: wp.array(dtype=wp.vec3)):
     return columns
 
 
-@wp.kernel
+@exact_kernel
 def measure_coherence(
     first: int,
     origins: wp.array(dtype=wp.vec3),
@@ -139,10 +137,9 @@ def differences(words: wp.array(dtype=int), begin: int, end: int, step: int) -> 
 
     Native, because Warp's loops are not compiled to vector instructions; without a branch, so that this one is.
     """
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def compare_neighbours(first: int, words: wp.array(dtype=int), step: int, found: wp.array(dtype=int)):
     """Writes 1 to `found[0]` if one of an item's `BLOCK` words differs from the word `step` places before it."""
     if found[0] != 0:

@@ -29,9 +29,7 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 NO_RAY = -1
 """Number in a place that no ray takes."""
@@ -90,7 +88,7 @@ class RayTags:
     """Number of the camera ray that the ray comes from."""
 
 
-@wp.kernel
+@exact_kernel
 def write_keys(
     first: int, tags: RayTags, by_kind: bool, by_group: bool, keys: wp.array(dtype=wp.int64), order: wp.array(dtype=int)
 ):
@@ -102,7 +100,7 @@ def write_keys(
     order[i] = i
 
 
-@wp.kernel
+@exact_kernel
 def mark_begins(
     first: int,
     tags: RayTags,
@@ -125,7 +123,7 @@ def mark_begins(
     begins[i] = begin
 
 
-@wp.kernel
+@exact_kernel
 def write_starts(first: int, begins: wp.array(dtype=int), numbers: wp.array(dtype=int), starts: wp.array(dtype=int)):
     """Writes the start of each group. Item: a place of the sorted rays. numbers: inclusive sums of `begins`."""
     i = first + wp.tid()
@@ -133,7 +131,7 @@ def write_starts(first: int, begins: wp.array(dtype=int), numbers: wp.array(dtyp
         starts[numbers[i] - 1] = i
 
 
-@wp.kernel
+@exact_kernel
 def count_packets(first: int, rays: int, packet: int, starts: wp.array(dtype=int), packets: wp.array(dtype=int)):
     """Counts the packets of a group. Item: a group."""
     group = first + wp.tid()
@@ -143,7 +141,7 @@ def count_packets(first: int, rays: int, packet: int, starts: wp.array(dtype=int
     packets[group] = (end - starts[group] + packet - 1) / packet
 
 
-@wp.kernel
+@exact_kernel
 def place_rays(
     first: int,
     packet: int,
@@ -159,7 +157,7 @@ def place_rays(
     places[packets[group] * packet + i - starts[group]] = order[i]
 
 
-@wp.kernel
+@exact_kernel
 def fill_places(first: int, rays: RayBatch, places: wp.array(dtype=int), arranged: RayBatch):
     """Copies a ray to its place; a place without a ray gets no direction and misses. Item: a place."""
     place = first + wp.tid()

@@ -23,9 +23,7 @@ import warp as wp
 from wrt.kernels.answers import ANSWERS, batch_kinds
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.launch import get_num_threads, launch
-from wrt.kernels.runtime.options import exact_module, named_kernel
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel, named_kernel
 
 CELLS = wp.constant(8)
 """Number of grid cells per axis."""
@@ -48,7 +46,7 @@ def cell_of(offset: float, scale: float):
     return int(inside)
 
 
-@wp.kernel
+@exact_kernel
 def count_rays(
     first: int,
     rays: RayBatch,
@@ -75,7 +73,7 @@ def count_rays(
         row[which] += 1
 
 
-@wp.kernel
+@exact_kernel
 def scan_counts(first: int, counts: wp.array2d(dtype=int)):
     """Turns counts into positions: an exclusive scan by bucket, then by chunk. Item: the whole table."""
     place = int(0)
@@ -86,7 +84,7 @@ def scan_counts(first: int, counts: wp.array2d(dtype=int)):
             place += count
 
 
-@wp.kernel
+@exact_kernel
 def fill_order(
     first: int,
     count: int,
@@ -105,7 +103,7 @@ def fill_order(
         row[which] = place + 1
 
 
-@wp.kernel
+@exact_kernel
 def gather_rays(first: int, rays: RayBatch, order: wp.array(dtype=int), sorted_rays: RayBatch):
     """Copies a ray to its place in the order. Item: a place in the order. Elements shared by all rays are not copied."""
     place = first + wp.tid()
@@ -140,7 +138,7 @@ for kind in batch_kinds():
     make_scatter(kind.name)
 
 
-@wp.kernel
+@exact_kernel
 def count_buckets(first: int, chunk: int, bucket: wp.array(dtype=wp.uint16), counts: wp.array2d(dtype=int)):
     """Counts the rays of a chunk by bucket. Item: a chunk of rays. counts: (chunks, buckets), initially 0."""
     item = first + wp.tid()

@@ -12,15 +12,13 @@ import warp as wp
 
 from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.emitters.light_table import Lights
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
 from wrt.kernels.shading.wavefront.lane_code import in_lanes
 from wrt.kernels.shading.wavefront.path_step_simd import LIGHTS
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue
 from wrt.kernels.shading.wavefront.scene_light import LitScene, sky_light
-
-exact_module(__name__)
 
 
 @cache
@@ -42,7 +40,6 @@ def make_part_range(width: int) -> Any:
         returns their number. The others are copied to another queue, in the order of the octants of their directions, if there
         is a sky. `is_met` is written.
         """
-        ...
 
     return part_range
 
@@ -50,7 +47,7 @@ def make_part_range(width: int) -> Any:
 part_range = make_part_range(lane_width())
 
 
-@wp.kernel
+@exact_kernel
 def part_tile(
     first: int,
     size: int,
@@ -73,7 +70,7 @@ def part_tile(
     memories.traced[memory] += others  # a ray counts, whether it need be traced or not
 
 
-@wp.kernel
+@exact_kernel
 def gather_sky(
     first: int,
     size: int,

@@ -17,7 +17,7 @@ import warp as wp
 from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
 from wrt.kernels.shading.wavefront.lane_code import in_lanes
 from wrt.kernels.shading.wavefront.path_step import UNKNOWN, follow_path
@@ -27,8 +27,6 @@ from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, StepArrays, fetch_hits, step_arrays
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
-
-exact_module(__name__)
 
 
 @cache
@@ -53,7 +51,6 @@ def make_path_tile_step_simd(width: int) -> Any:
         each. Appends paths that go on to `following` at place `to`, and shadow rays at place `entry`; both places are
         moved on, and up to width places from there on are written.
         """
-        ...
 
     return path_tile_step_simd
 
@@ -122,10 +119,9 @@ def make_step_tile() -> wp.Kernel:
 @native.func_native("ray_queues.h", "wrt::gather_paths(begin, stop, blocked, rays, lit_slot);")
 def gather_range(begin: int, stop: int, blocked: wp.array(dtype=wp.bool), rays: Gathered, lit_slot: wp.array(dtype=int)):
     """Adds the light of the shadow rays begin .. stop - 1 that nothing blocks to their samples."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def gather_lit(
     first: int, size: int, stop: int, blocked: wp.array(dtype=wp.bool), rays: Gathered, lit_slot: wp.array(dtype=int)
 ):
@@ -137,17 +133,16 @@ def gather_lit(
 @native.func_native("ray_queues.h", "wrt::order_rays(begin, stop, source, target);")
 def order_range(begin: int, stop: int, source: RayQueue, target: RayQueue):
     """Copies the rays begin .. stop - 1 to another queue, in the order of the octants of their directions."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def order_tile(first: int, size: int, stop: int, source: RayQueue, target: RayQueue):
     """Copies the rays of a tile to another queue, in the order of the octants of their directions. Item: a tile memory, whose
     rays end before `stop`."""
     order_range((first + wp.tid()) * size, stop, source, target)
 
 
-@wp.kernel
+@exact_kernel
 def develop_tile(
     first: int, size: int, stop: int, wave: Wave, radiance: wp.array(dtype=wp.vec3), film: Film, memories: TileMemories
 ):

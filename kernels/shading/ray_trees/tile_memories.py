@@ -8,12 +8,10 @@ import warp as wp
 
 from wrt.kernels.runtime.job_queue import on_cpu
 from wrt.kernels.runtime.launch_chain import run_stages
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.wavefront.camera_rays import WIDTH, CameraModel, start_lanes, start_ray
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -58,7 +56,7 @@ def shifted_queue(queue: RayQueue, by: int):
     return own
 
 
-@wp.kernel
+@exact_kernel
 def start_tile(
     first: int,
     room: int,
@@ -99,16 +97,14 @@ def start_tile(
 )
 def take_memory(taken: wp.array(dtype=int)) -> int:
     """A free tile memory, which is taken; waits for one if there are more threads."""
-    ...
 
 
 @wp.func_native(on_cpu("__atomic_store_n(taken.data + memory, 0, __ATOMIC_RELEASE);"))
 def leave_memory(taken: wp.array(dtype=int), memory: int) -> int:
     """Makes a tile memory free; returns 0."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def follow_tiles(
     first: int,
     stages: wp.array(dtype=wp.int64),

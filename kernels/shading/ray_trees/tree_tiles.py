@@ -19,7 +19,7 @@ import warp as wp
 from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
 from wrt.kernels.shading.sampling import MIX_1
 from wrt.kernels.shading.wavefront.lane_code import in_lanes, same
@@ -29,8 +29,6 @@ from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, StepArrays, fetch_hi
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene, sky_light
 from wrt.kernels.shading.wavefront.tree_step import SentRays, ShadowList, TreeStep, sent_rays, shade_ray
-
-exact_module(__name__)
 
 
 @cache
@@ -50,7 +48,6 @@ def make_tree_step_simd(width: int) -> Any:
         """Does the step of the simple ones among the rays first .. first + width - 1 of the queue, and returns one bit for
         each. The rays that follow go to the places from 2 `child` on. What it writes for the others is to be overwritten.
         """
-        ...
 
     return tree_step_simd
 
@@ -63,10 +60,9 @@ tree_step_simd = make_tree_step_simd(lane_width())
 def append_rays(begin: int, end: int, scratch: RayQueue, is_alive: wp.array(dtype=int), queue: RayQueue, place: int) -> int:
     """Copies those of the rays 2 begin .. 2 end - 1 that go on to the places from `place` on; returns the first one after them.
     It may write to the place after those of the rays."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def shade_tile(
     first: int,
     room: int,
@@ -123,7 +119,7 @@ def shade_tile(
         memories.shadows[memory] = 0
 
 
-@wp.kernel
+@exact_kernel
 def end_tile(
     first: int,
     room: int,
@@ -164,10 +160,9 @@ def gather_range(
 ):
     """Adds the light of the rays begin .. stop - 1 to their samples, in the order of `ray_queue.gather`: light by light.
     lights: number of the first one, and how many."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def gather_tile(
     first: int,
     room: int,

@@ -18,13 +18,11 @@ import warp as wp
 
 from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.pixel_rays import View
 from wrt.kernels.shading.wavefront.lane_code import in_lanes, same
 from wrt.kernels.shading.wavefront.pixel_samples import FILTER, LENS, RANDOM, SOBOL, PixelSamples, pixel_hash, pixel_point
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
-
-exact_module(__name__)
 
 FILTERS = ("box", "tent", "gaussian")
 BOX, TENT, GAUSSIAN = (wp.constant(number) for number in range(3))
@@ -149,7 +147,6 @@ def make_start_lanes(width: int) -> Any:
     ) -> int:
         """`start_ray` for the samples first .. first + width - 1, if the camera is a pinhole with a box filter; returns how
         many are done, none or all. The bits are those of `start_ray`."""
-        ...
 
     return start_lanes
 
@@ -158,7 +155,7 @@ WIDTH = wp.constant(lane_width())
 start_lanes = make_start_lanes(lane_width())
 
 
-@wp.kernel
+@exact_kernel
 def start_rays(
     first: int,
     stop: int,

@@ -10,7 +10,7 @@ References: kajiya-1986; arvo-kirk-1990; veach-guibas-1995.
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, is_finite
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.bsdf.scattering import is_single, largest, sample_scattering
 from wrt.kernels.shading.emitters.environment import find_interval
 from wrt.kernels.shading.emitters.light_table import entry_probability
@@ -39,8 +39,6 @@ from wrt.kernels.shading.wavefront.scene_light import (
     sky_light,
     surface_light,
 )
-
-exact_module(__name__)
 
 UNKNOWN = wp.constant(-1)
 """What `follow_path` knows of a ray beforehand: nothing."""
@@ -189,7 +187,7 @@ def follow_path(
     return alive
 
 
-@wp.kernel
+@exact_kernel
 def path_step(
     first: int,
     start: int,

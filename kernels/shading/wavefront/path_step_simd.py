@@ -90,7 +90,6 @@ def make_path_step_simd(width: int) -> Any:
         """Does the step of the simple ones among the rays first .. first + width - 1, which all exist, and returns one bit for
         each. What it writes for the others is to be overwritten.
         """
-        ...
 
     return path_step_simd
 

@@ -11,14 +11,12 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.bsdf.scattering import luminance
 from wrt.kernels.shading.film import display
 from wrt.kernels.shading.shading_point import shading_point
 from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
 from wrt.kernels.shading.wavefront.scene_light import LitScene, material_at_point
-
-exact_module(__name__)
 
 TONE_MAPPINGS = ("linear", "srgb", "reinhard", "aces")
 LINEAR, SRGB, REINHARD, ACES = (wp.constant(number) for number in range(4))
@@ -34,7 +32,6 @@ def add_samples(
     squares: wp.ref[float],
 ):
     """Adds samples from number `first` on to a sum, and the squares of their luminance to another."""
-    ...
 
 
 @wp.struct
@@ -60,20 +57,20 @@ def develop_pixel(wave: Wave, i: int, radiance: wp.array(dtype=wp.vec3), film: F
     film.squares[pixel] = square
 
 
-@wp.kernel
+@exact_kernel
 def develop_wave(first: int, wave: Wave, radiance: wp.array(dtype=wp.vec3), film: Film):
     """Adds the samples of a wave to their pixel. Item: a pixel of the wave."""
     develop_pixel(wave, first + wp.tid(), radiance, film)
 
 
-@wp.kernel
+@exact_kernel
 def mean_of_samples(first: int, film: wp.array(dtype=wp.vec3), samples: int, mean: wp.array(dtype=wp.vec3)):
     """Writes the mean of a pixel's samples. Item: a pixel."""
     i = first + wp.tid()
     mean[i] = film[i] / float(samples)
 
 
-@wp.kernel
+@exact_kernel
 def standard_errors(
     first: int, film: wp.array(dtype=wp.vec3), squares: wp.array(dtype=float), samples: int, errors: wp.array(dtype=float)
 ):
@@ -98,7 +95,7 @@ def toned(x: float, mapping: int):
     return result
 
 
-@wp.kernel
+@exact_kernel
 def map_tones(
     first: int,
     film: wp.array(dtype=wp.vec3),
@@ -136,7 +133,7 @@ def geometry_in(mesh: SceneMesh, instance: int):
     return geometry
 
 
-@wp.kernel
+@exact_kernel
 def write_layers(first: int, start: int, scene: LitScene, wave: Wave, queue: RayQueue, hits: HitBatch, layers: Layers):
     """Writes what a camera ray sees. Item: a ray of a wave of one sample a pixel, from `start` on."""
     i = start + first + wp.tid()

@@ -20,10 +20,8 @@ References: halton-1960; cook-1984; cook-1986; kensler-2013 (a permutation by ha
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.sampling import mix, spread_point, to_unit
-
-exact_module(__name__)
 
 SAMPLERS = ("regular", "random", "jittered", "halton", "sobol")
 REGULAR, RANDOM, JITTERED, HALTON, SOBOL = (wp.constant(number) for number in range(5))
@@ -154,7 +152,7 @@ def pixel_point(source: PixelSamples, pixel: wp.uint32, sample: int, dimension: 
     return result
 
 
-@wp.kernel
+@exact_kernel
 def list_points(first: int, source: PixelSamples, pixel: int, dimension: int, points: wp.array(dtype=wp.vec2)):
     """Writes the point of a sample. Item: a sample."""
     i = first + wp.tid()

@@ -92,7 +92,6 @@ def fetch_hits(scene: LitScene, hits: HitBatch, begin: int, end: int):
 
     Reflected and refracted rays hit triangles in no order, and a step would wait for each (a third of Whitted's time).
     """
-    ...
 
 
 @wp.struct

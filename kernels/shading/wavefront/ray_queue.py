@@ -8,9 +8,7 @@ stays, so the rays of a sample stay neighbours. Tile by tile, steps append rays 
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 
 @wp.struct
@@ -76,7 +74,7 @@ def move_ray(source: RayQueue, i: int, target: RayQueue, to: int):
     target.media[to] = source.media[i]
 
 
-@wp.kernel
+@exact_kernel
 def fill(first: int, scratch: RayQueue, is_alive: wp.array(dtype=int), places: wp.array(dtype=int), queue: RayQueue):
     """Moves a ray that goes on to its place. Item: a place of the scratch queue; `places` are inclusive sums."""
     i = first + wp.tid()
@@ -84,7 +82,7 @@ def fill(first: int, scratch: RayQueue, is_alive: wp.array(dtype=int), places: w
         move_ray(scratch, i, queue, places[i] - 1)
 
 
-@wp.kernel
+@exact_kernel
 def settle_paths(
     first: int,
     blocked: wp.array(dtype=wp.bool),
@@ -105,7 +103,7 @@ def settle_paths(
         move_ray(scratch, i, queue, places[i] - 1)
 
 
-@wp.kernel
+@exact_kernel
 def gather(
     first: int, count: int, slot: wp.array(dtype=int), with_emitted: bool, blocked: wp.array(dtype=wp.bool), rays: Gathered
 ):

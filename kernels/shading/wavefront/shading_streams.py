@@ -19,15 +19,13 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, DIFFUSE, GLOSSY, MIRROR, Materials
 from wrt.kernels.shading.wavefront.path_step import MISSED, PathStep, follow_path
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.ray_at_hit import step_arrays
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave, move_ray
 from wrt.kernels.shading.wavefront.scene_light import LitScene
-
-exact_module(__name__)
 
 FILTERS = (MISSED, DIFFUSE, MIRROR, DIELECTRIC, GLOSSY)
 """The conditions, in the order of the stack."""
@@ -43,7 +41,7 @@ class Streams:
     """(streams, filters + 1): list k of a stream is order[ends[s, k]] to order[ends[s, k + 1] - 1]."""
 
 
-@wp.kernel
+@exact_kernel
 def find_kinds(first: int, materials: Materials, hits: HitBatch, kinds: wp.array(dtype=int)):
     """Writes the kind of material that a ray hit, or `MISSED`. Item: a ray. In scenes without instances."""
     i = first + wp.tid()
@@ -53,7 +51,7 @@ def find_kinds(first: int, materials: Materials, hits: HitBatch, kinds: wp.array
     kinds[i] = kind
 
 
-@wp.kernel
+@exact_kernel
 def find_materials(first: int, materials: Materials, hits: HitBatch, numbers: wp.array(dtype=wp.uint16)):
     """Writes the number of the material that a ray hit plus 1, or 0. Item: a ray. In scenes without instances."""
     i = first + wp.tid()
@@ -63,7 +61,7 @@ def find_materials(first: int, materials: Materials, hits: HitBatch, numbers: wp
     numbers[i] = wp.uint16(number)
 
 
-@wp.kernel
+@exact_kernel
 def filter_streams(
     first: int,
     length: int,
@@ -130,7 +128,7 @@ def make_stream_step(known: int) -> wp.Kernel:
     return stream_step
 
 
-@wp.kernel
+@exact_kernel
 def move_hits(first: int, order: wp.array(dtype=int), queue: RayQueue, hits: HitBatch, moved: RayQueue, moved_hits: HitBatch):
     """Copies rays and their hits to another order. Item: a place."""
     place = first + wp.tid()

@@ -11,11 +11,9 @@ import warp as wp
 from wrt.kernels.images.image_footprint import footprint
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.hit_attributes import triangle_of
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.bsdf.material_table import Materials, corner_uv_at, tile_of
 from wrt.kernels.shading.wavefront.scene_light import LitScene
-
-exact_module(__name__)
 
 
 @wp.func
@@ -29,7 +27,7 @@ def mark_texels(materials: Materials, texture: int, uv: wp.vec2, needed: wp.arra
         needed[tile_of(materials, texture, at.right, at.bottom)] = 1
 
 
-@wp.kernel
+@exact_kernel
 def mark_tiles(first: int, start: int, scene: LitScene, hits: HitBatch, needed: wp.array(dtype=int)):
     """Marks the tiles that the material at a hit is read from, with 1. Item: a ray from `start` on."""
     i = start + first + wp.tid()

@@ -18,7 +18,7 @@ References: whitted-1980; hall-greenberg-1983; cook-1984.
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, is_finite
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.shading.bsdf.fresnel import dielectric_share, mirrored, refracted, schlick_color
 from wrt.kernels.shading.bsdf.ggx import masking, masking_and_shadowing, visible_facet
 from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, GLOSSY, MIRROR, MaterialAtHit
@@ -48,8 +48,6 @@ from wrt.kernels.shading.wavefront.scene_light import (
     sky_light,
     surface_light,
 )
-
-exact_module(__name__)
 
 LIGHT_DIMENSIONS = wp.constant(0x4000)
 """First dimension of the places on the second and further lights."""
@@ -331,7 +329,7 @@ def shade_ray(
     return place
 
 
-@wp.kernel
+@exact_kernel
 def tree_step(
     first: int,
     start: int,
@@ -363,7 +361,7 @@ def tree_step(
         shade_ray(i, i, i, step, scene, arrays, sent, listed)
 
 
-@wp.kernel
+@exact_kernel
 def shade_by_light(
     first: int,
     start: int,

@@ -20,13 +20,11 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_int, store_int
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.leaf import CounterRows
-
-exact_module(__name__)
 
 MAX_QUEUES = 65534
 """Greatest number of queues: numbers are sorted as 16 bits, and one more stands for rays that are done."""
@@ -116,7 +114,7 @@ def make_advance(width: int, levels: int, query: str, counting: bool = False) ->
     return specialised_kernel(advance_rays)
 
 
-@wp.kernel
+@exact_kernel
 def gather_numbers(first: int, numbers: wp.array(dtype=int), order: wp.array(dtype=int), sorted_numbers: wp.array(dtype=int)):
     """Puts ray numbers in an order. Item: a place in the order."""
     place = first + wp.tid()

@@ -15,12 +15,10 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
-
-exact_module(__name__)
 
 
 @wp.struct
@@ -88,7 +86,7 @@ def make_list_points(width: int, levels: int) -> wp.Kernel:
     return specialised_kernel(list_points)
 
 
-@wp.kernel
+@exact_kernel
 def sort_pairs(
     first: int,
     begins: wp.array(dtype=int),

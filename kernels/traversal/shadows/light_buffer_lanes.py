@@ -19,12 +19,10 @@ import warp as wp
 from wrt.kernels.layout.light_cells import CELL_WORDS, DEPTH_SLACK, LightCells
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.traversal.shadows.light_buffer_query import Skipped
 from wrt.kernels.traversal.shadows.light_rays import LIT, OCCLUDED, UNDECIDED
 from wrt.kernels.triangle import TRIANGLE_TESTS
-
-exact_module(__name__)
 
 RUN = 128
 """Rays of an item: their numbers fit the first-level cache."""
@@ -84,7 +82,7 @@ def make_lane_kernel(triangle_test: str) -> wp.Kernel:
     return specialised_kernel(light_buffer_lanes)
 
 
-@wp.kernel
+@exact_kernel
 def pack_lines(
     first: int,
     vertices: wp.array(dtype=wp.vec3),

@@ -14,12 +14,10 @@ import warp as wp
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.leaf import enter
 from wrt.kernels.traversal.single.single_kdtree import Cell, pop_cell, split_cell, step_guessing
-
-exact_module(__name__)
 
 UNTRACED = wp.constant(0)
 TO_HIT = wp.constant(1)
@@ -68,7 +66,7 @@ def mark_unbuilt_cells(skeleton: KdNodes, ray: Ray, bound: float, max_cells: int
     return found
 
 
-@wp.kernel
+@exact_kernel
 def mark_requested_cells(
     first: int,
     skeleton: KdNodes,

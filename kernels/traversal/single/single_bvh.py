@@ -156,11 +156,7 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
         best: BestHit,
         work: wp.ref[Counters],
     ):
-        leaf = Leaf()
-        leaf.node = child
-        leaf.within = wp.vec2(search.t_min, best.t)
-        leaf.block = bvh.first_block(child)
-        leaf.count = bvh.leaf_triangles(child)
+        leaf = Leaf(child, wp.vec2(search.t_min, best.t), bvh.first_block(child), bvh.leaf_triangles(child))
         return test_blocks(tree, leaf, search.slabs, search, hits, i, best, work)
 
     return test_leaf

@@ -75,19 +75,16 @@ class StreamHits:
 @wp.func_native("leaf = pairs.leaves.c[p]; return pairs.rays.c[p];")
 def load_pair(pairs: wp.ref[Pairs], p: int, leaf: wp.ref[int]) -> int:
     """Ray and leaf of a pair."""
-    ...
 
 
 @wp.func_native("pairs.rays.c[p] = ray; pairs.leaves.c[p] = leaf;")
 def store_pair(pairs: wp.ref[Pairs], p: int, ray: int, leaf: int):
     """Stores a pair at index p."""
-    ...
 
 
 @wp.func_native("slot = pairs.candidates.c[p]; return pairs.candidate_rays.c[p];")
 def load_candidate(pairs: wp.ref[Pairs], p: int, slot: wp.ref[int]) -> int:
     """Ray and slot of a candidate."""
-    ...
 
 
 @cache
@@ -149,7 +146,6 @@ def record_if_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Be
     It uses bit operations, because the compiler may turn a select into a branch, which is slower for incoherent rays
     (notebooks/records/2026-11-22-stream-candidates.md).
     """
-    ...
 
 
 @cache
@@ -172,8 +168,9 @@ def put_best(test: str, any_hit: bool) -> wp.Function:
 @cache
 def scalar_test_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, stream, k, slot, hits, i)`: evaluates one candidate, of ray k of the stream and i of the batch."""
-    StreamRay, RayState = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test].ray_state
-    get, candidate = get_ray(config.triangle_test), triangle_step(config)
+    test, StreamRay, get = TRIANGLE_TESTS[config.triangle_test], stream_ray(config.triangle_test), get_ray(config.triangle_test)
+    RayState, own = test.ray_state, test.own_candidate is not None
+    candidate = test.own_candidate(config.width) if own else triangle_step(config)
     any_hit, nearest, accept = config.answer.rules.ends_at_first, config.answer.nearest, config.answer.search.accept
 
     put = put_best(config.triangle_test, any_hit)
@@ -193,7 +190,10 @@ def scalar_test_step(config: TraversalConfig) -> wp.Function:
         t_min = get(stream, k, slabs, state, best)
         if wp.static(any_hit) and best.primitive >= 0:
             return  # the ray already has a hit
-        hit = candidate(triangles.records, slot, state, slabs)
+        if wp.static(own):
+            hit = candidate(triangles.records, slot, state, slabs, t_min)
+        else:
+            hit = candidate(triangles.records, slot, state, slabs)
         primitive = load_int(triangles.primitive, slot)
         if wp.static(nearest):
             record_if_better(hit, primitive, t_min, best)
@@ -226,8 +226,7 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
 
         return test_all
 
-    own_step = TRIANGLE_TESTS[config.triangle_test].own_step
-    test_one, number_of = (own_step or scalar_test_step)(config), ray_number(config.triangle_test)
+    test_one, number_of = scalar_test_step(config), ray_number(config.triangle_test)
 
     @wp.func
     def test_each(

@@ -52,7 +52,6 @@ STACK_LISTS = 16
 @wp.func_native("for (int i = 0; i < count; ++i) { pairs.rays.c[i] = list.rays.data[first + i]; pairs.leaves.c[i] = leaf; }")
 def fill_pairs(list: wp.ref[RayIntervals], first: int, count: int, leaf: int, pairs: wp.ref[Pairs]):
     """Writes pairs of the rays of a list and a leaf."""
-    ...
 
 
 @cache

@@ -35,7 +35,6 @@ def set_arrays(
     list: wp.ref[RayIntervals], rays: wp.array(dtype=int), entry: wp.array(dtype=float), leave: wp.array(dtype=float)
 ):
     """Makes a list use local arrays; Warp assigns them to no field of a struct."""
-    ...
 
 
 @cache
@@ -98,7 +97,6 @@ def collect_words(words: wp.array(dtype=int), first: int, count: int, lanes: wp.
 
     lanes: bits of the children.
     """
-    ...
 
 
 @cache

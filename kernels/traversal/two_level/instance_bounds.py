@@ -3,9 +3,7 @@
 import warp as wp
 
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 LANES = 8
 """Points that are mapped at a time: those of a mesh begin at a multiple of it, and repeat the last one up to the next."""
@@ -50,7 +48,6 @@ def bound_points(
     i: int,
 ):
     """Writes the box of the points begin .. end - 1, mapped, as that of instance i."""
-    ...
 
 
 @wp.func
@@ -123,7 +120,7 @@ def bound_instance(
     bound_points(cover.points, cover.begins[mesh], cover.begins[mesh + 1], to_scene, origin, bounded.corners, i)
 
 
-@wp.kernel
+@exact_kernel
 def bound_instances(
     first: int,
     transforms: wp.array(dtype=wp.mat44d),

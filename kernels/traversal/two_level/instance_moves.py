@@ -7,7 +7,7 @@ Maps, boxes, placements and the boxes of the nodes above are so little work that
 import warp as wp
 
 from wrt.kernels.layout.instance_maps import Placement
-from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.traversal.two_level.instance_bounds import (
     BoundedInstances,
     CoverPoints,
@@ -15,8 +15,6 @@ from wrt.kernels.traversal.two_level.instance_bounds import (
     inverse_map,
     linear_part,
 )
-
-exact_module(__name__)
 
 EXTREMES = 8
 """Numbers that say where all boxes are: lowest x, y, z, highest x, y, z, the greatest norm, the least size."""
@@ -70,7 +68,6 @@ class BoxTree:
 """)
 def next_float(value: float, upwards: bool) -> float:
     """The next float32 above or below a finite one."""
-    ...
 
 
 @wp.func
@@ -114,7 +111,7 @@ def surface(tree: BoxTree, places: wp.array(dtype=int)):
     return total
 
 
-@wp.kernel
+@exact_kernel
 def move_instances(
     first: int,
     moves: Moves,

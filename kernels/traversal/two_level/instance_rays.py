@@ -59,7 +59,6 @@ def set_arrays(
     walk: wp.array(dtype=int),
 ):
     """Makes the struct use local arrays; Warp assigns them to no field of a struct."""
-    ...
 
 
 def scene(layout: PacketLayout) -> str:

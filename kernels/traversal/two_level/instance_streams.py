@@ -26,7 +26,7 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_ray, ray_environment, ray_mask
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_int, store_int
-from wrt.kernels.runtime.options import exact_module, named_kernel, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, named_kernel, specialised_kernel
 from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
@@ -36,8 +36,6 @@ from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, StreamCounter
 from wrt.kernels.traversal.stream.stream_leaves import NodeList
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree, root_of
-
-exact_module(__name__)
 
 MAX_LISTED = wp.constant(8)
 """Greatest number of instances in the list of a ray."""
@@ -167,7 +165,7 @@ def next_instance(search: Search, turn: int, place: int):
     return instance
 
 
-@wp.kernel
+@exact_kernel
 def count_instances(first: int, chunk: int, turn: int, search: Search, counts: wp.array2d(dtype=int)):
     """Counts the rays of a chunk by instance. Item: a chunk of rays. counts: (chunks, instances), initially 0."""
     item = first + wp.tid()
@@ -178,7 +176,7 @@ def count_instances(first: int, chunk: int, turn: int, search: Search, counts: w
             row[instance] += 1
 
 
-@wp.kernel
+@exact_kernel
 def sort_by_instance(
     first: int,
     top: InstanceTree,

@@ -16,7 +16,7 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, first_block
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 from wrt.kernels.traversal.two_level.instance_bounds import (
     BoundedInstances,
     CoverPoints,
@@ -26,8 +26,6 @@ from wrt.kernels.traversal.two_level.instance_bounds import (
     scene_origin,
 )
 from wrt.kernels.traversal.two_level.instance_moves import next_float
-
-exact_module(__name__)
 
 TEAM = 32
 """Threads that bound an instance on CUDA: a warp."""
@@ -195,7 +193,6 @@ def bound_by_team(
     share: wp.vec2i,
 ):
     """As `bound_points`, by all threads of a team. span: begin and end of the points; share: number of a thread, and of all."""
-    ...
 
 
 @cache
@@ -238,7 +235,7 @@ def make_place_instances(dtype: type) -> wp.Kernel:
     return specialised_kernel(place_instances)
 
 
-@wp.kernel
+@exact_kernel
 def bound_moved(
     first: int,
     team: int,
@@ -264,28 +261,24 @@ def bound_moved(
 @native.func_native("instance_updates.h", "return wrt::ordered_bits(value);")
 def ordered_bits(value: wp.float64) -> wp.int64:
     """An integer in the order of doubles."""
-    ...
 
 
 @native.func_native("instance_updates.h", "return wrt::of_ordered(bits);")
 def of_ordered(bits: wp.int64) -> wp.float64:
     """The double of `ordered_bits`."""
-    ...
 
 
 @native.func_native("instance_updates.h", "wrt::keep_least(found.data + k, value);")
 def keep_least(found: wp.array(dtype=wp.int64), k: int, value: wp.int64):
     """found[k] becomes the least of it and of the values of all threads of a warp."""
-    ...
 
 
 @native.func_native("instance_updates.h", "wrt::add_all(sums.data + k, value);")
 def add_all(sums: wp.array(dtype=wp.float64), k: int, value: wp.float64):
     """sums[k] grows by the values of all threads of a warp."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def span_instances(first: int, items: int, bounded: BoundedInstances, spanned: Spanned):
     """Writes `Spanned.found`. Item: one of `items` shares of the instances; on CUDA a multiple of a warp."""
     share = first + wp.tid()
@@ -314,13 +307,11 @@ def span_instances(first: int, items: int, bounded: BoundedInstances, spanned: S
 @native.func_native("instance_updates.h", "return wrt::step_below(value);")
 def step_below(value: wp.float64) -> wp.float64:
     """A sixteenth of the power of two that is at most a positive number."""
-    ...
 
 
 @native.func_native("instance_updates.h", "return wrt::power_above(value);")
 def power_above(value: wp.float64) -> wp.float64:
     """The least power of two that is at least a positive number."""
-    ...
 
 
 @wp.func
@@ -363,7 +354,7 @@ def rounded_above(value: wp.float64, center: wp.float64, rounding: wp.float64):
     return next_float(wp.float32(value - (center - rounding)), True)
 
 
-@wp.kernel
+@exact_kernel
 def lay_out(
     first: int,
     is_still: int,
@@ -424,16 +415,14 @@ def lay_out(
 @native.func_native("instance_updates.h", "wrt::refit_lane(bounds.data, node, lane, child, width);")
 def refit_lane(bounds: wp.array(dtype=float), node: int, lane: int, child: int, width: int):
     """Writes the box of an inner child from those of its own children."""
-    ...
 
 
 @native.func_native("instance_updates.h", "wrt::meet_block();")
 def meet_block():
     """All threads of a block wait for each other."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def refit_level(first: int, lane_first: int, nodes: UpperNodes):
     """Item: a lane of a level, the levels below being done."""
     lane = lane_first + first + wp.tid()
@@ -460,7 +449,7 @@ def make_refit_levels(block: int) -> wp.Kernel:
     return specialised_kernel(refit_levels, bounds=(block, 1))
 
 
-@wp.kernel
+@exact_kernel
 def measure_nodes(first: int, items: int, nodes: UpperNodes, spanned: Spanned):
     """Writes the surfaces in `Spanned.report`. Item: one of `items` shares of the lanes; on CUDA a multiple of a warp."""
     share = first + wp.tid()

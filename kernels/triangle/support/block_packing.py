@@ -37,13 +37,11 @@ def copy_corners(
 ):
     """Writes the vertices of a record; `none` for those of an unused lane. Native, because Warp's
     indexing computes the address of each element anew."""
-    ...
 
 
 @wp.func_native("records.data[(size_t)(slot / width) * components * width + component * width + slot % width] = value;")
 def store_component(records: wp.array(dtype=float), slot: int, width: int, components: int, component: int, value: float):
     """Writes a component of a record."""
-    ...
 
 
 @cache

@@ -19,10 +19,8 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime import native
-from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.triangle.support.operation_counts import Operations, count_operations
-from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record
+from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record, native_block_test
 
 VERTEX_NAMES = ("ax", "ay", "az", "bx", "by", "bz", "cx", "cy", "cz")
 """Names of a triangle's vertices in the steps of every test."""
@@ -295,7 +293,7 @@ class LaneForm:
 @cache
 def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
     """One ray x W triangles, by a loop over lanes for each step."""
-    Lanes, RayState, components = lanes(width), ray_state, form.components
+    components = form.components
 
     def declare(step: Step) -> list[str]:
         return [f"const float {name} = r[{components[name]} * W + i];" for name in step.reads(components)]
@@ -304,16 +302,5 @@ def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
     text += "const float* r = &records.data[(size_t)block * (COMPONENTS * W)];\n"
     text += "".join(f"const float {value.name} = {value.scalar};\n" for value in form.ray) + form.memory()
     text += f"const unsigned mask = wrt::block_steps<W>(~0u{form.step_functions(declare)});\nif (!mask) return mask;\n"
-    text += "WRT_FOR_LANES(i) { out_t.c[i] = kept_t[i]; out_u.c[i] = kept_u[i]; out_v.c[i] = kept_v[i]; }\nreturn mask;\n"
-
-    @native.func_native("triangle.h", text)
-    def block_test(
-        records: wp.array(dtype=float),
-        block: int,
-        ray: RayState,
-        out_t: wp.ref[Lanes],
-        out_u: wp.ref[Lanes],
-        out_v: wp.ref[Lanes],
-    ) -> wp.uint32: ...
-
-    return block_test
+    text += "WRT_FOR_LANES(i) { t.c[i] = kept_t[i]; u.c[i] = kept_u[i]; v.c[i] = kept_v[i]; }\nreturn mask;\n"
+    return native_block_test(ray_state, width, text)

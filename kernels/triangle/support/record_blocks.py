@@ -13,7 +13,9 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime import native
 from wrt.kernels.simd.boxes import max_of, min_of
+from wrt.kernels.simd.lanes import lanes
 
 VERTEX_COMPONENTS = 9
 
@@ -122,3 +124,20 @@ def corners_low(corners: Corners):
 def corners_high(corners: Corners):
     """Upper corner of a triangle's exact box."""
     return max_of(corners.a, max_of(corners.b, corners.c))
+
+
+def native_block_test(ray_state: type, width: int, code: str) -> wp.Function:
+    """`wp.func(records, block, ray, t, u, v) -> mask` of C++ that uses `triangle.h`."""
+    Lanes, RayState = lanes(width), ray_state
+
+    @native.func_native("triangle.h", code)
+    def block_test(
+        records: wp.array(dtype=float),
+        block: int,
+        ray: RayState,
+        t: wp.ref[Lanes],
+        u: wp.ref[Lanes],
+        v: wp.ref[Lanes],
+    ) -> wp.uint32: ...
+
+    return block_test

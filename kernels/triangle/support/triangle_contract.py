@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMappin
 from dataclasses import dataclass
 from importlib import import_module
 from types import MappingProxyType
-from typing import Any
 
 import warp as wp
 
@@ -91,8 +90,8 @@ class TriangleTest(TestForm):
         oriented: the same, with the sign of a crossing in place of u: 1 where the ray leaves through the triangle's front,
             from which the triangle is wound counter-clockwise, -1 where it comes in through it; None likewise.
         any_hit: key in `TRIANGLE_TESTS` of the test that replaces this one in any-hit queries; empty for the test itself.
-        own_step: config -> the step of streams that decides about a candidate, as
-            `wrt.kernels.traversal.stream.stream_candidates.scalar_test_step`, of what is no triangle; None for that one.
+        own_candidate: width -> `wp.func(records, slot, ray, slabs, t_min) -> vec3 (t, u, v)`, by which streams decide about
+            what is no triangle; None for `wrt.kernels.traversal.leaf.triangle_step`.
     """
 
     paper: str
@@ -104,7 +103,7 @@ class TriangleTest(TestForm):
     crossing: CrossingForms | None = None
     oriented: CrossingForms | None = None
     any_hit: str = ""
-    own_step: Callable[[Any], wp.Function] | None = None
+    own_candidate: Callable[[int], wp.Function] | None = None
 
     def forms(self, crossing: bool, oriented: bool = False) -> CrossingForms:
         """The forms for one ray: those that count crossings exactly if `crossing`, with their signs if `oriented`, else the

@@ -56,7 +56,6 @@ def three(values: Any, first: int):
 """)
 def scale_to_one(size: wp.float64) -> wp.float64:
     """The power of two that scales a size to between 1 and 2; 1 for 0, NaN for NaN."""
-    ...
 
 
 @wp.func

@@ -30,15 +30,13 @@ agree. The caller compares the distance (see `wrt.kernels.simd.boxes`, the consi
 References: woop-2013; edelsbrunner-muecke-1990.
 """
 
-from functools import cache
+from functools import cache, partial
 
 import warp as wp
 
-from wrt.kernels.runtime import native
-from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.triangle.support.lane_form import HandWritten, PacketForm
 from wrt.kernels.triangle.support.operation_counts import Operations
-from wrt.kernels.triangle.support.record_blocks import Corners
+from wrt.kernels.triangle.support.record_blocks import Corners, native_block_test
 from wrt.kernels.triangle.support.triangle_contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.watertight.woop_areas import THIN, area64, exact_area, precise_areas
 
@@ -118,14 +116,12 @@ def sheared(ray: ShearedRay, vertex: wp.vec3):
 @wp.func_native("return (a == 0.0f) | (b == 0.0f) | (c == 0.0f);")
 def some_zero(a: float, b: float, c: float) -> bool:
     """Whether one of three numbers is 0: one branch, where `or` would take three."""
-    ...
 
 
 @wp.func_native("return ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));")
 def on_one_side(a: float, b: float, c: float) -> bool:
     """Whether no two of three areas have opposite signs. With `and` and `or`, the first sign would select a branch that the
     processor cannot predict, because rays come from either side."""
-    ...
 
 
 @wp.func
@@ -223,70 +219,35 @@ GUARDS = f"""
 """C++: constants that kernels/native has too."""
 
 
-def make_block_test(width: int, rule: str, weights: bool = True) -> wp.Function:
-    """The block test by a rule of kernels/native/triangle.h for a ray on an edge. `weights`: whether to compute t, u and v."""
-    Lanes = lanes(width)
-    form = f"{width}, wrt::{rule}, {int(weights)}"
-
-    @native.func_native("triangle.h", f"{GUARDS}return wrt::woop_block<{form}>(records.data, block, ray, t.c, u.c, v.c);")
-    def woop_block(
-        records: wp.array(dtype=float),
-        block: int,
-        ray: ShearedRay,
-        t: wp.ref[Lanes],
-        u: wp.ref[Lanes],
-        v: wp.ref[Lanes],
-    ) -> wp.uint32: ...
-
-    return woop_block
-
-
 @cache
-def block_test(width: int) -> wp.Function:
-    """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets. t, u, v are valid in those lanes."""
-    return make_block_test(width, "Inclusive")
+def make_block_test(width: int, rule: str, weights: bool = True) -> wp.Function:
+    """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets. t, u, v are valid in those lanes.
+
+    Args:
+        width: W.
+        rule: that of kernels/native/triangle.h for a ray on an edge.
+        weights: whether to compute t, u and v.
+    """
+    call = f"wrt::woop_block<{width}, wrt::{rule}, {int(weights)}>(records.data, block, ray, t.c, u.c, v.c)"
+    return native_block_test(ShearedRay, width, f"{GUARDS}return {call};")
 
 
 @cache
 def line_test(width: int) -> wp.Function:
-    """`block_test` without t, u and v; some of the lanes whose triangle the ray's line just misses are returned, too."""
-    Lanes = lanes(width)
-
-    @native.func_native("triangle.h", f"return wrt::woop_lines<{width}>(records.data, block, ray);")
-    def woop_lines(
-        records: wp.array(dtype=float),
-        block: int,
-        ray: ShearedRay,
-        t: wp.ref[Lanes],
-        u: wp.ref[Lanes],
-        v: wp.ref[Lanes],
-    ) -> wp.uint32: ...
-
-    return woop_lines
+    """A block test without t, u and v; some of the lanes whose triangle the ray's line just misses are returned, too."""
+    return native_block_test(ShearedRay, width, f"return wrt::woop_lines<{width}>(records.data, block, ray);")
 
 
-@cache
-def crossing_block_test(width: int) -> wp.Function:
-    """`block_test` for counting crossings."""
-    return make_block_test(width, "Crossing")
+block_test = partial(make_block_test, rule="Inclusive")
+"""The test of W triangles."""
 
+crossing_line_test = partial(make_block_test, rule="Crossing", weights=False)
+"""`line_test` for counting crossings."""
 
-@cache
-def crossing_line_test(width: int) -> wp.Function:
-    """`line_test` for counting crossings."""
-    return make_block_test(width, "Crossing", weights=False)
-
-
-@cache
-def oriented_block_test(width: int) -> wp.Function:
-    """`crossing_block_test` with the sign of the crossing in place of u."""
-    return make_block_test(width, "Oriented")
-
-
-CROSSING = CrossingForms(intersect_crossing, crossing_block_test, crossing_line_test)
+CROSSING = CrossingForms(intersect_crossing, partial(make_block_test, rule="Crossing"), crossing_line_test)
 """The forms by which a line crosses a closed surface an even number of times."""
 
-ORIENTED = CrossingForms(intersect_oriented, oriented_block_test, crossing_line_test)
+ORIENTED = CrossingForms(intersect_oriented, partial(make_block_test, rule="Oriented"), crossing_line_test)
 """The same, with the sign of the crossing in place of u."""
 
 OPERATIONS = (Operations(add=18, multiply=12, compare=9), Operations(add=4, multiply=9, divide=1))

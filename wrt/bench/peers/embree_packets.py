@@ -120,7 +120,6 @@ def trace_packet(
     number: int,
 ) -> int:
     """Sets a packet's results back and has Embree trace it."""
-    ...
 
 
 @wp.kernel
@@ -174,7 +173,6 @@ def trace_part(
     number: int,
 ) -> int:
     """Fills a packet on the stack with the rays number * width and following, has Embree trace it, and copies the answers."""
-    ...
 
 
 @wp.kernel

@@ -9,15 +9,13 @@ from wrt.builders.kdtree.events.clipped_events import precedes
 from wrt.builders.kdtree.phases.clipped_levels import clip_to_children
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_byte, store_int, store_pair
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 STRADDLES = wp.constant(15)
 """`LevelLists.side` of a straddler before it is clipped: it and its events go to both sides."""
 
 
-@wp.kernel
+@exact_kernel
 def list_straddlers(
     first: int,
     lists: LevelLists,
@@ -37,7 +35,7 @@ def list_straddlers(
             to += 1
 
 
-@wp.kernel
+@exact_kernel
 def clip_listed(
     first: int,
     mesh: ClippedMesh,
@@ -60,7 +58,7 @@ def clip_listed(
     store_byte(lists.side, place, wp.uint8(side << 2))
 
 
-@wp.kernel
+@exact_kernel
 def count_parts(first: int, lists: LevelLists, chunks: wp.array(dtype=Chunk)):
     """Item: a chunk of references. Counts what goes to both sides, after clipping."""
     index = first + wp.tid()
@@ -76,7 +74,7 @@ def count_parts(first: int, lists: LevelLists, chunks: wp.array(dtype=Chunk)):
     chunks[index] = chunk
 
 
-@wp.kernel
+@exact_kernel
 def merge_lists(
     first: int, ends: wp.array(dtype=wp.vec3i), begin: wp.array(dtype=int), parts: wp.array(dtype=wp.vec2i), target: LevelLists
 ):

@@ -17,9 +17,7 @@ from wrt.builders.kdtree.events.sweep_planes import start_sweep
 from wrt.builders.tree import StopLimits
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_byte, store_int, store_pair
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 COPIED = 8192
 """Events or triangles of the root that are copied as one chunk."""
@@ -54,7 +52,7 @@ class LevelLists:
     """Of each of these triangles: its index within the left child and within the right one, if it is there."""
 
 
-@wp.kernel
+@exact_kernel
 def copy_events(first: int, events: Events, axis_first: wp.vec3i, lists: LevelLists):
     """Item: axis * chunks + chunk. Writes the lists of the root; a triangle's index there is its id."""
     item = first + wp.tid()
@@ -65,7 +63,7 @@ def copy_events(first: int, events: Events, axis_first: wp.vec3i, lists: LevelLi
         store_pair(lists.event, axis_first[axis] + i, event)
 
 
-@wp.kernel
+@exact_kernel
 def list_ids(first: int, triangle: wp.array(dtype=int)):
     """Item: a triangle."""
     triangle[first + wp.tid()] = first + wp.tid()
@@ -87,7 +85,7 @@ def change_of_position(lists: LevelLists, begin: int, nominal: int, end: int):
     return low
 
 
-@wp.kernel
+@exact_kernel
 def count_chunks(
     first: int,
     lists: LevelLists,
@@ -117,7 +115,7 @@ def count_chunks(
     sweeps[index] = sweep
 
 
-@wp.kernel
+@exact_kernel
 def scan_chunks(first: int, nodes: wp.array(dtype=LiveNode), sweeps: wp.array(dtype=ChunkSweep)):
     """Item: 3 * node + axis. Turns counts of chunks into the counts before them."""
     item = first + wp.tid()
@@ -134,7 +132,7 @@ def scan_chunks(first: int, nodes: wp.array(dtype=LiveNode), sweeps: wp.array(dt
         ends += here[1]
 
 
-@wp.kernel
+@exact_kernel
 def search_chunks(
     first: int,
     cost: SplitCost,
@@ -158,7 +156,7 @@ def search_chunks(
     sweeps[index] = sweep
 
 
-@wp.kernel
+@exact_kernel
 def decide(
     first: int, cost: SplitCost, limits: StopLimits, nodes: wp.array(dtype=LiveNode), sweeps: wp.array(dtype=ChunkSweep)
 ):
@@ -173,7 +171,7 @@ def decide(
         nodes[index] = decided(cost, limits, node, best)
 
 
-@wp.kernel
+@exact_kernel
 def classify_triangles(
     first: int, boxes: Boxes, lists: LevelLists, nodes: wp.array(dtype=LiveNode), chunks: wp.array(dtype=Chunk)
 ):
@@ -197,7 +195,7 @@ def classify_triangles(
     chunks[index] = chunk
 
 
-@wp.kernel
+@exact_kernel
 def count_sides(first: int, lists: LevelLists, nodes: wp.array(dtype=LiveNode), chunks: wp.array(dtype=Chunk)):
     """Item: a chunk of events. Counts them on both sides."""
     index = first + wp.tid()
@@ -214,7 +212,7 @@ def count_sides(first: int, lists: LevelLists, nodes: wp.array(dtype=LiveNode), 
     chunks[index] = chunk
 
 
-@wp.kernel
+@exact_kernel
 def move_triangles(
     first: int,
     lists: LevelLists,
@@ -243,7 +241,7 @@ def move_triangles(
             right += 1
 
 
-@wp.kernel
+@exact_kernel
 def move_events(
     first: int, lists: LevelLists, nodes: wp.array(dtype=LiveNode), chunks: wp.array(dtype=Chunk), target: LevelLists
 ):
@@ -266,7 +264,7 @@ def move_events(
             right += 1
 
 
-@wp.kernel
+@exact_kernel
 def copy_tasks(first: int, source: LevelLists, nodes: wp.array(dtype=LiveNode), tasks: wp.array(dtype=Task), lists: EventLists):
     """Item: a task. Copies its node's lists."""
     number = first + wp.tid()

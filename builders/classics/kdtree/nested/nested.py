@@ -78,9 +78,6 @@ TASKS_PER_THREAD = 2
 MIN_LARGE = 1 << 12
 """Triangles below which a node is not worth more than one thread."""
 
-SPARE_MEMORY = 1.5
-"""Working memory of a task relative to its own lists; doubled whenever it is too small."""
-
 
 def large_node(count: int) -> int:
     """Nodes of more triangles are split by all threads."""
@@ -270,6 +267,6 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         levels = EventLevels(triangles, config, large_node(triangles.count))
     with phase("top levels"):
         levels.split()
-    reservation, lists, results = build_tasks(method, config.rules(triangles), levels.make_tasks, SPARE_MEMORY, phase, "copy")
+    reservation, lists, results = build_tasks(method, config.rules(triangles), levels.make_tasks, phase=phase, name="copy")
     work = [levels.lists.event, levels.lists.triangle, levels.lists.child, *arrays_of(lists)]
     return assemble(triangles, config, phase, levels.levels, (reservation, results), work)

@@ -32,9 +32,7 @@ from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module
-
-exact_module(__name__)
+from wrt.kernels.runtime.options import exact_kernel
 
 MAX_CUTS = 6
 """Most slabs that are cut off a leaf: one per face."""
@@ -88,10 +86,9 @@ def measure_range(
 ) -> int:
     """Marks the triangles in primitive[begin .. begin + count - 1] that meet a cell, all of them if they are not `tested`.
     Returns their number, and the box of these triangles, or of their parts, within the cell."""
-    ...
 
 
-@wp.kernel
+@exact_kernel
 def measure_leaves(
     first: int,
     mesh: ClippedMesh,

@@ -71,7 +71,6 @@ def store_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
 @wp.func_native("bounds.few.c[place] = ray;")
 def store_few_ray(bounds: wp.ref[PacketBounds], place: int, ray: int):
     """Stores the number of a ray in `bounds.few`, for `few_rays_step`."""
-    ...
 
 
 @cache

@@ -31,7 +31,6 @@ def cross_plane(bounds: wp.ref[PacketBounds], axis: int, position: float, entry:
     enters the second). The first child is skipped if it is left before `entry`, the second if it is entered after `leave`. With
     both signs, the first child is the one in the direction of the faster rays.
     """
-    ...
 
 
 @wp.func

@@ -60,7 +60,6 @@ def leaves_inspected_by(header: str, code: str) -> wp.Function:
 @wp.func_native("")
 def _nothing(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]):
     """Does nothing: `load_packet` has computed all bounds."""
-    ...
 
 
 @wp.func_native(f"return {MAX_FEW_RAYS + 1};")
@@ -68,7 +67,6 @@ def _every_leaf(
     boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
 ) -> int:
     """Reports more than `MAX_FEW_RAYS` rays for every leaf."""
-    ...
 
 
 def no_start(layout: PacketLayout) -> wp.Function:

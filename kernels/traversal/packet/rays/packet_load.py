@@ -87,4 +87,3 @@ def bound_rays(rays: RayBatch, first: int, count: int, low: wp.vec3, high: wp.ve
 
     If no ray is active, only `bounds.active` is set.
     """
-    ...

@@ -44,7 +44,6 @@ def fetch_hits(layout: PacketLayout) -> wp.Function:
 @native.func_native("packet_store.h", "wrt::finish_stores();")
 def finish_stores():
     """Orders non-temporal stores before all later stores: whoever learns that the item is done then finds its hits."""
-    ...
 
 
 @cache
