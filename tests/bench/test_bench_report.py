@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from wrt.bench.commands import command_options
-from wrt.bench.commands.benchmark import COMPARISONS, bench, run_benchmark
+from wrt.bench.commands.benchmark import COMPARISONS, BenchOptions, bench, run_benchmark
 from wrt.bench.comparisons import startup_times as startup
 from wrt.bench.core import benchmark_plot as plot
 from wrt.bench.core.agreement import Agreement
@@ -40,8 +40,8 @@ def printed():
         out.seek(0)
         out.truncate()
 
-    options = {"size": SIZE, "rounds": 2, "threads": 2, "startup": False, "on_question": show}
-    report = run_benchmark([TriangleMesh(MESH.vertices, MESH.faces, name="teapot")], **options)
+    options = BenchOptions(size=SIZE, rounds=2, threads=2, startup=False)
+    report = run_benchmark([TriangleMesh(MESH.vertices, MESH.faces, name="teapot")], options, on_question=show)
     printer.end(report)
     return report, [*parts, out.getvalue()]
 

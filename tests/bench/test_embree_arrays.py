@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import wrt
-from wrt.bench.commands.benchmark import run_benchmark
+from wrt.bench.commands.benchmark import BenchOptions, run_benchmark
 from wrt.bench.comparisons.build_comparison import builder_peers
 from wrt.bench.core.benchmark_results import Question, Row
 from wrt.bench.core.workloads import Workload, WorkloadMaker
@@ -86,7 +86,7 @@ def test_the_strict_comparison_remains_the_default(monkeypatch):
     monkeypatch.setattr(Embree, "available", lambda self: None)
     names = [peer.name for peer in make_peers(["embree", "embree3-flat", "embree4-flat"], 2, "cpu")[0]]
     assert names == ["wrt", "Embree 3", "Embree 4", "Embree 3 flat", "Embree 4 flat"]
-    assert run_benchmark([], builders=False, startup=False, peers=("wrt",)).missing == {}
+    assert run_benchmark([], BenchOptions(builders=False, startup=False, peers=("wrt",))).missing == {}
 
 
 def test_the_fastest_embree_is_one_whose_packets_were_filled_before():

@@ -1,8 +1,7 @@
 """C++ is in kernels/native, in functions that can be read; what Python holds are the lines that call it.
 
-A native function in Python is a line or a few that call a function of a header. `LONG_STRINGS` names the modules that have
-longer texts. It can only shrink: the test fails as well where a module has become better than its entry. The same holds for
-`WRITTEN_TWICE`, functions of headers that are alike but for names.
+A native function in Python is a line or a few that call a function of a header. `WRITTEN_TWICE` has the functions of headers
+that are alike but for names; it can only shrink.
 """
 
 from __future__ import annotations
@@ -22,12 +21,6 @@ ROOMS = ("kernels", "builders", "wrt")
 
 MAX_STRING, MAX_FUNCTION = 10, 80
 """Most lines of C++ in a string, and of a function of a header, its braces included."""
-
-LONG_STRINGS = {
-    "wrt/bench/peers/embree_packets.py": 64,
-}
-"""For each module, the lines of C++ in strings of more than `MAX_STRING` lines, blank ones not counted. How Embree is called is
-no part of kernels/, so that string stays."""
 
 SHORT_BODY = 40
 """Words and signs of a body below which functions may be alike."""
@@ -163,10 +156,7 @@ def test_strings_of_native_code_are_short():
         long = sum(lines for lines in native_lines(path.read_text()) if lines > MAX_STRING)
         if long:
             found[str(path.relative_to(ROOT))] = long
-    more = [f"{path}: {lines}" for path, lines in found.items() if lines > LONG_STRINGS.get(path, 0)]
-    assert not more, "C++ that belongs in kernels/native, in lines:\n" + "\n".join(more)
-    fewer = [f"{path}: {found.get(path, 0)}" for path, lines in LONG_STRINGS.items() if found.get(path, 0) < lines]
-    assert not fewer, "LONG_STRINGS can be lowered:\n" + "\n".join(fewer)
+    assert not found, f"C++ that belongs in kernels/native, in lines: {found}"
 
 
 def test_native_functions_are_short():

@@ -167,6 +167,7 @@ LARGE = {
 """Numbers of an example that are made small here."""
 
 NEEDS = {
+    "wrt/__init__.py:": {"viser": "wrt[view]"},
     "wrt/cluster/dask_arrays.py:map_points": {"dask": "wrt[cluster-dask]"},
     "wrt/cluster/dask_arrays.py:map_rays": {"dask": "wrt[cluster-dask]"},
     "wrt/cluster/parquet_files.py:ParquetColumns": {"pyarrow": "wrt[cluster-dask]"},

@@ -162,7 +162,10 @@ def walk_memory(config: TraversalConfig) -> int:
 
 @cache
 def make_leaf(config: TraversalConfig, moved: bool) -> wp.Function:
-    """`wp.func(tree, triangles, node, lane, met, packet, bounds, memory, work)`: tests the leaf that `met` rays meet."""
+    """`wp.func(tree, triangles, at, packet, bounds, memory, work)`: tests the leaf at a node and lane that some rays meet.
+
+    at: node, lane, and number of these rays.
+    """
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
     inspect, test_leaf, test_few = culling.leaf(layout), leaf_step(config), few_rays_step(config)
     shorten = shorten_rays(layout, moved, config.answer.rules.ends_at_first)
@@ -171,14 +174,13 @@ def make_leaf(config: TraversalConfig, moved: bool) -> wp.Function:
     def visit(
         tree: wp.ref[WideNodes],
         triangles: wp.ref[TriangleBlocks],
-        node: int,
-        lane: int,
-        met: int,
+        at: wp.vec3i,
         packet: wp.array(dtype=float),
         bounds: wp.ref[PacketBounds],
         memory: wp.array(dtype=int),
         work: wp.ref[Counters],
     ):
+        node, lane, met = at[0], at[1], at[2]
         child = load_int(tree.child, node * wp.static(config.width) + lane)
         first = bvh.first_block(child)
         count = bvh.leaf_triangles(child)
@@ -195,8 +197,9 @@ def make_leaf(config: TraversalConfig, moved: bool) -> wp.Function:
 
 @cache
 def make_descent(config: TraversalConfig, inner: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, node, lane, met, packet, memory, base, bounds, work)`: a smaller packet of the `met` rays that
-    meet a child walks it."""
+    """`wp.func(tree, triangles, at, packet, memory, base, bounds, work)`: a smaller packet of the rays that meet a child walks
+    it; at: as for leaves.
+    """
     layout, small, culling = packet_layout(config), packet_layout(inner), CULLINGS[config.packet.culling]
     moved = moves_origins(config)
     repack, scatter = repack_rays(layout, small, CullingTraits.SLOPES in culling.traits, moved), scatter_rays(layout, small)
@@ -207,9 +210,7 @@ def make_descent(config: TraversalConfig, inner: TraversalConfig) -> wp.Function
     def descend(
         tree: wp.ref[WideNodes],
         triangles: wp.ref[TriangleBlocks],
-        node: int,
-        lane: int,
-        met: int,
+        at: wp.vec3i,
         packet: wp.array(dtype=float),
         memory: wp.array(dtype=int),
         base: int,
@@ -218,6 +219,7 @@ def make_descent(config: TraversalConfig, inner: TraversalConfig) -> wp.Function
     ):
         smaller = wp.zeros(shape=(size,), dtype=float)
         own = PacketBounds()
+        node, lane, met = at[0], at[1], at[2]
         child = load_int(tree.child, node * wp.static(config.width) + lane)
         repack(tree.bounds, wp.vec2i(node, lane), packet, bounds, smaller, memory, base + wp.static(numbers), own)
         start(tree.low, tree.high, smaller, own)
@@ -277,7 +279,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
                     work.boxes += wp.static(config.packet.rays)
                 if wp.static(repacks):  # noqa: SIM102 - decided when the kernel is made
                     if descends and met < most and met <= wp.static(smaller):
-                        descend(tree, triangles, node, lane, met, packet, memory, base, bounds, work)
+                        descend(tree, triangles, wp.vec3i(node, lane, met), packet, memory, base, bounds, work)
                         shorten(packet, bounds)
                         descends = False
                 if descends:
@@ -289,7 +291,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
                         work.boxes += wp.static(box_tests)
                 else:
                     if met > 0 and child < 0:
-                        visit(tree, triangles, node, lane, met, packet, bounds, memory, work)
+                        visit(tree, triangles, wp.vec3i(node, lane, met), packet, bounds, memory, work)
                     key = nearest(memory, base + level * wp.static(width))
             else:
                 level -= 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -124,8 +125,7 @@ def bench(
             with on_turn.paused():
                 printer.add(report, question)
 
-        report = run_benchmark(
-            meshes,
+        options = BenchOptions(
             workloads=workloads or tuple(WORKLOADS),
             peers=peers or DEFAULT_PEERS,
             size=size,
@@ -135,9 +135,8 @@ def bench(
             device=device,
             builders=builders,
             startup=startup,
-            on_turn=on_turn,
-            on_question=show,
         )
+        report = run_benchmark(meshes, options, on_turn=on_turn, on_question=show)
     printer.end(report)
     write_json(json_file, report.to_dict())
     if plot_file is not None:
@@ -145,22 +144,29 @@ def bench(
             save_plot(report, plot_file)
 
 
+@dataclass(frozen=True)
+class BenchOptions:
+    """What is asked, as on the command line."""
+
+    workloads: tuple[str, ...] = tuple(WORKLOADS)
+    peers: tuple[str, ...] = DEFAULT_PEERS
+    size: int = 1024
+    order: str = "tiles"
+    rounds: int = 5
+    threads: int = 1
+    device: str = "cpu"
+    builders: bool = True
+    startup: bool = True
+
+
 def run_benchmark(
     meshes: list[TriangleMesh],
+    options: BenchOptions = BenchOptions(),
     *,
-    workloads: tuple[str, ...] = tuple(WORKLOADS),
-    peers: tuple[str, ...] = DEFAULT_PEERS,
-    size: int = 1024,
-    order: str = "tiles",
-    rounds: int = 5,
-    threads: int = 1,
-    device: str = "cpu",
-    builders: bool = True,
-    startup: bool = True,
     on_turn: Callable[[str], None] = lambda name: None,
     on_question: Callable[[Report, Question], None] = lambda report, question: None,
 ) -> Report:
-    """Asks all questions; arguments as on the command line.
+    """Asks all questions.
 
     Args:
         on_turn: called with the name of each step when it begins.
@@ -173,21 +179,22 @@ def run_benchmark(
     from wrt.bench.comparisons.query_comparison import ask
     from wrt.bench.comparisons.startup_times import ask_startup
 
-    options: dict[str, Any] = {"workloads": list(workloads), "peers": list(peers), "size": size, "order": order}
-    options |= {"rounds": rounds, "threads": threads, "device": device}
-    found, missing = make_peers(peers, threads, device)
-    report = Report(machine(device), options, missing=missing)
+    rounds, threads, device = options.rounds, options.threads, options.device
+    found, missing = make_peers(options.peers, threads, device)
+    written = asdict(options) | {"workloads": list(options.workloads), "peers": list(options.peers)}
+    del written["builders"], written["startup"]
+    report = Report(machine(device), written, missing=missing)
     for mesh in meshes:
         result = ModelResult(mesh.name or "mesh", mesh.triangle_count, mesh.vertex_count)
         report.models.append(result)
-        made = WorkloadMaker(mesh, size=size, order=order).make(workloads)
+        made = WorkloadMaker(mesh, size=options.size, order=options.order).make(options.workloads)
         for question in ask(found, mesh, made, rounds, on_turn):
             result.questions.append(question)
             on_question(report, question)
-        if builders:
+        if options.builders:
             result.questions.append(ask_builds(found, mesh, rounds, threads, device, on_turn))
             on_question(report, result.questions[-1])
-    if startup:
+    if options.startup:
         report.startup = ask_startup(found, threads, device, rounds, on_turn)
         on_question(report, report.startup)
     return report

@@ -21,7 +21,7 @@ import warp as wp
 
 from wrt.bench.core.workloads import Workload
 from wrt.bench.peers.embree_library import EMBREES, Device, Scene, address_of, library, thread_limit
-from wrt.bench.peers.embree_packets import NO_GEOMETRY, trace_packets
+from wrt.bench.peers.embree_packets import NO_GEOMETRY, EmbreeCall, FilledPackets, trace_packets
 from wrt.bench.peers.peer import Answer, Peer, Query, spread_rays
 from wrt.engine.launch.traversal_launch import MIN_CHUNK
 from wrt.kernels.compilation.target import target_name
@@ -105,16 +105,23 @@ class Embree(Peer):
     def occluded(self, rays: Workload) -> Query:
         return Query(self._asking("rtcOccluded", rays), lambda result: result["tfar"].ravel()[: len(rays)] < 0.0)
 
+    def _call(self, function: str, rays: Workload) -> EmbreeCall:
+        """A call of `rtcIntersect` or `rtcOccluded` for packets of these rays."""
+        call = EmbreeCall()
+        call.function, call.scene = address_of(self.version.number, f"{function}{self.width}"), self._scene.handle
+        call.version, call.width, call.t_max = self.version.number, self.width, rays.t_max
+        call.flags = self.version.coherent if rays.name in COHERENT else 0
+        call.closest = function == "rtcIntersect"
+        return call
+
     def _asking(self, function: str, rays: Workload) -> Callable[[], np.ndarray]:
         """A function that calls `rtcIntersect` or `rtcOccluded` and returns the packets."""
         closest, scene, threads = function == "rtcIntersect", self._scene, self.threads
-        version, hit_fields = self.version.number, self.version.hit_fields if closest else ()
+        hit_fields = self.version.hit_fields if closest else ()
         packets = ray_packets(rays, self.width, hit_fields)
-        address = address_of(version, f"{function}{self.width}")
-        flags = self.version.coherent if rays.name in COHERENT else 0
-        fields = len(_RAY_FIELDS) + len(hit_fields)
-        inputs = [address, scene.handle, version, flags, packets.ctypes.data, self.width, fields, closest, rays.t_max]
-        launch = PreparedLaunch(trace_packets, inputs, wp.get_device("cpu"))
+        filled = FilledPackets()
+        filled.address, filled.fields = packets.ctypes.data, len(_RAY_FIELDS) + len(hit_fields)
+        launch = PreparedLaunch(trace_packets, [self._call(function, rays), filled], wp.get_device("cpu"))
         chunks = Chunks(MIN_CHUNK // self.width, MAX_CHUNK // self.width)
 
         def run() -> np.ndarray:

@@ -16,9 +16,8 @@ import warp as wp
 
 from wrt.bench.core.benchmark_results import FLAT
 from wrt.bench.core.workloads import Workload
-from wrt.bench.peers.embree import COHERENT, Embree
-from wrt.bench.peers.embree_library import address_of
-from wrt.bench.peers.embree_packets import trace_arrays
+from wrt.bench.peers.embree import Embree
+from wrt.bench.peers.embree_packets import FlatAnswers, FlatRays, trace_arrays
 from wrt.bench.peers.peer import Answer, Query
 from wrt.engine.launch.traversal_launch import MIN_CHUNK
 from wrt.kernels.runtime.launch import MAX_CHUNK, Chunks, PreparedLaunch, use_threads
@@ -54,12 +53,12 @@ class EmbreeArrays(Embree):
         origins = np.ascontiguousarray(rays.origins[:1] if rays.shares_origin else rays.origins)
         directions = np.ascontiguousarray(rays.directions)
         answers = {name: np.zeros(count, kind) for name, kind in ANSWERS.items() if (name != "occluded") == closest}
-        addresses = [answers[name].ctypes.data if name in answers else 0 for name in ANSWERS]
-        version = self.version.number
-        flags = self.version.coherent if rays.name in COHERENT else 0
-        asked = [address_of(version, f"{function}{self.width}"), scene.handle, version, flags, self.width, closest, rays.t_max]
-        given = [origins.ctypes.data, 0 if rays.shares_origin else 3, directions.ctypes.data, count]
-        launch = PreparedLaunch(trace_arrays, [*asked, *given, *addresses], wp.get_device("cpu"))
+        given, asked = FlatRays(), FlatAnswers()
+        given.origins, given.directions, given.count = origins.ctypes.data, directions.ctypes.data, count
+        given.origin_step = 0 if rays.shares_origin else 3
+        for name, values in answers.items():
+            setattr(asked, name, values.ctypes.data)
+        launch = PreparedLaunch(trace_arrays, [self._call(function, rays), given, asked], wp.get_device("cpu"))
         packets, chunks = -(-count // self.width), Chunks(MIN_CHUNK // self.width, MAX_CHUNK // self.width)
 
         def run() -> dict[str, np.ndarray]:
