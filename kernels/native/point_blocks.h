@@ -147,8 +147,8 @@ template <int W> inline unsigned near_triangles(const float* record, const Searc
 }
 #endif
 
-/// The search of the leaves of a tree. Triangles whose boxes are near wait until there are W of them. tried: a slot whose block has
-/// been tested; -1 for none.
+/// The search of the leaves of a tree. Triangles whose boxes are near wait until there are W of them. tried: a slot whose block
+/// has been tested; -1 for none.
 template <int W, int ROWS, class Triangles, class Kept> struct LeafSearch {
     const Triangles& triangles;
     const SearchPoint& point;

@@ -131,7 +131,8 @@ private:
     static inline Floats<W> load_lanes(const float* from) { return wrt::load<Floats<W>>(from); }
 };
 
-/// The nearest triangles of `count` points, at most the lanes of a node, from number `begin` of the order on; of one tree of boxes.
+/// The nearest triangles of `count` points, at most the lanes of a node, from number `begin` of the order on; of one tree of
+/// boxes.
 ///
 /// last: slots of three triangles that are tried first, or -1; some that were found.
 template <class Space, class Points, class Answers>

@@ -16,11 +16,12 @@ template <class Points> inline CUDA_CALLABLE int point_at(const Points& points, 
     return points.order.shape[0] ? points.order.data[place] : place;
 }
 
-/// Slack of the boxes that a group of points looks into, over that of one point: computed distances of a triangle may be above those
-/// of its vertices by twice as much.
+/// Slack of the boxes that a group of points looks into, over that of one point: computed distances of a triangle may be above
+/// those of its vertices by twice as much.
 constexpr float SLACKS_OF_GROUP = 4.0f;
 
-/// Points whose box has a squared diagonal below this part of the sum of the squared edges of a triangle near them walk as a packet.
+/// Points whose box has a squared diagonal below this part of the sum of the squared edges of a triangle near them walk as a
+/// packet.
 constexpr float DENSE = 0.5f;
 
 /// What is known of some points before they are searched.

@@ -168,8 +168,8 @@ template <int W> struct WaitingChildren {
 
 /// Walks a wide BVH from a node on, which need not be one of the tree's.
 ///
-/// box, children: of the node. point: one, or what has a distance from intervals. leaf(block, count): visits one. kept: `limit` says
-/// which boxes are entered, and may fall at leaves.
+/// box, children: of the node. point: one, or what has a distance from intervals. leaf(block, count): visits one. kept: `limit`
+/// says which boxes are entered, and may fall at leaves.
 template <int W, class Tree, class Point, class Kept, class Leaf>
 inline CUDA_CALLABLE void walk_below(
     const Tree& tree, const float* box, const int* children, const Point& point, Kept& kept, Leaf&& leaf)
@@ -292,8 +292,8 @@ struct AtRoot { };
 
 /// Kinds of trees, as searches walk them: wide nodes, and the cells of a kd-tree. `PackedTree` is another.
 ///
-/// start: where the walk begins; null for the root. tried: a slot around which triangles have been tested; -1 for none. LANES: of
-/// nodes below which groups of points begin together; 0 if they do not.
+/// start: where the walk begins; null for the root. tried: a slot around which triangles have been tested; -1 for none. LANES:
+/// of nodes below which groups of points begin together; 0 if they do not.
 template <int W, int ROWS> struct BoxTree : BlockLeaves<W, ROWS> {
     using Start = NodeOfPoints<W>;
     static constexpr int LANES = W, TRIANGLE_ROWS = ROWS;

@@ -169,8 +169,8 @@ inline CUDA_CALLABLE void write_return(const Detector& detector, float t, float 
     intensity = lost ? 0.0f : power;
 }
 
-/// Ranges of the rays begin .. end - 1 if the power of returns does not matter; inf for those that are not detected. `order` as in
-/// `write_returns`.
+/// Ranges of the rays begin .. end - 1 if the power of returns does not matter; inf for those that are not detected. `order` as
+/// in `write_returns`.
 template <class Detector>
 inline CUDA_CALLABLE void write_distances(const Detector& detector, const float* __restrict t, const int* __restrict primitive,
     const int* __restrict order, int place, int begin, int end, float* __restrict range)

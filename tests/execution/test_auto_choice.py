@@ -22,7 +22,7 @@ import wrt.kernels
 from wrt.engine.facts.facts import RayFacts, SceneFacts
 from wrt.engine.facts.query_kinds import few_rays
 from wrt.engine.facts.wide_trees import wide_form_pays
-from wrt.engine.plan.planner import choose_culling, choose_traversal, packet_vectors, situation_of
+from wrt.engine.plan.planner import choose_culling, choose_traversal, packet_rays, situation_of
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.capabilities import Capabilities
 from wrt.kernels.traversal.traversal_scores import GREATEST_SHARE, Overlap
@@ -313,28 +313,28 @@ def test_the_grid_has_all_kinds():
 
 
 @pytest.mark.parametrize(
-    ("lanes", "tree", "count", "shared", "vectors"),
+    ("width", "tree", "count", "shared", "expected"),
     [
-        (16, "bvh", 799, True, 2),
-        (16, "bvh", 800, True, 4),
-        (8, "bvh", 799, True, 4),
-        (8, "bvh", 800, True, 8),
-        (8, "bvh", 800, False, 4),
-        (4, "bvh", 800, False, 8),
-        (8, "kdtree", 799, True, 2),
-        (8, "kdtree", 800, True, 8),
+        (16, "bvh", 799, True, 32),
+        (16, "bvh", 800, True, 64),
+        (8, "bvh", 799, True, 32),
+        (8, "bvh", 800, True, 64),
+        (4, "bvh", 800, False, 32),
+        (2, "bvh", 800, False, 32),
+        (8, "kdtree", 799, True, 16),
+        (8, "kdtree", 800, True, 64),
     ],
 )
-def test_rays_of_packets(lanes, tree, count, shared, vectors):
+def test_rays_of_packets(width, tree, count, shared, expected):
     """Packets on boxes have 32 rays, and 64 where rays from one point crowd (notebooks/records/2026-11-28-auto.md)."""
-    scene, rays = SceneFacts(tree=tree, width=lanes, triangles=100), RayFacts(count, (count,), shared_origin=shared)
-    assert packet_vectors(scene, rays, TRAVERSALS["packet"]) == vectors
+    scene, rays = SceneFacts(tree=tree, width=width, triangles=100), RayFacts(count, (count,), shared_origin=shared)
+    assert packet_rays(scene, rays, TRAVERSALS["packet"], width) == expected
 
 
 @pytest.mark.parametrize("elsewhere", [{"is_cuda": True}, {"instances": 3}])
 def test_packets_have_two_vectors_elsewhere(elsewhere):
     scene, rays = SceneFacts(tree="bvh", width=8, triangles=100, **elsewhere), RayFacts(100, (100,), shared_origin=True)
-    assert packet_vectors(scene, rays, TRAVERSALS["packet"]) == 2
+    assert packet_rays(scene, rays, TRAVERSALS["packet"], 8) == 16
 
 
 ROOMS = [Path(room.__file__).parent for room in (wrt.engine, wrt.kernels)]

@@ -174,7 +174,7 @@ def test_lists_of_clipped_triangles(teapot):
 def test_nodes_have_two_children_at_least(teapot):
     scene = wrt.Scene(teapot, TREES["width 1"], device="cpu")
     plan = scene.explain(*mixed_rays(teapot, 3000), traversal="wide_packet")
-    assert (scene.state.width, plan.width, plan.packet, wide_tree(scene.state).width) == (1, 2, 4, 2)
+    assert (scene.state.width, plan.width, plan.packet, wide_tree(scene.state).width) == (1, 2, 32, 2)
 
 
 def test_when_there_is_one():

@@ -95,7 +95,7 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     width = wide_width(known.width) if Capabilities.WIDE_FORM in chosen.capabilities else known.width
     options: dict[str, Any] = {}
     if Capabilities.PACKETS in chosen.capabilities:
-        options["packet"] = packet_vectors(known, rays, chosen) * width
+        options["packet"] = packet_rays(known, rays, chosen, width)
         options["culling"] = choose_culling(known, rays, chosen, test)
     if Capabilities.STREAMS in chosen.capabilities:
         options["stream"] = stream_size(known, rays, chosen)
@@ -233,13 +233,13 @@ def stream_size(scene: SceneFacts, rays: RayFacts, traversal: Traversal) -> int:
     return next((size for size in STREAMS if size <= most), STREAMS[-1])
 
 
-def packet_vectors(scene: SceneFacts, rays: RayFacts, traversal: Traversal) -> int:
-    """Rays of a packet, in vectors of the tree's width."""
+def packet_rays(scene: SceneFacts, rays: RayFacts, traversal: Traversal, width: int) -> int:
+    """Rays of a packet, a multiple of the width of the nodes that it walks."""
     if Capabilities.ONE_VECTOR in traversal.capabilities:
-        return 1
+        return width
     by_boxes = traversal.walks_boxes(scene.tree) and not (scene.is_cuda or scene.instances)
-    rays_of_packet = CROWDED_PACKET if is_crowded(scene, rays) else PACKET if by_boxes else 0
-    return max(rays_of_packet // scene.width, LEAST_VECTORS)
+    least = CROWDED_PACKET if is_crowded(scene, rays) else PACKET if by_boxes else 0
+    return max(least // width, LEAST_VECTORS) * width
 
 
 def is_crowded(scene: SceneFacts, rays: RayFacts) -> bool:
