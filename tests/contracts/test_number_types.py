@@ -42,8 +42,8 @@ NO_NUMBERS = (
 )
 """What is neither a number nor a switch. Text may be an amount of memory."""
 
-MAY_BE_ARRAYS = ("Any", "Numbers", "Numbers | None")
-"""Annotations of arguments that are one number or an array."""
+MAY_BE_ARRAYS = ("Any", "Numbers", "Numbers | None", "int | Sequence[int] | None")
+"""Annotations of arguments that are one number or several."""
 
 NAN_IS_FINE = {("Camera.capture", "miss")}
 
@@ -73,7 +73,7 @@ def numeric_parameters(function: Callable[..., Any]) -> list[str]:
         parameters = inspect.signature(function).parameters.values()
     except ValueError:  # an exception's class, and others that are not written in Python
         return []
-    declared = {one.name: str(one.annotation) for one in parameters}
+    declared = {one.name: str(one.annotation) for one in parameters if one.kind is not one.VAR_KEYWORD}
     return [name for name, text in declared.items() if NUMERIC.search(re.sub(r"(Callable|Mapping|dict)\[.*\]", "", text))]
 
 

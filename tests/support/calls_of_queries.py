@@ -51,6 +51,8 @@ def query_calls() -> Iterator[Call]:
     )
     yield Call("BlockQueries.occluded_blocks", lambda **o: scene().occluded_blocks(*rays(), **o).result(), blocks)
     yield Call("BlockQueries.count_blocks", lambda **o: scene().count_blocks(*rays(), **o).result(), blocks)
+    for name in ("intersect_blocks", "occluded_blocks", "count_blocks", "closest_point_blocks"):
+        yield Call(f"BlockQueries.{name}", lambda name=name, **o: reduced(name, o), {"axis": 0})
     options = {"max_distance": 64.0, "memory": 1 << 16, "progress": False, "precise": False}
     yield Call(
         "BlockQueries.closest_point_blocks",
@@ -124,6 +126,13 @@ def graph() -> wrt.Scene:
     made = trimesh.Scene()
     made.add_geometry(trimesh_rays().mesh, node_name="part")
     return wrt.Scene(made, device="cpu")
+
+
+def reduced(name: str, options: dict[str, Any]) -> Any:
+    """What blocks of a query have after a reduction along axes."""
+    given = rays()[:1] if name == "closest_point_blocks" else rays()
+    reduce = LEAST if name in ("intersect_blocks", "closest_point_blocks") else "sum"
+    return getattr(scene(), name)(*given, reduce=reduce, **options).result()
 
 
 def of_parts(name: str, options: dict[str, Any]) -> Any:

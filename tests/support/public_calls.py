@@ -48,6 +48,7 @@ FOR_THE_LIBRARY = {
         "Trajectory.check_covers ProcessPool.shutdown WeightedSum.check WeightedSum.part"
     ),
     "needs Dask": "map_points map_rays",
+    "needs PyTorch": "TorchScene.intersect",
     "needs matplotlib": "draw_tree",
     "needs a browser": "view Viewer.play Viewer.add_points",
     "rows and columns of a finished analysis": "OctreeAnalysis.cut",
