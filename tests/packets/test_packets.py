@@ -214,8 +214,6 @@ def test_a_camera_gets_packets_and_random_rays_do_not(tree, otherwise):
     assert hits.plan == plan
     assert_same_hits(hits, scene.intersect(camera.rays(), traversal="single"))
     directions = np.random.default_rng(0).normal(size=(9000, 3))
-    if tree == "bvh" and scene.state.width < 16:
-        otherwise = "interleaved"
     assert scene.explain(np.zeros(3), directions).traversal == otherwise
     assert "incoherent" in str(scene.explain(np.zeros(3), directions))
 
@@ -261,8 +259,7 @@ def test_plans_of_fine_and_rough_views():
     """The fewer rays a triangle, the more is looked at at each leaf, and then of each ray."""
     mesh = wrt.scenes.build("teapot")
     scene = wrt.Scene(mesh, device="cpu")
-    few_rays = "stream" if scene.state.width == 16 else "interleaved"
-    for share, traversal, culling in ((0.1, few_rays, ""), (0.9, "packet", "leaf_boxes"), (16.0, "packet", "interval")):
+    for share, traversal, culling in ((0.1, "stream", ""), (0.9, "packet", "leaf_boxes"), (16.0, "packet", "interval")):
         size = int((share * mesh.triangle_count) ** 0.5)
         plan = scene.explain(wrt.PinholeCamera(size, size, position=(0.0, 2.0, 8.0), look_at=(0.0, 0.0, 0.0)).rays())
         assert (plan.traversal, plan.culling) == (traversal, culling)
@@ -336,8 +333,7 @@ def test_large_scattered_batches_are_reordered(monkeypatch):
     assert scene.explain(origins, directions).reorder == "none"
     monkeypatch.setattr(wrt.engine.plan.planner, "CACHED_BYTES", 1)
     scene.state.cache.clear()  # which rays like these have
-    order = "cells" if scene.state.width == 16 else "none"  # rays that take turns are not sorted: that makes them slower
-    assert scene.explain(origins, directions).reorder == order
+    assert scene.explain(origins, directions).reorder == "cells"
     assert scene.explain(origins[:1], directions).reorder == "none"
 
 

@@ -226,8 +226,7 @@ def check_known_rays(names):
 
 
 def check_auto(names):
-    expected = "stream" if names["scene"].state.width == 16 else "interleaved"  # for incoherent rays
-    assert (names["plan"].traversal, names["hits"].plan.traversal) == (expected, "stream")
+    assert (names["plan"].traversal, names["hits"].plan.traversal) == ("stream", "stream")
     assert names["same"].plan.culling == "interval"
 
 
