@@ -259,7 +259,7 @@ def test_plans_of_fine_and_rough_views():
     """The fewer rays a triangle, the more is looked at at each leaf, and then of each ray."""
     mesh = wrt.scenes.build("teapot")
     scene = wrt.Scene(mesh, device="cpu")
-    for share, traversal, culling in ((0.1, "stream", ""), (0.9, "packet", "leaf_boxes"), (16.0, "packet", "interval")):
+    for share, traversal, culling in ((0.1, "stream", ""), (2.0, "packet", "leaf_boxes"), (16.0, "packet", "interval")):
         size = int((share * mesh.triangle_count) ** 0.5)
         plan = scene.explain(wrt.PinholeCamera(size, size, position=(0.0, 2.0, 8.0), look_at=(0.0, 0.0, 0.0)).rays())
         assert (plan.traversal, plan.culling) == (traversal, culling)
