@@ -108,7 +108,8 @@ class Embree(Peer):
     def _call(self, function: str, rays: Workload) -> EmbreeCall:
         """A call of `rtcIntersect` or `rtcOccluded` for packets of these rays."""
         call = EmbreeCall()
-        call.function, call.scene = address_of(self.version.number, f"{function}{self.width}"), self._scene.handle
+        call.function = wp.uint64(address_of(self.version.number, f"{function}{self.width}"))
+        call.scene = wp.uint64(self._scene.handle)
         call.version, call.width, call.t_max = self.version.number, self.width, rays.t_max
         call.flags = self.version.coherent if rays.name in COHERENT else 0
         call.closest = function == "rtcIntersect"
@@ -120,7 +121,7 @@ class Embree(Peer):
         hit_fields = self.version.hit_fields if closest else ()
         packets = ray_packets(rays, self.width, hit_fields)
         filled = FilledPackets()
-        filled.address, filled.fields = packets.ctypes.data, len(_RAY_FIELDS) + len(hit_fields)
+        filled.address, filled.fields = wp.uint64(packets.ctypes.data), len(_RAY_FIELDS) + len(hit_fields)
         launch = PreparedLaunch(trace_packets, [self._call(function, rays), filled], wp.get_device("cpu"))
         chunks = Chunks(MIN_CHUNK // self.width, MAX_CHUNK // self.width)
 

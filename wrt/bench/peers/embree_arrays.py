@@ -54,10 +54,10 @@ class EmbreeArrays(Embree):
         directions = np.ascontiguousarray(rays.directions)
         answers = {name: np.zeros(count, kind) for name, kind in ANSWERS.items() if (name != "occluded") == closest}
         given, asked = FlatRays(), FlatAnswers()
-        given.origins, given.directions, given.count = origins.ctypes.data, directions.ctypes.data, count
-        given.origin_step = 0 if rays.shares_origin else 3
+        given.origins, given.directions = wp.uint64(origins.ctypes.data), wp.uint64(directions.ctypes.data)
+        given.origin_step, given.count = 0 if rays.shares_origin else 3, count
         for name, values in answers.items():
-            setattr(asked, name, values.ctypes.data)
+            setattr(asked, name, wp.uint64(values.ctypes.data))
         launch = PreparedLaunch(trace_arrays, [self._call(function, rays), given, asked], wp.get_device("cpu"))
         packets, chunks = -(-count // self.width), Chunks(MIN_CHUNK // self.width, MAX_CHUNK // self.width)
 
