@@ -118,7 +118,7 @@ inline CUDA_CALLABLE void nearest_of_group(Space space, const Points& points, co
         for (int j = 0; j < count; ++j) {
             if constexpr (LANES > 0) {
                 if ((j == (begin == first)) & (last[1] >= 0)) {
-                    const Together all = space.together(points, begin + j, count - j, last[1]);
+                    const GroupBounds all = space.bounds_of_group(points, begin + j, count - j, last[1]);
 #if WRT_VECTORS
                     if constexpr (!Kept::COUNTS && LANES > 2)
                         if (all.are_dense) {

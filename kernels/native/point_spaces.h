@@ -25,7 +25,7 @@ constexpr float SLACKS_OF_GROUP = 4.0f;
 constexpr float DENSE = 0.5f;
 
 /// What is known of some points before they are searched.
-struct Together {
+struct GroupBounds {
     BoxOfPoints box;
     float limit;  // no box is farther from theirs that has what is nearest to one of them; squared
     bool are_dense;
@@ -93,9 +93,10 @@ template <class Kind, class Tree, class Triangles> struct PointTree {
     }
 
     /// What is known of some points. slot: of a triangle near them.
-    template <class Points> inline CUDA_CALLABLE Together together(const Points& points, int begin, int count, int slot) const
+    template <class Points>
+    inline CUDA_CALLABLE GroupBounds bounds_of_group(const Points& points, int begin, int count, int slot) const
     {
-        Together all;
+        GroupBounds all;
         for (int a = 0; a < 3; ++a) all.box.low[a] = WRT_INFINITY, all.box.high[a] = -WRT_INFINITY;
         for (int j = begin; j < begin + count; ++j) {
             const auto& at = points.position.data[point_at(points, j)];

@@ -38,7 +38,6 @@ BEAMS = "const int* order = beams.order.shape[0] > 0 ? beams.order.data : nullpt
 )
 def write_depths(beams: Beams, traced: Traced, miss: float, images: Images, begin: int, end: int):
     """Writes distance and depth of the pixels of rays begin .. end - 1, those that are asked for."""
-    ...
 
 
 @native.func_native(
@@ -50,7 +49,6 @@ def write_depths(beams: Beams, traced: Traced, miss: float, images: Images, begi
 )
 def write_positions(beams: Beams, traced: Traced, origins: wp.array(dtype=wp.vec3d), images: Images, begin: int, end: int):
     """Writes the points that the pixels of rays begin .. end - 1 see."""
-    ...
 
 
 @native.func_native(
@@ -61,7 +59,6 @@ def write_positions(beams: Beams, traced: Traced, origins: wp.array(dtype=wp.vec
 )
 def write_ids(traced: Traced, mesh: SceneMesh, labels: wp.array(dtype=int), images: Images, begin: int, end: int):
     """Writes what the pixels of rays begin .. end - 1 see, those images that are asked for; not by an order."""
-    ...
 
 
 @wp.func

@@ -262,7 +262,6 @@ def keyed(given: Noise):
 @native.func_native("sensor_noise.h", "return wrt::is_noisy(noise);")
 def is_noisy(noise: Noise) -> bool:
     """Whether a sensor has any noise."""
-    ...
 
 
 @native.func_native(
@@ -272,7 +271,6 @@ def is_noisy(noise: Noise) -> bool:
 )
 def write_ranges(noise: Noise, begin: int, end: int, returns: Returns):
     """Writes the ranges of returns with noise, given those without, and takes out those that are lost."""
-    ...
 
 
 @exact_kernel
@@ -289,7 +287,6 @@ def add_noise(first: int, block: int, count: int, noise: Noise, returns: Returns
 @native.func_native("sensor_rays.h", "return wrt::end_of_run(primitive.data, begin, end);")
 def end_of_run(primitive: wp.array(dtype=int), begin: int, end: int) -> int:
     """The end of the neighbours that met one triangle."""
-    ...
 
 
 @native.func_native(
@@ -301,7 +298,6 @@ def end_of_run(primitive: wp.array(dtype=int), begin: int, end: int) -> int:
 )
 def write_run(beams: Beams, traced: Traced, detector: Detector, surface: Surface, begin: int, end: int, returns: Returns):
     """Writes ranges and intensities of neighbours that met one surface, without noise, by a simple range law."""
-    ...
 
 
 @native.func_native(
@@ -312,7 +308,6 @@ def write_run(beams: Beams, traced: Traced, detector: Detector, surface: Surface
 )
 def write_distances(beams: Beams, traced: Traced, detector: Detector, begin: int, end: int, returns: Returns):
     """Writes ranges without noise, whatever power returns have."""
-    ...
 
 
 @wp.func

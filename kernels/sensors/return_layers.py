@@ -75,7 +75,6 @@ def write_points(
     beams: Beams, noise: Noise, pose: Pose, beam: int, begin: int, end: int, returns: Returns, layers: ReturnLayers
 ):
     """Writes the points of returns begin .. end - 1 of one sensor at rest, the first of them that of a beam."""
-    ...
 
 
 @wp.func
@@ -155,7 +154,6 @@ def write_ids(
     layers: ReturnLayers,
 ):
     """Writes what the rays begin .. end - 1 met, one of each beam, in the order of their numbers."""
-    ...
 
 
 @exact_kernel

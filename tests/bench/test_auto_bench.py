@@ -96,7 +96,7 @@ def test_command(tmp_path, monkeypatch):
     assert row["rules"] in row["milliseconds"]
 
 
-def test_a_duel_times_the_best_engine_twice():
+def test_more_turns_time_the_best_engine_twice():
     """On a clock that each run advances by what it takes, the engine's second name included."""
     now = 0.0
 
@@ -109,7 +109,7 @@ def test_a_duel_times_the_best_engine_twice():
 
     runs = {"auto": takes(0.003), "stream": takes(0.002)}
     times = {"auto": 5.0, "stream": 1.0, "single": 4.0}
-    noise = auto_choices.duel(times, "stream", runs, 2, lambda: now, lambda name: None)
+    noise = auto_choices.take_more_turns(times, "stream", runs, 2, lambda: now, lambda name: None)
     assert times == {"auto": pytest.approx(3.0), "stream": 1.0, "single": 4.0}
     assert noise == pytest.approx(1.0)
 

@@ -41,7 +41,7 @@ LEARNING_SECONDS, LEARNING_CALLS = 0.6, 8
 SETTLE = 0.01
 """Seconds below which a turn starts with an untimed call."""
 
-DUEL_SECONDS, MOST_ROUNDS = 0.3, 25
+MORE_SECONDS, MOST_ROUNDS = 0.3, 25
 """Seconds for more turns of "auto" and the best engine, and rounds at most: the least of a few turns is still by chance."""
 
 AGAIN = " again"
@@ -142,7 +142,7 @@ def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn
     beside = timings.pop("Open3D", None)
     times = {engine: 1e3 * timing.spread[0] for engine, timing in timings.items()}
     best = min((engine for engine in times if engine != AUTO), key=times.__getitem__)
-    noise = duel(times, best, runs, rounds, clock, on_turn)
+    noise = take_more_turns(times, best, runs, rounds, clock, on_turn)
     auto, (plan, compared) = times.pop(AUTO), explain(scene, case)
     best = min(times, key=times.__getitem__)
     return Choice(
@@ -165,7 +165,7 @@ def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn
     )
 
 
-def duel(
+def take_more_turns(
     times: dict[str, float],
     best: str,
     runs: Mapping[str, Callable[[], Any]],
@@ -184,7 +184,7 @@ def duel(
     """
     again = best + AGAIN
     contenders = [Contender(AUTO, runs[AUTO]), Contender(best, runs[best]), Contender(again, runs[best])]
-    more = min(max(rounds, int(DUEL_SECONDS / (6e-3 * times[best]))), MOST_ROUNDS)  # each turn may have an untimed call
+    more = min(max(rounds, int(MORE_SECONDS / (6e-3 * times[best]))), MOST_ROUNDS)  # each turn may have an untimed call
     timings = take_turns(contenders, more, settle=SETTLE, clock=clock, on_turn=on_turn)
     found = {name: 1e3 * timing.spread[0] for name, timing in timings.items()}
     for name in (AUTO, best):
