@@ -57,9 +57,22 @@ def test_answers(scene, shape, dtype):
     assert len(scene.state.cache.few_points) == 1
 
 
-def test_strided_points(scene):
-    wide = some_points(40, np.float64)
-    assert_same(scene.closest_point(wide[::2]), by_warp(scene, np.ascontiguousarray(wide[::2])), (20,))
+LAYOUTS = {
+    "every other": lambda points: np.repeat(points, 2, axis=0)[::2],
+    "by columns": np.asfortranarray,
+    "columns backwards": lambda points: points[:, ::-1].copy()[:, ::-1],
+    "backwards": lambda points: points[::-1].copy()[::-1],
+    "of a wider table": lambda points: np.tile(points, 2)[:, :3],
+}
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_layouts_of_points(scene, layout, dtype):
+    points = some_points(20, dtype)
+    given = LAYOUTS[layout](points)
+    np.testing.assert_array_equal(given, points)
+    assert_same(scene.closest_point(given), by_warp(scene, points), (20,))
 
 
 def test_answers_are_kept(scene):

@@ -61,7 +61,7 @@ class FewPoints:
     def find(self, scene: SceneState, points: np.ndarray, most: float) -> tuple[DeviceHits, wp.array]:
         """What is nearest to points (..., 3), with distances as t, and the features."""
         with np.errstate(over="ignore", invalid="ignore"):
-            relative = (points.reshape(-1, 3) - scene.center).astype(np.float32)
+            relative = (points.reshape(-1, 3) - scene.center).astype(np.float32, order="C")
             self._most[0] = most
         count = self._points.count = len(relative)
         write_flat(self._points.position, address_of(relative), count, wp.vec3)
