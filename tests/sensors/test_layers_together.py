@@ -55,6 +55,19 @@ def test_layers_of_scans(scene, lidar, path):
         np.testing.assert_array_equal(getattr(backwards, name), expected[name], err_msg=name)
 
 
+@pytest.mark.parametrize("layers", [None, ALL, ("range", "normal")])
+@pytest.mark.parametrize("lidar", LIDARS)
+def test_ranges_that_callers_change(scene, lidar, layers):
+    """Layers that are read later are those of the scan."""
+    scan = lambda: LIDARS[lidar].scan(scene, POSE, seed=5, layers=layers)  # noqa: E731
+    expected, changed = scan(), scan()
+    changed.range[:] = np.inf
+    for name in layers or ALL:
+        if name != "range":
+            np.testing.assert_array_equal(getattr(changed, name), getattr(expected, name), err_msg=name)
+    assert np.isinf(changed.range).all()
+
+
 def test_ids_of_scans_are_those_of_their_rays(scene):
     lidar = LIDARS["whatever returns"].replace(min_range=0.0, max_range=np.inf)
     scan, hits = lidar.scan(scene, np.eye(4), labels=[4, 7, 1, 0]), scene.intersect([0.0, 0.0, 0.0], PATTERN.directions)

@@ -84,7 +84,10 @@ class LidarScan(HitOutputs):
 
     @cached_property
     def range(self) -> Any:
-        return self._out("range")
+        values = self._out("range")
+        if self._to_warp or self._layers.arrays.keys() >= set(self._chosen):
+            return values
+        return values.copy()  # layers that are made later are made of it, whatever callers write to theirs
 
     @cached_property
     def intensity(self) -> Any:
