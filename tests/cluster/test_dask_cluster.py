@@ -17,6 +17,7 @@ from support.hits import mixed_rays
 import wrt
 from wrt.cluster.job_folder import JobFolder
 from wrt.query.batches import shared_files
+from wrt.query.batches.dask_futures import submit_to_dask
 from wrt.query.blocks import BYTES_PER_RAY
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install 'wrt[cluster-dask]'")
@@ -155,6 +156,17 @@ def test_a_worker_that_dies_while_its_answer_is_fetched(scene, rays, executor, m
         executor.submit(np.ones, 7).result()
     found = scene.count_blocks(*rays, memory=MEMORY, executor=executor).result()
     np.testing.assert_array_equal(found, scene.count(*rays))
+
+
+def test_an_executor_that_was_shut_down(scene, rays, client):
+    """Takes nothing more; what it was given is cancelled."""
+    own = client.get_executor()
+    task = submit_to_dask(own, sleep, 2.0)
+    own.shutdown(wait=False)
+    with pytest.raises(BaseException, match=r"(?i)cancel"):
+        task.result(timeout=20)
+    with pytest.raises(RuntimeError, match="shut down"):
+        scene.count_blocks(*rays, memory=MEMORY, executor=own).result()
 
 
 def test_a_worker_that_is_out_of_memory(scene, client, executor, tmp_path):

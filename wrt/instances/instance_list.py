@@ -1,7 +1,7 @@
 """The instances of a scene as objects, as arrays, or both: what is not there is made when something reads it.
 
-A simulation moves thousands of instances at each step and reads none of them; making their objects took a third of such a
-step. Of a robot's scene a few of some dozen move, for which objects are the faster form.
+A simulation moves thousands of instances at each step and reads none of them: making their objects would be a good part of such
+a step. Of a robot's scene a few of some dozen move, for which objects are the faster form.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ PACKET = 32
 (notebooks/records/2026-11-21-plans.md), with 8 at least as fast as 16 and 64 (notebooks/records/2026-11-28-auto.md)."""
 
 CROWDED_PACKET = 64
-"""The same of crowded rays: 0.7 of the time of 32 with 16 lanes, 1.06 with 8 (notebooks/records/2026-11-28-auto.md)."""
+"""The same of crowded rays (notebooks/records/2026-11-28-auto.md)."""
 
 LEAST_VECTORS = 2
 """Vectors of a packet at least, through instances, and in the cells of a kd-tree."""

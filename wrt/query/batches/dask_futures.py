@@ -18,8 +18,14 @@ def submit_to_dask(executor: Any, function: Callable[..., Any], *arguments: Any)
     Args:
         executor: of `client.get_executor()`.
         function: what is called with the other arguments; all can be pickled.
+
+    Raises:
+        RuntimeError: the executor was shut down.
     """
+    if executor._shutdown:
+        raise RuntimeError("the Dask executor was shut down; call client.get_executor() for another one")
     task = executor._client.submit(function, *arguments, **executor._kwargs)
+    executor._futures.add(task)  # which it cancels when it is shut down
     future: Future = Future()
     future.add_done_callback(lambda done: task.cancel() if done.cancelled() else None)
     task.add_done_callback(lambda task: deliver(task, future))
