@@ -62,9 +62,13 @@ def test_masks_in_blocks_broadcast(both):
 
 
 def test_masks_in_plans(both):
-    """The plan of rays with masks is the one by which they are traced."""
+    """The plan of rays with masks is the one by which they are traced, where a call is not a trial of another one."""
     scene, rays, masks = both["scene"], both["rays"], both["masks"]
-    explained, traced = scene.explain(*rays, mask=masks), scene.intersect(*rays, mask=masks).plan
+    wrt.device.set_auto("rules")
+    try:
+        explained, traced = scene.explain(*rays, mask=masks), scene.intersect(*rays, mask=masks).plan
+    finally:
+        wrt.device.set_auto(None)
     assert replace(explained, reason=traced.reason) == traced  # which says, too, what was not compiled yet
     with pytest.raises(ValueError, match="does not broadcast"):
         scene.explain(*rays, mask=masks[:7])
