@@ -43,6 +43,11 @@ struct Mesh {
     float pad;
     bool shrinks;
 };
+struct Leaves {
+    Rows<int> primitive, begin, count, kept;
+    Rows<unsigned char> keeps;
+    Rows<Vec3> low, high, inner_low, inner_high;
+};
 struct MergedTree {
     Rows<float> box;
     Rows<Vec2i> child;
@@ -133,12 +138,13 @@ Vec3i scanned(float* list, int* counts, const KdBinning& binning, Sides& sides)
 }
 
 Vec2i clipped(const Mesh& mesh, const Boxes& boxes, Vec3& low, Vec3& high, const Slabs& slabs, float* list, int* counts,
-    unsigned char* keeps, Sides& sides)
+    const Leaves& leaves, Sides& sides)
 {
     const ClipCell cell = cell_of(low, high, 0.1f);
     clip_sides(mesh, cell, cell, list, 3, Split {1, 0.5f, true}, {true, list, list, {}}, sides);
     counts[0] = clip_range(mesh, cell, list, 3, 1, true, low, high) + clip_straddlers(mesh, cell, list, 3, counts, list)
-        + clip_part(mesh, cell, boxes, 1, 2, 3) + measure_leaf(mesh, cell, boxes, counts, 3, true, keeps, low, high);
+        + clip_part(mesh, cell, boxes, 1, 2, 3);
+    measure_leaf(mesh, boxes, leaves, 1, true);
     bin_parts(mesh, list, 3, slabs, list, counts, counts);
     return divide_parts<Vec2i>(mesh, list, 3, slabs, 2, list, list);
 }
