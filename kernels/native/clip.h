@@ -48,13 +48,13 @@ inline CUDA_CALLABLE void cut(const TrianglePart& from, int axis, double sign, d
 inline CUDA_CALLABLE void shrink(float* box, const TrianglePart& polygon, float pad)
 {
     for (int axis = 0; axis < 3; ++axis) {
-        double least = WRT_INFINITY, most = -WRT_INFINITY;
+        double lower = WRT_INFINITY, upper = -WRT_INFINITY;
         for (int i = 0; i < polygon.corners; ++i) {
             const double x = polygon.corner[i][axis];
-            least = x < least ? x : least;
-            most = x > most ? x : most;
+            lower = x < lower ? x : lower;
+            upper = x > upper ? x : upper;
         }
-        const float a = (float)(least - pad), b = -(float)(most + pad);
+        const float a = (float)(lower - pad), b = -(float)(upper + pad);
         box[axis] = a > box[axis] ? a : box[axis];
         box[4 + axis] = b > box[4 + axis] ? b : box[4 + axis];
     }
@@ -83,20 +83,20 @@ inline CUDA_CALLABLE int clip_range(const Mesh& mesh, const ClipCell& cell, floa
     bool beyond_high, Vec3& inner_low, Vec3& inner_high)
 {
     float *from = range, *to = range;
-    float least[8];
-    set_empty(least);
+    float bounds[8];
+    set_empty(bounds);
     for (int i = 0; i < count; ++i, from += 8) {
         const bool inside = beyond_high ? -from[4 + axis] <= cell.high[axis] : from[axis] >= cell.low[axis];
         const int triangle = id_of(from);
         if (to != from) copy_box(to, from);
         if (inside || clip(mesh, cell, triangle, to)) {
-            unite(least, to);
+            unite(bounds, to);
             to += 8;
         }
     }
     for (int j = 0; j < 3; ++j) {
-        inner_low.c[j] = least[j];
-        inner_high.c[j] = -least[4 + j];
+        inner_low.c[j] = bounds[j];
+        inner_high.c[j] = -bounds[4 + j];
     }
     return (int)((to - range) / 8);
 }

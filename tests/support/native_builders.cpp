@@ -155,7 +155,7 @@ int swept(const Cost& cost, const AxisFrame& frame, Vec2i* events, Vec3i* counts
     sort_pairs(events, 3);
     count_digits(list, 3, 8, numbers, 4);
     move_digits(list, numbers, 3, 8, numbers, 4, list, numbers);
-    find_least_plane(cost, frame, events, 3, 1, 2, found);
+    find_best_plane(cost, frame, events, 3, 1, 2, found);
     count_events(numbers, 0, 3, numbers, numbers, counts, 2);
     return write_events(list, 3, 1, events) + write_new_events(list, 3, 1, events);
 }
@@ -177,7 +177,7 @@ void merged(const MergedTree& tree, const Mesh& mesh, int* found)
 void moved(const Map& map, const Vec3d& origin, double* numbers, long long* found, float* bounds)
 {
     bound_by_team(numbers, 8, 0, 8, map, origin, numbers, 4, 0, 0, 1);
-    keep_least(found, ordered_bits(step_below(numbers[0])));
+    keep_min(found, ordered_bits(step_below(numbers[0])));
     add_all(numbers, of_ordered(found[0]) + power_above(numbers[1]));
     refit_lane(bounds, 0, 1, 1, 2);
     meet_block();

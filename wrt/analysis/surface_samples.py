@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 THROWN = 12.0
 """Points that are thrown for each area of radius x radius; some 0.6 are kept."""
 
-MOST_POINTS = 1 << 26
+MAX_POINTS = 1 << 26
 """Largest number of points."""
 
 GRID = 128
@@ -64,10 +64,10 @@ def sample_surface(scene: Scene, count: int | None = None, *, radius: float | No
     if not ends[-1] > 0.0:
         raise ValueError("the scene's triangles have no area, so that no point is on them")
     if radius is None:
-        thrown = as_int("count", count, 1, MOST_POINTS)
+        thrown = as_int("count", count, 1, MAX_POINTS)
     elif not (radius := as_float("radius", radius, finite=True)) > 0.0:
         raise ValueError(f"radius must be above 0, not {radius}")
-    elif (wanted := THROWN * float(ends[-1]) / max(radius * radius, 1e-300)) > MOST_POINTS:
+    elif (wanted := THROWN * float(ends[-1]) / max(radius * radius, 1e-300)) > MAX_POINTS:
         raise ValueError(f"radius {radius} is too small for an area of {ends[-1]:.4g}: {wanted:.4g} points would be thrown")
     else:
         thrown = int(np.ceil(wanted)) + 16

@@ -92,7 +92,7 @@ def rays_per_item(config: TraversalConfig) -> int:
     return RUN * FRUSTA * config.packet.rays
 
 
-def most_waiting(config: TraversalConfig) -> int:
+def max_waiting(config: TraversalConfig) -> int:
     """Children that may wait at a time."""
     return config.stack.levels * (config.width - 1) + config.width
 
@@ -306,7 +306,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 def make_eye_frusta_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation; its packets are frusta."""
     config = replace(config, packet=replace(config.packet, shared_origin=True))
-    layout, waiting = packet_layout(config), most_waiting(config)
+    layout, waiting = packet_layout(config), max_waiting(config)
     gather, order, walk = gather_directions(layout), frustum_at(layout.rays), make_walk(config)
     clear, store = clear_packet(layout), store_packet(layout, config.answer.rules.ends_at_first)
     packet_rays, size, lanes_size, counting = layout.rays, layout.size, lane_memory(waiting), config.counters

@@ -215,7 +215,7 @@ def as_distances(values: Any, shape: tuple[int, ...], name: str = "max_distance"
 def as_points(
     scene: SceneState,
     points: Any,
-    most: Any,
+    max_distance: Any,
     name: str = "max_distance",
     mask: Any = None,
     environment: Any = None,
@@ -226,7 +226,7 @@ def as_points(
     Args:
         scene: what they are searched in.
         points: (..., 3).
-        most: greatest distances, as in `as_distances`.
+        max_distance: greatest distances, as in `as_distances`.
         name: of these, for messages.
         mask, environment: of the instances that points see, as in `wrt.Scene.intersect`.
         in_order: as in `closest_point`.
@@ -242,10 +242,10 @@ def as_points(
     count = math.prod(shape)
     if count > MAX_RAYS:
         raise ValueError(f"{count:,} points are more than the {MAX_RAYS:,} of one call; pass parts of them")
-    limits = as_distances(most, shape, name)
+    limits = as_distances(max_distance, shape, name)
     flat, batch = flat_points(scene, given, is_wide), PointBatch()
     batch.count, batch.position = count, relative_points(scene, flat)
-    batch.most, batch.most_stride = wp.array(limits, dtype=float, device=device), int(len(limits) > 1)
+    batch.max_distance, batch.distance_stride = wp.array(limits, dtype=float, device=device), int(len(limits) > 1)
     batch.order = wp.empty(0, dtype=int, device=device)
     if count >= MIN_SORTED and not in_order:
         batch.order = morton_order(batch.position, scene.device_mesh.low, scene.device_mesh.high)
