@@ -163,14 +163,20 @@ def test_alone_is_whoever_chooses_nothing(chosen, alone):
 
 
 CHOOSER = """
-from support.selection import Skipped
+from pathlib import Path
+from support.selection import Skipped, named
 
 def pytest_addoption(parser):
     parser.addoption("--write-skipped")
+    parser.addoption("--was-skipped")
 
 def pytest_configure(config):
     if config.option.write_skipped:
         config.pluginmanager.register(Skipped(config))
+
+def pytest_collection_modifyitems(config, items):
+    if config.option.was_skipped:
+        items[:] = named(items, Path(config.option.was_skipped).read_text().splitlines())
 """
 
 LACKING = """
@@ -211,7 +217,15 @@ def test_what_was_skipped_runs_again(tmp_path, processes):
     skipped = (tmp_path / "skipped").read_text().splitlines()
     assert skipped == ["test_first.py", "test_lacking.py::test_a", "test_lacking.py::test_c[x[y]]", "test_second.py"]
     (tmp_path / "lacking_package.py").write_text("")
-    assert subprocess.run([*command, *processes, "@skipped"], **options).stdout.splitlines()[-1].startswith("4 passed in")
+    for again in (["@skipped"], ["--was-skipped=skipped"]):
+        assert subprocess.run([*command, *processes, *again], **options).stdout.splitlines()[-1].startswith("4 passed in")
+
+
+def test_what_is_named_must_be_there():
+    items = [Item(nodeid=f"tests/test_{name}.py::test_{name}[1]") for name in "abc"]
+    assert selection.named(items, ["tests/test_b.py", "tests/test_c.py::test_c[1]"]) == items[1:]
+    with pytest.raises(pytest.UsageError, match=r"no test is called tests/test_a\.py::test_b"):
+        selection.named(items, ["tests/test_a.py", "tests/test_a.py::test_b"])
 
 
 @pytest.mark.parametrize("text", ["", "0:1", "-1:1", "some", ":3", "1.5:1", "3", "3:some", "3:-1"])

@@ -43,6 +43,19 @@ def sample(items: list[pytest.Item], number: int, turn: int) -> list[pytest.Item
     return [item for item in items if item in kept]
 
 
+def named(items: list[pytest.Item], ids: list[str]) -> list[pytest.Item]:
+    """The tests that ids name: those of a test, or of all in a file.
+
+    Raises:
+        UsageError: an id names none, as where a test was renamed.
+    """
+    wanted = {*ids}
+    found = {item: {item.nodeid, item.nodeid.partition("::")[0]} & wanted for item in items}
+    if unknown := sorted(wanted.difference(*found.values())):
+        raise pytest.UsageError(f"no test is called {unknown[0]}")
+    return [item for item, by in found.items() if by]
+
+
 def is_alone(config: pytest.Config) -> bool:
     """Whether pytest was called in the checkout with nothing that chooses tests; processes of pytest-xdist are told."""
     if hasattr(config, "workerinput"):
