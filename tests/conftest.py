@@ -20,7 +20,7 @@ import wrt
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    text = "of the chosen cases of each test one in N, but at least one; N turns that follow each other draw all"
+    text = "of the chosen cases of each file one in N, but at least one; N turns that follow each other draw all"
     parser.addoption("--sample", metavar="N:TURN", type=as_sample, help=text)
     text = "writes the ids of skipped tests into a file; `pytest @FILE` runs them again, as after installing what they need"
     parser.addoption("--write-skipped", metavar="FILE", help=text)

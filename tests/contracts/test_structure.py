@@ -130,15 +130,23 @@ class Item(SimpleNamespace):
 
 
 def test_samples_of_turns_that_follow_each_other_have_all_cases():
-    """And each sample has every test."""
-    counts = {"a": 30, "b": 31, "c": 2, "d": 1}
-    items = [Item(nodeid=f"tests/test_one.py::test_{name}[{case}]") for name, count in counts.items() for case in range(count)]
-    items.append(Item(nodeid="tests/test_one.py::test_e"))
+    """And each sample has every file, and every test with many cases."""
+    tests = {
+        "one.py::test_a": 30,
+        "one.py::test_b": 31,
+        "one.py::test_c": 3,
+        "one.py::test_d": 2,
+        "one.py::test_e": 1,
+        "two.py::test_f": 1,
+    }
+    items = [Item(nodeid=f"tests/{name}[{case}]") for name, count in tests.items() for case in range(count)]
+    items.append(Item(nodeid="tests/three.py::test_g"))
     for first in (0, 7, 1042):
         drawn = [[item.nodeid for item in selection.sample(items, 3, first + turn)] for turn in range(3)]
         for nodes in drawn:
-            assert {node.partition("[")[0][-1] for node in nodes} == {*"abcde"}
-            assert 23 <= len(nodes) <= 24
+            of_tests = {node.partition("[")[0][-1] for node in nodes}
+            assert {*"abcfg"} <= of_tests
+            assert 24 <= len(nodes) <= 25
         assert {node for nodes in drawn for node in nodes} == {item.nodeid for item in items}
     assert selection.sample(items, 1, 5) == items
 

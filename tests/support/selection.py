@@ -35,10 +35,13 @@ def as_sample(text: str) -> tuple[int, int]:
 
 
 def sample(items: list[pytest.Item], number: int, turn: int) -> list[pytest.Item]:
-    """One in `number` of the cases of each test, and at least one: others in each of `number` turns, all in all of these."""
+    """One in `number` of the cases of each file, and at least one: others in each of `number` turns, all in all of these.
+
+    Cases of one test follow each other, so that each test with `number` cases or more is in every sample.
+    """
     cases = defaultdict(list)
     for item in items:
-        cases[item.nodeid.partition("[")[0]].append(item)
+        cases[item.nodeid.partition("::")[0]].append(item)
     kept = {one for own in cases.values() for one in (own[turn % number :: number] or [own[turn % len(own)]])}
     return [item for item in items if item in kept]
 
