@@ -47,6 +47,12 @@ from wrt.kernels.traversal.two_level.instance_updates import (
 MATRICES = (wp.mat44f, wp.mat44d, wp.transformf, wp.transformd)
 """Types of arrays of transforms."""
 
+RIGID = (wp.transformf, wp.transformd)
+"""Those of them that move and turn only."""
+
+UNEVEN = 1e-6
+"""How far the axes of a map may differ in length and from right angles, relative to their length."""
+
 NUMBERS = {
     (wp.float32, 4): wp.mat44f,
     (wp.float64, 4): wp.mat44d,
@@ -96,6 +102,18 @@ def transforms_on(device: wp.Device, transforms: Any, count: int) -> wp.array | 
         return None
     is_one = found is not None and found is not transforms and transforms.ndim == 2
     return found if found is not None and (found.size == count or is_one) else None
+
+
+def uneven_maps(table: np.ndarray) -> np.ndarray:
+    """(N,) whether the map of an instance multiplies some distances more than others; not of those with mask 0.
+
+    table: (N,) `Placement`.
+    """
+    linear = table["to_scene"].reshape(-1, 3, 3)
+    products = np.einsum("nji,njk->nik", linear, linear)
+    squares = np.trace(products, axis1=1, axis2=2) / 3.0
+    is_uneven = np.abs(products / squares[:, None, None] - np.eye(3)).max(axis=(1, 2)) > UNEVEN
+    return is_uneven & (table["mask"].reshape(-1) != 0)
 
 
 class MovedInstances(InstanceList):
@@ -160,6 +178,7 @@ class DeviceMoves:
         chosen: the numbers of instances that moved last, on the host and on the device.
         kept: memory that waits for the next states, by stream.
         lease: while it lives, the arrays are this state's; None if they are nobody else's.
+        are_similar: whether the host knows that all maps multiply distances alike, but those of instances with mask 0.
     """
 
     def __init__(self, transforms: wp.array, bounded: BoundedInstances, cover: CoverPoints, level_first: wp.array) -> None:
@@ -167,6 +186,7 @@ class DeviceMoves:
         self.chosen: tuple[np.ndarray, wp.array] | None = None
         self.kept: FreeList[KeptMove] = FreeList(MAX_KEPT)
         self.lease: Any = None
+        self.are_similar = False
 
     @classmethod
     def of(cls, state: Any) -> DeviceMoves:
@@ -178,7 +198,9 @@ class DeviceMoves:
         bounded.norms = wp.array(boxes.norms, dtype=wp.float64, device=device)
         cover.centers, cover.begins, cover.points = (values.to(device) for values in (own.centers, own.begins, own.points))
         levels = wp.array(state.tree.forest.level_first, dtype=int, device=device)
-        return cls(wp.array(state.instances.transforms, dtype=wp.mat44d, device=device), bounded, cover, levels)
+        made = cls(wp.array(state.instances.transforms, dtype=wp.mat44d, device=device), bounded, cover, levels)
+        made.are_similar = not uneven_maps(state.table).any()
+        return made
 
     def copied(self, whole: bool) -> DeviceMoves:
         """Arrays of its own for what moves; whole: whether all of it will be written."""
@@ -189,6 +211,10 @@ class DeviceMoves:
         made = DeviceMoves(new(self.transforms), bounded, self.cover, self.level_first)
         made.chosen, made.kept = self.chosen, self.kept
         return made
+
+    def knows_similar(self, rows: np.ndarray | None, given: wp.array) -> bool:
+        """`are_similar` after instances have moved by transforms; rows: as in `move_on_device`."""
+        return given.dtype in RIGID and (rows is None or self.are_similar)
 
     def has_chosen(self, rows: np.ndarray) -> bool:
         """Whether these instances moved last."""
@@ -342,6 +368,7 @@ def move_on_device(
     if is_measured:
         shares = shares_of(len(nodes.child), device)
         launch(measure_nodes, shares, [shares, nodes, spanned], device=device)
+    made.are_similar = old.knows_similar(rows, given)
     if reports is None:
         tree = moved_tree(state.tree, nodes.bounds)
         tree.extent = spanned.extent
@@ -372,7 +399,7 @@ def move_kept(
     if report[8] < move.count:
         return None
     made = copy(move.moves)
-    made.chosen, made.lease = old.chosen, Lease(move, old.kept, stream)
+    made.chosen, made.lease, made.are_similar = old.chosen, Lease(move, old.kept, stream), old.knows_similar(rows, given)
     table, bounds = (view_of(values, made.lease) for values in (move.table, move.nodes.bounds))
     return made, *described(state.tree, bounds, made, report, is_measured, table)
 
