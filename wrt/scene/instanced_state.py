@@ -29,6 +29,7 @@ from wrt.instances.instance_list import InstanceList
 from wrt.instances.instance_tables import first_triangles, geometry_table, part_table, upper_struct
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
+from wrt.kernels.runtime.argument_packing import copied
 from wrt.kernels.runtime.launch import kept, refuse_capture, use_threads
 from wrt.meshes.instance import Instance, as_instances, check_environment, check_extent, check_mask, check_transforms
 from wrt.meshes.mesh import TriangleMesh
@@ -206,14 +207,13 @@ class InstancedState(SceneState):
         moved = self.moved + (forest.layered_count if rows is None else int(np.count_nonzero(forest.layered[rows])))
         is_due = 2 * moved > forest.layered_count and not device.is_capturing
         with use_threads(self.num_threads):
-            done = move_on_device(self, rows, given, is_due)
-            if done is None:
+            started = move_on_device(self, rows, given, is_due)
+            instances, mesh = MovedInstances(self.instances, started.moves), copied(self.device_mesh)
+            mesh.placements = started.table
+            boxes = started.finish()  # the device was at work until here
+            if boxes is None or not (device.is_capturing or boxes.are_resolved):
                 return None
-            device_moves, boxes, placements, tree = done
-            if not (device.is_capturing or boxes.are_resolved):
-                return None
-            instances = MovedInstances(self.instances, device_moves)
-            state = assemble(self, instances, boxes, None, tree, 0 if is_due else moved, placements, device_moves)
+            state = assemble(self, instances, boxes, None, started.tree, 0 if is_due else moved, mesh, started.moves)
             if is_due and state.tree.is_degraded:
                 state = state.on_host()
                 return place(state, state.instances, state.boxes, state.table, None, 0)
@@ -438,14 +438,16 @@ def assemble(
     table: np.ndarray | None,
     tree: UpperTree,
     moved: int,
-    placements: wp.array | None = None,
+    mesh: SceneMesh | None = None,
     device_moves: DeviceMoves | None = None,
 ) -> InstancedState:
-    """As `place`; the table has origins, and the tree is around the boxes. Without a table, the placements are given."""
-    mesh, center = SceneMesh(), boxes.frame[0]
-    mesh.geometry_first, mesh.geometries = old.device_mesh.geometry_first, old.device_mesh.geometries
+    """As `place`; the table has origins, and the tree is around the boxes. Without a table, a mesh has the placements."""
+    center = boxes.center
+    if mesh is None:
+        mesh = SceneMesh()
+        mesh.geometry_first, mesh.geometries = old.device_mesh.geometry_first, old.device_mesh.geometries
+        mesh.placements = on_device(table, Placement, old.settings.device)
     mesh.center, mesh.low, mesh.high = wp.vec3d(*center), tree.low, tree.high
-    mesh.placements = on_device(table, Placement, old.settings.device) if placements is None else placements
     if old.built_tree is not None and old.tree.forest is tree.forest:
         cache = old.cache.of_moved()
     else:
