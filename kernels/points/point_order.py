@@ -41,12 +41,29 @@ def find_cells(
     cell: wp.array(dtype=int),
     number: wp.array(dtype=int),
 ):
-    """Writes the number of a point's cell along the curve, and the point's own, if there is room. Item: a point."""
+    """Writes the number of a point's cell along the curve, and the point's own. Item: a point."""
     i = first + wp.tid()
-    if number.shape[0] > 0:
-        number[i] = i
+    number[i] = i
     place = position[i] - low
     cell[i] = 4 * cell_of(place[0], scale[0]) + 2 * cell_of(place[1], scale[1]) + cell_of(place[2], scale[2])
+
+
+def grid_scale(low: wp.vec3, high: wp.vec3) -> wp.vec3:
+    """Cells in a unit of length, along each axis of a box."""
+    return wp.vec3(*(float(1 << BITS) / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
+
+
+def sort_cells(cell: wp.array, order: wp.array, count: int) -> None:
+    """Sorts points by their cells, by what `find_cells` wrote of them; stable. order: their numbers, which are moved.
+
+    On CUDA both arrays have room for twice as many, and cells are sorted, too.
+    """
+    if cell.device.is_cuda:
+        wp.utils.radix_sort_pairs(cell, order, count, 0, 3 * BITS)
+        return
+    numbers = cell.numpy()[:count]
+    found = np.argsort(numbers.astype(np.uint16), kind="stable")  # numbers of 16 bits sort by their digits, others do not
+    order.numpy()[:count] = found[np.argsort((numbers >> 16).astype(np.uint8)[found], kind="stable")]
 
 
 def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
@@ -57,15 +74,7 @@ def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
         low, high: the box.
     """
     device, count = position.device, len(position)
-    on_cuda = device.is_cuda
-    cell = wp.empty(2 * count if on_cuda else count, dtype=int, device=device)  # Warp's sort needs twice the space
-    scale = wp.vec3(*(float(1 << BITS) / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
-    order = wp.empty(2 * count if on_cuda else 0, dtype=int, device=device)
-    launch(find_cells, count, [position, low, scale, cell, order], device=device, chunk=4096)
-    if on_cuda:
-        wp.utils.radix_sort_pairs(cell, order, count, 0, 3 * BITS)
-        return order[:count]
-    numbers = cell.numpy()
-    found = np.argsort(numbers.astype(np.uint16), kind="stable")  # numbers of 16 bits sort by their digits, others do not
-    found = found[np.argsort((numbers >> 16).astype(np.uint8)[found], kind="stable")]
-    return wp.array(found.astype(np.int32), dtype=int, device=device)
+    cell, order = (wp.empty(2 * count if device.is_cuda else count, dtype=int, device=device) for _ in range(2))
+    launch(find_cells, count, [position, low, grid_scale(low, high), cell, order], device=device, chunk=4096)
+    sort_cells(cell, order, count)
+    return order[:count]

@@ -26,6 +26,7 @@ from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.validation import as_bool, as_int, as_real_array
 from wrt.query.points.closest_points import ClosestPoints
 from wrt.query.points.few_points import FewPoints, may_be_few
+from wrt.query.points.kept_search import KeptSearch, may_be_kept
 from wrt.query.points.similar_instances import check_maps
 from wrt.tapes import refuse_tape
 
@@ -79,6 +80,10 @@ def closest_point(
     with use_threads(scene.num_threads):
         if is_plain and may_be_few(scene, points, max_distance, MIN_SORTED):
             return of_few(scene, points, max_distance)
+        if is_plain and has_packed_nodes(scene) and not isinstance(points, np.ndarray):
+            points = as_vectors(points, "points", scene.device)
+            if may_be_kept(scene, points, max_distance, MIN_SORTED):
+                return of_kept(scene, points, max_distance)
         given = as_points(scene, points, max_distance, "max_distance", mask, environment, in_order)
         if k is not None:
             hits, feature, form = find_some(scene, given, k)
@@ -98,6 +103,16 @@ def of_few(scene: SceneState, points: np.ndarray, max_distance: float) -> Closes
     hits, feature = launch.find(scene, points, max_distance)
     scene.cache.few_points.append(launch)
     return ClosestPoints(hits, feature, ResultForm(points.shape[:-1], False, points.dtype.type), scene)
+
+
+def of_kept(scene: SceneState, points: wp.array, max_distance: float) -> ClosestPoints:
+    """The closest point of each point in a Warp array, by kept launches (`may_be_kept`)."""
+    dtype, waiting = points.dtype, scene.cache.point_searches
+    search = waiting.take(dtype) or KeptSearch(scene, dtype)
+    hits, feature = search.find(points, max_distance)
+    waiting.give_back(search, dtype)
+    form = ResultForm(points.shape, True, np.float64 if dtype is wp.vec3d else np.float32)
+    return ClosestPoints(hits, feature, form, scene)
 
 
 def find_nearest(scene: SceneState, points: PointBatch, work: wp.array | None = None) -> tuple[DeviceHits, wp.array]:
