@@ -20,7 +20,7 @@ from wrt.builders.bvh.instance_forest import cost_of
 from wrt.engine.free_list import FreeList
 from wrt.engine.memory import keep_alive
 from wrt.instances.instance_boxes import InstanceBoxes, UpperTree
-from wrt.instances.instance_list import InstanceList
+from wrt.instances.instance_list import InstanceList, replaced
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.launch import kept, launch, specialise
 from wrt.kernels.runtime.recorded_launch import record
@@ -41,6 +41,7 @@ from wrt.kernels.traversal.two_level.instance_updates import (
     measure_nodes,
     refit_level,
     span_instances,
+    write_masks,
 )
 
 MATRICES = (wp.mat44f, wp.mat44d, wp.transformf, wp.transformd)
@@ -121,10 +122,14 @@ class MovedInstances(InstanceList):
     Args:
         base: them with other transforms.
         moves: the arrays of their state.
+        rows, mask: (M,) instances with another mask, None for all, and the mask; None for those they have.
     """
 
-    def __init__(self, base: InstanceList, moves: DeviceMoves) -> None:
-        super().__init__(base.latest()[0], np.ones(len(base), dtype=bool), None, base.masks, base.environments)
+    def __init__(
+        self, base: InstanceList, moves: DeviceMoves, rows: np.ndarray | None = None, mask: int | None = None
+    ) -> None:
+        masks = replaced(base.masks, rows, mask)
+        super().__init__(base.latest()[0], np.ones(len(base), dtype=bool), None, masks, base.environments)
         self.moves = moves
 
     @cached_property
@@ -376,7 +381,9 @@ class StartedMove:
         return BoxesOnDevice(self.moves, report)
 
 
-def move_on_device(state: Any, rows: np.ndarray | None, given: wp.array, is_measured: bool) -> StartedMove:
+def move_on_device(
+    state: Any, rows: np.ndarray | None, given: wp.array, is_measured: bool, mask: int | None = None
+) -> StartedMove:
     """Moves instances, and does not wait for the device.
 
     Args:
@@ -384,13 +391,14 @@ def move_on_device(state: Any, rows: np.ndarray | None, given: wp.array, is_meas
         rows: (M,) instances that move, each once; None for all.
         given: their transforms, as `transforms_on` gives them.
         is_measured: whether the cost of the upper level is computed.
+        mask: of all that move; None for those they have.
     """
     device, captures = state.device, bool(state.device.is_capturing)
     old = state.device_moves
     if old is None:
         with kept(device):
             old = DeviceMoves.of(state)
-    if keeps_moves(device) and not captures:
+    if keeps_moves(device) and not captures and mask is None:
         return move_kept(state, old, rows, given, is_measured)
     made, table = old.copied(whole=rows is None), wp.clone(state.device_mesh.placements)
     made.are_similar = old.knows_similar(rows, given)
@@ -399,6 +407,9 @@ def move_on_device(state: Any, rows: np.ndarray | None, given: wp.array, is_meas
     nodes = nodes_of(state.tree, made.level_first)
     count, moving = len(table), len(table) if rows is None else len(rows)
     chosen = made.rows_on_device(rows)
+    if mask is not None:
+        made.kept = FreeList(MAX_KEPT)  # what waits has other masks
+        launch(write_masks, moving, [chosen, wp.uint32(mask), table], device=device)
     placed = place_inputs(chosen, given, made, table, spanned)
     launch(specialise(make_place_instances, given.dtype), moving, placed, device=device)
     launch(bound_moved, moving * team_of(device), bound_inputs(made, table, chosen, device), device=device)

@@ -172,8 +172,9 @@ class InstancedState(SceneState):
             raise TypeError("there is nothing to update; pass vertices, transform, mask or environment")
         chosen = None if is_all(index, len(self.instances)) else self.chosen(index)
         chosen = None if chosen is not None and is_all(chosen, len(self.instances)) else chosen
-        if vertices is None and mask is None and environment is None:
-            moved = self._moved_on_device(chosen, transform)
+        mask = None if mask is None else check_mask(mask)
+        if vertices is None and transform is not None and environment is None:
+            moved = self._moved_on_device(chosen, transform, mask)
             if moved is not None:
                 return moved
         refuse_capture("such an update", self.device)
@@ -181,7 +182,6 @@ class InstancedState(SceneState):
             return self.on_host().updated(index, vertices, transform, mask, policy, environment)
         count = len(self.instances) if chosen is None else len(chosen)
         matrices = None if transform is None else check_transforms(transform, count)
-        mask = None if mask is None else check_mask(mask)
         environment = None if environment is None else check_environment(environment)
         instances = self.instances.moved(chosen, matrices, mask, environment)
         with use_threads(self.num_threads):
@@ -191,10 +191,10 @@ class InstancedState(SceneState):
                 return self.with_instances(instances[:], self.graph)
             return self._moved(instances, chosen if chosen is None or count == 1 else np.unique(chosen))
 
-    def _moved_on_device(self, rows: np.ndarray | None, transform: Any) -> InstancedState | None:
+    def _moved_on_device(self, rows: np.ndarray | None, transform: Any, mask: int | None) -> InstancedState | None:
         """The state after instances have moved by transforms on its device; None if they go through the host.
 
-        rows: (M,) the instances; None for all.
+        rows: (M,) the instances; None for all. mask: theirs; None for those they have.
         """
         count, device = len(self.instances) if rows is None else len(rows), self.device
         given = None if device.is_cpu and count <= MOST_AT_ONCE else transforms_on(device, transform, count)
@@ -207,8 +207,8 @@ class InstancedState(SceneState):
         moved = self.moved + (forest.layered_count if rows is None else int(np.count_nonzero(forest.layered[rows])))
         is_due = 2 * moved > forest.layered_count and not device.is_capturing
         with use_threads(self.num_threads):
-            started = move_on_device(self, rows, given, is_due)
-            instances, mesh = MovedInstances(self.instances, started.moves), copied(self.device_mesh)
+            started = move_on_device(self, rows, given, is_due, mask)
+            instances, mesh = MovedInstances(self.instances, started.moves, rows, mask), copied(self.device_mesh)
             mesh.placements = started.table
             boxes = started.finish()  # the device was at work until here
             if boxes is None or not (device.is_capturing or boxes.are_resolved):

@@ -177,6 +177,15 @@ def is_fine(m: wp.mat44d):
     return fine
 
 
+@exact_kernel
+def write_masks(first: int, rows: wp.array(dtype=int), mask: wp.uint32, table: wp.array(dtype=Placement)):
+    """Writes the mask of an instance. Item: one of those in `rows`, or of all if it is empty."""
+    i = first + wp.tid()
+    if rows.shape[0] > 0:
+        i = rows[i]
+    table[i].mask = mask
+
+
 @native.func_native(
     "instance_updates.h",
     """wrt::bound_by_team(
