@@ -45,7 +45,7 @@ class RecordedLaunch:
         self._count = 1
 
     def argument(self, index: int) -> Any:
-        """The packed form of a struct or an array among the kernel's arguments: what is written there holds for the next run."""
+        """The packed form of a struct or an array among the arguments: what is written there holds for the next run."""
         return self._structs[index]
 
     def replace(self, index: int, struct: Any) -> None:

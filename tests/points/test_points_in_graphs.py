@@ -28,7 +28,7 @@ def on(device: str, values: np.ndarray, dtype: type) -> wp.array:
 
 
 def test_graphs_measure_what_is_there(device):
-    """One mesh and instances that a graph moves where the device can; more points than are left unsorted, and the nearest two."""
+    """One mesh, and instances that a graph moves where the device can; points that are sorted, and the nearest two."""
     scenes, mesh = [crowd(device), crowd(device)], wrt.Scene(BALL, device=device)
     flat = wrt.TriangleMesh.concatenate([BALL, BOX])
     points = on(device, points_around(flat, 1500), wp.vec3)

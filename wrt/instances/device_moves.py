@@ -125,9 +125,7 @@ class MovedInstances(InstanceList):
         rows, mask: (M,) instances with another mask, None for all, and the mask; None for those they have.
     """
 
-    def __init__(
-        self, base: InstanceList, moves: DeviceMoves, rows: np.ndarray | None = None, mask: int | None = None
-    ) -> None:
+    def __init__(self, base: InstanceList, moves: DeviceMoves, rows: np.ndarray | None = None, mask: int | None = None) -> None:
         masks = replaced(base.masks, rows, mask)
         super().__init__(base.latest()[0], np.ones(len(base), dtype=bool), None, masks, base.environments)
         self.moves = moves
@@ -288,7 +286,8 @@ class KeptMove:
         ):
             for index, values in arrays.items():
                 launched.set_param_at_index_from_ctype(index, values.__ctype__())
-            if launched.bounds.size != items:
+            bounds: Any = launched.bounds
+            if bounds.size != items:
                 launched.set_dim(items)
             launched.launch()
         for launched in self._rest:
