@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 GIVEN, SHIFTED = 2, 3
 """Numbers of the arguments of `make_shift` that are others in each call."""
 
-POSITION, CELL, NUMBER = 1, 4, 5
+POSITION, CELL, NUMBER = 1, 5, 6
 """Those of `find_cells`."""
 
 POINTS, FOUND, NEXT = 3, 4, 5
@@ -65,7 +65,7 @@ class KeptSearch:
         center = wp.vec3d(*map(float, scene.center))
         shift = [center, wp.empty(0, dtype=dtype, device=device), nowhere]
         self._shift = RecordedLaunch(specialise(make_shift, dtype), shift, device, (GIVEN, SHIFTED))
-        cells = [wp.empty_like(nowhere), mesh.low, grid_scale(mesh.low, mesh.high), nobody, wp.empty_like(nobody)]
+        cells = [wp.empty_like(nowhere), 1, mesh.low, grid_scale(mesh.low, mesh.high), nobody, wp.empty_like(nobody)]
         self._cells = RecordedLaunch(find_cells, cells, device, (POSITION, CELL, NUMBER))
         search = [*binary_tree(scene), PointBatch(), NearestBatch(), next_ray(device, 0)]
         kernel = specialise(make_packed_points_kernel, stack_levels(scene.tree.depth))
