@@ -265,8 +265,8 @@ inline CUDA_CALLABLE void bound_packet(
     else set_inverse_axes(packet, bounds, lower, upper, lows, highs, slack);
 }
 
-/// Fraction of the largest coordinate by which the end of a ray may err, and how many times as far apart as the ends the
-/// origins must be for bounds to be reversed (wrt.kernels.traversal.packet.rays.reversed_bounds).
+/// Fraction of the largest coordinate by which the end of a ray may err, and how many times as far apart as the ends, with their
+/// slack, the origins must be for bounds to be reversed (wrt.kernels.traversal.packet.rays.reversed_bounds).
 constexpr float ENDS_ERROR = 0x1p-20f, CLOSER = 4.0f;
 
 /// Reverses the bounds of a packet if that makes them tighter; low, high: bounds of the scene.
@@ -285,7 +285,7 @@ template <class Vec3, class Bounds> inline CUDA_CALLABLE void reverse_bounds(con
         widen(bounds.origin_low.c[a], size), widen(bounds.origin_high.c[a], size);
     }
     const float wide = 2.0f * bounds.slack + SLACK * far + ENDS_ERROR * size;
-    if (!(CLOSER * ends < origins) || !(wide < WRT_INFINITY)) return;  // NaN, of ends at infinity, too
+    if (!(CLOSER * (ends + wide) < origins)) return;  // NaN, of ends at infinity, too
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {
         const bool backward = !bounds.backward.c[a];

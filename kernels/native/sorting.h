@@ -11,26 +11,45 @@ inline CUDA_CALLABLE unsigned digit_of(unsigned bits, int shift)
     return ((bits >> 31 ? ~bits : bits | 0x80000000u) >> shift) & 255u;
 }
 
-/// Counts the digits of a chunk's keys; places: of the first digit, the others are `chunks` apart.
-inline CUDA_CALLABLE void count_digits(const float* keys, int count, int shift, int* places, int chunks)
+/// Counts the digits of a chunk. digit(i): of its key i; places: of the first digit, the others are `chunks` apart.
+template <int DIGITS, class Digit>
+inline CUDA_CALLABLE void count_digits(const Digit& digit, int count, int* places, int chunks)
 {
-    unsigned counts[256];
-    for (int digit = 0; digit < 256; ++digit) counts[digit] = 0;
-    for (int i = 0; i < count; ++i) ++counts[digit_of(__builtin_bit_cast(unsigned, keys[i]), shift)];
-    for (int digit = 0; digit < 256; ++digit) places[(size_t)digit * chunks] = (int)counts[digit];
+    int counts[DIGITS];
+    for (int i = 0; i < DIGITS; ++i) counts[i] = 0;
+    for (int i = 0; i < count; ++i) ++counts[digit(i)];
+    for (int i = 0; i < DIGITS; ++i) places[(size_t)i * chunks] = counts[i];
 }
 
-/// Moves a chunk's keys and values to the places of their digits.
+/// Moves the keys of a chunk to the places of their digits. move(i, place): key i and what belongs to it.
+template <int DIGITS, class Digit, class Move>
+inline CUDA_CALLABLE void move_digits(const Digit& digit, const Move& move, int count, const int* places, int chunks)
+{
+    int next[DIGITS];
+    for (int i = 0; i < DIGITS; ++i) next[i] = places[(size_t)i * chunks];
+    for (int i = 0; i < count; ++i) move(i, next[digit(i)]++);
+}
+
+/// Digits of 8 bits of floats.
+struct FloatDigits {
+    const float* keys;
+    int shift;
+
+    inline CUDA_CALLABLE unsigned operator()(int i) const { return digit_of(__builtin_bit_cast(unsigned, keys[i]), shift); }
+};
+
+/// Counts the digits of a chunk's keys.
+inline CUDA_CALLABLE void count_digits(const float* keys, int count, int shift, int* places, int chunks)
+{
+    count_digits<256>(FloatDigits {keys, shift}, count, places, chunks);
+}
+
+/// Moves a chunk's keys and values.
 inline CUDA_CALLABLE void move_digits(
     const float* keys, const int* values, int count, int shift, const int* places, int chunks, float* to_keys, int* to_values)
 {
-    int next[256];
-    for (int digit = 0; digit < 256; ++digit) next[digit] = places[(size_t)digit * chunks];
-    for (int i = 0; i < count; ++i) {
-        const size_t to = next[digit_of(__builtin_bit_cast(unsigned, keys[i]), shift)]++;
-        to_keys[to] = keys[i];
-        to_values[to] = values[i];
-    }
+    const auto move = [&](int i, size_t to) { to_keys[to] = keys[i], to_values[to] = values[i]; };
+    move_digits<256>(FloatDigits {keys, shift}, move, count, places, chunks);
 }
 
 /// Sorts pairs by their first words, the bits of floats. An equal amount of memory behind them is scratch.

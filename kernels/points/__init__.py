@@ -50,6 +50,7 @@ instances have 8 times the slack above.
 with the smaller id may be taken, with a position 5e-4 of the distance beside the nearest one. A point with a NaN or an infinity
 finds nothing, nor does one farther than 1.8e19 from all triangles: its square overflows.
 
+    cell_sort.py        sorts points by the cells of point_order.py, by threads
     packed_points.py    the nearest triangle, through the nodes of persistent threads
     point_triangle.py   the distance in plain Warp, for brute force and for your own kernels
     point_batch.py      points and answers on the device

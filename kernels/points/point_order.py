@@ -13,40 +13,63 @@ References: morton-1966.
 import numpy as np
 import warp as wp
 
+from wrt.kernels.points.cell_sort import sort_by_cells
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_kernel
 
 BITS = 7
 """Bits of the number of a cell along an axis."""
 
+GROUP = 256
+"""Points of an item on CPUs."""
 
-@wp.func
-def cell_of(offset: float, scale: float):
-    """Number of a cell along an axis, its bits apart by two zeros; coordinates outside of the grid, and NaN, are clamped."""
-    place = offset * scale
-    last = float(wp.static((1 << BITS) - 1))
-    cell = int(wp.where(place >= 0.0, wp.where(place < last, place, last), 0.0))
-    apart = int(0)
-    for bit in range(wp.static(BITS)):
-        apart = apart | (((cell >> bit) & 1) << (3 * bit))
-    return apart
+MIN_PARALLEL = 16384
+"""Fewest points that threads sort together: below, launches take as long."""
+
+
+@native.func_native("point_cells.h", "wrt::find_cells(position.data + begin, count, low, scale, cell.data + begin);")
+def find_range(
+    position: wp.array(dtype=wp.vec3), begin: int, count: int, low: wp.vec3, scale: wp.vec3, cell: wp.array(dtype=int)
+):
+    """Writes the numbers of the cells of some points."""
 
 
 @exact_kernel
 def find_cells(
     first: int,
     position: wp.array(dtype=wp.vec3),
+    group: int,
     low: wp.vec3,
     scale: wp.vec3,
     cell: wp.array(dtype=int),
     number: wp.array(dtype=int),
 ):
-    """Writes the number of a point's cell along the curve, and the point's own, if there is room. Item: a point."""
-    i = first + wp.tid()
+    """Item: a group of points. Writes the numbers of their cells; if there is room, and a group is one point, its own, too."""
+    begin = (first + wp.tid()) * group
     if number.shape[0] > 0:
-        number[i] = i
-    place = position[i] - low
-    cell[i] = 4 * cell_of(place[0], scale[0]) + 2 * cell_of(place[1], scale[1]) + cell_of(place[2], scale[2])
+        number[begin] = begin
+    find_range(position, begin, wp.min(group, position.shape[0] - begin), low, scale, cell)
+
+
+def grid_scale(low: wp.vec3, high: wp.vec3) -> wp.vec3:
+    """Cells in a unit of length, along each axis of a box."""
+    return wp.vec3(*(float(1 << BITS) / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
+
+
+def sort_cells(cell: wp.array, order: wp.array, count: int) -> None:
+    """Sorts the numbers of points by their cells, both as `find_cells` wrote them one by one; stable. On CUDA both arrays have
+    room for twice as many, and cells are sorted, too."""
+    if cell.device.is_cuda:
+        wp.utils.radix_sort_pairs(cell, order, count, 0, 3 * BITS)
+    else:
+        order.numpy()[:count] = sorted_numbers(cell.numpy()[:count])
+
+
+def sorted_numbers(cells: np.ndarray) -> np.ndarray:
+    """(N,) numbers of points in the order of their cells; by one thread."""
+    found = np.argsort(cells.astype(np.uint16), kind="stable")  # numbers of 16 bits sort by their digits, others do not
+    return found[np.argsort((cells >> 16).astype(np.uint8)[found], kind="stable")]
 
 
 def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
@@ -59,13 +82,14 @@ def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
     device, count = position.device, len(position)
     on_cuda = device.is_cuda
     cell = wp.empty(2 * count if on_cuda else count, dtype=int, device=device)  # Warp's sort needs twice the space
-    scale = wp.vec3(*(float(1 << BITS) / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
     order = wp.empty(2 * count if on_cuda else 0, dtype=int, device=device)
-    launch(find_cells, count, [position, low, scale, cell, order], device=device, chunk=4096)
+    group = 1 if on_cuda else GROUP
+    inputs = [position, group, low, grid_scale(low, high), cell, order]
+    launch(find_cells, -(-count // group), inputs, device=device, chunk=4096 // group)
     if on_cuda:
-        wp.utils.radix_sort_pairs(cell, order, count, 0, 3 * BITS)
+        sort_cells(cell, order, count)
         return order[:count]
-    numbers = cell.numpy()
-    found = np.argsort(numbers.astype(np.uint16), kind="stable")  # numbers of 16 bits sort by their digits, others do not
-    found = found[np.argsort((numbers >> 16).astype(np.uint8)[found], kind="stable")]
-    return wp.array(found.astype(np.int32), dtype=int, device=device)
+    if count >= MIN_PARALLEL:
+        sort_by_cells(cell)
+        return cell
+    return wp.array(sorted_numbers(cell.numpy()).astype(np.int32), dtype=int, device=device)

@@ -331,6 +331,11 @@ def check_pytorch(names):
     assert names["vertices"].grad.shape == names["mesh"].vertices.shape
 
 
+def check_jax(names):
+    assert names["misfits"][-1] < 1e-4 * names["misfits"][0]
+    np.testing.assert_allclose(names["guess"], names["camera"].position, atol=1e-3 * names["mesh"].extent)
+
+
 def check_simulation(names):
     """Crates are where the solver has them, and rays see those that have moved."""
     places = names["body_q"].numpy()
@@ -342,6 +347,7 @@ def check_simulation(names):
 
 CHECKS = {
     "guides/pytorch.md": check_pytorch,
+    "guides/jax.md": check_jax,
     "guides/simulation.md": check_simulation,
     "guides/facades.md": check_facades,
     "reading.md": check_reading,

@@ -155,6 +155,9 @@ int swept(const Cost& cost, const AxisFrame& frame, Vec2i* events, Vec3i* counts
     sort_pairs(events, 3);
     count_digits(list, 3, 8, numbers, 4);
     move_digits(list, numbers, 3, 8, numbers, 4, list, numbers);
+    const auto digit = [&](int i) { return numbers[i] & 2047; };
+    count_digits<2048>(digit, 3, numbers, 4);
+    move_digits<2048>(digit, [&](int i, size_t to) { numbers[to] = i; }, 3, numbers, 4);
     find_best_plane(cost, frame, events, 3, 1, 2, found);
     count_events(numbers, 0, 3, numbers, numbers, counts, 2);
     return write_events(list, 3, 1, events) + write_new_events(list, 3, 1, events);

@@ -1,6 +1,7 @@
 // Instantiates the header of kernels/points; see native_headers.cpp.
 #include "exact_points.h"
 #include "packed_points.h"
+#include "point_cells.h"
 #include "point_packets.h"
 
 struct Vec2 {
@@ -157,4 +158,9 @@ void search_packed(const BinaryTree& nodes, const Corners& corners, const Top& t
     search(wrt::point_tree<wrt::PackedTree>(nodes, corners), points, lists, work);
     search(wrt::point_instances<wrt::PackedTree, 2>(top, parts), points, lists, work);
     wrt::search_points<16, 4, 3>(wrt::point_walks<24>(nodes, corners, points, lists.found), next, 64, 0);
+}
+
+void find_cells(const Points& points, const Vec3& low, const Vec3& scale, int* cells)
+{
+    wrt::find_cells(points.position.data, points.count, low, scale, cells);
 }
