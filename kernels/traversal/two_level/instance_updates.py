@@ -36,7 +36,7 @@ BLOCK = 512
 SPANNED = 9
 """Integers of `Spanned.found`."""
 
-REPORTED = 14
+REPORTED = 20
 """Numbers of `Spanned.report`."""
 
 EPSILON = wp.constant(wp.float64(2.0**-52))
@@ -61,7 +61,7 @@ class Spanned:
     size; the first instance whose transform is singular or close to it, not finite, or not affine."""
     report: wp.array(dtype=wp.float64)
     """(`REPORTED`,) lowest x, y, z, highest x, y, z, greatest norm, least size, that instance or a huge number, the centre x,
-    y, z, and the surfaces of the boxes of nodes and of instances."""
+    y, z, the surfaces of the boxes of nodes and of instances, and the first six of `extent`."""
     extent: wp.array(dtype=float)
     """(7,) as `InstanceTree.extent`."""
 
@@ -175,6 +175,15 @@ def is_fine(m: wp.mat44d):
         last = wp.where(k == 3, wp.float64(1.0), wp.float64(0.0))
         fine = fine and wp.abs(m[3, k] - last) <= AFFINE and wp.isfinite(m[k, 3])
     return fine
+
+
+@exact_kernel
+def write_masks(first: int, rows: wp.array(dtype=int), mask: wp.uint32, table: wp.array(dtype=Placement)):
+    """Writes the mask of an instance. Item: one of those in `rows`, or of all if it is empty."""
+    i = first + wp.tid()
+    if rows.shape[0] > 0:
+        i = rows[i]
+    table[i].mask = mask
 
 
 @native.func_native(
@@ -405,6 +414,8 @@ def lay_out(
             spanned.report[axis + 9] = center[axis]
             spanned.extent[axis] = rounded_below(lowest, center[axis], rounding)
             spanned.extent[axis + 3] = rounded_above(highest, center[axis], rounding)
+            spanned.report[axis + 14] = wp.float64(spanned.extent[axis])
+            spanned.report[axis + 17] = wp.float64(spanned.extent[axis + 3])
         norms = -of_ordered(spanned.found[6])
         spanned.report[6] = norms
         spanned.report[7] = of_ordered(spanned.found[7])
@@ -437,13 +448,23 @@ def make_refit_levels(block: int) -> wp.Kernel:
     def refit_levels(first: int, threads: int, levels: int, nodes: UpperNodes):
         """Item: a thread of the one block, of `threads`. levels: those above are refitted, from the lowest of them."""
         item = first + wp.tid()
+        lane = nodes.level_first[levels - 1] * nodes.width + item
+        end = nodes.level_first[levels] * nodes.width
+        word = int(-1)
+        if lane < end:
+            word = nodes.child[lane]
         for step in range(levels):
-            level = levels - 1 - step
-            lane = nodes.level_first[level] * nodes.width + item
-            while lane < nodes.level_first[level + 1] * nodes.width:
-                if nodes.child[lane] >= 0:
-                    refit_lane(nodes.bounds, lane / nodes.width, lane % nodes.width, nodes.child[lane], nodes.width)
+            while lane < end:
+                if word >= 0:
+                    refit_lane(nodes.bounds, lane / nodes.width, lane % nodes.width, word, nodes.width)
                 lane += threads
+                if lane < end:
+                    word = nodes.child[lane]
+            if step < levels - 1:  # what the next level reads that this one does not write is read while others are at work
+                end = nodes.level_first[levels - 1 - step] * nodes.width
+                lane = nodes.level_first[levels - 2 - step] * nodes.width + item
+                if lane < end:
+                    word = nodes.child[lane]
             meet_block()
 
     return specialised_kernel(refit_levels, bounds=(block, 1))

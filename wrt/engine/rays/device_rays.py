@@ -338,10 +338,7 @@ def repeated(
 def _scalars(values: float | np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
     """Bounds of t as a flat (N,) or (1,) float array, and its stride."""
     if isinstance(values, float):
-        stride = int(math.prod(shape) == 1)
-        if device.is_capturing:  # what is kept for others may be dropped before the graph is
-            return wp.full(1, values, dtype=float, device=device), stride
-        return _number(values, device.alias), stride
+        return number_on(device, values), int(math.prod(shape) == 1)
     if isinstance(values, wp.array):
         if values.size != 1 and values.shape != shape:
             raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
@@ -366,6 +363,13 @@ def _upload(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
         return wp.array(values, dtype=dtype, device=device)
     pointer, count = values.__array_interface__["data"][0], len(values)
     return keep_alive(wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=values.nbytes, device=device), values)
+
+
+def number_on(device: wp.Device, value: float) -> wp.array:
+    """(1,) float32 with a value, which nobody writes to."""
+    if device.is_capturing:  # what is kept for others may be dropped before the graph is
+        return wp.full(1, value, dtype=float, device=device)
+    return _number(value, device.alias)
 
 
 @lru_cache(maxsize=64)
