@@ -6,6 +6,7 @@ import gc
 import os
 from collections.abc import Iterator
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,16 +14,18 @@ import support.environment  # noqa: F401 (before wrt)
 from support.algorithms import CLASSICS
 from support.environment import DEVICES, workers
 from support.meshes import SCENES, load_model
-from support.selection import ASKED_FOR, LEFT_OUT, LONGEST, SLOW, Skipped, as_sample, is_alone, sample
+from support.selection import ASKED_FOR, LEFT_OUT, LONGEST, SLOW, Skipped, as_sample, is_alone, named, sample
 
 import wrt
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    text = "of the chosen cases of each test one in N, but at least one; N turns that follow each other draw all"
+    text = "of the chosen cases of each file one in N, but at least one; N turns that follow each other draw all"
     parser.addoption("--sample", metavar="N:TURN", type=as_sample, help=text)
     text = "writes the ids of skipped tests into a file; `pytest @FILE` runs them again, as after installing what they need"
     parser.addoption("--write-skipped", metavar="FILE", help=text)
+    text = "marks what such a file names as `was_skipped`, so that `-m` can choose it beside other tests"
+    parser.addoption("--was-skipped", metavar="FILE", help=text)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -66,6 +69,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             given = item.callspec.params.values() if hasattr(item, "callspec") else ()
             if any(isinstance(one, str) and one in CLASSICS for one in given):
                 item.add_marker("classics")
+    if config.option.was_skipped:
+        for item in named(items, Path(config.option.was_skipped).read_text(encoding="utf-8").splitlines()):
+            item.add_marker("was_skipped")
     left_out = [name for name in ASKED_FOR if name not in config.option.markexpr] + [*LEFT_OUT] * is_alone(config)
     items[:] = [item for item in items if not any(name in item.keywords for name in left_out)]
     if workers:

@@ -28,6 +28,7 @@ def settle(
             if j < i and wp.length_sq(points[j] - points[i]) < radius * radius:
                 if before[j] == KEPT:
                     known = LEFT_OUT
+                    break
                 elif before[j] == OPEN and known == KEPT:
                     known = OPEN
     after[i] = known

@@ -5,9 +5,11 @@
 **Method.** Points are taken along a Morton curve, in tiles. For each direction and tile, the points that face the direction are
 counted, and rays are written for these alone, direction by direction: neighbours are parallel rays from places near each other.
 Directions that follow each other closely, such as those of a sun, are taken in groups: the rays of a point to a group are
-neighbours then, as packets need it. The sums go through the points in the same order, so that no place of a ray is stored. Of
-a tile on a plane, all points face a direction or none. What a ray needs to be tested with its own triangle is prepared once,
-for its point and for its direction.
+neighbours then, and packets stay together where points are far apart. The sums go through the points in the same order, so that
+no place of a ray is stored. Of a tile on a plane, all points face a direction or none.
+
+A ray is tested with its own triangle, which its origin may not meet (`wrt.kernels.query.spawn`): `LANES` points at a time, with
+triangles that are stored relative to the points' origins. Hardly any ray meets its own.
 """
 
 import warp as wp
@@ -15,12 +17,26 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import FARTHEST, checked_ray
 from wrt.kernels.query.hit_attributes import SceneMesh, triangle_of
 from wrt.kernels.query.spawn import footing, front_normal, meets_own, spawn_origin
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_kernel
-from wrt.kernels.triangle.support.record_blocks import Corners
-from wrt.kernels.triangle.watertight.woop import ShearedRay, intersect, permuted, prepare
+from wrt.kernels.simd.lanes import lanes
+from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS
+from wrt.kernels.triangle.watertight.woop import ShearedRay, block_test, prepare
 
 TILE = wp.constant(256)
 """Points of a tile."""
+
+GROUP = 8
+"""Largest number of directions of a group, as in lit_points.h."""
+
+LANES = wp.constant(8)
+"""Points that are tested at a time with their own triangles."""
+
+FLOATS = wp.constant(int(LANES) * VERTEX_COMPONENTS)
+"""Floats of a block of triangles."""
+
+Lanes = lanes(int(LANES))
+test_own = block_test(int(LANES))
 
 
 @wp.struct
@@ -37,8 +53,9 @@ class LitPoints:
     """(P,) unit normals of the fronts, in this order; 0 where nothing is lit."""
     origin: wp.array(dtype=wp.vec3d)
     """(P,) where rays leave the fronts, in this order, unless they meet their own triangle from there."""
-    corners: wp.array(dtype=Corners)
-    """(P,) the triangles of points, in this order, in float32; without elements in a scene of instances."""
+    own: wp.array(dtype=float)
+    """The triangles of points, in this order, relative to the origins: blocks of `LANES` records, as in
+    `wrt.kernels.triangle.support.record_blocks`; without elements in a scene of instances."""
 
 
 @wp.struct
@@ -48,9 +65,11 @@ class LitRays:
     direction: wp.array(dtype=wp.vec3)
     """(D,) unit vectors."""
     prepared: wp.array(dtype=ShearedRay)
-    """(D,) rays to them, from the scene's centre."""
-    group: int
-    """Number of directions that are taken together; the last group may have fewer."""
+    """(D,) rays to them, from 0."""
+    groups: int
+    """Number of groups of directions that are taken together, of equal sizes if possible."""
+    center: wp.vec3d
+    """What origins are relative to: the centre of the scene that is traced."""
     first_tile: int
     tiles: int
     begin: wp.array(dtype=int)
@@ -70,13 +89,13 @@ def place_points(first: int, points: LitPoints):
         normal = front_normal(points.mesh, corners)
         start = footing(points.mesh, corners, points.uv[at])
         origin = start.point + wp.float64(start.offset) * normal
-        if points.corners.shape[0] > 0:
+        if points.own.shape[0] > 0:
             face = points.mesh.faces[primitive]
-            own = Corners()
-            own.a = points.mesh.vertices[face[0]]
-            own.b = points.mesh.vertices[face[1]]
-            own.c = points.mesh.vertices[face[2]]
-            points.corners[i] = own
+            slot = i / LANES * FLOATS + i % LANES
+            for k in range(3):
+                corner = points.mesh.vertices[face[k]] - wp.vec3(origin - points.mesh.center)
+                for a in range(3):
+                    points.own[slot + (3 * k + a) * LANES] = corner[a]
     points.normal[i] = normal
     points.origin[i] = origin
 
@@ -94,56 +113,143 @@ def is_lit(points: LitPoints, i: int, way: wp.vec3d):
     return wp.dot(points.normal[i], way) > wp.float64(0.0)
 
 
+@native.func_native(
+    "lit_points.h",
+    """
+    const double* const normals = (const double*)&points.normal.data[begin];
+    return wrt::count_in_front(normals, end - begin, (const float*)&rays.direction.data[d]);
+    """,
+)
+def count_in_front(points: LitPoints, begin: int, end: int, rays: LitRays, d: int) -> int:
+    """The number of points of a range that a direction is in front of."""
+
+
+@native.func_native(
+    "lit_points.h",
+    """
+    wrt::write_rays((const double*)&points.origin.data[begin], end - begin, (const float*)&rays.direction.data[ways.c[0]],
+        ways.c[1] - ways.c[0], rays.center.c, (float*)&origins.data[ray], (float*)&directions.data[ray]);
+    """,
+)
+def write_rays(
+    points: LitPoints,
+    begin: int,
+    end: int,
+    rays: LitRays,
+    ways: wp.vec2i,
+    ray: int,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+):
+    """Writes all rays from a range of points to a range of directions, from number `ray` on."""
+
+
+@native.func_native(
+    "lit_points.h",
+    f"""
+    static_assert(wrt::LIT_TILE == {int(TILE)} && wrt::LIT_GROUP == {GROUP});
+    const double* const normals = (const double*)&points.normal.data[begin];
+    const float* const to = (const float*)&rays.direction.data[ways.c[0]];
+    const int count = end - begin, group = ways.c[1] - ways.c[0], groups = weights.shape[1];
+    unsigned char seen[wrt::LIT_GROUP * wrt::LIT_TILE];
+    wrt::sort_seen(normals, count, to, group, full, &dark.data[ray], seen);
+    wrt::add_seen(normals, count, to, group, seen, cosine, &weights.data[ways.c[0] * groups], groups,
+        (const int*)&weighted.data[ways.c[0]], &sums.data[begin], sums.shape[1]);
+    """,
+)
+def add_group(
+    points: LitPoints,
+    begin: int,
+    end: int,
+    rays: LitRays,
+    ways: wp.vec2i,
+    full: bool,
+    ray: int,
+    dark: wp.array(dtype=wp.bool),
+    cosine: bool,
+    weights: wp.array2d(dtype=wp.float64),
+    weighted: wp.array(dtype=wp.vec2i),
+    sums: wp.array2d(dtype=wp.float64),
+):
+    """Adds the weights of what a range of points sees of a range of directions. full: whether each point has a ray to each,
+    from number `ray` on; others as in `add_lit`."""
+
+
+@native.func_native("lit_points.h", f"return wrt::some_ahead<{int(LANES)}>(mask, t.c);")
+def some_ahead(mask: wp.uint32, t: Lanes) -> bool:
+    """Whether some of the lanes of a mask have a t of 0 or more."""
+
+
 @wp.func
-def meets_triangle(points: LitPoints, i: int, primitive: int, direction: wp.vec3, ray: ShearedRay):
-    """`meets_own` of a ray from a point; ray: one of the direction, from anywhere."""
-    origin = wp.vec3(points.origin[i] - points.mesh.center)
-    if points.corners.shape[0] == 0:
-        return meets_own(points.mesh, primitive, origin, direction)
-    ray.origin = permuted(origin, ray.z)
-    return intersect(ray, points.corners[i])[0] >= 0.0
+def some_meet(points: LitPoints, block: int, rays: LitRays, directions: wp.vec2i):
+    """Whether some rays to a range of directions may meet their own triangles, if they leave points of a block."""
+    meet = points.own.shape[0] == 0
+    if not meet:
+        for d in range(directions[0], directions[1]):
+            t = Lanes()
+            u = Lanes()
+            v = Lanes()
+            mask = test_own(points.own, block, rays.prepared[d], t, u, v)
+            meet = meet or some_ahead(mask, t)
+    return meet
+
+
+@wp.func
+def directions_of(rays: LitRays, group: int):
+    """The first of the directions of a group, and the end."""
+    each = rays.direction.shape[0] / rays.groups
+    longer = rays.direction.shape[0] - each * rays.groups
+    low = group * each + wp.min(group, longer)
+    return wp.vec2i(low, low + each + wp.where(group < longer, 1, 0))
 
 
 @exact_kernel
 def count_lit(first: int, points: LitPoints, rays: LitRays, count: wp.array(dtype=int)):
     """Counts the rays of a tile: directions that are in front of points. Item: a group of directions and a tile."""
     item = first + wp.tid()
-    low = item / rays.tiles * rays.group
+    ends = directions_of(rays, item / rays.tiles)
     begin = (rays.first_tile + item % rays.tiles) * TILE
+    end = wp.min(begin + TILE, points.order.shape[0])
     found = int(0)
-    for d in range(low, wp.min(low + rays.group, rays.direction.shape[0])):
-        way = wp.vec3d(rays.direction[d])
-        for i in range(begin, wp.min(begin + TILE, points.order.shape[0])):
-            found += wp.where(is_lit(points, i, way), 1, 0)
+    for d in range(ends[0], ends[1]):
+        found += count_in_front(points, begin, end, rays, d)
     count[item] = found
 
 
 @exact_kernel
 def write_lit(
-    first: int, points: LitPoints, rays: LitRays, origins: wp.array(dtype=wp.vec3d), directions: wp.array(dtype=wp.vec3)
+    first: int, points: LitPoints, rays: LitRays, origins: wp.array(dtype=wp.vec3), directions: wp.array(dtype=wp.vec3)
 ):
     """Writes the rays of a group of directions and a tile, point by point. Item: a group of directions and a tile."""
     item = first + wp.tid()
-    low = item / rays.tiles * rays.group
-    high = wp.min(low + rays.group, rays.direction.shape[0])
+    ends = directions_of(rays, item / rays.tiles)
     begin = (rays.first_tile + item % rays.tiles) * TILE
     end = wp.min(begin + TILE, points.order.shape[0])
     ray = rays.begin[item]
     count = rays.begin[item + 1] - ray
     if count == 0:
         return
-    for i in range(begin, end):
-        at = points.order[i]
-        primitive = points.primitive[at]
-        for d in range(low, high):
-            direction = rays.direction[d]
-            if count == (end - begin) * (high - low) or is_lit(points, i, wp.vec3d(direction)):
-                origin = points.origin[i]
-                if meets_triangle(points, i, primitive, direction, rays.prepared[d]):
-                    origin = spawn_origin(points.mesh, primitive, points.uv[at], direction, 0)
-                origins[ray] = origin
-                directions[ray] = direction
-                ray += 1
+    full = count == (end - begin) * (ends[1] - ends[0])
+    for low in range(begin, end, LANES):
+        high = wp.min(low + LANES, end)
+        meet = some_meet(points, low / LANES, rays, ends)
+        if full and not meet:
+            write_rays(points, low, high, rays, ends, ray, origins, directions)
+            ray += (high - low) * (ends[1] - ends[0])
+        else:
+            for i in range(low, high):
+                for d in range(ends[0], ends[1]):
+                    direction = rays.direction[d]
+                    if full or is_lit(points, i, wp.vec3d(direction)):
+                        origin = points.origin[i]
+                        at = points.order[i]
+                        if meet and meets_own(
+                            points.mesh, points.primitive[at], wp.vec3(origin - points.mesh.center), direction
+                        ):
+                            origin = spawn_origin(points.mesh, points.primitive[at], points.uv[at], direction, 0)
+                        origins[ray] = wp.vec3(origin - rays.center)
+                        directions[ray] = direction
+                        ray += 1
 
 
 @exact_kernel
@@ -155,39 +261,20 @@ def add_lit(
     weights: wp.array2d(dtype=wp.float64),
     weighted: wp.array(dtype=wp.vec2i),
     cosine: bool,
-    part: wp.array2d(dtype=wp.float64),
-    total: wp.array2d(dtype=wp.float64),
+    sums: wp.array2d(dtype=wp.float64),
 ):
     """Adds the weights of what points see. Item: a tile.
 
     dark: whether each ray met something. weights: (D, G) of each direction, in each group of sums. weighted: (D,) the first and
-    the end of the groups of sums in which a direction has weights other than 0. part: (P, G) 0, and 0 again at the
-    end. total: (P, G), in the order of the caller.
+    the end of the groups of sums in which a direction has weights other than 0. sums: (G, P), in the order of points.
     """
     tile = first + wp.tid()
     begin = (rays.first_tile + tile) * TILE
     end = wp.min(begin + TILE, points.order.shape[0])
-    groups = weights.shape[1]
-    low = int(0)
-    while low < rays.direction.shape[0]:
-        high = wp.min(low + rays.group, rays.direction.shape[0])
-        item = low / rays.group * rays.tiles + tile
-        ray = rays.begin[item]
-        count = rays.begin[item + 1] - ray
+    for group in range(rays.groups):
+        ways = directions_of(rays, group)
+        ray = rays.begin[group * rays.tiles + tile]
+        count = rays.begin[group * rays.tiles + tile + 1] - ray
         if count > 0:
-            for i in range(begin, end):
-                for d in range(low, high):
-                    way = wp.vec3d(rays.direction[d])
-                    if count == (end - begin) * (high - low) or is_lit(points, i, way):
-                        if not dark[ray]:
-                            share = wp.float64(1.0)
-                            if cosine:
-                                share = wp.max(wp.dot(way, wp.vec3d(wp.vec3(points.normal[i]))), wp.float64(0.0))
-                            for g in range(weighted[d][0], weighted[d][1]):
-                                part[i, g] = part[i, g] + weights[d, g] * share
-                        ray += 1
-        low = high
-    for i in range(begin, end):
-        for g in range(groups):
-            total[points.order[i], g] = total[points.order[i], g] + part[i, g]
-            part[i, g] = wp.float64(0.0)
+            full = count == (end - begin) * (ways[1] - ways[0])
+            add_group(points, begin, end, rays, ways, full, ray, dark, cosine, weights, weighted, sums)

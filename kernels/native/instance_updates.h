@@ -19,7 +19,7 @@ inline CUDA_CALLABLE double of_ordered(long long bits)
 }
 
 /// `found` becomes the least of it and of the values of all threads of a warp, which all come here on CUDA.
-inline CUDA_CALLABLE void keep_least(long long* found, long long value)
+inline CUDA_CALLABLE void keep_min(long long* found, long long value)
 {
 #if defined(__CUDA_ARCH__)
     for (int step = 16; step > 0; step >>= 1) {
@@ -89,13 +89,15 @@ inline CUDA_CALLABLE double power_above(double value)
 /// The box of child `lane` of an inner node from those of the child's own children.
 inline CUDA_CALLABLE void refit_lane(float* bounds, int node, int lane, int child, int width)
 {
+    float found[6];  // all loads come before the stores, for which a GPU would wait one by one
     for (int axis = 0; axis < 6; ++axis) {
         const float* const own = bounds + ((size_t)child * 6 + axis) * width;
-        float found = own[0];
+        found[axis] = own[0];
         for (int k = 1; k < width; ++k)
-            found = axis < 3 ? (own[k] < found ? own[k] : found) : (own[k] > found ? own[k] : found);
-        bounds[((size_t)node * 6 + axis) * width + lane] = found;
+            found[axis]
+                = axis < 3 ? (own[k] < found[axis] ? own[k] : found[axis]) : (own[k] > found[axis] ? own[k] : found[axis]);
     }
+    for (int axis = 0; axis < 6; ++axis) bounds[((size_t)node * 6 + axis) * width + lane] = found[axis];
 }
 
 /// All threads of a block wait for each other on CUDA, where they also see what others have written.

@@ -52,6 +52,26 @@ def find_cells(
     find_range(position, begin, wp.min(group, position.shape[0] - begin), low, scale, cell)
 
 
+def grid_scale(low: wp.vec3, high: wp.vec3) -> wp.vec3:
+    """Cells in a unit of length, along each axis of a box."""
+    return wp.vec3(*(float(1 << BITS) / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
+
+
+def sort_cells(cell: wp.array, order: wp.array, count: int) -> None:
+    """Sorts the numbers of points by their cells, both as `find_cells` wrote them one by one; stable. On CUDA both arrays have
+    room for twice as many, and cells are sorted, too."""
+    if cell.device.is_cuda:
+        wp.utils.radix_sort_pairs(cell, order, count, 0, 3 * BITS)
+    else:
+        order.numpy()[:count] = sorted_numbers(cell.numpy()[:count])
+
+
+def sorted_numbers(cells: np.ndarray) -> np.ndarray:
+    """(N,) numbers of points in the order of their cells; by one thread."""
+    found = np.argsort(cells.astype(np.uint16), kind="stable")  # numbers of 16 bits sort by their digits, others do not
+    return found[np.argsort((cells >> 16).astype(np.uint8)[found], kind="stable")]
+
+
 def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
     """(N,) int32: numbers of points along the curve through the box, on their device; stable.
 
@@ -62,18 +82,14 @@ def morton_order(position: wp.array, low: wp.vec3, high: wp.vec3) -> wp.array:
     device, count = position.device, len(position)
     on_cuda = device.is_cuda
     cell = wp.empty(2 * count if on_cuda else count, dtype=int, device=device)  # Warp's sort needs twice the space
-    scale = wp.vec3(*(float(1 << BITS) / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
     order = wp.empty(2 * count if on_cuda else 0, dtype=int, device=device)
     group = 1 if on_cuda else GROUP
-    inputs = [position, group, low, scale, cell, order]
+    inputs = [position, group, low, grid_scale(low, high), cell, order]
     launch(find_cells, -(-count // group), inputs, device=device, chunk=4096 // group)
     if on_cuda:
-        wp.utils.radix_sort_pairs(cell, order, count, 0, 3 * BITS)
+        sort_cells(cell, order, count)
         return order[:count]
     if count >= MIN_PARALLEL:
         sort_by_cells(cell)
         return cell
-    numbers = cell.numpy()
-    found = np.argsort(numbers.astype(np.uint16), kind="stable")  # numbers of 16 bits sort by their digits, others do not
-    found = found[np.argsort((numbers >> 16).astype(np.uint8)[found], kind="stable")]
-    return wp.array(found.astype(np.int32), dtype=int, device=device)
+    return wp.array(sorted_numbers(cell.numpy()).astype(np.int32), dtype=int, device=device)

@@ -32,7 +32,8 @@ class RecordedLaunch:
 
     Args:
         kernel, inputs, device: as in `launch`.
-        structs: places among `inputs`, the number of the first item counted, of structs whose packed form `argument` gives.
+        structs: places among `inputs`, the number of the first item counted, of structs and arrays whose packed form `argument`
+            gives.
     """
 
     def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device, structs: Sequence[int]) -> None:
@@ -44,7 +45,7 @@ class RecordedLaunch:
         self._count = 1
 
     def argument(self, index: int) -> Any:
-        """The packed form of a struct among the kernel's arguments: what is written there holds for the next run."""
+        """The packed form of a struct or an array among the arguments: what is written there holds for the next run."""
         return self._structs[index]
 
     def replace(self, index: int, struct: Any) -> None:

@@ -130,15 +130,23 @@ class Item(SimpleNamespace):
 
 
 def test_samples_of_turns_that_follow_each_other_have_all_cases():
-    """And each sample has every test."""
-    counts = {"a": 30, "b": 31, "c": 2, "d": 1}
-    items = [Item(nodeid=f"tests/test_one.py::test_{name}[{case}]") for name, count in counts.items() for case in range(count)]
-    items.append(Item(nodeid="tests/test_one.py::test_e"))
+    """And each sample has every file, and every test with many cases."""
+    tests = {
+        "one.py::test_a": 30,
+        "one.py::test_b": 31,
+        "one.py::test_c": 3,
+        "one.py::test_d": 2,
+        "one.py::test_e": 1,
+        "two.py::test_f": 1,
+    }
+    items = [Item(nodeid=f"tests/{name}[{case}]") for name, count in tests.items() for case in range(count)]
+    items.append(Item(nodeid="tests/three.py::test_g"))
     for first in (0, 7, 1042):
         drawn = [[item.nodeid for item in selection.sample(items, 3, first + turn)] for turn in range(3)]
         for nodes in drawn:
-            assert {node.partition("[")[0][-1] for node in nodes} == {*"abcde"}
-            assert 23 <= len(nodes) <= 24
+            of_tests = {node.partition("[")[0][-1] for node in nodes}
+            assert {*"abcfg"} <= of_tests
+            assert 24 <= len(nodes) <= 25
         assert {node for nodes in drawn for node in nodes} == {item.nodeid for item in items}
     assert selection.sample(items, 1, 5) == items
 
@@ -163,14 +171,20 @@ def test_alone_is_whoever_chooses_nothing(chosen, alone):
 
 
 CHOOSER = """
-from support.selection import Skipped
+from pathlib import Path
+from support.selection import Skipped, named
 
 def pytest_addoption(parser):
     parser.addoption("--write-skipped")
+    parser.addoption("--was-skipped")
 
 def pytest_configure(config):
     if config.option.write_skipped:
         config.pluginmanager.register(Skipped(config))
+
+def pytest_collection_modifyitems(config, items):
+    if config.option.was_skipped:
+        items[:] = named(items, Path(config.option.was_skipped).read_text().splitlines())
 """
 
 LACKING = """
@@ -211,7 +225,15 @@ def test_what_was_skipped_runs_again(tmp_path, processes):
     skipped = (tmp_path / "skipped").read_text().splitlines()
     assert skipped == ["test_first.py", "test_lacking.py::test_a", "test_lacking.py::test_c[x[y]]", "test_second.py"]
     (tmp_path / "lacking_package.py").write_text("")
-    assert subprocess.run([*command, *processes, "@skipped"], **options).stdout.splitlines()[-1].startswith("4 passed in")
+    for again in (["@skipped"], ["--was-skipped=skipped"]):
+        assert subprocess.run([*command, *processes, *again], **options).stdout.splitlines()[-1].startswith("4 passed in")
+
+
+def test_what_is_named_must_be_there():
+    items = [Item(nodeid=f"tests/test_{name}.py::test_{name}[1]") for name in "abc"]
+    assert selection.named(items, ["tests/test_b.py", "tests/test_c.py::test_c[1]"]) == items[1:]
+    with pytest.raises(pytest.UsageError, match=r"no test is called tests/test_a\.py::test_b"):
+        selection.named(items, ["tests/test_a.py", "tests/test_a.py::test_b"])
 
 
 @pytest.mark.parametrize("text", ["", "0:1", "-1:1", "some", ":3", "1.5:1", "3", "3:some", "3:-1"])

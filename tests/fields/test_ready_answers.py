@@ -8,6 +8,7 @@ import trimesh
 
 import wrt
 from wrt import analysis
+from wrt.analysis import surface_samples
 from wrt.analysis.wall_thickness import mean_near_median
 
 SPHERE = trimesh.creation.icosphere(4)
@@ -44,7 +45,7 @@ def test_samples_are_even():
     )
 
 
-def test_samples_apart(scene):
+def test_samples_apart(scene, monkeypatch):
     """None nearer than the radius, nowhere a hole of more than two radii; as by throwing one after the other."""
     found = analysis.sample_surface(scene, radius=0.1).position
     apart = np.linalg.norm(found[:, None] - found, axis=-1)
@@ -53,14 +54,14 @@ def test_samples_apart(scene):
     anywhere = analysis.sample_surface(scene, 1000).position
     assert np.linalg.norm(anywhere[:, None] - found, axis=-1).min(axis=1).max() < 0.2
     assert 0.5 < len(found) * 0.1**2 / SPHERE.area < 0.75
-    from wrt.analysis.surface_samples import kept_apart
-
     places = np.random.default_rng(4).uniform(-1, 1, (300, 3)).astype(np.float32)
     kept: list[int] = []
     for number, place in enumerate(places):
         if not len(kept) or (((places[kept] - place) ** 2).sum(axis=1) >= np.float32(0.3) ** 2).all():
             kept.append(number)
-    np.testing.assert_array_equal(kept_apart(scene, places, 0.3), kept)
+    for least in (300, 1):  # all at once, and a part at a time
+        monkeypatch.setattr(surface_samples, "MIN_PART", least)
+        np.testing.assert_array_equal(surface_samples.kept_apart(scene, places, 0.3), kept)
 
 
 def test_thickness(scene, somewhere):
@@ -153,7 +154,8 @@ def test_exposure_sums_what_single_rays_find(somewhere, scene, cosine):
     rays = pair.intersect(rng.normal(size=(17, 23, 3)) * 5.0, rng.normal(size=(17, 23, 3)))
     assert rays.is_hit.any()
     assert not rays.is_hit.all()
-    for place, surface in ((scene, somewhere), (pair, rays), (pair, analysis.sample_surface(pair, 700, seed=4))):
+    sampled = analysis.sample_surface(pair, 700, seed=4)
+    for place, surface in ((scene, somewhere), (pair, rays), (pair, sampled), (pair, somewhere), (scene, sampled)):
         found = analysis.exposure(place, surface, ways, weights=weights, cosine=cosine)
         assert found.shape == (*surface.shape, 3)
         for group, own in enumerate(weights):
@@ -164,8 +166,8 @@ def test_exposure_sums_what_single_rays_find(somewhere, scene, cosine):
 
 
 def test_exposure_in_blocks(somewhere, scene, monkeypatch):
-    """Blocks of directions and of points change nothing; weights that are whole numbers are summed exactly."""
-    ways, weights = analysis.sky_directions(19), np.arange(38.0).reshape(2, 19)
+    """Blocks of directions and of points change nothing."""
+    ways, weights = analysis.sky_directions(19), np.random.default_rng(6).random((2, 19))
     expected = analysis.exposure(scene, somewhere, ways, weights=weights)
     monkeypatch.setattr("wrt.analysis.sky_exposure.BLOCK", 256)
     np.testing.assert_array_equal(analysis.exposure(scene, somewhere, ways, weights=weights), expected)

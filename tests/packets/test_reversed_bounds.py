@@ -118,7 +118,9 @@ def test_components_that_count_as_zero_move_no_end():
         np.testing.assert_allclose(loaded[end], origin + np.float32([1.0, 0.0, 0.0]), rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("why", ["no common end", "no end", "one origin", "both signs", "no active ray"])
+@pytest.mark.parametrize(
+    "why", ["no common end", "no end", "parallel", "far and parallel", "one origin", "both signs", "no active ray"]
+)
 def test_other_packets_keep_their_bounds(why):
     origins, directions = rays_to(LIGHT, 20, 0.1)
     begin, end = ranges(origins, 0.0, 1.0)
@@ -126,6 +128,9 @@ def test_other_packets_keep_their_bounds(why):
         directions[:] = directions[:, :1]
     elif why == "no end":
         end[:] = np.inf
+    elif "parallel" in why:  # rounding leaves nothing of the origins, so that all rays seem to end at one point
+        directions[:] = 0.1 * directions[:1, :1]
+        end[:] = 1e12 if "far" in why else np.inf
     elif why == "one origin":
         origins[:], directions[:] = origins[:, :1], directions[:, :1]
     elif why == "both signs":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import warp as wp
 from support.meshes import SCENES
 from support.point_oracles import answers, brute_force, points_around
 
@@ -34,6 +35,22 @@ def test_nearest(name, device):
         points = points_around(mesh, count)
         points[1::7] = np.nan
         assert_same(answers(scene.closest_point(points, max_distance=most)), brute_force(scene, points, most))
+
+
+def test_kept_launches(device):
+    """Many points in Warp arrays: of other lengths, types and limits than in the call before."""
+    mesh = SCENES["random_triangles"]()
+    scene = wrt.Scene(mesh, TREE, device=device)
+    for count, most, dtype in ((2000, np.inf, np.float32), (1100, 0.1, np.float32), (2300, np.inf, np.float64)):
+        points = points_around(mesh, count).astype(dtype)
+        points[3::9] = np.inf
+        given = wp.array(points, dtype=wp.vec3 if dtype is np.float32 else wp.vec3d, device=device)
+        found = scene.closest_point(given, max_distance=float(most))
+        known = answers(wrt.Scene(mesh, wrt.Bvh(width=4), device="cpu").closest_point(points, max_distance=most))
+        assert_same({name: values.numpy() for name, values in answers(found).items()}, known)
+        assert len(scene.state.cache.point_searches.items()) == 1 + (dtype is np.float64)
+    rows = scene.closest_point(wp.array(points[:2000].reshape(40, 50, 3), dtype=wp.float64, device=device))
+    assert rows.distance.shape == (40, 50)
 
 
 def test_one_triangle(device):

@@ -107,6 +107,22 @@ def test_kept_memory_is_not_that_of_results(keeps, device):
         np.testing.assert_array_equal(state.boxes.origin, state.device_moves.bounded.origin.numpy())
 
 
+def test_masks_beside_transforms(keeps, device):
+    """Those of instances that move, which they keep in later moves, whatever memory waits for these."""
+    scene, host = (scene_of(matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), None, device) for _ in range(2))
+    rays = mixed_rays(host.flattened(), 1000)
+    for number, (rows, mask) in enumerate(((range(COUNT), None), (np.arange(40), 8), (range(COUNT), None), (range(COUNT), 4))):
+        values = wp.array((poses(0) + np.float32(0.01 * number))[: len(rows)], dtype=wp.transformf, device=device)
+        scene.update(rows, transform=values, mask=mask)
+        host.update(rows, transform=matrices_of(values), mask=mask)
+        assert scene.state.table is None
+        for seen in (8, 12, 0xFFFFFFFF):
+            assert_same_hits(scene.intersect(*rays, mask=seen), host.intersect(*rays, mask=seen))
+    assert [one.mask for one in scene.instances] == [4] * COUNT
+    with pytest.raises(ValueError, match="mask"):
+        scene.update(range(COUNT), transform=values, mask=-1)
+
+
 def test_a_small_motion_stays_on_the_device(device):
     """Neither transforms nor boxes are copied to the host, and the nodes stay."""
     scene = scene_of(matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), None, device)

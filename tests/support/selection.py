@@ -35,12 +35,28 @@ def as_sample(text: str) -> tuple[int, int]:
 
 
 def sample(items: list[pytest.Item], number: int, turn: int) -> list[pytest.Item]:
-    """One in `number` of the cases of each test, and at least one: others in each of `number` turns, all in all of these."""
+    """One in `number` of the cases of each file, and at least one: others in each of `number` turns, all in all of these.
+
+    Cases of one test follow each other, so that each test with `number` cases or more is in every sample.
+    """
     cases = defaultdict(list)
     for item in items:
-        cases[item.nodeid.partition("[")[0]].append(item)
+        cases[item.nodeid.partition("::")[0]].append(item)
     kept = {one for own in cases.values() for one in (own[turn % number :: number] or [own[turn % len(own)]])}
     return [item for item in items if item in kept]
+
+
+def named(items: list[pytest.Item], ids: list[str]) -> list[pytest.Item]:
+    """The tests that ids name: those of a test, or of all in a file.
+
+    Raises:
+        UsageError: an id names none, as where a test was renamed.
+    """
+    wanted = {*ids}
+    found = {item: {item.nodeid, item.nodeid.partition("::")[0]} & wanted for item in items}
+    if unknown := sorted(wanted.difference(*found.values())):
+        raise pytest.UsageError(f"no test is called {unknown[0]}")
+    return [item for item, by in found.items() if by]
 
 
 def is_alone(config: pytest.Config) -> bool:

@@ -12,8 +12,10 @@ import warp as wp
 
 from wrt.analysis.analysis_arguments import check_surface, host
 from wrt.analysis.wall_thickness import BLOCK, frame_of
-from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.executor import answer_relative
+from wrt.engine.facts.query_kinds import ANY, AUTO, QUERIES
 from wrt.engine.memory import empty
+from wrt.engine.rays.device_rays import relative_rays
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.shading.surface import Surface
 from wrt.kernels.validation import as_bool, as_direction, as_float, as_int, as_numbers, first_bad
@@ -27,14 +29,8 @@ POINTS = 1 << 16
 """Points whose ambient rays are traced at a time."""
 
 
-GROUP = 8
-"""Directions that follow each other closely are traced together by this number."""
-
 CLOSE = float(np.cos(np.radians(4.0)))
 """Cosine of the angle between such directions."""
-
-STREAM = "stream"
-"""The traversal of rays to given directions, on the CPU."""
 
 
 def sky_directions(count: int, *, up: ArrayLike = (0, 0, 1)) -> np.ndarray:
@@ -123,19 +119,7 @@ def as_shares(weights: Any, count: int) -> tuple[np.ndarray, bool]:
 
 def are_close(ways: np.ndarray) -> bool:
     """Whether unit vectors follow each other closely, as those to a sun do."""
-    return len(ways) >= GROUP and bool(np.median((ways[1:] * ways[:-1]).sum(axis=1)) >= CLOSE)
-
-
-def is_stream_able(scene: Scene) -> bool:
-    """Whether rays can be traced in streams. Parallel rays from points that are further apart than triangles are large part
-    soon: packets are then up to ten times slower, where streams lose little if points are dense
-    (notebooks/records/2026-11-27-whole-jobs.md)."""
-    from wrt.engine.plan.plan_checks import can_answer
-    from wrt.engine.plan.planner import default_test
-    from wrt.kernels.traversal import TRAVERSALS
-
-    facts = scene.state.facts
-    return not facts.is_cuda and can_answer(TRAVERSALS[STREAM], facts, "any", False, default_test(facts.triangle_test))
+    return len(ways) > 1 and bool(np.median((ways[1:] * ways[:-1]).sum(axis=1)) >= CLOSE)
 
 
 class LitSurface:
@@ -147,29 +131,28 @@ class LitSurface:
     """
 
     def __init__(self, scene: Scene, surface: Hits) -> None:
-        from wrt.kernels.fields.exposures import TILE, LitPoints, place_points
+        from wrt.kernels.fields.exposures import FLOATS, LANES, TILE, LitPoints, place_points
         from wrt.kernels.points.point_order import morton_order
-        from wrt.kernels.triangle.support.record_blocks import Corners
 
         self._scene, self._tile, points = scene, int(TILE), LitPoints()
-        self._traversal = STREAM if is_stream_able(scene) else AUTO
         points.mesh, points.primitive, points.uv = surface._surface
         self.device, self.count = points.primitive.device, surface.batch.count
         near = np.nan_to_num(host(surface.position).reshape(-1, 3) - points.mesh.center, copy=False).astype(np.float32)
         places = wp.array(near, dtype=wp.vec3, device=self.device)
         points.order = morton_order(places, wp.vec3(*near.min(axis=0)), wp.vec3(*near.max(axis=0)))
         points.normal, points.origin = (wp.empty(self.count, dtype=wp.vec3d, device=self.device) for _ in range(2))
-        own = 0 if scene.state.instances else self.count
-        points.corners = wp.empty(own, dtype=Corners, device=self.device)
+        blocks = 0 if points.mesh.placements else -(-self.count // int(LANES))  # None without instances
+        points.own = wp.full(blocks * int(FLOATS), np.nan, dtype=float, device=self.device)
         launch(place_points, self.count, [points], device=self.device, chunk=1024)
         self._points = points
 
     def add(self, ways: np.ndarray, shares: np.ndarray, cosine: bool) -> np.ndarray:
         """(P, G) float64 sums of the weights (G, D) of those of the directions (D, 3) that points see."""
-        from wrt.kernels.fields.exposures import add_lit
+        from wrt.kernels.fields.exposures import GROUP, add_lit
 
-        groups, step, device = len(shares), max(1, BLOCK // self.count), self.device
-        total, part = (wp.zeros((self.count, groups), dtype=wp.float64, device=device) for _ in range(2))
+        groups, device, tiles = len(shares), self.device, -(-self.count // self._tile)
+        sums = wp.zeros((groups, self.count), dtype=wp.float64, device=device)
+        step = max(GROUP, BLOCK // self.count // GROUP * GROUP)
         for begin in range(0, len(ways), step):
             rows = slice(begin, begin + step)
             own = np.ascontiguousarray(shares[:, rows].T)
@@ -179,36 +162,39 @@ class LitSurface:
                 np.stack([some.argmax(axis=1), groups - some[:, ::-1].argmax(axis=1)], axis=1) * some.any(axis=1)[:, None]
             )
             weighted = wp.array(weighted.astype(np.int32), dtype=wp.vec2i, device=device)
-            for first in range(0, -(-self.count // self._tile), BLOCK // self._tile):
-                rays, dark = self._trace(ways[rows], first)
-                inputs = [self._points, rays, dark, weights, weighted, cosine, part, total]
-                launch(add_lit, rays.tiles, inputs, device=device, chunk=4)
-        return total.numpy()
+            each = max(1, BLOCK // (self._tile * step))
+            for first in range(0, tiles, each):
+                rays, dark = self._trace(ways[rows], first, min(each, tiles - first))
+                launch(add_lit, rays.tiles, [self._points, rays, dark, weights, weighted, cosine, sums], device=device, chunk=4)
+        found = np.empty((self.count, groups))
+        found[self._points.order.numpy()] = np.ascontiguousarray(sums.numpy().T)
+        return found
 
-    def _trace(self, ways: np.ndarray, first: int) -> tuple[Any, wp.array]:
-        """Rays to directions from tiles, from the first one on, and whether each is hidden."""
-        from wrt.kernels.fields.exposures import LitRays, count_lit, prepare_ways, write_lit
+    def _trace(self, ways: np.ndarray, first: int, tiles: int) -> tuple[Any, wp.array]:
+        """Rays to directions from some tiles, from the first one on, and whether each is hidden."""
+        from wrt.kernels.fields.exposures import GROUP, LitRays, count_lit, prepare_ways, write_lit
         from wrt.kernels.triangle.watertight.woop import ShearedRay
 
-        rays, device, tiles = LitRays(), self.device, -(-self.count // self._tile)
-        rays.direction, rays.first_tile = wp.array(ways, dtype=wp.vec3, device=device), first
-        rays.tiles = min(BLOCK // self._tile, tiles - first)
-        in_groups = self._traversal == STREAM and are_close(ways)
-        rays.group, traversal = (GROUP, AUTO) if in_groups else (1, self._traversal)
+        rays, device, state = LitRays(), self.device, self._scene.state
+        rays.direction, rays.center = wp.array(ways, dtype=wp.vec3, device=device), wp.vec3d(*state.center.tolist())
+        rays.first_tile, rays.tiles = first, tiles
+        rays.groups = -(-len(ways) // GROUP) if are_close(ways) else len(ways)
         rays.prepared = wp.empty(len(ways), dtype=ShearedRay, device=device)
         launch(prepare_ways, len(ways), [rays.direction, rays.prepared], device=device)
-        items = -(-len(ways) // rays.group) * rays.tiles
+        items = rays.groups * rays.tiles
         counted = wp.empty(items, dtype=int, device=device)
         launch(count_lit, items, [self._points, rays, counted], device=device, chunk=64)
         begins = np.zeros(items + 1, dtype=np.int32)
         np.cumsum(counted.numpy(), out=begins[1:])
-        rays.begin = wp.array(begins, dtype=int, device=device)
-        if not begins[-1]:
+        rays.begin, count = wp.array(begins, dtype=int, device=device), int(begins[-1])
+        if not count:
             return rays, wp.empty(0, dtype=wp.bool, device=device)
-        origins, directions = (empty(int(begins[-1]), kind, device) for kind in (wp.vec3d, wp.vec3))
+        origins, directions = empty(count, wp.vec3, device), empty(count, wp.vec3, device)
         launch(write_lit, items, [self._points, rays, origins, directions], device=device, chunk=16)
-        there = self._scene.device
-        return rays, self._scene.occluded(origins.to(there), directions.to(there), traversal=traversal).to(device)
+        given = relative_rays(
+            origins.to(state.device), directions.to(state.device), np.inf, (count,), state.device, state.center
+        )
+        return rays, answer_relative(state, given, QUERIES[ANY]).occluded.to(device)
 
 
 def ambient_occlusion(

@@ -4,7 +4,7 @@
 
 **Idea.** Points are thrown at random, and one is kept if no earlier one is kept within the radius (Cook 1986). Which ones these
 are depends on the order only, so that a kernel finds all of them in a few rounds: a point is kept when all earlier ones near it
-are left out, and left out when one is kept.
+are left out, and left out when one is kept. The first points are settled before others are looked at.
 
 References: cook-1986.
 """
@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from wrt.analysis.analysis_arguments import state_of
-from wrt.kernels.fields.disc_samples import OPEN, settle
+from wrt.kernels.fields.disc_samples import KEPT, OPEN, settle
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.validation import as_float, as_int
 from wrt.meshes.mesh_measures import normals_and_areas
@@ -29,8 +29,11 @@ if TYPE_CHECKING:
 THROWN = 12.0
 """Points that are thrown for each area of radius x radius; some 0.6 are kept."""
 
-MOST_POINTS = 1 << 26
+MAX_POINTS = 1 << 26
 """Largest number of points."""
+
+MIN_PART = 4096
+"""Points that are settled at a time, at least."""
 
 GRID = 128
 """Cells of the hash grid along an axis."""
@@ -64,10 +67,10 @@ def sample_surface(scene: Scene, count: int | None = None, *, radius: float | No
     if not ends[-1] > 0.0:
         raise ValueError("the scene's triangles have no area, so that no point is on them")
     if radius is None:
-        thrown = as_int("count", count, 1, MOST_POINTS)
+        thrown = as_int("count", count, 1, MAX_POINTS)
     elif not (radius := as_float("radius", radius, finite=True)) > 0.0:
         raise ValueError(f"radius must be above 0, not {radius}")
-    elif (wanted := THROWN * float(ends[-1]) / max(radius * radius, 1e-300)) > MOST_POINTS:
+    elif (wanted := THROWN * float(ends[-1]) / max(radius * radius, 1e-300)) > MAX_POINTS:
         raise ValueError(f"radius {radius} is too small for an area of {ends[-1]:.4g}: {wanted:.4g} points would be thrown")
     else:
         thrown = int(np.ceil(wanted)) + 16
@@ -85,17 +88,22 @@ def sample_surface(scene: Scene, count: int | None = None, *, radius: float | No
 
 
 def kept_apart(scene: Scene, places: np.ndarray, radius: float) -> np.ndarray:
-    """(M,) numbers of the points (N, 3) that are kept, none within the radius of another."""
-    device = scene.device
-    points = wp.array(places, dtype=wp.vec3, device=device)
-    grid = wp.HashGrid(GRID, GRID, GRID, device=device)
-    grid.build(points, radius)
-    before = wp.full(len(places), int(OPEN), dtype=int, device=device)
-    after, left = wp.empty_like(before), wp.empty(len(places), dtype=int, device=device)
+    """(M,) numbers of the points (N, 3) that are kept, none within the radius of another.
+
+    A part of the points is settled at a time, beside those that are kept: few points are then near each other.
+    """
+    device, size = scene.device, max(int(len(places) / THROWN), MIN_PART)
+    grid, kept = wp.HashGrid(GRID, GRID, GRID, device=device), np.zeros(0, np.int64)
     with use_threads(scene.state.num_threads):
-        while True:
-            launch(settle, len(places), [grid.id, points, radius, before, after], device=device, chunk=256)
-            before, after = after, before
-            left = before.numpy()
-            if (left != int(OPEN)).all():
-                return np.flatnonzero(left == 1)
+        for first in range(0, len(places), size):
+            numbers = np.concatenate([kept, np.arange(first, min(first + size, len(places)))])
+            points = wp.array(places[numbers], dtype=wp.vec3, device=device)
+            grid.build(points, radius)
+            known = np.where(np.arange(len(numbers)) < len(kept), int(KEPT), int(OPEN)).astype(np.int32)
+            before, after = wp.array(known, dtype=int, device=device), wp.empty(len(numbers), dtype=int, device=device)
+            while (known == int(OPEN)).any():
+                launch(settle, len(numbers), [grid.id, points, radius, before, after], device=device, chunk=256)
+                before, after = after, before
+                known = before.numpy()
+            kept = numbers[known == int(KEPT)]
+    return kept

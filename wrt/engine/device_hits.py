@@ -162,7 +162,7 @@ class DeviceHits:
         host = None if self._block is not None else self._host
         for name in ANSWERS[query].stored.columns:
             field, values = getattr(arguments, name), host and host.get(name)
-            field.data = values.ptr if type(values) is HostArray else self._address(name)
+            field.data = values.ptr if type(values) is HostArray else self.address(name)
             field.shape[0] = self.count
 
     def point_to(self, struct: Any, names: Sequence[str]) -> None:
@@ -174,10 +174,11 @@ class DeviceHits:
             return
         packed = struct.__ctype__()
         for name in names:
-            write_flat(getattr(packed, name), self._address(name), self.count, DTYPES[name])
+            write_flat(getattr(packed, name), self.address(name), self.count, DTYPES[name])
         struct.__dict__["owner"] = self
 
-    def _address(self, name: str) -> int:
+    def address(self, name: str) -> int:
+        """Of the first element of an array."""
         if self._block is not None:
             return self._block.ptr + BLOCK[name] * self.count
         values = self._host.get(name)

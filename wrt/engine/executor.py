@@ -8,14 +8,13 @@ whose launches Warp must see with all their arrays.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import TYPE_CHECKING, NamedTuple, overload
 
 import warp as wp
 
 from wrt.engine.background import run_in_background
-from wrt.engine.facts.query_kinds import AUTO, CLOSEST, QUERIES, Query
+from wrt.engine.facts.query_kinds import AUTO, QUERIES, Query
 from wrt.engine.launch.batch import trace_batch
 from wrt.engine.launch.device_calls import answer_known, keep_call
 from wrt.engine.launch.parts import trace_in_parts
@@ -98,11 +97,10 @@ def _answer(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
     return Answer(hits, brought.form, chosen.plan, work)
 
 
-def closest_of_relative(scene: SceneState, rays: DeviceRays, own: Mapping[str, Any]) -> DeviceHits:
-    """Closest hits, by a plan of "auto", of rays that are on the device, relative to the scene's centre; own: their masks and
-    environments."""
+def answer_relative(scene: SceneState, rays: DeviceRays, query: Query) -> DeviceHits:
+    """The answer to rays that are on the device, relative to the scene's centre, by a plan of "auto"
+    (`wrt.engine.rays.device_rays.relative_rays`)."""
     with use_threads(scene.num_threads):
-        query = QUERIES[CLOSEST]._replace(**own) if own else QUERIES[CLOSEST]
         rays = with_integers(scene, examine(rays, scene.device), query)
         chosen, contest = find_choice(scene, rays.facts, query, rays.sample)
         if contest is not None and not scene.device.is_capturing:

@@ -16,13 +16,13 @@ class FreeList(Generic[Item]):
     Each step is one operation of a deque, so that threads, signal handlers and the garbage collector may interrupt it.
 
     Args:
-        most: items of a key that are kept; one more drops the one that was given back first. None for no bound.
+        max_items: items of a key that are kept; one more drops the one that was given back first. None for no bound.
     """
 
     __slots__ = ("_free",)
 
-    def __init__(self, most: int | None = None) -> None:
-        self._free: defaultdict[Hashable, deque[Item]] = defaultdict(partial(deque, maxlen=most))
+    def __init__(self, max_items: int | None = None) -> None:
+        self._free: defaultdict[Hashable, deque[Item]] = defaultdict(partial(deque, maxlen=max_items))
 
     def take(self, key: Hashable = None) -> Item | None:
         """An item for the caller alone until `give_back`; None if none is free."""

@@ -10,7 +10,6 @@ While a CUDA graph is captured nothing can be read back. Then the centre stays, 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
-from copy import copy
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +20,7 @@ from wrt.builders.bvh.instance_forest import cost_of
 from wrt.engine.free_list import FreeList
 from wrt.engine.memory import keep_alive
 from wrt.instances.instance_boxes import InstanceBoxes, UpperTree
-from wrt.instances.instance_list import InstanceList
+from wrt.instances.instance_list import InstanceList, replaced
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.launch import kept, launch, specialise
 from wrt.kernels.runtime.recorded_launch import record
@@ -42,10 +41,17 @@ from wrt.kernels.traversal.two_level.instance_updates import (
     measure_nodes,
     refit_level,
     span_instances,
+    write_masks,
 )
 
 MATRICES = (wp.mat44f, wp.mat44d, wp.transformf, wp.transformd)
 """Types of arrays of transforms."""
+
+RIGID = (wp.transformf, wp.transformd)
+"""Those of them that move and turn only."""
+
+UNEVEN = 1e-6
+"""How far the axes of a map may differ in length and from right angles, relative to their length."""
 
 NUMBERS = {
     (wp.float32, 4): wp.mat44f,
@@ -98,16 +104,30 @@ def transforms_on(device: wp.Device, transforms: Any, count: int) -> wp.array | 
     return found if found is not None and (found.size == count or is_one) else None
 
 
+def uneven_maps(table: np.ndarray) -> np.ndarray:
+    """(N,) whether the map of an instance multiplies some distances more than others; not of those with mask 0.
+
+    table: (N,) `Placement`.
+    """
+    linear = table["to_scene"].reshape(-1, 3, 3)
+    products = np.einsum("nji,njk->nik", linear, linear)
+    squares = np.trace(products, axis1=1, axis2=2) / 3.0
+    is_uneven = np.abs(products / squares[:, None, None] - np.eye(3)).max(axis=(1, 2)) > UNEVEN
+    return is_uneven & (table["mask"].reshape(-1) != 0)
+
+
 class MovedInstances(InstanceList):
     """Instances whose transforms are on a device until something asks for them.
 
     Args:
         base: them with other transforms.
         moves: the arrays of their state.
+        rows, mask: (M,) instances with another mask, None for all, and the mask; None for those they have.
     """
 
-    def __init__(self, base: InstanceList, moves: DeviceMoves) -> None:
-        super().__init__(base.latest()[0], np.ones(len(base), dtype=bool), None, base.masks, base.environments)
+    def __init__(self, base: InstanceList, moves: DeviceMoves, rows: np.ndarray | None = None, mask: int | None = None) -> None:
+        masks = replaced(base.masks, rows, mask)
+        super().__init__(base.latest()[0], np.ones(len(base), dtype=bool), None, masks, base.environments)
         self.moves = moves
 
     @cached_property
@@ -130,10 +150,11 @@ class BoxesOnDevice(InstanceBoxes):
     moves: DeviceMoves
 
     def __init__(self, moves: DeviceMoves, report: list[float], frame: Any = None) -> None:
-        known: dict[str, Any] = {"moves": moves}
-        known["extremes"] = report[:8]
+        known: dict[str, Any] = {"moves": moves, "extremes": report[:8]}
         if frame is not None:
-            known["frame"] = frame
+            known["frame"], known["center"] = frame, frame[0]
+        else:
+            known["center"] = tuple(report[9:12])
         self.__dict__.update(known)
 
     @cached_property
@@ -160,6 +181,7 @@ class DeviceMoves:
         chosen: the numbers of instances that moved last, on the host and on the device.
         kept: memory that waits for the next states, by stream.
         lease: while it lives, the arrays are this state's; None if they are nobody else's.
+        are_similar: whether the host knows that all maps multiply distances alike, but those of instances with mask 0.
     """
 
     def __init__(self, transforms: wp.array, bounded: BoundedInstances, cover: CoverPoints, level_first: wp.array) -> None:
@@ -167,6 +189,7 @@ class DeviceMoves:
         self.chosen: tuple[np.ndarray, wp.array] | None = None
         self.kept: FreeList[KeptMove] = FreeList(MAX_KEPT)
         self.lease: Any = None
+        self.are_similar = False
 
     @classmethod
     def of(cls, state: Any) -> DeviceMoves:
@@ -178,7 +201,9 @@ class DeviceMoves:
         bounded.norms = wp.array(boxes.norms, dtype=wp.float64, device=device)
         cover.centers, cover.begins, cover.points = (values.to(device) for values in (own.centers, own.begins, own.points))
         levels = wp.array(state.tree.forest.level_first, dtype=int, device=device)
-        return cls(wp.array(state.instances.transforms, dtype=wp.mat44d, device=device), bounded, cover, levels)
+        made = cls(wp.array(state.instances.transforms, dtype=wp.mat44d, device=device), bounded, cover, levels)
+        made.are_similar = not uneven_maps(state.table).any()
+        return made
 
     def copied(self, whole: bool) -> DeviceMoves:
         """Arrays of its own for what moves; whole: whether all of it will be written."""
@@ -190,9 +215,13 @@ class DeviceMoves:
         made.chosen, made.kept = self.chosen, self.kept
         return made
 
+    def knows_similar(self, rows: np.ndarray | None, given: wp.array) -> bool:
+        """`are_similar` after instances have moved by transforms; rows: as in `move_on_device`."""
+        return given.dtype in RIGID and (rows is None or self.are_similar)
+
     def has_chosen(self, rows: np.ndarray) -> bool:
         """Whether these instances moved last."""
-        return self.chosen is not None and np.array_equal(self.chosen[0], rows)
+        return self.chosen is not None and (self.chosen[0] is rows or np.array_equal(self.chosen[0], rows))
 
     def rows_on_device(self, rows: np.ndarray | None) -> wp.array:
         """(M,) numbers of instances; empty for None."""
@@ -244,8 +273,8 @@ class KeptMove:
         for to, values in (*pairs, (self.moves.transforms, old.transforms), (self.table, placements)):
             wp.copy(to, values)
 
-    def run(self, chosen: wp.array, given: wp.array, is_measured: bool) -> list[float]:
-        """Moves instances; arguments are those of the kernels. Returns `Spanned.report`."""
+    def start(self, chosen: wp.array, given: wp.array, is_measured: bool) -> None:
+        """Moves instances; arguments are those of the kernels. `reports` has what the host reads then."""
         moving = chosen.size or self.count
         place = self._places.get(given.dtype)
         if place is None:
@@ -257,13 +286,15 @@ class KeptMove:
         ):
             for index, values in arrays.items():
                 launched.set_param_at_index_from_ctype(index, values.__ctype__())
-            launched.set_dim(items)
+            bounds: Any = launched.bounds
+            if bounds.size != items:
+                launched.set_dim(items)
             launched.launch()
         for launched in self._rest:
             launched.launch()
         if is_measured:
             self._measure.launch()
-        return self.reports.fetch()
+        self.reports.request()
 
 
 class Lease:
@@ -286,9 +317,12 @@ class Reports:
         self.read = wp.empty(REPORTED, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
         self.values = self.read.numpy()
 
-    def fetch(self) -> list[float]:
-        """`Spanned.report`, when all kernels are done."""
+    def request(self) -> None:
+        """Lets the device copy `Spanned.report` when all kernels are done."""
         wp.copy(self.read, self.spanned.report)
+
+    def fetch(self) -> list[float]:
+        """What was copied; waits for it."""
         if self.spanned.report.device.is_cuda:
             wp.synchronize_stream(self.spanned.report.device.stream)
         return self.values.tolist()
@@ -306,30 +340,75 @@ def new_spanned(device: wp.Device) -> Spanned:
     return spanned
 
 
+class StartedMove:
+    """Instances that the device moves.
+
+    Args:
+        moves, table: the arrays of the next state, and its placements.
+        tree: its upper level, whose box is known when `boxes` is.
+        boxes: of a graph, which says nothing to the host; None where `finish` reads them.
+        reports: what is read; None for `boxes`.
+        is_measured: whether the cost of the upper level is computed.
+        free: where `reports` are given back; None if they are kept otherwise.
+    """
+
+    def __init__(
+        self,
+        moves: DeviceMoves,
+        table: wp.array,
+        tree: UpperTree,
+        boxes: InstanceBoxes | None,
+        reports: Reports | None,
+        is_measured: bool = False,
+        free: FreeList[Reports] | None = None,
+    ) -> None:
+        self.moves, self.table, self.tree = moves, table, tree
+        self._boxes, self._reports, self._is_measured, self._free = boxes, reports, is_measured, free
+
+    def finish(self) -> InstanceBoxes | None:
+        """Where the instances are, when all kernels are done; None if a transform must be checked on the host."""
+        if self._reports is None:
+            return self._boxes
+        report = self._reports.fetch()
+        if self._free is not None:
+            self._free.give_back(self._reports, self.table.device.alias)
+        if report[8] < self.table.size:
+            return None
+        if self._is_measured:
+            self.tree.cost = cost_of(report[12], report[13])
+        self.tree.low, self.tree.high = wp.vec3(*report[14:17]), wp.vec3(*report[17:20])
+        return BoxesOnDevice(self.moves, report)
+
+
 def move_on_device(
-    state: Any, rows: np.ndarray | None, given: wp.array, is_measured: bool
-) -> tuple[DeviceMoves, InstanceBoxes, wp.array, UpperTree] | None:
-    """Arrays, boxes, placements and upper level after instances have moved; None if a transform must be checked on the host.
+    state: Any, rows: np.ndarray | None, given: wp.array, is_measured: bool, mask: int | None = None
+) -> StartedMove:
+    """Moves instances, and does not wait for the device.
 
     Args:
         state: the old one, a `wrt.scene.instanced_state.InstancedState`.
         rows: (M,) instances that move, each once; None for all.
         given: their transforms, as `transforms_on` gives them.
         is_measured: whether the cost of the upper level is computed.
+        mask: of all that move; None for those they have.
     """
     device, captures = state.device, bool(state.device.is_capturing)
     old = state.device_moves
     if old is None:
         with kept(device):
             old = DeviceMoves.of(state)
-    if keeps_moves(device) and not captures:
+    if keeps_moves(device) and not captures and mask is None:
         return move_kept(state, old, rows, given, is_measured)
     made, table = old.copied(whole=rows is None), wp.clone(state.device_mesh.placements)
+    made.are_similar = old.knows_similar(rows, given)
     reports = None if captures else _reports.take(device.alias) or Reports(device)
     spanned = new_spanned(device) if reports is None else reports.spanned
     nodes = nodes_of(state.tree, made.level_first)
     count, moving = len(table), len(table) if rows is None else len(rows)
     chosen = made.rows_on_device(rows)
+    if mask is not None:
+        made.kept = FreeList(MAX_KEPT)  # what waits has other masks
+        launch(write_masks, moving, [chosen, wp.uint32(mask), table], device=device)
     placed = place_inputs(chosen, given, made, table, spanned)
     launch(specialise(make_place_instances, given.dtype), moving, placed, device=device)
     launch(bound_moved, moving * team_of(device), bound_inputs(made, table, chosen, device), device=device)
@@ -342,16 +421,13 @@ def move_on_device(
     if is_measured:
         shares = shares_of(len(nodes.child), device)
         launch(measure_nodes, shares, [shares, nodes, spanned], device=device)
+    tree = moved_tree(state.tree, nodes.bounds)
     if reports is None:
-        tree = moved_tree(state.tree, nodes.bounds)
         tree.extent = spanned.extent
         keep_alive(table, (state.device_mesh.placements, old, made, tree))  # the graph reads them whenever it is launched
-        return made, BoxesOnDevice(made, state.boxes.extremes, state.boxes.frame), table, tree
-    report = reports.fetch()
-    _reports.give_back(reports, device.alias)
-    if report[8] < count:
-        return None
-    return made, *described(state.tree, nodes.bounds, made, report, is_measured, table)
+        return StartedMove(made, table, tree, BoxesOnDevice(made, state.boxes.extremes, state.boxes.frame), None)
+    reports.request()
+    return StartedMove(made, table, tree, None, reports, is_measured, _reports)
 
 
 def keeps_moves(device: wp.Device) -> bool:
@@ -359,22 +435,18 @@ def keeps_moves(device: wp.Device) -> bool:
     return device.is_cuda
 
 
-def move_kept(
-    state: Any, old: DeviceMoves, rows: np.ndarray | None, given: wp.array, is_measured: bool
-) -> tuple[DeviceMoves, InstanceBoxes, wp.array, UpperTree] | None:
+def move_kept(state: Any, old: DeviceMoves, rows: np.ndarray | None, given: wp.array, is_measured: bool) -> StartedMove:
     """`move_on_device` on CUDA outside graphs, in memory of states that nobody has any more; old: the state's arrays."""
     device = state.device
     stream = device.stream.cuda_stream if device.is_cuda else None
     move = old.kept.take(stream) or KeptMove(state, old, Reports(device))
     if rows is not None:
         move.take(old, state.device_mesh.placements)
-    report = move.run(old.rows_on_device(rows), given, is_measured)
-    if report[8] < move.count:
-        return None
-    made = copy(move.moves)
-    made.chosen, made.lease = old.chosen, Lease(move, old.kept, stream)
+    move.start(old.rows_on_device(rows), given, is_measured)
+    made = twin(move.moves)
+    made.chosen, made.lease, made.are_similar = old.chosen, Lease(move, old.kept, stream), old.knows_similar(rows, given)
     table, bounds = (view_of(values, made.lease) for values in (move.table, move.nodes.bounds))
-    return made, *described(state.tree, bounds, made, report, is_measured, table)
+    return StartedMove(made, table, moved_tree(state.tree, bounds), None, move.reports, is_measured)
 
 
 def view_of(values: wp.array, lease: Any) -> wp.array:
@@ -382,26 +454,19 @@ def view_of(values: wp.array, lease: Any) -> wp.array:
     return keep_alive(wp.array(ptr=values.ptr, dtype=values.dtype, shape=values.size, device=values.device), lease)
 
 
+def twin(one: Any) -> Any:
+    """Another object with the same attributes, without asking its class how it is copied."""
+    other = object.__new__(type(one))
+    other.__dict__.update(one.__dict__)
+    return other
+
+
 def moved_tree(tree: UpperTree, bounds: wp.array) -> UpperTree:
     """The upper level around other boxes, of which the host knows nothing."""
-    moved = copy(tree)
+    moved = twin(tree)
     moved.__dict__.pop("_struct", None)
     moved.bounds, moved.corners, moved.host, moved.extent, moved.cost = bounds, None, None, None, None
     return moved
-
-
-def described(
-    tree: UpperTree, bounds: wp.array, made: DeviceMoves, report: list[float], is_measured: bool, table: wp.array
-) -> tuple[InstanceBoxes, wp.array, UpperTree]:
-    """Boxes, placements and upper level, with what the host reads of a move."""
-    boxes, moved = BoxesOnDevice(made, report), moved_tree(tree, bounds)
-    if is_measured:
-        moved.cost = cost_of(report[12], report[13])
-    middle, rounding = np.array(report[9:12]), boxes.frame[1]
-    low, high = np.array(report[:3]) - (middle + rounding), np.array(report[3:6]) - (middle - rounding)
-    moved.low = wp.vec3(*np.nextafter(low.astype(np.float32), np.float32(-np.inf)).tolist())
-    moved.high = wp.vec3(*np.nextafter(high.astype(np.float32), np.float32(np.inf)).tolist())
-    return boxes, table, moved
 
 
 def team_of(device: wp.Device) -> int:
@@ -449,7 +514,7 @@ def refit_steps(
 
 def fetched(state: Any) -> dict[str, Any]:
     """What the host holds of a state after moves on its device: values of attributes."""
-    boxes, tree = InstanceBoxes(state.boxes.origin, state.boxes.box, state.boxes.norms), copy(state.tree)
+    boxes, tree = InstanceBoxes(state.boxes.origin, state.boxes.box, state.boxes.norms), twin(state.tree)
     tree.corners, tree.extent = boxes.rounded(), None
     tree = tree.with_boxes(*tree.corners)
     table = state.device_mesh.placements.numpy().astype(Placement.numpy_dtype())  # type: ignore[attr-defined]

@@ -86,6 +86,11 @@ class InstanceBoxes:
         size = (self.box[3:] - self.box[:3]).max(axis=0).min()
         return [*self.box[:3].min(axis=1).tolist(), *self.box[3:].max(axis=1).tolist(), float(self.norms.max()), float(size)]
 
+    @cached_property
+    def center(self) -> tuple[float, float, float]:
+        """The point that the scene's positions are relative to."""
+        return self.frame[0]
+
     @property
     def slack_scale(self) -> float:
         """By what the slack of boxes grows for the worst of the maps."""

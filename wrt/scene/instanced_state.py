@@ -23,12 +23,13 @@ from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.engine.facts.query_cache import QueryCache
 from wrt.engine.facts.scene_state import SceneState, Settings, new_mark
 from wrt.instances.device_moves import DeviceMoves, MovedInstances, fetched, move_on_device, transforms_on
-from wrt.instances.few_moves import MOST_AT_ONCE, move_few
+from wrt.instances.few_moves import MAX_AT_ONCE, move_few
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, UpperTree, build_upper, cover, on_device, write_maps
 from wrt.instances.instance_list import InstanceList
 from wrt.instances.instance_tables import first_triangles, geometry_table, part_table, upper_struct
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
+from wrt.kernels.runtime.argument_packing import copied
 from wrt.kernels.runtime.launch import kept, refuse_capture, use_threads
 from wrt.meshes.instance import Instance, as_instances, check_environment, check_extent, check_mask, check_transforms
 from wrt.meshes.mesh import TriangleMesh
@@ -171,8 +172,9 @@ class InstancedState(SceneState):
             raise TypeError("there is nothing to update; pass vertices, transform, mask or environment")
         chosen = None if is_all(index, len(self.instances)) else self.chosen(index)
         chosen = None if chosen is not None and is_all(chosen, len(self.instances)) else chosen
-        if vertices is None and mask is None and environment is None:
-            moved = self._moved_on_device(chosen, transform)
+        mask = None if mask is None else check_mask(mask)
+        if vertices is None and transform is not None and environment is None:
+            moved = self._moved_on_device(chosen, transform, mask)
             if moved is not None:
                 return moved
         refuse_capture("such an update", self.device)
@@ -180,7 +182,6 @@ class InstancedState(SceneState):
             return self.on_host().updated(index, vertices, transform, mask, policy, environment)
         count = len(self.instances) if chosen is None else len(chosen)
         matrices = None if transform is None else check_transforms(transform, count)
-        mask = None if mask is None else check_mask(mask)
         environment = None if environment is None else check_environment(environment)
         instances = self.instances.moved(chosen, matrices, mask, environment)
         with use_threads(self.num_threads):
@@ -190,13 +191,13 @@ class InstancedState(SceneState):
                 return self.with_instances(instances[:], self.graph)
             return self._moved(instances, chosen if chosen is None or count == 1 else np.unique(chosen))
 
-    def _moved_on_device(self, rows: np.ndarray | None, transform: Any) -> InstancedState | None:
+    def _moved_on_device(self, rows: np.ndarray | None, transform: Any, mask: int | None) -> InstancedState | None:
         """The state after instances have moved by transforms on its device; None if they go through the host.
 
-        rows: (M,) the instances; None for all.
+        rows: (M,) the instances; None for all. mask: theirs; None for those they have.
         """
         count, device = len(self.instances) if rows is None else len(rows), self.device
-        given = None if device.is_cpu and count <= MOST_AT_ONCE else transforms_on(device, transform, count)
+        given = None if device.is_cpu and count <= MAX_AT_ONCE else transforms_on(device, transform, count)
         if given is None:
             return None
         is_known = rows is None or (self.device_moves is not None and self.device_moves.has_chosen(rows))
@@ -206,14 +207,13 @@ class InstancedState(SceneState):
         moved = self.moved + (forest.layered_count if rows is None else int(np.count_nonzero(forest.layered[rows])))
         is_due = 2 * moved > forest.layered_count and not device.is_capturing
         with use_threads(self.num_threads):
-            done = move_on_device(self, rows, given, is_due)
-            if done is None:
+            started = move_on_device(self, rows, given, is_due, mask)
+            instances, mesh = MovedInstances(self.instances, started.moves, rows, mask), copied(self.device_mesh)
+            mesh.placements = started.table
+            boxes = started.finish()  # the device was at work until here
+            if boxes is None or not (device.is_capturing or boxes.are_resolved):
                 return None
-            device_moves, boxes, placements, tree = done
-            if not (device.is_capturing or boxes.are_resolved):
-                return None
-            instances = MovedInstances(self.instances, device_moves)
-            state = assemble(self, instances, boxes, None, tree, 0 if is_due else moved, placements, device_moves)
+            state = assemble(self, instances, boxes, None, started.tree, 0 if is_due else moved, mesh, started.moves)
             if is_due and state.tree.is_degraded:
                 state = state.on_host()
                 return place(state, state.instances, state.boxes, state.table, None, 0)
@@ -262,7 +262,7 @@ class InstancedState(SceneState):
     def _kept(self, instances: InstanceList, rows: np.ndarray | None, moved: int) -> InstancedState:
         """The state after some instances have moved, or all, with the nodes of this one."""
         transforms, masks = instances.some(rows)
-        if len(transforms) <= MOST_AT_ONCE:
+        if len(transforms) <= MAX_AT_ONCE:
             few = np.arange(len(instances)) if rows is None else rows
             found = move_few(self, few, transforms, masks)
             if found is not None:
@@ -438,14 +438,16 @@ def assemble(
     table: np.ndarray | None,
     tree: UpperTree,
     moved: int,
-    placements: wp.array | None = None,
+    mesh: SceneMesh | None = None,
     device_moves: DeviceMoves | None = None,
 ) -> InstancedState:
-    """As `place`; the table has origins, and the tree is around the boxes. Without a table, the placements are given."""
-    mesh, center = SceneMesh(), boxes.frame[0]
-    mesh.geometry_first, mesh.geometries = old.device_mesh.geometry_first, old.device_mesh.geometries
+    """As `place`; the table has origins, and the tree is around the boxes. Without a table, a mesh has the placements."""
+    center = boxes.center
+    if mesh is None:
+        mesh = SceneMesh()
+        mesh.geometry_first, mesh.geometries = old.device_mesh.geometry_first, old.device_mesh.geometries
+        mesh.placements = on_device(table, Placement, old.settings.device)
     mesh.center, mesh.low, mesh.high = wp.vec3d(*center), tree.low, tree.high
-    mesh.placements = on_device(table, Placement, old.settings.device) if placements is None else placements
     if old.built_tree is not None and old.tree.forest is tree.forest:
         cache = old.cache.of_moved()
     else:

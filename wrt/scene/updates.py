@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
@@ -106,7 +106,13 @@ def as_policy(rebuild: Any) -> UpdatePolicy:
         return rebuild
     if not isinstance(rebuild, str):
         raise TypeError(f"rebuild must be 'auto', 'always', 'never' or a wrt.moving.UpdatePolicy, not {type(rebuild).__name__}")
-    return UpdatePolicy(when=rebuild)  # type: ignore[arg-type]  # which it checks
+    return named_policy(rebuild)
+
+
+@lru_cache(maxsize=8)
+def named_policy(name: str) -> UpdatePolicy:
+    """The policy of a name; errors as `UpdatePolicy`."""
+    return UpdatePolicy(when=name)  # type: ignore[arg-type]  # which it checks
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.engine.executor import closest_of_relative
-from wrt.engine.facts.query_kinds import AUTO
+from wrt.engine.executor import answer_relative
+from wrt.engine.facts.query_kinds import AUTO, CLOSEST, QUERIES
 from wrt.engine.rays.device_rays import relative_rays
 from wrt.instances.instance_boxes import on_device
 from wrt.kernels.runtime.argument_packing import blank
@@ -132,7 +132,8 @@ class SensorRays:
         if self.is_relative:
             state = scene.state
             given = self.origins, self.directions, self.t_max, shape, state.device, state.center
-            return closest_of_relative(state, relative_rays(*given), own)
+            query = QUERIES[CLOSEST]._replace(**own) if own else QUERIES[CLOSEST]
+            return answer_relative(state, relative_rays(*given), query)
         origins = self.origins if self.origins.size == 1 else part_of(self.origins, *rays).reshape(shape)
         if not (isinstance(self.traversal, str) and self.traversal == AUTO):  # few options are checked in less time
             own["traversal"] = self.traversal
@@ -283,7 +284,7 @@ def for_each_ray(
     for name, values in given.items():
         if values is None:
             continue
-        least, most, dtype = LIMITS[name]
+        minimum, maximum, dtype = LIMITS[name]
         if order is None and stays_on(device, values, dtype, sensors):
             found[name] = repeated(values, beams * bundle)
             continue
@@ -291,8 +292,8 @@ def for_each_ray(
         array = as_real_array(name, values)
         if array.dtype.kind not in "iu":
             raise TypeError(f"{name} must hold integers, not {array.dtype}")
-        if array.size and (array.min() < least or array.max() > most):
-            raise ValueError(f"{name} must be from {least} to {most}, but ranges from {array.min()} to {array.max()}")
+        if array.size and (array.min() < minimum or array.max() > maximum):
+            raise ValueError(f"{name} must be from {minimum} to {maximum}, but ranges from {array.min()} to {array.max()}")
         if array.ndim == 0:
             found[name] = int(array)
             continue

@@ -36,7 +36,7 @@ BLOCK = 512
 SPANNED = 9
 """Integers of `Spanned.found`."""
 
-REPORTED = 14
+REPORTED = 20
 """Numbers of `Spanned.report`."""
 
 EPSILON = wp.constant(wp.float64(2.0**-52))
@@ -49,7 +49,7 @@ NOT_FINE = wp.constant(8)
 """Place in `Spanned` of the first instance whose transform must be looked at."""
 
 
-Least = wp.types.vector(length=SPANNED, dtype=wp.int64)
+Minima = wp.types.vector(length=SPANNED, dtype=wp.int64)
 
 
 @wp.struct
@@ -61,7 +61,7 @@ class Spanned:
     size; the first instance whose transform is singular or close to it, not finite, or not affine."""
     report: wp.array(dtype=wp.float64)
     """(`REPORTED`,) lowest x, y, z, highest x, y, z, greatest norm, least size, that instance or a huge number, the centre x,
-    y, z, and the surfaces of the boxes of nodes and of instances."""
+    y, z, the surfaces of the boxes of nodes and of instances, and the first six of `extent`."""
     extent: wp.array(dtype=float)
     """(7,) as `InstanceTree.extent`."""
 
@@ -169,12 +169,21 @@ def is_fine(m: wp.mat44d):
         - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
         + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
     )
-    least = volume / wp.max(square, TINY)
-    fine = square <= MAX_SQUARE_SCALE and least >= MIN_SCALE and wp.sqrt(square) < MAX_CONDITION * least
+    minima = volume / wp.max(square, TINY)
+    fine = square <= MAX_SQUARE_SCALE and minima >= MIN_SCALE and wp.sqrt(square) < MAX_CONDITION * minima
     for k in range(4):
         last = wp.where(k == 3, wp.float64(1.0), wp.float64(0.0))
         fine = fine and wp.abs(m[3, k] - last) <= AFFINE and wp.isfinite(m[k, 3])
     return fine
+
+
+@exact_kernel
+def write_masks(first: int, rows: wp.array(dtype=int), mask: wp.uint32, table: wp.array(dtype=Placement)):
+    """Writes the mask of an instance. Item: one of those in `rows`, or of all if it is empty."""
+    i = first + wp.tid()
+    if rows.shape[0] > 0:
+        i = rows[i]
+    table[i].mask = mask
 
 
 @native.func_native(
@@ -268,8 +277,8 @@ def of_ordered(bits: wp.int64) -> wp.float64:
     """The double of `ordered_bits`."""
 
 
-@native.func_native("instance_updates.h", "wrt::keep_least(found.data + k, value);")
-def keep_least(found: wp.array(dtype=wp.int64), k: int, value: wp.int64):
+@native.func_native("instance_updates.h", "wrt::keep_min(found.data + k, value);")
+def keep_min(found: wp.array(dtype=wp.int64), k: int, value: wp.int64):
     """found[k] becomes the least of it and of the values of all threads of a warp."""
 
 
@@ -284,24 +293,24 @@ def span_instances(first: int, items: int, bounded: BoundedInstances, spanned: S
     share = first + wp.tid()
     count = bounded.norms.shape[0]
     huge = wp.int64(0x7FFFFFFFFFFFFFFF)
-    least = Least(huge, huge, huge, huge, huge, huge, huge, huge, huge)
+    minima = Minima(huge, huge, huge, huge, huge, huge, huge, huge, huge)
     i = share
     while i < count:
         if wp.isnan(bounded.norms[i]):
-            least[NOT_FINE] = wp.min(least[NOT_FINE], wp.int64(i))
+            minima[NOT_FINE] = wp.min(minima[NOT_FINE], wp.int64(i))
         else:
             size = wp.float64(0.0)
             for axis in range(3):
                 low = bounded.corners[axis * count + i]
                 high = bounded.corners[(axis + 3) * count + i]
-                least[axis] = wp.min(least[axis], ordered_bits(low))
-                least[axis + 3] = wp.min(least[axis + 3], ordered_bits(-high))
+                minima[axis] = wp.min(minima[axis], ordered_bits(low))
+                minima[axis + 3] = wp.min(minima[axis + 3], ordered_bits(-high))
                 size = wp.max(size, high - low)
-            least[6] = wp.min(least[6], ordered_bits(-bounded.norms[i]))
-            least[7] = wp.min(least[7], ordered_bits(size))
+            minima[6] = wp.min(minima[6], ordered_bits(-bounded.norms[i]))
+            minima[7] = wp.min(minima[7], ordered_bits(size))
         i += items
     for k in range(wp.static(SPANNED)):
-        keep_least(spanned.found, k, least[k])
+        keep_min(spanned.found, k, minima[k])
 
 
 @native.func_native("instance_updates.h", "return wrt::step_below(value);")
@@ -405,6 +414,8 @@ def lay_out(
             spanned.report[axis + 9] = center[axis]
             spanned.extent[axis] = rounded_below(lowest, center[axis], rounding)
             spanned.extent[axis + 3] = rounded_above(highest, center[axis], rounding)
+            spanned.report[axis + 14] = wp.float64(spanned.extent[axis])
+            spanned.report[axis + 17] = wp.float64(spanned.extent[axis + 3])
         norms = -of_ordered(spanned.found[6])
         spanned.report[6] = norms
         spanned.report[7] = of_ordered(spanned.found[7])
@@ -437,13 +448,23 @@ def make_refit_levels(block: int) -> wp.Kernel:
     def refit_levels(first: int, threads: int, levels: int, nodes: UpperNodes):
         """Item: a thread of the one block, of `threads`. levels: those above are refitted, from the lowest of them."""
         item = first + wp.tid()
+        lane = nodes.level_first[levels - 1] * nodes.width + item
+        end = nodes.level_first[levels] * nodes.width
+        word = int(-1)
+        if lane < end:
+            word = nodes.child[lane]
         for step in range(levels):
-            level = levels - 1 - step
-            lane = nodes.level_first[level] * nodes.width + item
-            while lane < nodes.level_first[level + 1] * nodes.width:
-                if nodes.child[lane] >= 0:
-                    refit_lane(nodes.bounds, lane / nodes.width, lane % nodes.width, nodes.child[lane], nodes.width)
+            while lane < end:
+                if word >= 0:
+                    refit_lane(nodes.bounds, lane / nodes.width, lane % nodes.width, word, nodes.width)
                 lane += threads
+                if lane < end:
+                    word = nodes.child[lane]
+            if step < levels - 1:  # what the next level reads that this one does not write is read while others are at work
+                end = nodes.level_first[levels - 1 - step] * nodes.width
+                lane = nodes.level_first[levels - 2 - step] * nodes.width + item
+                if lane < end:
+                    word = nodes.child[lane]
             meet_block()
 
     return specialised_kernel(refit_levels, bounds=(block, 1))

@@ -14,6 +14,8 @@ from collections.abc import Hashable
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
+from wrt.engine.free_list import FreeList
+
 if TYPE_CHECKING:
     from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
 
@@ -49,6 +51,7 @@ class QueryCache:
         learned: a `wrt.engine.plan.learner.Learner` by class of queries and rays; updates keep them.
         few_points: launches that are prepared for closest points to few points and wait for a caller
             (`wrt.query.points.few_points`).
+        point_searches: those for closest points to many on CUDA (`wrt.query.points.kept_search`), by the type of points.
         distinct: what `SceneState.distinct` has found, one state or none; None as long as nobody asked.
     """
 
@@ -61,6 +64,7 @@ class QueryCache:
         self.calls: dict[Hashable, Any] = {}
         self.tables: dict[tuple[str, str], Any] = {}
         self.few_points: deque[Any] = deque()
+        self.point_searches: FreeList[Any] = FreeList()
         self.distinct: tuple[Any, ...] | None = None
         self.choices: dict[Hashable, list[Any]] = {}
         self.learned: dict[Hashable, Any] = {}

@@ -13,6 +13,7 @@ from wrt.engine.device_hits import DeviceHits
 from wrt.engine.facts.query_kinds import CLOSEST
 from wrt.engine.memory import empty
 from wrt.engine.plan.plan import stack_levels
+from wrt.engine.rays.device_rays import number_on
 from wrt.engine.rays.ray_integers import ENVIRONMENTS, MASKS
 from wrt.engine.rays.rays import MAX_RAYS, ResultForm, as_vectors
 from wrt.instances.instance_tables import vertex_parts
@@ -25,6 +26,7 @@ from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.validation import as_bool, as_int, as_real_array
 from wrt.query.points.closest_points import ClosestPoints
 from wrt.query.points.few_points import FewPoints, may_be_few
+from wrt.query.points.kept_search import KeptSearch, may_be_kept
 from wrt.query.points.similar_instances import check_maps
 from wrt.tapes import refuse_tape
 
@@ -70,7 +72,7 @@ def closest_point(
 
     in_order: whether points that follow each other are near each other.
     """
-    check_query(scene, points)
+    check_query(scene, points, in_graph=True)
     k = as_room(k)
     if as_bool("counters", counters) and k is not None:
         raise ValueError("counters are those of the search for one triangle; leave k out")
@@ -78,6 +80,10 @@ def closest_point(
     with use_threads(scene.num_threads):
         if is_plain and may_be_few(scene, points, max_distance, MIN_SORTED):
             return of_few(scene, points, max_distance)
+        if is_plain and has_packed_nodes(scene) and not isinstance(points, np.ndarray):
+            points = as_vectors(points, "points", scene.device)
+            if may_be_kept(scene, points, max_distance, MIN_SORTED):
+                return of_kept(scene, points, max_distance)
         given = as_points(scene, points, max_distance, "max_distance", mask, environment, in_order)
         if k is not None:
             hits, feature, form = find_some(scene, given, k)
@@ -97,6 +103,16 @@ def of_few(scene: SceneState, points: np.ndarray, max_distance: float) -> Closes
     hits, feature = launch.find(scene, points, max_distance)
     scene.cache.few_points.append(launch)
     return ClosestPoints(hits, feature, ResultForm(points.shape[:-1], False, points.dtype.type), scene)
+
+
+def of_kept(scene: SceneState, points: wp.array, max_distance: float) -> ClosestPoints:
+    """The closest point of each point in a Warp array, by kept launches (`may_be_kept`)."""
+    dtype, waiting = points.dtype, scene.cache.point_searches
+    search = waiting.take(dtype) or KeptSearch(scene, dtype)
+    hits, feature = search.find(points, max_distance)
+    waiting.give_back(search, dtype)
+    form = ResultForm(points.shape, True, np.float64 if dtype is wp.vec3d else np.float32)
+    return ClosestPoints(hits, feature, form, scene)
 
 
 def find_nearest(scene: SceneState, points: PointBatch, work: wp.array | None = None) -> tuple[DeviceHits, wp.array]:
@@ -171,9 +187,19 @@ def find_some(scene: SceneState, points: Points, k: int) -> tuple[DeviceHits, wp
     return hits, feature, form
 
 
-def check_query(scene: SceneState, points: Any, query: str = "closest_point") -> None:
-    """Refuses what no query of points can answer: in a capture or a tape, or of a scene that `check_scene` refuses."""
-    refuse_capture(query, scene.device)
+def check_query(scene: SceneState, points: Any, query: str = "closest_point", in_graph: bool = False) -> None:
+    """Refuses what no query of points can answer: in a tape, of a scene that `check_scene` refuses, or in a capture.
+
+    in_graph: whether it can be captured, of points in a Warp array on the scene's device.
+
+    Raises:
+        RuntimeError: in a capture.
+        TypeError, ValueError: as `refuse_tape` and `check_scene`.
+    """
+    if not (in_graph and scene.device.is_capturing and scene.lazy_tree is None):
+        refuse_capture(query, scene.device)
+    elif not isinstance(as_vectors(points, "points", scene.device), wp.array):
+        refuse_capture(f"{query} of points that are not in a Warp array on {scene.device}", scene.device)
     refuse_tape(query, (points,), "differentiable_points")
     check_scene(scene, query)
 
@@ -212,10 +238,24 @@ def as_distances(values: Any, shape: tuple[int, ...], name: str = "max_distance"
         raise ValueError(f"{name} {array.shape} does not broadcast to the points' leading shape {shape}") from None
 
 
+def limits_on(device: wp.Device, values: Any, shape: tuple[int, ...], name: str) -> wp.array:
+    """(N,) or (1,) float32 on the device: as `as_distances`, which errors are those of.
+
+    Raises:
+        RuntimeError: more than a number while a graph is captured.
+    """
+    if device.is_capturing and np.ndim(values):
+        raise RuntimeError(f"{name} must be a number while a graph is captured; make such a query before or after the capture")
+    if type(values) is float and values >= 0.0:
+        return number_on(device, values)
+    limits = as_distances(values, shape, name)
+    return wp.array(limits, dtype=float, device=device) if limits.size > 1 else number_on(device, float(limits[0]))
+
+
 def as_points(
     scene: SceneState,
     points: Any,
-    most: Any,
+    max_distance: Any,
     name: str = "max_distance",
     mask: Any = None,
     environment: Any = None,
@@ -226,7 +266,7 @@ def as_points(
     Args:
         scene: what they are searched in.
         points: (..., 3).
-        most: greatest distances, as in `as_distances`.
+        max_distance: greatest distances, as in `as_distances`.
         name: of these, for messages.
         mask, environment: of the instances that points see, as in `wrt.Scene.intersect`.
         in_order: as in `closest_point`.
@@ -242,12 +282,11 @@ def as_points(
     count = math.prod(shape)
     if count > MAX_RAYS:
         raise ValueError(f"{count:,} points are more than the {MAX_RAYS:,} of one call; pass parts of them")
-    limits = as_distances(most, shape, name)
+    limits = limits_on(device, max_distance, shape, name)
     flat, batch = flat_points(scene, given, is_wide), PointBatch()
     batch.count, batch.position = count, relative_points(scene, flat)
-    batch.most, batch.most_stride = wp.array(limits, dtype=float, device=device), int(len(limits) > 1)
-    batch.order = wp.empty(0, dtype=int, device=device)
-    if count >= MIN_SORTED and not in_order:
+    batch.max_distance, batch.distance_stride = limits, int(limits.size > 1)
+    if count >= MIN_SORTED and not (in_order or (device.is_cpu and device.is_capturing)):  # the CPU sorts without kernels
         batch.order = morton_order(batch.position, scene.device_mesh.low, scene.device_mesh.high)
     if scene.instances:
         batch.exact, center = empty(count, wp.vec3d, device), wp.vec3d(*map(float, scene.center))

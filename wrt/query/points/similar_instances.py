@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
+from wrt.instances.device_moves import uneven_maps
+from wrt.kernels.runtime.launch import refuse_capture
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
-
-UNEVEN = 1e-6
-"""How far the axes of a map may differ in length and from right angles, relative to their length."""
 
 
 def check_maps(scene: SceneState, query: str) -> None:
@@ -18,15 +16,15 @@ def check_maps(scene: SceneState, query: str) -> None:
 
     Raises:
         ValueError: there is one; the message names it.
+        RuntimeError: a graph is being captured, and instances have moved on the device by matrices.
     """
     table = scene.table  # type: ignore[attr-defined]
     if table is None:  # instances have moved on the device
+        if scene.device_moves.are_similar:  # type: ignore[attr-defined]
+            return
+        refuse_capture(f"{query} among instances whose transforms are matrices on the device, not wp.transform,", scene.device)
         table = scene.device_mesh.placements.numpy()
-    linear = table["to_scene"].reshape(-1, 3, 3)
-    products = np.einsum("nji,njk->nik", linear, linear)
-    squares = np.trace(products, axis1=1, axis2=2) / 3.0
-    is_uneven = np.abs(products / squares[:, None, None] - np.eye(3)).max(axis=(1, 2)) > UNEVEN
-    is_uneven &= table["mask"].reshape(-1) != 0
+    is_uneven = uneven_maps(table)
     if is_uneven.any():
         raise ValueError(
             f"{query} needs instances that are moved, turned, mirrored or scaled alike along all axes, and instance "

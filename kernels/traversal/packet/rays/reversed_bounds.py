@@ -20,11 +20,12 @@ So no hit is culled.
 
 `ENDS_ERROR` is 16 u: more than half of it is slack. Searched by `ends` of tests/bounds.
 
-A packet keeps its bounds if its ends are not close together against its origins, as with rays that have no common end or end
-nowhere, or if its directions have both signs along some axis. The origins' own interval (`origin_low`, `origin_high`) remains,
-for `packet_splitting`.
+A packet keeps its bounds if its ends and their slack are not small against the spread of its origins, as with rays that have no
+common end or end nowhere, or if its directions have both signs along some axis. Parallel rays that end nowhere seem to meet far
+away, where rounding leaves nothing of their origins; the slack of such an end is larger than any scene. The origins' own
+interval (`origin_low`, `origin_high`) remains, for `packet_splitting`.
 
-Figures: notebooks/records/2026-11-23-short-rows.md.
+Figures: notebooks/records/2026-11-23-short-rows.md, 2026-11-28-whole-jobs-quiet.md (parallel rays).
 """
 
 from functools import cache
@@ -36,7 +37,7 @@ from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 CLOSER = 4.0
-"""How many times as far apart as the ends the origins must be."""
+"""How many times as far apart as the ends, with their slack, the origins must be."""
 
 ENDS_ERROR = 2.0**-20
 """Greatest error of an end, as a fraction of the largest coordinate of origins and ends: 16 roundings of half a unit in the
