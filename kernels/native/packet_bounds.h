@@ -265,8 +265,8 @@ inline CUDA_CALLABLE void bound_packet(
     else set_inverse_axes(packet, bounds, least, most, lows, highs, slack);
 }
 
-/// Fraction of the largest coordinate by which the end of a ray may err, and how many times as far apart as the ends, with their
-/// slack, the origins must be for bounds to be reversed (wrt.kernels.traversal.packet.rays.reversed_bounds).
+/// Fraction of the largest coordinate by which the end of a ray may err, and how many times as far apart as the ends, with
+/// their slack, the origins must be for bounds to be reversed (wrt.kernels.traversal.packet.rays.reversed_bounds).
 constexpr float ENDS_ERROR = 0x1p-20f, CLOSER = 4.0f;
 
 /// Reverses the bounds of a packet if that makes them tighter; low, high: bounds of the scene.
