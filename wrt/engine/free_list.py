@@ -16,7 +16,7 @@ class FreeList(Generic[Item]):
     Each step is one operation of a deque, so that threads, signal handlers and the garbage collector may interrupt it.
 
     Args:
-        most: items of a key that are kept; one more drops the one that was given back first. None for no bound.
+        max_items: items of a key that are kept; one more drops the one that was given back first. None for no bound.
 
     Attributes:
         lent: items that finalizers give back, by their `id`. They must be here meanwhile: of what Python's collector finds in a
@@ -25,9 +25,9 @@ class FreeList(Generic[Item]):
 
     __slots__ = ("_free", "lent")
 
-    def __init__(self, most: int | None = None) -> None:
+    def __init__(self, max_items: int | None = None) -> None:
         self.lent: dict[int, Item] = {}
-        self._free: defaultdict[Hashable, deque[Item]] = defaultdict(partial(deque, maxlen=most))
+        self._free: defaultdict[Hashable, deque[Item]] = defaultdict(partial(deque, maxlen=max_items))
 
     def take(self, key: Hashable = None) -> Item | None:
         """An item for the caller alone until `give_back`; None if none is free."""
