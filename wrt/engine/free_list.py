@@ -17,11 +17,16 @@ class FreeList(Generic[Item]):
 
     Args:
         max_items: items of a key that are kept; one more drops the one that was given back first. None for no bound.
+
+    Attributes:
+        lent: items that finalizers give back, by their `id`. They must be here meanwhile: of what Python's collector finds in a
+            cycle, all finalizers run before anything of it may come back to life, those of Warp's arrays, too.
     """
 
-    __slots__ = ("_free",)
+    __slots__ = ("_free", "lent")
 
     def __init__(self, max_items: int | None = None) -> None:
+        self.lent: dict[int, Item] = {}
         self._free: defaultdict[Hashable, deque[Item]] = defaultdict(partial(deque, maxlen=max_items))
 
     def take(self, key: Hashable = None) -> Item | None:
