@@ -16,6 +16,7 @@ from PIL import Image
 from support.hits import mixed_rays
 from support.meshes import degenerate_soup
 from support.ptx import compile_to_ptx
+from support.written_gltf import GltfWriter
 
 import wrt
 from wrt.cluster.identity.scene_hashes import scene_hash
@@ -401,3 +402,21 @@ def test_cuda(tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "optimization_level", 1)  # what is asked is whether it compiles
     config = TraversalConfig("woop", 2, variant=MASKED)
     assert ".entry" in compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](config).module, tmp_path)
+
+
+@pytest.mark.parametrize("alphas", [(0.4, 0.4), (0.6, 0.6), (0.4, 0.6)])
+def test_masks_and_alpha_of_vertices(tmp_path, alphas):
+    """The product with the material's alpha, 0.9, is cut at 0.5; alpha that differs from corner to corner is a warning."""
+    writer, corners = GltfWriter(), np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    colors = np.float32([[1.0, 0.5, 0.5, alphas[0]], [1.0, 0.5, 0.5, alphas[1]], [1.0, 0.5, 0.5, alphas[1]]])
+    primitive = writer.primitive(corners, [[0, 1, 2]], attributes={"COLOR_0": writer.accessor(colors, "VEC4")}, material=0)
+    mask = {"alphaMode": "MASK", "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.9]}}
+    (tmp_path / "a.glb").write_bytes(writer.glb(primitive, materials=[mask]))
+    if alphas[0] == alphas[1]:
+        mesh = wrt.TriangleMesh.load(tmp_path / "a.glb")
+    else:
+        with pytest.warns(UserWarning, match=r"COLOR_0 of .* has alpha from 0.4 to 0.6"):
+            mesh = wrt.TriangleMesh.load(tmp_path / "a.glb")
+    scene = wrt.Scene(mesh, device="cpu")
+    assert scene.intersect([0.2, 0.2, 1.0], DOWN).is_hit
+    assert scene.filtered(alpha=True).intersect([0.2, 0.2, 1.0], DOWN).is_hit == (alphas != (0.4, 0.4))

@@ -3,7 +3,8 @@
 Read too: how images go on beyond their edges (samplers), and `KHR_texture_transform`, which becomes part of the texture
 coordinates. A mesh has one set of texture coordinates here: an image that uses another set or another transform than that of
 the base colour is left out with a warning. Of alpha, the mode MASK is read
-(`Material.alpha_cutoff`). Normal maps, occlusion, images of emission, the mode BLEND and filters are not read.
+(`Material.alpha_cutoff`); that of vertices is a factor of it (`wrt.meshes.files.gltf.primitives`). Normal maps, occlusion,
+images of emission, the mode BLEND and filters are not read.
 """
 
 from __future__ import annotations

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from wrt.materials.material import Material
+from wrt.materials.material import Material, cutoff_of_image
 from wrt.materials.mesh_materials import MeshMaterials
 from wrt.meshes.files.corner_values import checked_colors, checked_uv
 from wrt.meshes.files.gltf.document import Document
@@ -126,28 +126,49 @@ def _looks(
 ) -> MeshMaterials | None:
     """Material, texture coordinates and colours of a primitive's triangles."""
     attributes, source = primitive["attributes"], document.source
-    colors = None
+    colors, alpha = None, 1.0
+    used = materials.of(primitive.get("material"))
     if "COLOR_0" in attributes:
-        values = document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"), f"COLOR_0 of {what}")[:, :3]
+        values = document.accessor(attributes["COLOR_0"], ("VEC3", "VEC4"), f"COLOR_0 of {what}")
         if values.dtype.kind in "iu":
             raise ValueError(f"COLOR_0 of {what} are integers that are not normalised")
-        values = checked_colors(values.astype(np.float64), "colours of vertices", source)
-        colors = np.ascontiguousarray(_at_corners(values, faces, "COLOR_0", what), dtype=np.float32)
-    used = materials.of(primitive.get("material"))
+        shown = checked_colors(values[:, :3].astype(np.float64), "colours of vertices", source)
+        colors = np.ascontiguousarray(_at_corners(shown, faces, "COLOR_0", what), dtype=np.float32)
+        if values.shape[1] == 4 and used.plain is not None and used.plain.alpha_cutoff is not None:
+            alpha = _one_alpha(_at_corners(values[:, 3:], faces, "COLOR_0", what), document, what)
     uv, name = None, f"TEXCOORD_{used.texcoord}"
     if name in attributes:
         values = document.accessor(attributes[name], ("VEC2",), f"{name} of {what}").astype(np.float64)
         values = used.transform(_at_corners(values, faces, name, what))
         uv = checked_uv(values * (1.0, -1.0) + (0.0, 1.0), source)  # v grows downward in glTF, upward here
     if used.textured is not None and uv is not None:
-        return MeshMaterials((used.textured(),), None, uv, colors)
+        return MeshMaterials((_thinned(used.textured(), alpha),), None, uv, colors)
     if used.textured is not None and name not in attributes and used.has_images:
         source.warn(f"the material {used.name} has images, and {what} has no {name} to place them; they are left out")
     if used.plain is None:
         if colors is None and uv is None:
             return None
         return MeshMaterials((Material() if colors is None else Material(color=1.0),), None, uv, colors)
-    return MeshMaterials((used.plain,), None, uv, colors)
+    return MeshMaterials((_thinned(used.plain, alpha),), None, uv, colors)
+
+
+def _one_alpha(values: np.ndarray, document: Document, what: str) -> float:
+    """The alpha that all corners have, from 0 to 1; 1 with a warning if they differ."""
+    clipped = np.clip(np.nan_to_num(values.astype(np.float64), nan=1.0), 0.0, 1.0)
+    low, high = clipped.min(initial=1.0), clipped.max(initial=0.0)
+    if low >= high:
+        return float(low)
+    document.source.warn(
+        f"COLOR_0 of {what} has alpha from {low:g} to {high:g}; it is read where all are the same, and left out"
+    )
+    return 1.0
+
+
+def _thinned(material: Material, alpha: float) -> Material:
+    """A material whose alpha is multiplied, if it is a mask."""
+    if material.alpha_cutoff is None or alpha == 1.0:
+        return material
+    return replace(material, alpha_cutoff=cutoff_of_image(material.alpha_cutoff, alpha))
 
 
 def _at_corners(values: np.ndarray, faces: np.ndarray, name: str, what: str) -> np.ndarray:
