@@ -46,14 +46,14 @@ def choose_clusters(
     triangle = first + wp.tid()
     face = faces[triangle]
     best = int(0)
-    least = wp.float64(0.0)
+    min_size = wp.float64(0.0)
     for cluster in range(sizes.shape[0]):
         size = wp.max(sizes[cluster, face[0]], wp.max(sizes[cluster, face[1]], sizes[cluster, face[2]]))
-        if cluster == 0 or size < least:
-            least = size
+        if cluster == 0 or size < min_size:
+            min_size = size
             best = cluster
     labels[triangle] = best
-    residual[triangle] = least
+    residual[triangle] = min_size
 
 
 def nearest_clusters(

@@ -129,13 +129,13 @@ def sort_rows(keys: wp.array, values: wp.array, count: wp.vec3i) -> None:
         values: (3, capacity) int32.
         count: number of keys of each row.
     """
-    device, half, most = keys.device, keys.shape[1] // 2, max(count)
+    device, half, max_count = keys.device, keys.shape[1] // 2, max(count)
     if device.is_cuda:
         for row in range(3):
             wp.utils.radix_sort_pairs(keys[row], values[row], int(count[row]))
         return
-    size = max(MIN_CHUNK, -(-3 * most // (CHUNKS_PER_THREAD * get_num_threads())))
-    chunks = max(1, -(-most // size))
+    size = max(MIN_CHUNK, -(-3 * max_count // (CHUNKS_PER_THREAD * get_num_threads())))
+    chunks = max(1, -(-max_count // size))
     places = wp.empty((3, int(DIGITS) * chunks), dtype=int, device=device)
     scan = PreparedLaunch(scan_digits, [places], device)
     single_items = Chunks(1, 1)

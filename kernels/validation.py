@@ -37,13 +37,13 @@ __all__ = [
 ]
 
 
-def as_int(name: str, value: Any, least: int | None = None, most: int | None = None) -> int:
+def as_int(name: str, value: Any, minimum: int | None = None, maximum: int | None = None) -> int:
     """A whole number.
 
     Args:
         name: of the argument.
         value: what was passed.
-        least, most: closed bounds; None for none.
+        minimum, maximum: closed bounds; None for none.
 
     Raises:
         TypeError: not a whole number.
@@ -55,8 +55,8 @@ def as_int(name: str, value: Any, least: int | None = None, most: int | None = N
             whole = isinstance(scalar, (float, np.floating)) and float(scalar).is_integer()
             raise TypeError(f"{name} must be an int, not {_shown(value)}" + (f"; pass {int(scalar)}" if whole else ""))
         value = int(scalar)
-    if (least is not None and value < least) or (most is not None and value > most):
-        raise ValueError(f"{name} is {value}; it must be {_bounds(least, most)}")
+    if (minimum is not None and value < minimum) or (maximum is not None and value > maximum):
+        raise ValueError(f"{name} is {value}; it must be {_bounds(minimum, maximum)}")
     return value
 
 
@@ -266,7 +266,7 @@ def _shown(value: Any) -> str:
     return type(value).__name__ + (f" {text}" if value is not None and len(text) <= 60 else "")
 
 
-def _bounds(least: int | None, most: int | None) -> str:
-    if least is None:
-        return f"at most {most}"
-    return f"at least {least}" if most is None else f"from {least} to {most}"
+def _bounds(minimum: int | None, maximum: int | None) -> str:
+    if minimum is None:
+        return f"at most {maximum}"
+    return f"at least {minimum}" if maximum is None else f"from {minimum} to {maximum}"

@@ -96,7 +96,7 @@ MAX_TRIANGLES = MIN_LARGE
 POINT = Struct("3f")
 """The coordinates of a vec3, unpacked from its memory at once: indexing a Warp vector is a call a coordinate."""
 
-LEAST_CAPACITY = 1024
+MIN_CAPACITY = 1024
 """Least number of triangles for which work arrays are made."""
 
 
@@ -251,7 +251,7 @@ def build_small_mesh(
         relative: (V,) vec3 on the CPU; receives the vertices relative to the centre.
     """
     dtype = wp.vec3 if vertices.dtype == np.float32 else wp.vec3d
-    capacity = max(LEAST_CAPACITY, 1 << (len(faces) - 1).bit_length())
+    capacity = max(MIN_CAPACITY, 1 << (len(faces) - 1).bit_length())
     kind = build_small_mesh, config, dtype, capacity
     few = take(kind) or FewTriangles(config, dtype, capacity)
     tree = few.build(center, vertices, faces, low, high, relative)

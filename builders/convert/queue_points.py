@@ -37,14 +37,14 @@ class QueuePoints:
     depth: int
 
 
-def find_queue_points(tree: Bvh, block_bytes: int, cache_bytes: int, most: int) -> QueuePoints:
-    """The cut for a cache of a size; for a larger one, if there would be more than `most` queue points.
+def find_queue_points(tree: Bvh, block_bytes: int, cache_bytes: int, max_points: int) -> QueuePoints:
+    """The cut for a cache of a size; for a larger one, if there would be more than `max_points` queue points.
 
     Args:
         tree: the tree, on the CPU.
         block_bytes: bytes of the triangle records of a block.
         cache_bytes: of the cache.
-        most: greatest number of queue points.
+        max_points: greatest number of queue points.
     """
     width = tree.width
     child, sizes = tree.child.numpy().reshape(-1, width), child_bytes(tree, block_bytes)
@@ -58,7 +58,7 @@ def find_queue_points(tree: Bvh, block_bytes: int, cache_bytes: int, most: int) 
         is_upper[inner] = True
         nodes = np.flatnonzero(is_upper)
         points = (sizes[nodes] > 0) & ~((child[nodes] >= 0) & (sizes[nodes] > cache_bytes))
-        if points.sum() <= most:
+        if points.sum() <= max_points:
             break
         cache_bytes *= 2
     words = child[nodes]

@@ -145,9 +145,9 @@ def set_position(cells: Cells, node: int, position: int, first_reference: int):
 
 
 @exact_kernel
-def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: Cells, tree: BinaryTree):
-    """One item. Places nodes, parents before children. The root's cell and its position, 0, are set. most: references of a node
-    that is kept whole."""
+def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), max_whole: int, cells: Cells, tree: BinaryTree):
+    """One item. Places nodes, parents before children. The root's cell and its position, 0, are set. max_whole: references of a
+    node that is kept whole, at most."""
     split_nodes = int(0)
     whole = int(0)
     for at in range(nodes.shape[0]):
@@ -157,7 +157,7 @@ def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: C
         left = at + 1
         right = kdtree.right_child(node)
         is_leaf = kdtree.split_axis(node) == LEAF
-        is_whole = position != NO_POSITION and (is_leaf or references[1] <= most)
+        is_whole = position != NO_POSITION and (is_leaf or references[1] <= max_whole)
         if is_whole and references[1] > 0:
             cells.whole[whole] = at
             whole += 1
@@ -281,10 +281,11 @@ def to_wide_bvh(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, undiv
         ValueError: `undivided_blocks` is out of its range, or there would be more than
             `wrt.kernels.layout.bvh_nodes.MAX_BLOCKS` blocks.
     """
-    device, nodes, most = tree.nodes.device, tree.nodes, int(SLOTS) // 2 // config.cost.width
-    if not 0 <= undivided_blocks <= most:
+    device, nodes, max_blocks = tree.nodes.device, tree.nodes, int(SLOTS) // 2 // config.cost.width
+    if not 0 <= undivided_blocks <= max_blocks:
         raise ValueError(
-            f"undivided_blocks is {undivided_blocks}; it must be from 0 to {most}, at most {most} blocks of {config.cost.width}"
+            f"undivided_blocks is {undivided_blocks}; it must be from 0 to {max_blocks}, at most {max_blocks} blocks of "
+            f"{config.cost.width}"
         )
     phase = Phases(device)
     with phase("place"):

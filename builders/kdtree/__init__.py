@@ -31,7 +31,7 @@ class BuilderCapabilities(Flag):
     NONE = 0
     CLIPS = auto()
     """It clips triangles to cells."""
-    LEAST_COST = auto()
+    MIN_COST = auto()
     """It finds the plane of least cost in a node of few triangles, among all planes at which a box begins or ends; without it,
     it chooses planes by another rule and leaves only the decision to stop to the cost."""
     ANY_COST = auto()
@@ -72,8 +72,8 @@ CHOI = "Choi et al.: Parallel SAH k-D tree construction (2010)"
 
 FUSSELL = "Fussell, Subramanian: Fast ray tracing using k-d trees (1988)"
 
-LEAST_COST = BuilderCapabilities.CLIPS | BuilderCapabilities.LEAST_COST
-ANY_COST = LEAST_COST | BuilderCapabilities.ANY_COST
+MIN_COST = BuilderCapabilities.CLIPS | BuilderCapabilities.MIN_COST
+ANY_COST = MIN_COST | BuilderCapabilities.ANY_COST
 MEDIANS = BuilderCapabilities.CLIPS | BuilderCapabilities.CUTS_EARLY
 """What several builders can do: those that find the plane of least cost; those of them that accept any cost; and those that
 split at medians."""
@@ -81,8 +81,8 @@ split at medians."""
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
-        KdTreeBuilder("in_place", f"{CHOI}, in-place", in_place.build, LEAST_COST),
-        KdTreeBuilder("nested", f"{CHOI}, nested", classic("kdtree.nested.nested"), LEAST_COST),
+        KdTreeBuilder("in_place", f"{CHOI}, in-place", in_place.build, MIN_COST),
+        KdTreeBuilder("nested", f"{CHOI}, nested", classic("kdtree.nested.nested"), MIN_COST),
         KdTreeBuilder(
             "binned",
             "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)",
@@ -93,7 +93,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             "streaming",
             "Popov, Guenther, Seidel, Slusallek: Experiences with streaming construction of SAH KD-trees (2006)",
             classic("kdtree.streaming"),
-            LEAST_COST,
+            MIN_COST,
         ),
         KdTreeBuilder(
             "adaptive_sampling",
@@ -105,11 +105,11 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             "lazy",
             "Hunt, Mark, Fussell: Fast and lazy build of acceleration structures from scene hierarchies (2007)",
             lazy.build,
-            LEAST_COST,
+            MIN_COST,
             start=lazy.start,
         ),
         KdTreeBuilder(
-            "sweep", f"{WALD_HAVRAN}, O(N log N)", classic("kdtree.sweep"), LEAST_COST | BuilderCapabilities.CUTS_EARLY
+            "sweep", f"{WALD_HAVRAN}, O(N log N)", classic("kdtree.sweep"), MIN_COST | BuilderCapabilities.CUTS_EARLY
         ),
         KdTreeBuilder(
             "sorting_sweep",

@@ -141,9 +141,9 @@ def workers(device: wp.Device) -> int:
 def cut_events(events: Events, nodes: int) -> int:
     """Sets the size of chunks for this number of live nodes; returns the number of chunks of an axis."""
     max_count = max(events.count)
-    least = item_sizes(events.value.device).events
-    longest = max(least, -(-3 * max_count // (CHUNKS_PER_THREAD * workers(events.value.device))))
-    events.chunk = min(max(least, EVENTS_PER_NODE * nodes), longest)
+    smallest = item_sizes(events.value.device).events
+    longest = max(smallest, -(-3 * max_count // (CHUNKS_PER_THREAD * workers(events.value.device))))
+    events.chunk = min(max(smallest, EVENTS_PER_NODE * nodes), longest)
     return max(1, -(-max_count // events.chunk))
 
 

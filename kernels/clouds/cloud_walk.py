@@ -9,7 +9,7 @@ from wrt.kernels.clouds.cloud_test import PointRay, meet_point, points_near, pre
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import Ray
-from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach
+from wrt.kernels.simd.boxes import BoxRay, RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.brute_force import AllTriangles
 from wrt.kernels.traversal.leaf import Counters
@@ -106,7 +106,7 @@ def make_cloud_kernel(config: TraversalConfig) -> wp.Kernel:
     @wp.func
     def walk_cloud(tree: WideNodes, points: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
         search = begin_search(points, ray, tree.low, tree.high)
-        return walk_keys(tree, 0, search.slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
+        return walk_keys(tree, 0, BoxRay(search.slabs, ray.t_min), search, hits, i, start(ray.t_max), work)
 
     return make_ray_kernel(config, WideNodes, walk_cloud)
 

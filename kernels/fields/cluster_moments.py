@@ -126,12 +126,12 @@ def sum_children(first: int, width: int, begin: int, tree: WideNodes, sums: Sums
 @wp.func
 def farthest_in_leaf(triangles: TriangleBlocks, word: int, width: int, center: wp.vec3d):
     """Distance of the farthest vertex of a leaf."""
-    most = wp.float64(0.0)
+    radius = wp.float64(0.0)
     begin = first_block(word) * width
     for k in range(leaf_triangles(word)):
         for corner in range(3):
-            most = wp.max(most, wp.length(corner_of(triangles, begin + k, corner, width) - center))
-    return most
+            radius = wp.max(radius, wp.length(corner_of(triangles, begin + k, corner, width) - center))
+    return radius
 
 
 @wp.func
@@ -233,7 +233,7 @@ def gather_radii(first: int, width: int, begin: int, tree: WideNodes, moments: w
         child = tree.child[node * width + i]
         if child >= 0:
             base = node * MOMENTS * width + i
-            most = float(0.0)
+            radius = float(0.0)
             for j in range(width):
                 own = child * MOMENTS * width + j
                 if moments[own + RADIUS * width] >= 0.0:
@@ -241,5 +241,5 @@ def gather_radii(first: int, width: int, begin: int, tree: WideNodes, moments: w
                     for axis in range(3):
                         away = moments[base + axis * width] - moments[own + axis * width]
                         square += away * away
-                    most = wp.max(most, wp.sqrt(square) + moments[own + RADIUS * width])
-            moments[base + RADIUS * width] = wp.min(moments[base + RADIUS * width], most)
+                    radius = wp.max(radius, wp.sqrt(square) + moments[own + RADIUS * width])
+            moments[base + RADIUS * width] = wp.min(moments[base + RADIUS * width], radius)

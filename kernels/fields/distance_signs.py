@@ -58,9 +58,9 @@ def find_sides(
             at = wp.where(weights[2] > weights[at], 2, at)
             normal = normals.of_vertex[face[at]]
         if kind == 1:
-            least = wp.where(weights[1] < weights[0], 1, 0)
-            least = wp.where(weights[2] < weights[least], 2, least)
-            edge = (least + 1) % 3
+            smallest = wp.where(weights[1] < weights[0], 1, 0)
+            smallest = wp.where(weights[2] < weights[smallest], 2, smallest)
+            edge = (smallest + 1) % 3
             at = edge
             normal = normals.of_edge[found, edge]
         apart = points[i] - normals.vertices[face[at]]

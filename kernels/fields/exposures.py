@@ -17,6 +17,7 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import FARTHEST, checked_ray
 from wrt.kernels.query.hit_attributes import SceneMesh, triangle_of
 from wrt.kernels.query.spawn import footing, front_normal, meets_own, spawn_origin
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS
@@ -24,6 +25,9 @@ from wrt.kernels.triangle.watertight.woop import ShearedRay, block_test, prepare
 
 TILE = wp.constant(256)
 """Points of a tile."""
+
+GROUP = 8
+"""Largest number of directions of a group, as in lit_points.h."""
 
 LANES = wp.constant(8)
 """Points that are tested at a time with their own triangles."""
@@ -109,6 +113,73 @@ def is_lit(points: LitPoints, i: int, way: wp.vec3d):
     return wp.dot(points.normal[i], way) > wp.float64(0.0)
 
 
+@native.func_native(
+    "lit_points.h",
+    """
+    const double* const normals = (const double*)&points.normal.data[begin];
+    return wrt::count_in_front(normals, end - begin, (const float*)&rays.direction.data[d]);
+    """,
+)
+def count_in_front(points: LitPoints, begin: int, end: int, rays: LitRays, d: int) -> int:
+    """The number of points of a range that a direction is in front of."""
+
+
+@native.func_native(
+    "lit_points.h",
+    """
+    wrt::write_rays((const double*)&points.origin.data[begin], end - begin, (const float*)&rays.direction.data[ways.c[0]],
+        ways.c[1] - ways.c[0], rays.center.c, (float*)&origins.data[ray], (float*)&directions.data[ray]);
+    """,
+)
+def write_rays(
+    points: LitPoints,
+    begin: int,
+    end: int,
+    rays: LitRays,
+    ways: wp.vec2i,
+    ray: int,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+):
+    """Writes all rays from a range of points to a range of directions, from number `ray` on."""
+
+
+@native.func_native(
+    "lit_points.h",
+    f"""
+    static_assert(wrt::LIT_TILE == {int(TILE)} && wrt::LIT_GROUP == {GROUP});
+    const double* const normals = (const double*)&points.normal.data[begin];
+    const float* const to = (const float*)&rays.direction.data[ways.c[0]];
+    const int count = end - begin, group = ways.c[1] - ways.c[0], groups = weights.shape[1];
+    unsigned char seen[wrt::LIT_GROUP * wrt::LIT_TILE];
+    wrt::sort_seen(normals, count, to, group, full, &dark.data[ray], seen);
+    wrt::add_seen(normals, count, to, group, seen, cosine, &weights.data[ways.c[0] * groups], groups,
+        (const int*)&weighted.data[ways.c[0]], &sums.data[begin], sums.shape[1]);
+    """,
+)
+def add_group(
+    points: LitPoints,
+    begin: int,
+    end: int,
+    rays: LitRays,
+    ways: wp.vec2i,
+    full: bool,
+    ray: int,
+    dark: wp.array(dtype=wp.bool),
+    cosine: bool,
+    weights: wp.array2d(dtype=wp.float64),
+    weighted: wp.array(dtype=wp.vec2i),
+    sums: wp.array2d(dtype=wp.float64),
+):
+    """Adds the weights of what a range of points sees of a range of directions. full: whether each point has a ray to each,
+    from number `ray` on; others as in `add_lit`."""
+
+
+@native.func_native("lit_points.h", f"return wrt::some_ahead<{int(LANES)}>(mask, t.c);")
+def some_ahead(mask: wp.uint32, t: Lanes) -> bool:
+    """Whether some of the lanes of a mask have a t of 0 or more."""
+
+
 @wp.func
 def some_meet(points: LitPoints, block: int, rays: LitRays, directions: wp.vec2i):
     """Whether some rays to a range of directions may meet their own triangles, if they leave points of a block."""
@@ -119,8 +190,7 @@ def some_meet(points: LitPoints, block: int, rays: LitRays, directions: wp.vec2i
             u = Lanes()
             v = Lanes()
             mask = test_own(points.own, block, rays.prepared[d], t, u, v)
-            for k in range(LANES):
-                meet = meet or ((mask >> wp.uint32(k)) & wp.uint32(1) != wp.uint32(0) and t[k] >= 0.0)
+            meet = meet or some_ahead(mask, t)
     return meet
 
 
@@ -139,11 +209,10 @@ def count_lit(first: int, points: LitPoints, rays: LitRays, count: wp.array(dtyp
     item = first + wp.tid()
     ends = directions_of(rays, item / rays.tiles)
     begin = (rays.first_tile + item % rays.tiles) * TILE
+    end = wp.min(begin + TILE, points.order.shape[0])
     found = int(0)
     for d in range(ends[0], ends[1]):
-        way = wp.vec3d(rays.direction[d])
-        for i in range(begin, wp.min(begin + TILE, points.order.shape[0])):
-            found += wp.where(is_lit(points, i, way), 1, 0)
+        found += count_in_front(points, begin, end, rays, d)
     count[item] = found
 
 
@@ -160,21 +229,27 @@ def write_lit(
     count = rays.begin[item + 1] - ray
     if count == 0:
         return
-    meet = bool(False)
-    for i in range(begin, end):
-        if i % LANES == 0:
-            meet = some_meet(points, i / LANES, rays, ends)
-        for d in range(ends[0], ends[1]):
-            direction = rays.direction[d]
-            if count == (end - begin) * (ends[1] - ends[0]) or is_lit(points, i, wp.vec3d(direction)):
-                origin = points.origin[i]
-                if meet:
-                    at = points.order[i]
-                    if meets_own(points.mesh, points.primitive[at], wp.vec3(origin - points.mesh.center), direction):
-                        origin = spawn_origin(points.mesh, points.primitive[at], points.uv[at], direction, 0)
-                origins[ray] = wp.vec3(origin - rays.center)
-                directions[ray] = direction
-                ray += 1
+    full = count == (end - begin) * (ends[1] - ends[0])
+    for low in range(begin, end, LANES):
+        high = wp.min(low + LANES, end)
+        meet = some_meet(points, low / LANES, rays, ends)
+        if full and not meet:
+            write_rays(points, low, high, rays, ends, ray, origins, directions)
+            ray += (high - low) * (ends[1] - ends[0])
+        else:
+            for i in range(low, high):
+                for d in range(ends[0], ends[1]):
+                    direction = rays.direction[d]
+                    if full or is_lit(points, i, wp.vec3d(direction)):
+                        origin = points.origin[i]
+                        at = points.order[i]
+                        if meet and meets_own(
+                            points.mesh, points.primitive[at], wp.vec3(origin - points.mesh.center), direction
+                        ):
+                            origin = spawn_origin(points.mesh, points.primitive[at], points.uv[at], direction, 0)
+                        origins[ray] = wp.vec3(origin - rays.center)
+                        directions[ray] = direction
+                        ray += 1
 
 
 @exact_kernel
@@ -191,25 +266,15 @@ def add_lit(
     """Adds the weights of what points see. Item: a tile.
 
     dark: whether each ray met something. weights: (D, G) of each direction, in each group of sums. weighted: (D,) the first and
-    the end of the groups of sums in which a direction has weights other than 0. sums: (P, G), in the order of points.
+    the end of the groups of sums in which a direction has weights other than 0. sums: (G, P), in the order of points.
     """
     tile = first + wp.tid()
     begin = (rays.first_tile + tile) * TILE
     end = wp.min(begin + TILE, points.order.shape[0])
     for group in range(rays.groups):
-        ends = directions_of(rays, group)
-        item = group * rays.tiles + tile
-        ray = rays.begin[item]
-        count = rays.begin[item + 1] - ray
+        ways = directions_of(rays, group)
+        ray = rays.begin[group * rays.tiles + tile]
+        count = rays.begin[group * rays.tiles + tile + 1] - ray
         if count > 0:
-            for i in range(begin, end):
-                for d in range(ends[0], ends[1]):
-                    way = wp.vec3d(rays.direction[d])
-                    if count == (end - begin) * (ends[1] - ends[0]) or is_lit(points, i, way):
-                        if not dark[ray]:
-                            share = wp.float64(1.0)
-                            if cosine:
-                                share = wp.max(wp.dot(way, wp.vec3d(wp.vec3(points.normal[i]))), wp.float64(0.0))
-                            for g in range(weighted[d][0], weighted[d][1]):
-                                sums[i, g] = sums[i, g] + weights[d, g] * share
-                        ray += 1
+            full = count == (end - begin) * (ways[1] - ways[0])
+            add_group(points, begin, end, rays, ways, full, ray, dark, cosine, weights, weighted, sums)

@@ -24,7 +24,7 @@ class Clusters:
     """By which lengths are multiplied in both."""
 
 
-LEAST_FAR = wp.constant(1e-24)
+MIN_FAR = wp.constant(1e-24)
 """Least squared distance from which moments do: from there on, its power of -3/2 is in the range of float32."""
 
 
@@ -33,7 +33,7 @@ def set_far(first: int, width: int, factor: float, clusters: Clusters):
     """Squared distances from which moments do: `factor` radii. Item: a lane."""
     lane = first + wp.tid()
     radius = clusters.moments[((lane // width) * MOMENTS + RADIUS) * width + lane % width]
-    clusters.far[lane] = wp.where(radius >= 0.0, wp.max(radius * radius * factor * factor * 1.00001, LEAST_FAR), -1.0)
+    clusters.far[lane] = wp.where(radius >= 0.0, wp.max(radius * radius * factor * factor * 1.00001, MIN_FAR), -1.0)
 
 
 @cache

@@ -171,16 +171,28 @@ def center_float64_points(first: int, points: wp.array(dtype=wp.vec3d), center: 
     out[i] = wp.vec3(points[i] - center)
 
 
+@wp.func_native("""
+    const float* const from = (const float*)&points.data[place];
+    float* const to = (float*)&out.data[i];
+    const float x = from[0], y = from[1], z = from[2];
+    if (step) for (int k = 0; k < 3 * run; ++k) to[k] = from[k];
+    else for (int k = 0; k < run; ++k) to[3 * k] = x, to[3 * k + 1] = y, to[3 * k + 2] = z;
+""")
+def write_run(points: wp.array(dtype=wp.vec3), place: int, step: int, run: int, i: int, out: wp.array(dtype=wp.vec3)):
+    """Writes `run` points from number `i` on, those from `place` on or, with a step of 0, the one there."""
+
+
 @exact_kernel
 def repeat_points(
-    first: int, points: wp.array(dtype=wp.vec3), lengths: wp.vec4i, strides: wp.vec4i, out: wp.array(dtype=wp.vec3)
+    first: int, points: wp.array(dtype=wp.vec3), lengths: wp.vec4i, strides: wp.vec4i, run: int, out: wp.array(dtype=wp.vec3)
 ):
-    """Broadcasts points along the axes whose stride is 0. Item: an element of the result, of shape `lengths`."""
-    i = first + wp.tid()
+    """Broadcasts points along the axes whose stride is 0, to the shape `lengths`. Item: `run` neighbours along the last axis,
+    one or all."""
+    i = (first + wp.tid()) * run
     rest = int(i)
     place = int(0)
     for k in range(4):
         axis = 3 - k
         place += rest % lengths[axis] * strides[axis]
         rest = rest // lengths[axis]
-    out[i] = points[place]
+    write_run(points, place, strides[3], run, i, out)

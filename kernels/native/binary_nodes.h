@@ -15,7 +15,7 @@ constexpr float FILTER_SLACK = 2.0f * SLACK;
 constexpr float MAX_INVERSE = 67108864.0f;
 
 /// Least bound of t, 2^-100: positive, so that it may be compared as an integer, and above what may be lost in scaling.
-constexpr float LEAST_BOUND = 7.888609052210118e-31f;
+constexpr float MIN_BOUND = 7.888609052210118e-31f;
 
 /// Words of a triangle: three vertices, each followed by a word; that of the first is the triangle's id.
 constexpr int TRIANGLE_WORDS = 12;
@@ -47,7 +47,7 @@ inline CUDA_CALLABLE float fused(float a, float b, float c)
 }
 
 /// One instruction each on CUDA; which of a NaN and a number they return does not matter to their users.
-inline CUDA_CALLABLE float least(float a, float b)
+inline CUDA_CALLABLE float min_of(float a, float b)
 {
 #if defined(__CUDA_ARCH__)
     return fminf(a, b);
@@ -56,7 +56,7 @@ inline CUDA_CALLABLE float least(float a, float b)
 #endif
 }
 
-inline CUDA_CALLABLE float most(float a, float b)
+inline CUDA_CALLABLE float max_of(float a, float b)
 {
 #if defined(__CUDA_ARCH__)
     return fmaxf(a, b);
@@ -65,7 +65,7 @@ inline CUDA_CALLABLE float most(float a, float b)
 #endif
 }
 
-inline CUDA_CALLABLE int least_of(int a, int b, int c, int d)
+inline CUDA_CALLABLE int min_of(int a, int b, int c, int d)
 {
 #if defined(__CUDA_ARCH__)
     return min(__vimin3_s32(a, b, c), d);
@@ -74,7 +74,7 @@ inline CUDA_CALLABLE int least_of(int a, int b, int c, int d)
 #endif
 }
 
-inline CUDA_CALLABLE int most_of(int a, int b, int c, int d)
+inline CUDA_CALLABLE int max_of(int a, int b, int c, int d)
 {
 #if defined(__CUDA_ARCH__)
     return max(__vimax3_s32(a, b, c), d);
@@ -90,7 +90,7 @@ inline CUDA_CALLABLE float scale_of(float x, float y, float z)
 }
 
 /// Bits of a bound of t, for the scaled direction; a t of -0, which is the least integer of all, is no bound.
-inline CUDA_CALLABLE int bound_of(float t, float scale) { return int_of(most(t * scale, LEAST_BOUND)); }
+inline CUDA_CALLABLE int bound_of(float t, float scale) { return int_of(max_of(t * scale, MIN_BOUND)); }
 
 /// What the test of a node needs of a ray, for its scaled direction. low, high: of the planes of these names. t_min, t_max: the
 /// interval in which boxes are met, as bits of floats that are not negative.
@@ -117,8 +117,8 @@ inline CUDA_CALLABLE FilterRay filter_ray(
     begin_axis(ray, 0, x, px, slack, scale);
     begin_axis(ray, 1, y, py, slack, scale);
     begin_axis(ray, 2, z, pz, slack, scale);
-    const float first = least(t_min * scale, FARTHEST);
-    ray.t_min = first < LEAST_BOUND ? 0 : int_of(first);
+    const float first = min_of(t_min * scale, FARTHEST);
+    ray.t_min = first < MIN_BOUND ? 0 : int_of(first);
     ray.t_max = bound_of(t_max, scale);
     return ray;
 }
@@ -141,9 +141,9 @@ inline CUDA_CALLABLE Bits filtered(const FilterRay& ray, float x0, float x1, flo
     const float low_x = fused(x0, ray.inverse[0], ray.low[0]), high_x = fused(x1, ray.inverse[0], ray.high[0]);
     const float low_y = fused(y0, ray.inverse[1], ray.low[1]), high_y = fused(y1, ray.inverse[1], ray.high[1]);
     const float low_z = fused(z0, ray.inverse[2], ray.low[2]), high_z = fused(z1, ray.inverse[2], ray.high[2]);
-    return {most_of(int_of(least(low_x, high_x)), int_of(least(low_y, high_y)), int_of(least(low_z, high_z)),
+    return {max_of(int_of(min_of(low_x, high_x)), int_of(min_of(low_y, high_y)), int_of(min_of(low_z, high_z)),
                 FROM_ZERO ? 0 : ray.t_min),
-        least_of(int_of(most(low_x, high_x)), int_of(most(low_y, high_y)), int_of(most(low_z, high_z)), ray.t_max)};
+        min_of(int_of(max_of(low_x, high_x)), int_of(max_of(low_y, high_y)), int_of(max_of(low_z, high_z)), ray.t_max)};
 }
 
 /// The boxes of a node's children, and their words: x and y of the first child, of the second one, and z of both.

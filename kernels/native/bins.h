@@ -168,9 +168,9 @@ template <int SLOT_BINS> inline CUDA_CALLABLE void merge_bins(float* boxes, int*
 }
 
 /// What lies on both sides of the planes before the bins of an axis. MOST: greatest number of bins, a multiple of 8.
-template <int MOST> struct PlaneSides {
-    float left_area[MOST], right_area[MOST];
-    int left[MOST];
+template <int BINS> struct PlaneSides {
+    float left_area[BINS], right_area[BINS];
+    int left[BINS];
 
     CUDA_CALLABLE void sweep(const float* grid, const int* counts, int bins, int padded)
     {
@@ -191,38 +191,38 @@ template <int MOST> struct PlaneSides {
 
 /// Sweeps the bins of a slot from both ends, and finds the plane of least cost. Lane j keeps the best of the bins j, j + 8, ...
 /// of all axes, so the costs of eight planes are computed at once.
-template <int MOST, class Cost, class Plane>
+template <int BINS, class Cost, class Plane>
 inline CUDA_CALLABLE void find_best_plane(
     const Cost& cost, const float* grid, const int* counts, int bins, int axes, int count, Plane& plane)
 {
     constexpr int W = 8;
-    static_assert(MOST % W == 0, "lanes of the last vector are cleared");
+    static_assert(BINS % W == 0, "lanes of the last vector are cleared");
     const int padded = (bins + W - 1) / W * W;
-    float least[W];
+    float best_cost[W];
     int where[W];
     WRT_FOR_LANES (j) {
-        least[j] = WRT_INFINITY;
+        best_cost[j] = WRT_INFINITY;
         where[j] = 0;
     }
     for (int axis = 0; axis < axes; ++axis) {
-        PlaneSides<MOST> sides;
+        PlaneSides<BINS> sides;
         sides.sweep(grid + axis * bins * 8, counts + axis * bins, bins, padded);
         for (int first = 0; first < padded; first += W)
             WRT_FOR_LANES (j) {
                 const int b = first + j, before = sides.left[b];
                 const float found
                     = sides.left_area[b] * leaf_cost(cost, before) + sides.right_area[b] * leaf_cost(cost, count - before);
-                const bool better = before > 0 && before < count && found < least[j];
-                least[j] = better ? found : least[j];
-                where[j] = better ? axis * MOST + b : where[j];
+                const bool better = before > 0 && before < count && found < best_cost[j];
+                best_cost[j] = better ? found : best_cost[j];
+                where[j] = better ? axis * BINS + b : where[j];
             }
     }
     int lane = 0;
     for (int j = 1; j < W; ++j)
-        if (least[j] < least[lane] || (least[j] == least[lane] && where[j] < where[lane])) lane = j;
-    plane.cost = least[lane];
-    plane.axis = where[lane] / MOST;
-    plane.bin = where[lane] % MOST;
+        if (best_cost[j] < best_cost[lane] || (best_cost[j] == best_cost[lane] && where[j] < where[lane])) lane = j;
+    plane.cost = best_cost[lane];
+    plane.axis = where[lane] / BINS;
+    plane.bin = where[lane] % BINS;
     plane.left = 0;
     for (int b = 0; b < plane.bin; ++b) plane.left += counts[plane.axis * bins + b];
 }

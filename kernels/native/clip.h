@@ -48,13 +48,13 @@ inline CUDA_CALLABLE void cut(const TrianglePart& from, int axis, double sign, d
 inline CUDA_CALLABLE void shrink(float* box, const TrianglePart& polygon, float pad)
 {
     for (int axis = 0; axis < 3; ++axis) {
-        double least = WRT_INFINITY, most = -WRT_INFINITY;
+        double lower = WRT_INFINITY, upper = -WRT_INFINITY;
         for (int i = 0; i < polygon.corners; ++i) {
             const double x = polygon.corner[i][axis];
-            least = x < least ? x : least;
-            most = x > most ? x : most;
+            lower = x < lower ? x : lower;
+            upper = x > upper ? x : upper;
         }
-        const float a = (float)(least - pad), b = -(float)(most + pad);
+        const float a = (float)(lower - pad), b = -(float)(upper + pad);
         box[axis] = a > box[axis] ? a : box[axis];
         box[4 + axis] = b > box[4 + axis] ? b : box[4 + axis];
     }
@@ -83,20 +83,20 @@ inline CUDA_CALLABLE int clip_range(const Mesh& mesh, const ClipCell& cell, floa
     bool beyond_high, Vec3& inner_low, Vec3& inner_high)
 {
     float *from = range, *to = range;
-    float least[8];
-    set_empty(least);
+    float bounds[8];
+    set_empty(bounds);
     for (int i = 0; i < count; ++i, from += 8) {
         const bool inside = beyond_high ? -from[4 + axis] <= cell.high[axis] : from[axis] >= cell.low[axis];
         const int triangle = id_of(from);
         if (to != from) copy_box(to, from);
         if (inside || clip(mesh, cell, triangle, to)) {
-            unite(least, to);
+            unite(bounds, to);
             to += 8;
         }
     }
     for (int j = 0; j < 3; ++j) {
-        inner_low.c[j] = least[j];
-        inner_high.c[j] = -least[4 + j];
+        inner_low.c[j] = bounds[j];
+        inner_high.c[j] = -bounds[4 + j];
     }
     return (int)((to - range) / 8);
 }
@@ -174,28 +174,32 @@ inline CUDA_CALLABLE bool clip_part(
     return true;
 }
 
-/// Marks the triangles that meet a cell, all of them if they are not `tested`; returns their number, and the box within the
-/// cell of these triangles, or of their parts.
-template <class Mesh, class Boxes, class Vec3>
-inline CUDA_CALLABLE int measure_leaf(const Mesh& mesh, const ClipCell& cell, const Boxes& boxes, const int* triangles,
-    int count, bool tested, unsigned char* keeps, Vec3& inner_low, Vec3& inner_high)
+/// Finds what a leaf of `wrt.builders.classics.kdtree.postprocess` contains: the triangles that meet its cell, all of them if
+/// they are not `tested`, and the box within the cell of these triangles, or of their parts.
+template <class Mesh, class Boxes, class Leaves>
+inline CUDA_CALLABLE void measure_leaf(const Mesh& mesh, const Boxes& boxes, const Leaves& leaves, int leaf, bool tested)
 {
-    float least[8];
-    set_empty(least);
+    const ClipCell cell = cell_of(leaves.low.data[leaf], leaves.high.data[leaf], mesh.pad);
+    const int* triangles = leaves.primitive.data + leaves.begin.data[leaf];
+    unsigned char* keeps = leaves.keeps.data + leaves.begin.data[leaf];
+    float bounds[8];
+    set_empty(bounds);
     int kept = 0;
-    for (int i = 0; i < count; ++i) {
+    for (int i = 0; i < leaves.count.data[leaf]; ++i) {
         float box[8] = {};
         read_box(boxes, triangles[i], box);
         const bool meets = !tested || clip(mesh, cell, triangles[i], box);
-        if (meets) unite(least, box);
+        if (meets) unite(bounds, box);
         keeps[i] = meets;
         kept += meets;
     }
+    leaves.kept.data[leaf] = kept;
+    auto& low = leaves.inner_low.data[leaf];
+    auto& high = leaves.inner_high.data[leaf];
     for (int axis = 0; axis < 3; ++axis) {
-        inner_low.c[axis] = least[axis] > cell.low[axis] ? least[axis] : cell.low[axis];
-        inner_high.c[axis] = -least[4 + axis] < cell.high[axis] ? -least[4 + axis] : cell.high[axis];
+        low.c[axis] = bounds[axis] > cell.low[axis] ? bounds[axis] : cell.low[axis];
+        high.c[axis] = -bounds[4 + axis] < cell.high[axis] ? -bounds[4 + axis] : cell.high[axis];
     }
-    return kept;
 }
 
 // -- spatial splits: `wrt.builders.bvh.spatial.part_splits`, of which `Slabs` is ----------------------------------------------

@@ -31,14 +31,14 @@ inline CUDA_CALLABLE void gather_references(const Boxes& boxes, const int* ids, 
 {
     const int begin = frame.first.c[0];
     float* __restrict__ to = references + (size_t)begin * 8;
-    float least[8];
-    set_empty(least);
+    float bounds[8];
+    set_empty(bounds);
     for (int i = begin; i < begin + frame.triangles; ++i, to += 8) {
         write_reference(boxes, ids[i], to);
-        unite(least, to);
+        unite(bounds, to);
     }
     for (int axis = 0; axis < 3; ++axis) {
-        const float low = least[axis], high = -least[4 + axis];
+        const float low = bounds[axis], high = -bounds[4 + axis];
         frame.inner_low.c[axis] = low > frame.low.c[axis] ? low : frame.low.c[axis];
         frame.inner_high.c[axis] = high < frame.high.c[axis] ? high : frame.high.c[axis];
     }

@@ -58,15 +58,15 @@ template <class Event> inline CUDA_CALLABLE void note_event(const Event& event, 
 /// The least cost at the events of a range, none of which is of a planar triangle; see
 /// `wrt.builders.kdtree.events.sweep_planes`. left, right: triangles that have begun before them, that have not ended before
 /// them.
-template <class Cost, class Frame, class Event, class LeastPlane>
-inline CUDA_CALLABLE void find_least_plane(
-    const Cost& cost, const Frame& frame, const Event* events, int count, int left, int right, LeastPlane& found)
+template <class Cost, class Frame, class Event, class BestPlane>
+inline CUDA_CALLABLE void find_best_plane(
+    const Cost& cost, const Frame& frame, const Event* events, int count, int left, int right, BestPlane& found)
 {
     constexpr int W = 16;
-    float least[W];
+    float best_cost[W];
     int block[W], blocks_left[W], blocks_right[W];
     WRT_FOR_LANES (j) {
-        least[j] = WRT_INFINITY;
+        best_cost[j] = WRT_INFINITY;
         block[j] = 0;
         blocks_left[j] = 0;
         blocks_right[j] = 0;
@@ -91,8 +91,8 @@ inline CUDA_CALLABLE void find_least_plane(
         }
         WRT_FOR_LANES (j) {
             const float candidate = plane_cost(cost, frame, positions[j], lefts[j], rights[j]);
-            const bool better = (candidate < least[j]) & (positions[j] > frame.low) & (positions[j] < frame.high);
-            least[j] = better ? candidate : least[j];
+            const bool better = (candidate < best_cost[j]) & (positions[j] > frame.low) & (positions[j] < frame.high);
+            best_cost[j] = better ? candidate : best_cost[j];
             block[j] = better ? first : block[j];
             blocks_left[j] = better ? block_left : blocks_left[j];
             blocks_right[j] = better ? block_right : blocks_right[j];
@@ -100,8 +100,8 @@ inline CUDA_CALLABLE void find_least_plane(
     }
     int best = 0;
     for (int j = 1; j < W; ++j)
-        if (least[j] < least[best] || (least[j] == least[best] && block[j] < block[best])) best = j;
-    found.cost = least[best];
+        if (best_cost[j] < best_cost[best] || (best_cost[j] == best_cost[best] && block[j] < block[best])) best = j;
+    found.cost = best_cost[best];
     found.event = block[best];
     found.left = blocks_left[best];
     found.right = blocks_right[best];

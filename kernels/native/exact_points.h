@@ -63,21 +63,21 @@ template <class Space, class Triangles> struct ExactSearch : Search {
     const Space& space;
     const Triangles& triangles;
     ExactOffset point;
-    double exact_most;
+    double exact_max_distance;
 
-    CUDA_CALLABLE ExactSearch(const Space& space, const Triangles& triangles, const ExactOffset& point, double most)
+    CUDA_CALLABLE ExactSearch(const Space& space, const Triangles& triangles, const ExactOffset& point, double max_distance)
         : space(space)
         , triangles(triangles)
         , point(point)
-        , exact_most(most)
+        , exact_max_distance(max_distance)
     {
-        this->most = (float)most;
+        this->max_distance = (float)max_distance;
     }
 
     /// The greatest distance at which a triangle counts, if the last of those that were found is at `distance`.
     inline CUDA_CALLABLE float nearer(double distance) const
     {
-        return (float)(distance < exact_most ? distance : exact_most) * WIDENED;
+        return (float)(distance < exact_max_distance ? distance : exact_max_distance) * WIDENED;
     }
 
     inline CUDA_CALLABLE void look_up_to(float away, float slack)
@@ -104,7 +104,7 @@ template <class Space, class Triangles> struct ExactNearest : ExactSearch<Space,
         if (own == number) return;
         const NearestOn<double> on = this->measure(own);
         const double away = square_root(on.square);
-        if (!(away <= this->exact_most) || !((away < distance) | ((away == distance) & (own < number)))) return;
+        if (!(away <= this->exact_max_distance) || !((away < distance) | ((away == distance) & (own < number)))) return;
         distance = away, number = own, slot = place, at = on;
         this->look_up_to(farthest(), from.slack);
     }
@@ -147,7 +147,7 @@ template <class Space, class Triangles, class Exact, class Found> struct ExactLi
         const int own = this->first + primitive;
         const NearestOn<double> on = this->measure(own);
         const double away = square_root(on.square);
-        if (!(away <= this->exact_most)) return;
+        if (!(away <= this->exact_max_distance)) return;
         int place = size;
         while (place > 0 && !before(place - 1, away, own)) --place;
         if (place == room || (place < size && rows.number(place) == own)) return;
@@ -178,8 +178,8 @@ inline CUDA_CALLABLE void exact_nearest_of_group(
     for (int place = first; place < first + GROUP && place < points.count; ++place) {
         const int i = point_at(points, place);
         const auto& point = exact.point.data[i];
-        const double most = exact.most.data[(size_t)i * points.most_stride];
-        ExactNearest<Space, Triangles> kept(space, triangles, {point.c[0], point.c[1], point.c[2]}, most);
+        const double max_distance = exact.max_distance.data[(size_t)i * points.distance_stride];
+        ExactNearest<Space, Triangles> kept(space, triangles, {point.c[0], point.c[1], point.c[2]}, max_distance);
         search_point(space, points, i, kept, last, last[1] >= 0);
         if (kept.slot >= 0) last[0] = kept.number, last[1] = kept.slot;
         exact.t.data[i] = kept.distance;
@@ -200,8 +200,8 @@ inline CUDA_CALLABLE void exact_lists_of_group(
     for (int place = first; place < first + GROUP && place < points.count; ++place) {
         const int i = point_at(points, place);
         const auto& point = exact.point.data[i];
-        const double most = exact.most.data[(size_t)i * points.most_stride];
-        const ExactSearch<Space, Triangles> search(space, triangles, {point.c[0], point.c[1], point.c[2]}, most);
+        const double max_distance = exact.max_distance.data[(size_t)i * points.distance_stride];
+        const ExactSearch<Space, Triangles> search(space, triangles, {point.c[0], point.c[1], point.c[2]}, max_distance);
         ExactList<Space, Triangles, Exact, Found> kept(search, exact, found, i);
         search_point(space, points, i, kept, last, count);
         if (kept.size > 0)

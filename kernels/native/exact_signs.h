@@ -105,10 +105,10 @@ inline CUDA_CALLABLE int side_of(const Place& a, const Place& b, const Place& c,
     const Place p = a - d, q = b - d, r = c - d;
     const double xy = q.x * r.y, yx = q.y * r.x, yz = q.y * r.z, zy = q.z * r.y, zx = q.z * r.x, xz = q.x * r.z;
     const double volume = (p.x * (yz - zy) + p.y * (zx - xz)) + p.z * (xy - yx);
-    const double most = (size_of(p.x) * (size_of(yz) + size_of(zy)) + size_of(p.y) * (size_of(zx) + size_of(xz)))
+    const double magnitude = (size_of(p.x) * (size_of(yz) + size_of(zy)) + size_of(p.y) * (size_of(zx) + size_of(xz)))
         + size_of(p.z) * (size_of(xy) + size_of(yx));
     // eight roundings of 2^-53 on the way, and as much again for the bound itself
-    if (size_of(volume) > 1.8e-15 * most + 1e-280) return sign_of(volume);
+    if (size_of(volume) > 1.8e-15 * magnitude + 1e-280) return sign_of(volume);
     return exact_side(a, b, c, d);
 }
 

@@ -21,12 +21,12 @@ template <int FRUSTA> struct FrustumRows {
 };
 
 /// lane[0] becomes the least or the greatest of N floats, N a power of two; the others are overwritten.
-template <bool LEAST, int N> inline CUDA_CALLABLE float fold_lanes(float* lane)
+template <bool MINIMUM, int N> inline CUDA_CALLABLE float fold_lanes(float* lane)
 {
     WRT_UNROLLED
     for (int n = N / 2; n > 0; n /= 2) {
         WRT_FOR (n, i) {
-            const bool other = LEAST ? lane[i + n] < lane[i] : lane[i + n] > lane[i];
+            const bool other = MINIMUM ? lane[i + n] < lane[i] : lane[i + n] > lane[i];
             lane[i] = other ? lane[i + n] : lane[i];
         }
     }
@@ -41,10 +41,10 @@ template <int W> struct FrustumLanes {
     {
         for (int r = 0; r < 4; ++r) low[r][i] = WRT_INFINITY, high[r][i] = -WRT_INFINITY;
     }
-    inline CUDA_CALLABLE void widen(int r, int i, float least, float most, bool valid)
+    inline CUDA_CALLABLE void widen(int r, int i, float lower, float upper, bool valid)
     {
-        low[r][i] = (valid & (least < low[r][i])) ? least : low[r][i];
-        high[r][i] = (valid & (most > high[r][i])) ? most : high[r][i];
+        low[r][i] = (valid & (lower < low[r][i])) ? lower : low[r][i];
+        high[r][i] = (valid & (upper > high[r][i])) ? upper : high[r][i];
     }
 };
 
@@ -53,10 +53,10 @@ template <int P, int W, int F, class Batch>
 inline CUDA_CALLABLE void gather_directions(const Batch& batch, int first, const FrustumRows<F>& rows, int f)
 {
     const PacketRays<P> rays(batch, first);
-    float to_x[P], to_y[P], to_z[P], least[P], most[P];
+    float to_x[P], to_y[P], to_z[P], t_min[P], t_max[P];
     rays.directions(batch, to_x, to_y, to_z);
-    rays.fetch(batch.t_min_stride, [&](int k, int n) { least[k] = batch.t_min.data[n]; });
-    rays.fetch(batch.t_max_stride, [&](int k, int n) { most[k] = batch.t_max.data[n]; });
+    rays.fetch(batch.t_min_stride, [&](int k, int n) { t_min[k] = batch.t_min.data[n]; });
+    rays.fetch(batch.t_max_stride, [&](int k, int n) { t_max[k] = batch.t_max.data[n]; });
     FrustumLanes<W> of;
     WRT_FOR_LANES (i) {
         of.clear(i);
@@ -64,7 +64,7 @@ inline CUDA_CALLABLE void gather_directions(const Batch& batch, int first, const
         for (int g = 0; g < P; g += W) {
             float x = to_x[g + i], y = to_y[g + i], z = to_z[g + i];
             drop_negligible(x, y, z);
-            const float begin = least[g + i], end = most[g + i] > FARTHEST ? FARTHEST : most[g + i];
+            const float begin = t_min[g + i], end = t_max[g + i] > FARTHEST ? FARTHEST : t_max[g + i];
             const bool valid = is_direction(x, y, z) & (begin >= 0.0f) & (begin <= end);
             of.widen(0, i, x, x, valid);
             of.widen(1, i, y, y, valid);

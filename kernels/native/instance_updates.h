@@ -19,7 +19,7 @@ inline CUDA_CALLABLE double of_ordered(long long bits)
 }
 
 /// `found` becomes the least of it and of the values of all threads of a warp, which all come here on CUDA.
-inline CUDA_CALLABLE void keep_least(long long* found, long long value)
+inline CUDA_CALLABLE void keep_min(long long* found, long long value)
 {
 #if defined(__CUDA_ARCH__)
     for (int step = 16; step > 0; step >>= 1) {

@@ -72,16 +72,16 @@ inline CUDA_CALLABLE float keep_rays(const SceneRays<P, W, SHARED>& scene, const
         scene.u[k] = 0.0f;
         scene.v[k] = 0.0f;
     }
-    int most = 0;  // NaN and infinity do not count
+    int max_bits = 0;  // NaN and infinity do not count
     WRT_FOR (SHARED ? 1 : P, k) {
         const int x = size_bits((float)scene.from_x[k]), y = size_bits((float)scene.from_y[k]);
         const int z = size_bits((float)scene.from_z[k]);
         int size = x > y ? x : y;
         size = size > z ? size : z;
         size = size < 0x7f800000 ? size : 0;
-        most = size > most ? size : most;
+        max_bits = size > max_bits ? size : max_bits;
     }
-    return __builtin_bit_cast(float, most);
+    return __builtin_bit_cast(float, max_bits);
 }
 
 /// Loads the rays into the packet in the space of an instance; low, high: bounds of its tree. Those that its mask hides are
@@ -107,12 +107,12 @@ inline CUDA_CALLABLE void load_instance(const SceneRays<P, W, SHARED>& scene, co
         rays.from_z[k] = (float)((m6 * x + m7 * y) + m8 * z);
     }
     WRT_FOR (P, k) {
-        rays.least[k] = scene.t_min[k];
-        rays.most[k] = scene.bound[k];
+        rays.t_min[k] = scene.t_min[k];
+        rays.t_max[k] = scene.bound[k];
     }
     if (batch.mask.shape[0] > 0)
         for (int k = 0; k < P; ++k)
-            if (!(place.mask & batch.mask.data[scene.number[k] * batch.mask_stride])) rays.most[k] = -WRT_INFINITY;
+            if (!(place.mask & batch.mask.data[scene.number[k] * batch.mask_stride])) rays.t_max[k] = -WRT_INFINITY;
     load_arrays<What>(scene.packet, rays, true, low, high, bounds, prepare);
 }
 

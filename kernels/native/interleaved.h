@@ -61,9 +61,9 @@ template <int W> inline CUDA_CALLABLE void set_boxes(Slot& slot, const float* in
     constexpr float TINY = 1.1754944e-38f, GREATEST = 3.4028235e38f;
     constexpr float LARGE = 4.0564819e31f;  // 2^105: a margin below it says that (|origin| + reach) / direction < 2^126
     const float size_x = WRT_ABS(inverse[0]), size_y = WRT_ABS(inverse[1]), size_z = WRT_ABS(inverse[2]);
-    float least = size_x < size_y ? size_x : size_y;
-    least = least < size_z ? least : size_z;
-    const float limit = least * 1073741824.0f;
+    float min_size = size_x < size_y ? size_x : size_y;
+    min_size = min_size < size_z ? min_size : size_z;
+    const float limit = min_size * 1073741824.0f;
     float kept[4], near[4], far[4], margins[4];
     unsigned near_at[4], far_at[4];
     WRT_FOR (4, a) {  // the fourth is not used
@@ -78,9 +78,9 @@ template <int W> inline CUDA_CALLABLE void set_boxes(Slot& slot, const float* in
         near_at[a] = low + other;
         far_at[a] = (low + 12 * W) - other;
     }
-    float most = margins[0] > margins[1] ? margins[0] : margins[1];
-    most = margins[2] > most ? margins[2] : most;
-    if (!(most < LARGE)) {
+    float max_margin = margins[0] > margins[1] ? margins[0] : margins[1];
+    max_margin = margins[2] > max_margin ? margins[2] : max_margin;
+    if (!(max_margin < LARGE)) {
         for (int a = 0; a < 3; ++a) {
             if (margins[a] < LARGE) continue;
             kept[a] = inverse[a] < 0.0f ? -TINY : TINY;

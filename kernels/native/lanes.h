@@ -37,11 +37,11 @@ template <class T> inline CUDA_CALLABLE T smaller(T a, T b) { return a < b ? a :
 constexpr CUDA_CALLABLE int block_lanes(int width)
 {
 #if defined(__AVX512F__) && !defined(__CUDA_ARCH__)
-    constexpr int LEAST = 16;
+    constexpr int MIN_WIDTH = 16;
 #else
-    constexpr int LEAST = 8;
+    constexpr int MIN_WIDTH = 8;
 #endif
-    return width > LEAST ? (width + 7) / 8 * 8 : LEAST;
+    return width > MIN_WIDTH ? (width + 7) / 8 * 8 : MIN_WIDTH;
 }
 
 #if WRT_VECTORS

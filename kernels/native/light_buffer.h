@@ -13,14 +13,14 @@ enum LightAnswer { LIT, OCCLUDED, UNDECIDED, WAITING };
 constexpr int CELL_WORDS = 4;
 constexpr float DEPTH_SLACK = 0x1p-20f;
 
-/// At most RUN rays that are answered together, L at a time. most, sure, least: depths of their hits; place, last: of the
-/// entries of their cells that are still to be tested; ignored: a triangle of each, or -1; rest: the rays that wait, `waiting`
-/// of them; slot: where `words` has what tests read of a ray. RECORD: floats of a triangle.
+/// At most RUN rays that are answered together, L at a time. max_depth, sure, min_depth: depths of their hits; place, last: of
+/// the entries of their cells that are still to be tested; ignored: a triangle of each, or -1; rest: the rays that wait,
+/// `waiting` of them; slot: where `words` has what tests read of a ray. RECORD: floats of a triangle.
 template <class Test, int RUN, int RECORD> struct LightRays {
     static constexpr int L = 16, WORDS = 23, STRIDE = WORDS + 1;
-    alignas(64) float most[RUN];
+    alignas(64) float max_depth[RUN];
     alignas(64) float sure[RUN];
-    alignas(64) float least[RUN];
+    alignas(64) float min_depth[RUN];
     alignas(64) int cell[RUN];
     alignas(64) int state[RUN];
     alignas(64) int rest[RUN + 1];
@@ -77,9 +77,9 @@ template <class Test, int RUN, int RECORD> struct LightRays {
             const float start = (1.0f - rays.t_min[k]) * depth, end = (1.0f - t) * depth;
             const int own = (face * resolution + j) * resolution + i;
             cell[from + k] = valid ? own : 0;
-            most[from + k] = start * (1.0f + DEPTH_SLACK) + slack;
+            max_depth[from + k] = start * (1.0f + DEPTH_SLACK) + slack;
             sure[from + k] = start * (1.0f - DEPTH_SLACK) - slack;
-            least[from + k] = t == 1.0f ? 0.0f : end * (1.0f + DEPTH_SLACK) + slack;
+            min_depth[from + k] = t == 1.0f ? 0.0f : end * (1.0f + DEPTH_SLACK) + slack;
             const bool decided = (far <= limit) & (t <= 1.0f);
             state[from + k] = valid ? (decided ? WAITING : UNDECIDED) : LIT;
         }
@@ -97,11 +97,11 @@ template <class Test, int RUN, int RECORD> struct LightRays {
                 const float far = __builtin_bit_cast(float, word[at + 2]), nearest = __builtin_bit_cast(float, word[at + 3]);
                 const int first = word[at], entries = word[at + 1], before = state[k];
                 const int skip = skipped[(begin + (from + i < count ? k : 0)) * skip_stride];
-                const bool behind = far <= most[k], open = behind & !(least[k] <= nearest);
+                const bool behind = far <= max_depth[k], open = behind & !(min_depth[k] <= nearest);
                 const bool hidden = (far <= sure[k]) & (skip < 0);
                 const int found = (open | (behind & (skip >= 0) & !hidden)) ? UNDECIDED : hidden ? OCCLUDED : LIT;
                 state[k] = before == WAITING ? found : before;
-                waits[k] = ((before == WAITING) & !open & !hidden & (nearest <= most[k])) ? 1 : 0;
+                waits[k] = ((before == WAITING) & !open & !hidden & (nearest <= max_depth[k])) ? 1 : 0;
                 place[k] = first, last[k] = first + entries, ignored[k] = skip;
             }
         }
@@ -165,7 +165,7 @@ template <class Test, int RUN, int RECORD> struct LightRays {
                 const int k = rest[n], at = place[k], end = last[k];
                 const unsigned long long entry = cells.entries.data[at < end ? at : end - 1];
                 const int triangle = (int)(unsigned)entry;
-                const bool ahead = (at < end) & (__builtin_bit_cast(float, (unsigned)(entry >> 32)) <= most[k]);
+                const bool ahead = (at < end) & (__builtin_bit_cast(float, (unsigned)(entry >> 32)) <= max_depth[k]);
                 WRT_FETCH(records + RECORD * (size_t)triangle);
                 pair_ray[pairs] = k;
                 pair_triangle[pairs] = triangle;

@@ -47,10 +47,10 @@ inline CUDA_CALLABLE PlaneStep step_at(
     return {before, behind, left ^ swap, right ^ swap};
 }
 
-/// Steps until fewer than `least` lanes are at inner nodes, or the ROWS of the log are full; returns the bits of the lanes at
-/// leaves. row: the next free row of the log.
+/// Steps until fewer than `min_walking` lanes are at inner nodes, or the ROWS of the log are full; returns the bits of the
+/// lanes at leaves. row: the next free row of the log.
 template <int W, int ROWS, bool COUNTING, class Node, class Walks>
-inline CUDA_CALLABLE unsigned advance_walks(const Node* nodes, Walks& walks, int* log, int& row, int least)
+inline CUDA_CALLABLE unsigned advance_walks(const Node* nodes, Walks& walks, int* log, int& row, int min_walking)
 {
     const unsigned long long* pairs = (const unsigned long long*)nodes;
     alignas(64) float inverse_x[W], inverse_y[W], inverse_z[W], in_x[W], in_y[W], in_z[W], out_x[W], out_y[W], out_z[W];
@@ -79,7 +79,7 @@ inline CUDA_CALLABLE unsigned advance_walks(const Node* nodes, Walks& walks, int
             inner[i] = (word1[i] & 3) != 3 ? -1 : 0;
             walking -= inner[i];
         }
-        if (walking < least || row == ROWS) break;
+        if (walking < min_walking || row == ROWS) break;
         int* line = log + row * (4 * W);
         WRT_FOR_LANES (i) {
             const int axis = word1[i] & 3;

@@ -9,7 +9,7 @@ namespace wrt {
 namespace {
 
 /// Clusters that a list keeps, and those of a list of two such lists.
-constexpr int KEPT_CLUSTERS = 16, MOST_CLUSTERS = 2 * KEPT_CLUSTERS;
+constexpr int KEPT_CLUSTERS = 16, MAX_CLUSTERS = 2 * KEPT_CLUSTERS;
 
 /// Places in the list up to which a cluster looks for its partner.
 constexpr int RADIUS = 8;
@@ -225,7 +225,7 @@ template <class Tree> inline __device__ void merge_from(const Tree& tree, int i,
 
 /// The clusters of two lists, in lanes; a row has room for what the search reads beyond the last one.
 struct ClusterLanes {
-    static constexpr int W = MOST_CLUSTERS;
+    static constexpr int W = MAX_CLUSTERS;
     float corner[6][W + RADIUS];
     unsigned long long nearest[W + RADIUS];
     Cluster cluster[W];

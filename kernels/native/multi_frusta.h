@@ -31,8 +31,8 @@ struct LightFrustum {
     float box_low[3], box_high[3], direction_low[3], direction_high[3];
     int point, group;
 
-    /// The bounds along an axis. o: the point; most: the end of the rays' range.
-    inline CUDA_CALLABLE void bound_axis(int a, float o, float flushed, float most)
+    /// The bounds along an axis. o: the point; range_end: the end of the rays' range.
+    inline CUDA_CALLABLE void bound_axis(int a, float o, float flushed, float range_end)
     {
         const float d0 = direction_low[a], d1 = direction_high[a];
         const bool forward = d0 > flushed, backward = d1 < -flushed, mixed = !forward & !backward;
@@ -45,7 +45,7 @@ struct LightFrustum {
         origin_out.c[a] = backward ? o + slack : o - slack;
         origin_low.c[a] = origin_high.c[a] = o;
         // from the point to the ends of its rays, widened as boxes are, and by rounding
-        const float to0 = (d0 < 0.0f ? d0 : 0.0f) * most, to1 = (d1 > 0.0f ? d1 : 0.0f) * most;
+        const float to0 = (d0 < 0.0f ? d0 : 0.0f) * range_end, to1 = (d1 > 0.0f ? d1 : 0.0f) * range_end;
         const float wide = 2.0f * slack + SLACK * ((to1 - to0) + WRT_ABS(o));
         box_low[a] = mixed ? (o + to0) - wide : -WRT_INFINITY;
         box_high[a] = mixed ? (o + to1) + wide : WRT_INFINITY;
@@ -60,12 +60,12 @@ struct LightFrustum {
         const float* p = rays.origins.data[(size_t)point * rays.origin_stride].c;
         float o[3];
         for (int a = 0; a < 3; ++a) o[a] = (float)((double)p[a] - rays.center.c[a]);
-        const float least = rays.t_min.data[(size_t)point * rays.t_min_stride];
-        const float given = rays.t_max.data[(size_t)point * rays.t_max_stride], most = given > FARTHEST ? FARTHEST : given;
+        const float range_begin = rays.t_min.data[(size_t)point * rays.t_min_stride];
+        const float given = rays.t_max.data[(size_t)point * rays.t_max_stride], range_end = given > FARTHEST ? FARTHEST : given;
         const int pattern = pattern_of((unsigned)point, (unsigned)light.patterns);
         const float* box = light.bounds.data + 6 * ((size_t)pattern * light.groups + group);
         float far = 0.0f, size = 0.0f;
-        bool valid = (least >= 0.0f) & (least <= most);
+        bool valid = (range_begin >= 0.0f) & (range_begin <= range_end);
         for (int a = 0; a < 3; ++a) {
             const float down = WRT_ABS(low.c[a] - o[a]), up = WRT_ABS(high.c[a] - o[a]);
             far = down > far ? down : far;
@@ -80,9 +80,9 @@ struct LightFrustum {
         valid = valid & (size >= SHORTEST);
         slack = SLACK * far;
         active = P, passes = 0;
-        t_min = least, t_max = valid ? most : -WRT_INFINITY;
+        t_min = range_begin, t_max = valid ? range_end : -WRT_INFINITY;
         mixed_axes = 0;
-        for (int a = 0; a < 3; ++a) bound_axis(a, o[a], size * FLUSHED + 1e-37f, most);
+        for (int a = 0; a < 3; ++a) bound_axis(a, o[a], size * FLUSHED + 1e-37f, range_end);
         return valid;
     }
 };
@@ -97,8 +97,8 @@ struct CornerPlanes {
         float best = 0.0f;
         for (int a = 0; a < 3; ++a) {
             const float d0 = bounds.direction_low[a], d1 = bounds.direction_high[a];
-            const float least = d0 > 0.0f ? d0 : d1 < 0.0f ? -d1 : 0.0f;
-            if (least > best) best = least, main = a;
+            const float shortest = d0 > 0.0f ? d0 : d1 < 0.0f ? -d1 : 0.0f;
+            if (shortest > best) best = shortest, main = a;
         }
         if (main < 0) return;
         axes[0] = main == 2 ? 0 : main + 1, axes[1] = axes[0] == 2 ? 0 : axes[0] + 1;
@@ -175,7 +175,7 @@ template <int FRUSTA, int P, int W, int COMPONENTS, int RECORD, int LEVELS, bool
         const float* sample = light.positions.data + (size_t)pattern * (light.groups * 3 * P) + own.group * 3 * P;
         const int rest = light.samples - own.group * P, here = rest < P ? rest : P;
         const float ox = own.origin_low.c[0], oy = own.origin_low.c[1], oz = own.origin_low.c[2];
-        const float px = p[0], py = p[1], pz = p[2], most = own.t_max, least = own.t_min;
+        const float px = p[0], py = p[1], pz = p[2], range_end = own.t_max, range_begin = own.t_min;
         int main_axes = 0;
         float to_x[P], to_y[P], to_z[P];
         WRT_FOR (P, k) {
@@ -189,8 +189,8 @@ template <int FRUSTA, int P, int W, int COMPONENTS, int RECORD, int LEVELS, bool
             float size = size_x > size_y ? size_x : size_y;
             size = size > size_z ? size : size_z;
             const bool valid = (size >= SHORTEST) & (size < WRT_INFINITY) & (k < here);
-            packet.t_min[k] = least;
-            packet.t[k] = valid ? most : -WRT_INFINITY;
+            packet.t_min[k] = range_begin;
+            packet.t[k] = valid ? range_end : -WRT_INFINITY;
             main_axes |= set_tested(packet, k, x, y, z, ox, oy, oz, own.origin_low, own.origin_low, prepare);
         }
         own.passes = main_axes;

@@ -21,10 +21,10 @@ inline CUDA_CALLABLE void nearest_of(
     const int axes[3] = {(z + 1) % 3, (z + 2) % 3, z};
     const double ox = origin[axes[0]], oy = origin[axes[1]], oz = origin[z];
     const double dx = direction[axes[0]], dy = direction[axes[1]], dz = direction[z];
-    double least[W];
+    double best_t[W];
     int which[W];
     WRT_FOR_LANES (j) {
-        least[j] = far;
+        best_t[j] = far;
         which[j] = -1;
     }
     for (int first = begin; first < end; first += W) {
@@ -41,14 +41,14 @@ inline CUDA_CALLABLE void nearest_of(
             const Areas<double> exchanged = areas_of(s), w = {exchanged.a, exchanged.c, exchanged.b};
             const double total = sum(w), t = (w.a * s.depth[0] + w.b * s.depth[2] + w.c * s.depth[1]) / total;
             const int same = on_one_side(w);
-            const bool better = (beside == 0) & (same != 0) & (total != 0) & !(t < 0) & (t < least[j]);
-            least[j] = better ? t : least[j];
+            const bool better = (beside == 0) & (same != 0) & (total != 0) & !(t < 0) & (t < best_t[j]);
+            best_t[j] = better ? t : best_t[j];
             which[j] = better ? first + j : which[j];
         }
     }
     for (int j = 0; j < W; ++j) {
-        if (least[j] < found.t || (least[j] == found.t && which[j] >= 0 && which[j] < found.triangle)) {
-            found.t = least[j];
+        if (best_t[j] < found.t || (best_t[j] == found.t && which[j] >= 0 && which[j] < found.triangle)) {
+            found.t = best_t[j];
             found.triangle = which[j];
         }
     }

@@ -12,7 +12,7 @@ namespace {
 constexpr float FLAT = 0.0009765625f;
 
 /// The same for areas outside of this range, in which float32 keeps all digits.
-constexpr float LEAST_AREA = 1e-30f, GREATEST_AREA = 1e30f;
+constexpr float MIN_AREA = 1e-30f, MAX_AREA = 1e30f;
 
 /// A foot on the face is nearer than all edges, so it is taken although rounding makes it farther, by no more than this part of
 /// its squared distance and this part of that of the triangle's first vertex.
@@ -89,7 +89,7 @@ inline CUDA_CALLABLE Foot<T> foot_on_plane(const OffsetOf<T>& a, const OffsetOf<
 inline CUDA_CALLABLE bool is_flat(const Foot<float>& foot, const Offset& ab, const Offset& ac)
 {
     const bool sure = foot.area >= FLAT * (dot(ab, ab) * dot(ac, ac));
-    return !(sure & (foot.area > LEAST_AREA) & (foot.area < GREATEST_AREA));
+    return !(sure & (foot.area > MIN_AREA) & (foot.area < MAX_AREA));
 }
 
 inline CUDA_CALLABLE OffsetOf<double> widened(const Offset& p) { return {p.x, p.y, p.z}; }
@@ -110,12 +110,12 @@ inline CUDA_CALLABLE NearestOn<T> nearest_on_edges(const OffsetOf<T>& a, const O
     const T aa = dot(a, a), bb = dot(b, b), cc = dot(c, c), one = 1.0f, zero = 0.0f;
     const OnEdge<T> ab = nearest_on_edge(a, b, aa, bb), bc = nearest_on_edge(b, c, bb, cc), ca = nearest_on_edge(c, a, cc, aa);
     const bool on_bc = bc.square < ab.square;
-    const T least = on_bc ? bc.square : ab.square;
-    const bool on_ca = ca.square < least, second = on_ca ? ca.from_second : on_bc ? bc.from_second : ab.from_second;
+    const T nearest_edge = on_bc ? bc.square : ab.square;
+    const bool on_ca = ca.square < nearest_edge, second = on_ca ? ca.from_second : on_bc ? bc.from_second : ab.from_second;
     const T place = on_ca ? ca.place : on_bc ? bc.place : ab.place, rest = one - place;
     const T of_first = second ? place : rest, of_second = second ? rest : place;
     const T u = on_ca ? zero : on_bc ? of_first : of_second, v = on_ca ? of_first : on_bc ? of_second : zero;
-    return {on_ca ? ca.square : least, u, v, ((place > 0.0f) & (place < 1.0f)) ? 1 : 0};
+    return {on_ca ? ca.square : nearest_edge, u, v, ((place > 0.0f) & (place < 1.0f)) ? 1 : 0};
 }
 
 /// The better of the nearest point of the edges and the foot on the face.
@@ -155,13 +155,13 @@ inline CUDA_CALLABLE float square_in_float32(const Offset& a, const Offset& b, c
     const float aa = dot(a, a), bb = dot(b, b), cc = dot(c, c);
     const float ab = nearest_on_edge(a, b, aa, bb).square, bc = nearest_on_edge(b, c, bb, cc).square;
     const float ca = nearest_on_edge(c, a, cc, aa).square;
-    float least = bc < ab ? bc : ab;
-    least = ca < least ? ca : least;
+    float nearest_edge = bc < ab ? bc : ab;
+    nearest_edge = ca < nearest_edge ? ca : nearest_edge;
     const Offset e1 = b - a, e2 = c - a;
     const Foot<float> foot = foot_on_plane(a, e1, e2);
     is_thin = is_flat(foot, e1, e2);
     const float face = square_of_foot(a, e1, e2, foot);
-    return face <= least * FACE_SHARE + aa * FACE_SLACK ? face : least;
+    return face <= nearest_edge * FACE_SHARE + aa * FACE_SLACK ? face : nearest_edge;
 }
 
 }  // namespace

@@ -35,8 +35,8 @@ template <class All> struct PointWalk : PackedPlace {
         number = points.order.shape[0] ? points.order.data[place] : place;
         const auto& at = points.position.data[number];
         point = point_in(all.tree.low, all.tree.high, at.c[0], at.c[1], at.c[2]);
-        kept = NearestTriangle(points.most.data[(size_t)number * points.most_stride]);
-        if (!((point.slack == point.slack) & (kept.most >= 0.0f))) return;
+        kept = NearestTriangle(points.max_distance.data[(size_t)number * points.distance_stride]);
+        if (!((point.slack == point.slack) & (kept.max_distance >= 0.0f))) return;
         start(stack);
         kept.look_up_to(kept.farthest(), point.slack);
     }

@@ -12,7 +12,8 @@ namespace {
 /// Squared distance of a point from a box.
 inline CUDA_CALLABLE float square_to(const SearchPoint& p, float x0, float x1, float y0, float y1, float z0, float z1)
 {
-    const float x = p.x - least(most(p.x, x0), x1), y = p.y - least(most(p.y, y0), y1), z = p.z - least(most(p.z, z0), z1);
+    const float x = p.x - min_of(max_of(p.x, x0), x1), y = p.y - min_of(max_of(p.y, y0), y1),
+                z = p.z - min_of(max_of(p.z, z0), z1);
     return fused(z, z, fused(y, y, x * x));
 }
 

@@ -178,7 +178,7 @@ template <class Rule> inline CUDA_CALLABLE bool meet_line(const Sheared<float>& 
 {
     w = areas_of(s);
     // most misses; areas that are so large have the sign of the exact ones
-    if (least(w.a, least(w.b, w.c)) < -SMALL_AREA && most(w.a, most(w.b, w.c)) > SMALL_AREA) return false;
+    if (min_of(w.a, min_of(w.b, w.c)) < -SMALL_AREA && max_of(w.a, max_of(w.b, w.c)) > SMALL_AREA) return false;
     if (Rule::unsure(w)) return Rule::decide(s, w);
     if (!on_one_side(w)) return false;
     if (is_thin(w, size_of(s))) w = precise_areas(s, w);

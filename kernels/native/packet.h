@@ -14,8 +14,8 @@ inline CUDA_CALLABLE bool is_direction(float x, float y, float z)
     const int size_x = size_bits(x), size_y = size_bits(y), size_z = size_bits(z);
     int size = size_x > size_y ? size_x : size_y;
     size = size > size_z ? size : size_z;
-    const int least = size_bits(SHORTEST), beyond = size_bits(WRT_INFINITY);
-    return (size >= least) & (size < beyond);
+    const int shortest = size_bits(SHORTEST), beyond = size_bits(WRT_INFINITY);
+    return (size >= shortest) & (size < beyond);
 }
 
 /// The components of a packet, RAYS floats each (wrt.kernels.traversal.packet.rays.packet_layout). state: the first of those
@@ -212,20 +212,20 @@ struct OrderedInterval {
         return bits ^ ((bits >> 31) & 0x7fffffff);
     }
     static inline CUDA_CALLABLE float value(int key) { return __builtin_bit_cast(float, key ^ ((key >> 31) & 0x7fffffff)); }
-    inline CUDA_CALLABLE float least() const { return value(low); }
-    inline CUDA_CALLABLE float greatest() const { return value(high); }
+    inline CUDA_CALLABLE float lower() const { return value(low); }
+    inline CUDA_CALLABLE float upper() const { return value(high); }
 };
 
 /// The greatest t of rays, -inf for none: as integers, in the order of the floats that are not negative (adding 0 turns -0 into
 /// +0), and -inf below them.
 template <int P> inline CUDA_CALLABLE float farthest(const float* t)
 {
-    int most = (int)0x80000000;
+    int max_bits = (int)0x80000000;
     WRT_FOR (P, k) {
         const int bits = __builtin_bit_cast(int, t[k] + 0.0f);
-        most = bits > most ? bits : most;
+        max_bits = bits > max_bits ? bits : max_bits;
     }
-    return most < 0 ? -WRT_INFINITY : __builtin_bit_cast(float, most);
+    return max_bits < 0 ? -WRT_INFINITY : __builtin_bit_cast(float, max_bits);
 }
 
 /// Updates `bounds.t_max` after rays have found hits; any-hit rays are finished, not shortened.

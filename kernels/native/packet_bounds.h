@@ -11,8 +11,8 @@ template <int N, int W> struct LaneIntervals {
     float ends[2 * N];
 
     inline CUDA_CALLABLE void join() { row_maxima<2 * N>(rows, ends); }
-    inline CUDA_CALLABLE float least(int j) const { return -ends[2 * j]; }
-    inline CUDA_CALLABLE float greatest(int j) const { return ends[2 * j + 1]; }
+    inline CUDA_CALLABLE float lower(int j) const { return -ends[2 * j]; }
+    inline CUDA_CALLABLE float upper(int j) const { return ends[2 * j + 1]; }
 
     /// Sets interval j of lane i to the values of rays i, i + W, ..; inactive rays are replaced by ray `one`, an active one, so
     /// that loops over lanes need no masks.
@@ -71,9 +71,9 @@ inline CUDA_CALLABLE void set_sides(
 
 /// The interval of 1 / direction along an axis, from that of the direction.
 template <class Bounds>
-inline CUDA_CALLABLE void set_inverses(Bounds& bounds, int a, float least, float most, bool backward, bool mixed)
+inline CUDA_CALLABLE void set_inverses(Bounds& bounds, int a, float lower, float upper, bool backward, bool mixed)
 {
-    const float p = 1.0f / least, q = 1.0f / most, none = WRT_NAN;
+    const float p = 1.0f / lower, q = 1.0f / upper, none = WRT_NAN;
     bounds.inverse_large.c[a] = mixed ? none : backward ? q : p;
     bounds.inverse_small.c[a] = mixed ? none : backward ? p : q;
     bounds.forward_small.c[a] = mixed ? q : 0.0f;
@@ -84,15 +84,15 @@ inline CUDA_CALLABLE void set_inverses(Bounds& bounds, int a, float least, float
 /// of 0. A direction of -0 counts as +0, whose reciprocal bounds the same boxes.
 template <class Bounds>
 inline CUDA_CALLABLE void set_direction_axes(
-    Bounds& bounds, const float* least_of, const float* most_of, const float* lows, const float* highs, float slack)
+    Bounds& bounds, const float* lower_of, const float* upper_of, const float* lows, const float* highs, float slack)
 {
     bounds.finished = 0;
     bounds.mixed_axes = 0;
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {
-        const float least = least_of[a] + 0.0f, most = most_of[a] + 0.0f;
-        const bool backward = most < 0.0f, mixed = (least < 0.0f) & !backward;
-        set_inverses(bounds, a, least, most, backward, mixed);
+        const float lower = lower_of[a] + 0.0f, upper = upper_of[a] + 0.0f;
+        const bool backward = upper < 0.0f, mixed = (lower < 0.0f) & !backward;
+        set_inverses(bounds, a, lower, upper, backward, mixed);
         set_sides(bounds, a, backward, mixed, lows, highs, slack);
     }
 }
@@ -106,10 +106,10 @@ inline CUDA_CALLABLE void set_inverse_axes(const Packet<P, W, SHARED>& packet, B
     bounds.mixed_axes = 0;
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {
-        const float least = inverse_low[a], most = inverse_high[a], none = WRT_NAN;
-        const bool backward = most < 0.0f, mixed = (least < 0.0f) & !backward;
-        bounds.inverse_large.c[a] = mixed ? none : backward ? least : most;
-        bounds.inverse_small.c[a] = mixed ? none : backward ? most : least;
+        const float lower = inverse_low[a], upper = inverse_high[a], none = WRT_NAN;
+        const bool backward = upper < 0.0f, mixed = (lower < 0.0f) & !backward;
+        bounds.inverse_large.c[a] = mixed ? none : backward ? lower : upper;
+        bounds.inverse_small.c[a] = mixed ? none : backward ? upper : lower;
         bounds.forward_small.c[a] = bounds.backward_small.c[a] = 0.0f;
         set_sides(bounds, a, backward, mixed, lows, highs, slack);
     }
@@ -125,13 +125,13 @@ inline CUDA_CALLABLE void set_inverse_axes(const Packet<P, W, SHARED>& packet, B
             ahead[k] = forward ? OrderedInterval::key(inverse[k]) : ends.low;
             behind[k] = back ? OrderedInterval::key(inverse[k]) : ends.high;
         }
-        int least = ends.low, greatest = ends.high;
+        int lower = ends.low, upper = ends.high;
         WRT_FOR (P, k) {
-            least = ahead[k] < least ? ahead[k] : least;
-            greatest = behind[k] > greatest ? behind[k] : greatest;
+            lower = ahead[k] < lower ? ahead[k] : lower;
+            upper = behind[k] > upper ? behind[k] : upper;
         }
-        bounds.forward_small.c[a] = OrderedInterval::value(least);
-        bounds.backward_small.c[a] = OrderedInterval::value(greatest);
+        bounds.forward_small.c[a] = OrderedInterval::value(lower);
+        bounds.backward_small.c[a] = OrderedInterval::value(upper);
     }
 }
 
@@ -160,8 +160,8 @@ inline CUDA_CALLABLE void bound_crossings(const Packet<P, W, SHARED>& packet, Bo
         }
         crossings.join();
         for (int a = 0; a < 2; ++a) {
-            bounds.through_low.c[a] = crossings.least(a) - slack;
-            bounds.through_high.c[a] = crossings.greatest(a) + slack;
+            bounds.through_low.c[a] = crossings.lower(a) - slack;
+            bounds.through_high.c[a] = crossings.upper(a) + slack;
         }
     }
 }
@@ -198,8 +198,8 @@ inline CUDA_CALLABLE void bound_range(const Packet<P, W, SHARED>& packet, Bounds
         range.template bound<P>(1, i, packet.t, one, [&](int k) { return packet.t[k]; });
     }
     range.join();
-    bounds.t_min = range.least(0);
-    bounds.t_max = range.greatest(1);
+    bounds.t_min = range.lower(0);
+    bounds.t_max = range.upper(1);
 }
 
 /// Sets `bounds`; if no ray is active (t >= 0), only `active`. lows, highs: the shared origin, else any numbers; ranged:
@@ -246,27 +246,27 @@ inline CUDA_CALLABLE void bound_packet(
     bounds.active = active;
     bound_range(packet, bounds, ranged, one);
     for (int a = 0; a < 3; ++a) {
-        if constexpr (!SHARED) lows[a] = of.least(OX + a), highs[a] = of.greatest(OX + a);
-        if constexpr (What::ENDS) bounds.end_low.c[a] = of.least(EX + a), bounds.end_high.c[a] = of.greatest(EX + a);
+        if constexpr (!SHARED) lows[a] = of.lower(OX + a), highs[a] = of.upper(OX + a);
+        if constexpr (What::ENDS) bounds.end_low.c[a] = of.lower(EX + a), bounds.end_high.c[a] = of.upper(EX + a);
     }
     int main_axes = 0;
     if constexpr (!What::LATER) {
         bounds.main_axes = main_axes = main_axes_of(packet);
         bounds.passes = What::PASSES == 1 ? 1 : main_axes;
     }
-    const float slack = OWN_SLACK ? of.greatest(WIDE) : given.slack(lows, highs);
+    const float slack = OWN_SLACK ? of.upper(WIDE) : given.slack(lows, highs);
     bounds.slack = slack;
     if constexpr (What::SLOPES) {
-        for (int a = 0; a < 2; ++a) bounds.slope_low.c[a] = of.least(SX + a), bounds.slope_high.c[a] = of.greatest(SX + a);
+        for (int a = 0; a < 2; ++a) bounds.slope_low.c[a] = of.lower(SX + a), bounds.slope_high.c[a] = of.upper(SX + a);
         bound_crossings(packet, bounds, one, main_axes, lows, highs, slack);
     }
-    const float least[3] = {of.least(0), of.least(1), of.least(2)}, most[3] = {of.greatest(0), of.greatest(1), of.greatest(2)};
-    if constexpr (What::LATER) set_direction_axes(bounds, least, most, lows, highs, slack);
-    else set_inverse_axes(packet, bounds, least, most, lows, highs, slack);
+    const float lower[3] = {of.lower(0), of.lower(1), of.lower(2)}, upper[3] = {of.upper(0), of.upper(1), of.upper(2)};
+    if constexpr (What::LATER) set_direction_axes(bounds, lower, upper, lows, highs, slack);
+    else set_inverse_axes(packet, bounds, lower, upper, lows, highs, slack);
 }
 
-/// Fraction of the largest coordinate by which the end of a ray may err, and how many times as far apart as the ends, with their
-/// slack, the origins must be for bounds to be reversed (wrt.kernels.traversal.packet.rays.reversed_bounds).
+/// Fraction of the largest coordinate by which the end of a ray may err, and how many times as far apart as the ends, with
+/// their slack, the origins must be for bounds to be reversed (wrt.kernels.traversal.packet.rays.reversed_bounds).
 constexpr float ENDS_ERROR = 0x1p-20f, CLOSER = 4.0f;
 
 /// Reverses the bounds of a packet if that makes them tighter; low, high: bounds of the scene.
@@ -274,14 +274,14 @@ template <class Vec3, class Bounds> inline CUDA_CALLABLE void reverse_bounds(con
 {
     if (bounds.mixed_axes) return;
     float ends = 0.0f, origins = 0.0f, far = 0.0f, size = 0.0f;
-    const auto widen = [](float value, float& most) { most = WRT_ABS(value) > most ? WRT_ABS(value) : most; };
+    const auto widen = [](float value, float& largest) { largest = WRT_ABS(value) > largest ? WRT_ABS(value) : largest; };
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {
-        const float least = bounds.end_low.c[a], most = bounds.end_high.c[a];
-        ends += most - least;
+        const float lower = bounds.end_low.c[a], upper = bounds.end_high.c[a];
+        ends += upper - lower;
         origins += bounds.origin_high.c[a] - bounds.origin_low.c[a];
-        widen(low.c[a] - most, far), widen(high.c[a] - least, far);
-        widen(least, size), widen(most, size);
+        widen(low.c[a] - upper, far), widen(high.c[a] - lower, far);
+        widen(lower, size), widen(upper, size);
         widen(bounds.origin_low.c[a], size), widen(bounds.origin_high.c[a], size);
     }
     const float wide = 2.0f * bounds.slack + SLACK * far + ENDS_ERROR * size;

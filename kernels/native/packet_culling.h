@@ -59,15 +59,15 @@ template <int W, class Bounds> inline CUDA_CALLABLE int interval_keys(const floa
     const PlanePointers planes
         = planes_at<W>(box, rays.large[0] < 0.0f ? BACK : 0, rays.large[1] < 0.0f ? BACK : 0, rays.large[2] < 0.0f ? BACK : 0);
     const float t_min = bounds.t_min, t_max = bounds.t_max;
-    int least = NO_CHILD;
+    int nearest = NO_CHILD;
     if (bounds.mixed_axes == 0) {
         WRT_FOR_LANES (i) {
             const Interval own = slab(planes, rays, i, t_min, t_max);
             const int k = child_key<W>(own, i, own.enter <= own.leave);
             key[i] = k;
-            least = k < least ? k : least;
+            nearest = k < nearest ? k : nearest;
         }
-        return least;
+        return nearest;
     }
     const MixedAxes axes = mixed_axes(bounds);
     WRT_FOR_LANES (i) {
@@ -75,9 +75,9 @@ template <int W, class Bounds> inline CUDA_CALLABLE int interval_keys(const floa
         own.enter = mixed_entry(planes, axes, i, own.enter);
         const int k = child_key<W>(own, i, own.enter <= own.leave);
         key[i] = k;
-        least = k < least ? k : least;
+        nearest = k < nearest ? k : nearest;
     }
-    return least;
+    return nearest;
 }
 
 /// The triangles of a block whose boxes some rays may meet. An unused lane holds NaN, which bounds nothing: it is recognised by
@@ -111,7 +111,7 @@ template <int P, int W, bool SHARED, class Bounds>
 inline CUDA_CALLABLE int every_ray_keys(const float* box, const Packet<P, W, SHARED>& packet, const Bounds& bounds, int* key)
 {
     const SharedOrigin shared = shared_origin(bounds);
-    int least = NO_CHILD;
+    int nearest = NO_CHILD;
     for (int c = 0; c < W; ++c) {
         const float low[3] = {box[c], box[W + c], box[2 * W + c]};
         const float high[3] = {box[3 * W + c], box[4 * W + c], box[5 * W + c]};
@@ -127,9 +127,9 @@ inline CUDA_CALLABLE int every_ray_keys(const float* box, const Packet<P, W, SHA
         }
         entry = entry == NO_CHILD ? NO_CHILD : (entry & -W) | c;
         key[c] = entry;
-        least = entry < least ? entry : least;
+        nearest = entry < nearest ? entry : nearest;
     }
-    return least;
+    return nearest;
 }
 
 /// Rays of a packet at a leaf that are tested one by one, at most (wrt.kernels.traversal.packet.rays.packet_bounds).
@@ -213,12 +213,12 @@ struct AxisRange {
 
 /// The ends of three numbers.
 struct Ends {
-    float least, most;
+    float lower, upper;
 };
 inline CUDA_CALLABLE Ends ends_of(float p, float q, float r)
 {
-    const float least = p < q ? p : q, most = p > q ? p : q;
-    return {least < r ? least : r, most > r ? most : r};
+    const float lower = p < q ? p : q, upper = p > q ? p : q;
+    return {lower < r ? lower : r, upper > r ? upper : r};
 }
 
 /// Triangles of a block of which no side plane of the slopes has all three vertices outside (Reshetov 2007).
@@ -235,7 +235,7 @@ template <int W, class Bounds> inline CUDA_CALLABLE unsigned vertex_mask(const f
     int kept[W];
     WRT_FOR_LANES (i) {
         const Ends depths = ends_of(block[z * W + i], block[(3 + z) * W + i], block[(6 + z) * W + i]);
-        const bool beside = range.is_beside(back ? depths.most : depths.least, back ? depths.least : depths.most);
+        const bool beside = range.is_beside(back ? depths.upper : depths.lower, back ? depths.lower : depths.upper);
         // whether some vertex is not beyond each side; false for NaN, so that unused lanes are culled
         bool left = false, right = false, below = false, above = false;
         for (int k = 0; k < 3; ++k) {
@@ -306,13 +306,13 @@ template <int W, class Bounds> inline CUDA_CALLABLE unsigned front_mask(const fl
     }
     int faces[W];
     WRT_FOR_LANES (i) {
-        double normal[3], least[3];
+        double normal[3], product[3];
         face_normal<W>(block + i, normal);
         for (int a = 0; a < 3; ++a) {
             const double p = normal[a] * end[a][0], q = normal[a] * end[a][1];
-            least[a] = p < q ? p : q;
+            product[a] = p < q ? p : q;
         }
-        faces[i] = (least[0] + least[1]) + least[2] < 0.0 ? -1 : 0;
+        faces[i] = (product[0] + product[1]) + product[2] < 0.0 ? -1 : 0;
     }
     return bits<W>(faces);
 }

@@ -64,12 +64,12 @@ inline CUDA_CALLABLE void set_sides_between(const Packet<P, W, SHARED>& packet, 
         near_y.widen(oy - rise_y * begin, own);
         far_y.widen(oy + rise_y * (depth - begin), own);
     }
-    bounds.side_low.c[0] = near_x.least(), bounds.side_low.c[1] = near_y.least();
-    bounds.side_high.c[0] = near_x.greatest(), bounds.side_high.c[1] = near_y.greatest();
-    bounds.rise_low.c[0] = (far_x.least() - near_x.least()) / depth;
-    bounds.rise_low.c[1] = (far_y.least() - near_y.least()) / depth;
-    bounds.rise_high.c[0] = (far_x.greatest() - near_x.greatest()) / depth;
-    bounds.rise_high.c[1] = (far_y.greatest() - near_y.greatest()) / depth;
+    bounds.side_low.c[0] = near_x.lower(), bounds.side_low.c[1] = near_y.lower();
+    bounds.side_high.c[0] = near_x.upper(), bounds.side_high.c[1] = near_y.upper();
+    bounds.rise_low.c[0] = (far_x.lower() - near_x.lower()) / depth;
+    bounds.rise_low.c[1] = (far_y.lower() - near_y.lower()) / depth;
+    bounds.rise_high.c[0] = (far_x.upper() - near_x.upper()) / depth;
+    bounds.rise_high.c[1] = (far_y.upper() - near_y.upper()) / depth;
 }
 
 /// The frustum between the rearmost origin and the end of the scene, low to high (Overbeck et al. 2008).
@@ -81,8 +81,8 @@ inline CUDA_CALLABLE void set_two_plane_frustum(
     const int z = bounds.frame;
     const float last = bounds.backward.c[z] ? low.c[z] : high.c[z];
     const float scene_end = (last - bounds.near_plane) * bounds.forward + bounds.margin;
-    const float least_depth = bounds.slack * (0.5f / SLACK);  // half of the reach
-    bounds.depth = scene_end > least_depth ? scene_end : least_depth;
+    const float min_depth = bounds.slack * (0.5f / SLACK);  // half of the reach
+    bounds.depth = scene_end > min_depth ? scene_end : min_depth;
     set_sides_between(packet, bounds, [&](int k) { return packet.t[k] > -WRT_INFINITY; });
 }
 
@@ -159,7 +159,7 @@ template <int W, class Bounds> inline CUDA_CALLABLE int frustum_keys(const float
     const Frustum frustum(bounds);
     const int x = frustum.x, y = frustum.y, z = frustum.z;
     const bool back = frustum.forward < 0.0f;
-    int least = NO_CHILD;
+    int nearest = NO_CHILD;
     WRT_FOR_LANES (i) {
         const float x0 = box[x * W + i], y0 = box[y * W + i], z0 = box[z * W + i];
         const float x1 = box[(3 + x) * W + i], y1 = box[(3 + y) * W + i], z1 = box[(3 + z) * W + i];
@@ -171,9 +171,9 @@ template <int W, class Bounds> inline CUDA_CALLABLE int frustum_keys(const float
         own.leave = last < own.leave ? last : own.leave;
         const int k = child_key<W>(own, i, (own.enter <= own.leave) & !beside);
         key[i] = k;
-        least = k < least ? k : least;
+        nearest = k < nearest ? k : nearest;
     }
-    return least;
+    return nearest;
 }
 
 /// Triangles of a block whose boxes neither the frustum nor the intervals of a packet cull.
@@ -189,8 +189,8 @@ template <int W, class Bounds> inline CUDA_CALLABLE unsigned frustum_mask(const 
         const Ends own_x = ends_of(block[x * W + i], block[(3 + x) * W + i], block[(6 + x) * W + i]);
         const Ends own_y = ends_of(block[y * W + i], block[(3 + y) * W + i], block[(6 + y) * W + i]);
         const Ends own_z = ends_of(block[z * W + i], block[(3 + z) * W + i], block[(6 + z) * W + i]);
-        const bool beside = frustum.is_beside(
-            back ? own_z.most : own_z.least, back ? own_z.least : own_z.most, own_x.least, own_x.most, own_y.least, own_y.most);
+        const bool beside = frustum.is_beside(back ? own_z.upper : own_z.lower, back ? own_z.lower : own_z.upper, own_x.lower,
+            own_x.upper, own_y.lower, own_y.upper);
         kept[i] = beside ? 0 : -1;
     }
     return bits<W>(kept) & met;
@@ -206,7 +206,7 @@ template <int W, class Bounds> inline CUDA_CALLABLE unsigned side_mask(const flo
     int kept[W];
     WRT_FOR_LANES (i) {
         const Ends depths = ends_of(block[z * W + i], block[(3 + z) * W + i], block[(6 + z) * W + i]);
-        const bool beside = frustum.range.is_beside(rear ? depths.most : depths.least, rear ? depths.least : depths.most);
+        const bool beside = frustum.range.is_beside(rear ? depths.upper : depths.lower, rear ? depths.lower : depths.upper);
         bool left = true, right = true, below = true, above = true;
         for (int k = 0; k < 3; ++k) {
             const float vx = block[(3 * k + x) * W + i], vy = block[(3 * k + y) * W + i];
@@ -245,8 +245,8 @@ inline CUDA_CALLABLE bool enters_behind_exit(const float* box, const Packet<P, W
             entry.widen(in, counts);
             leave.widen(out, counts);
         }
-        first[a] = entry.least();
-        last[a] = leave.greatest();
+        first[a] = entry.lower();
+        last[a] = leave.upper();
     }
     for (int a = 0; a < 3; ++a) {
         const int b = a == 2 ? 0 : a + 1;

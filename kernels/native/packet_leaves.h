@@ -144,19 +144,19 @@ template <int W> struct EdgeFunctions {
         };
         const Floats<W> a = area(0), b = area(3), c = area(6);
         const Floats<W> less = a < b ? a : b, more = a < b ? b : a;
-        const Floats<W> least = less < c ? less : c, most = more > c ? more : c;
-        return ~((least < -errors[lane]) & (most > errors[lane]));
+        const Floats<W> min_area = less < c ? less : c, max_area = more > c ? more : c;
+        return ~((min_area < -errors[lane]) & (max_area > errors[lane]));
     }
 };
 
-/// Writes a word for each ray: a bit for each triangle of the block that it may meet. LEAST_LISTED: triangles from which they
+/// Writes a word for each ray: a bit for each triangle of the block that it may meet. MIN_LISTED: triangles from which they
 /// are told apart; fewer are those of every ray.
-template <int LEAST_LISTED, int P, int W, bool SHARED, class Bounds, class Test>
+template <int MIN_LISTED, int P, int W, bool SHARED, class Bounds, class Test>
 inline void list_pairs(
     const Packet<P, W, SHARED>& packet, const Bounds& bounds, const float* block, unsigned mask, Test& test, int* pairs)
 {
     Ints<W> met[P / W];
-    const bool listed = count_bits(mask) >= LEAST_LISTED;
+    const bool listed = count_bits(mask) >= MIN_LISTED;
     WRT_UNROLLED
     for (int f = 0; f < P; f += W) met[f / W] = listed ? 0 : (int)mask;
     const ConvergingLines lines(bounds);
@@ -294,13 +294,13 @@ inline void test_pair(const Packet<P, W, SHARED>& packet, const Bounds& bounds, 
 }
 
 /// Tests the triangles `mask` of a block, each ray against those that it may meet.
-template <bool ANY_HIT, bool FRONTS, int LEAST_LISTED, int P, int W, bool SHARED, class Bounds, class Test>
+template <bool ANY_HIT, bool FRONTS, int MIN_LISTED, int P, int W, bool SHARED, class Bounds, class Test>
 inline void test_pairs(
     const Packet<P, W, SHARED>& packet, const Bounds& bounds, const float* block, const int* ids, unsigned mask, Test test)
 {
     const SharedOrigin shared = shared_origin(bounds);
     alignas(4 * W) int pairs[P];
-    list_pairs<LEAST_LISTED>(packet, bounds, block, mask, test, pairs);
+    list_pairs<MIN_LISTED>(packet, bounds, block, mask, test, pairs);
     BlockRows<W> rows;
     rows.template load_block<SHARED>(bounds, shared, block);
     for (int f = 0; f < P; f += W)

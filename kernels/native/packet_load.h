@@ -8,7 +8,7 @@ namespace {
 /// Rays to be loaded: directions, origins relative to the scene's centre, t_min and t_max. With a shared origin, only the first
 /// element of `from` is used.
 template <int P> struct RayArrays {
-    float to_x[P], to_y[P], to_z[P], from_x[P], from_y[P], from_z[P], least[P], most[P];
+    float to_x[P], to_y[P], to_z[P], from_x[P], from_y[P], from_z[P], t_min[P], t_max[P];
 };
 
 /// What a triangle test's state is computed from: direction, origin, 1 / direction, slopes along the two axes after the main
@@ -53,16 +53,16 @@ inline CUDA_CALLABLE void fill_packet(
     WRT_FOR (P, k) {
         float x = rays.to_x[k], y = rays.to_y[k], z = rays.to_z[k];
         drop_negligible(x, y, z);
-        const float last = rays.most[k] > FARTHEST ? FARTHEST : rays.most[k];
+        const float last = rays.t_max[k] > FARTHEST ? FARTHEST : rays.t_max[k];
         const float ox = SHARED ? ox0 : rays.from_x[k], oy = SHARED ? oy0 : rays.from_y[k], oz = SHARED ? oz0 : rays.from_z[k];
         const bool valid = is_direction(x, y, z) & (ox - ox == 0.0f) & (oy - oy == 0.0f) & (oz - oz == 0.0f)
-            & (rays.least[k] >= 0.0f) & (rays.least[k] <= last);
+            & (rays.t_min[k] >= 0.0f) & (rays.t_min[k] <= last);
         if (!SHARED) {
             packet.origin_x[k] = ox;
             packet.origin_y[k] = oy;
             packet.origin_z[k] = oz;
         }
-        packet.t_min[k] = rays.least[k];
+        packet.t_min[k] = rays.t_min[k];
         packet.t[k] = valid ? last : -WRT_INFINITY;
         if (LATER) {
             packet.inverse_x[k] = x;
@@ -105,8 +105,8 @@ inline CUDA_CALLABLE void load_packet(const Packet<P, W, SHARED>& packet, const 
             rays.from_x[k] = o[0], rays.from_y[k] = o[1], rays.from_z[k] = o[2];
         });
     if (!SHARED && batch.origin_stride) numbers.fetch_next(batch.origins.data);
-    numbers.fetch(batch.t_min_stride, [&](int k, int n) { rays.least[k] = batch.t_min.data[n]; });
-    numbers.fetch(batch.t_max_stride, [&](int k, int n) { rays.most[k] = batch.t_max.data[n]; });
+    numbers.fetch(batch.t_min_stride, [&](int k, int n) { rays.t_min[k] = batch.t_min.data[n]; });
+    numbers.fetch(batch.t_max_stride, [&](int k, int n) { rays.t_max[k] = batch.t_max.data[n]; });
     WRT_FOR (SHARED ? 1 : P, k) {
         rays.from_x[k] = (float)((double)rays.from_x[k] - center_x);
         rays.from_y[k] = (float)((double)rays.from_y[k] - center_y);
@@ -167,34 +167,34 @@ inline CUDA_CALLABLE void widen_by_run(const Batch& batch, int begin, int here, 
     }
     if (batch.t_min_stride) {
         WRT_FOR (here, k) {
-            rays.least[k] = batch.t_min.data[begin + k];
+            rays.t_min[k] = batch.t_min.data[begin + k];
         }
     }
     if (batch.t_max_stride) {
         WRT_FOR (here, k) {
-            rays.most[k] = batch.t_max.data[begin + k];
+            rays.t_max[k] = batch.t_max.data[begin + k];
         }
     }
     RunIntervals own = all;
     WRT_FOR (here, k) {
         float x = rays.to_x[k], y = rays.to_y[k], z = rays.to_z[k];
         drop_negligible(x, y, z);
-        rays.most[k] = rays.most[k] > FARTHEST ? FARTHEST : rays.most[k];
+        rays.t_max[k] = rays.t_max[k] > FARTHEST ? FARTHEST : rays.t_max[k];
         const float px = rays.from_x[k], py = rays.from_y[k], pz = rays.from_z[k];
-        const bool valid = is_ray(x, y, z, px, py, pz, rays.least[k], rays.most[k]);
+        const bool valid = is_ray(x, y, z, px, py, pz, rays.t_min[k], rays.t_max[k]);
         own.active += valid ? 1 : 0;
         own.to_x.widen(x, valid), own.to_y.widen(y, valid), own.to_z.widen(z, valid);
         own.from_x.widen(px, valid), own.from_y.widen(py, valid), own.from_z.widen(pz, valid);
-        own.start.widen(rays.least[k], valid), own.end.widen(rays.most[k], valid);
+        own.start.widen(rays.t_min[k], valid), own.end.widen(rays.t_max[k], valid);
     }
     all = own;
 }
 
-/// Bounds the slopes of rays and the points in which they cross a plane near their origins, if all have one main axis. least,
-/// most: ends of the directions; wide, narrow: of their sizes.
+/// Bounds the slopes of rays and the points in which they cross a plane near their origins, if all have one main axis. lower,
+/// upper: ends of the directions; wide, narrow: of their sizes.
 template <class Bounds>
-inline CUDA_CALLABLE void bound_run_slopes(Bounds& bounds, const float* lows, const float* highs, const float* least,
-    const float* most, const float* wide, const float* narrow)
+inline CUDA_CALLABLE void bound_run_slopes(Bounds& bounds, const float* lows, const float* highs, const float* lower,
+    const float* upper, const float* wide, const float* narrow)
 {
     bounds.main_axes = 7;
     for (int z = 0; z < 3; ++z) {
@@ -205,7 +205,7 @@ inline CUDA_CALLABLE void bound_run_slopes(Bounds& bounds, const float* lows, co
         const float near = lows[z] - bounds.plane, far = highs[z] - bounds.plane;
         for (int side = 0; side < 2; ++side) {
             const int a = side ? y : x;
-            const float slopes[4] = {least[a] / least[z], least[a] / most[z], most[a] / least[z], most[a] / most[z]};
+            const float slopes[4] = {lower[a] / lower[z], lower[a] / upper[z], upper[a] / lower[z], upper[a] / upper[z]};
             float s0 = slopes[0], s1 = slopes[0];
             for (int e = 1; e < 4; ++e) s0 = slopes[e] < s0 ? slopes[e] : s0, s1 = slopes[e] > s1 ? slopes[e] : s1;
             const float shifts[4] = {s0 * near, s0 * far, s1 * near, s1 * far};
@@ -237,12 +237,12 @@ inline CUDA_CALLABLE void bound_rays(
     }
     if (!batch.t_min_stride) {
         WRT_FOR (RUN, k) {
-            rays.least[k] = batch.t_min.data[0];
+            rays.t_min[k] = batch.t_min.data[0];
         }
     }
     if (!batch.t_max_stride) {
         WRT_FOR (RUN, k) {
-            rays.most[k] = batch.t_max.data[0];
+            rays.t_max[k] = batch.t_max.data[0];
         }
     }
     const int last = first + count < batch.count ? first + count : batch.count;
@@ -250,30 +250,31 @@ inline CUDA_CALLABLE void bound_rays(
         widen_by_run<RUN>(batch, begin, last - begin < RUN ? last - begin : RUN, rays, all);
     bounds.active = all.active;
     if (!all.active) return;
-    const float lows[3] = {all.from_x.least(), all.from_y.least(), all.from_z.least()};
-    const float highs[3] = {all.from_x.greatest(), all.from_y.greatest(), all.from_z.greatest()};
-    const float least[3] = {all.to_x.least(), all.to_y.least(), all.to_z.least()};
-    const float most[3] = {all.to_x.greatest(), all.to_y.greatest(), all.to_z.greatest()};
+    const float lows[3] = {all.from_x.lower(), all.from_y.lower(), all.from_z.lower()};
+    const float highs[3] = {all.from_x.upper(), all.from_y.upper(), all.from_z.upper()};
+    const float lower[3] = {all.to_x.lower(), all.to_y.lower(), all.to_z.lower()};
+    const float upper[3] = {all.to_x.upper(), all.to_y.upper(), all.to_z.upper()};
     float far = 0.0f, wide[3], narrow[3];
     for (int a = 0; a < 3; ++a) {
         const float ends[4] = {low.c[a] - lows[a], low.c[a] - highs[a], high.c[a] - lows[a], high.c[a] - highs[a]};
         for (int e = 0; e < 4; ++e) far = WRT_ABS(ends[e]) > far ? WRT_ABS(ends[e]) : far;
-        const float p = WRT_ABS(least[a]), q = WRT_ABS(most[a]);
+        const float p = WRT_ABS(lower[a]), q = WRT_ABS(upper[a]);
         wide[a] = p > q ? p : q;
-        narrow[a] = (least[a] < 0.0f) != (most[a] < 0.0f) ? 0.0f : p < q ? p : q;
+        narrow[a] = (lower[a] < 0.0f) != (upper[a] < 0.0f) ? 0.0f : p < q ? p : q;
     }
     bounds.slack = SLACK * far;
-    bounds.t_min = all.start.least();
-    bounds.t_max = all.end.greatest();
+    bounds.t_min = all.start.lower();
+    bounds.t_max = all.end.upper();
     bounds.passes = 7;
     bounds.mixed_axes = 0;
     for (int a = 0; a < 3; ++a) {
         // the sign bit, not < 0: 1 / -0 is -inf
-        const bool backward = __builtin_bit_cast(int, most[a]) < 0, mixed = (__builtin_bit_cast(int, least[a]) < 0) & !backward;
-        set_inverses(bounds, a, least[a], most[a], backward, mixed);
+        const bool backward = __builtin_bit_cast(int, upper[a]) < 0,
+                   mixed = (__builtin_bit_cast(int, lower[a]) < 0) & !backward;
+        set_inverses(bounds, a, lower[a], upper[a], backward, mixed);
         set_sides(bounds, a, backward, mixed, lows, highs, bounds.slack);
     }
-    bound_run_slopes(bounds, lows, highs, least, most, wide, narrow);
+    bound_run_slopes(bounds, lows, highs, lower, upper, wide, narrow);
 }
 
 }  // namespace

@@ -12,7 +12,7 @@ constexpr int DONE = -1, SINGLE_RAY = -2, MAX_PARTS = 7;
 
 /// How many times as far apart as usual the origins of a packet must be that is split before its traversal; the share of the
 /// scene's size that they must span; the weight of a packet in what is usual.
-constexpr float WIDE = 3.0f, LEAST_WIDE = 0x1p-7f, ADAPTION = 0.25f;
+constexpr float WIDE = 3.0f, MIN_WIDE = 0x1p-7f, ADAPTION = 0.25f;
 
 /// Whether the origins of a packet are far apart. usual: what is usual so far, to which whole packets, `first`, add.
 template <class Bounds, class Vec3>
@@ -23,7 +23,7 @@ inline CUDA_CALLABLE bool is_wide(float& usual, const Bounds& bounds, const Vec3
         extent += bounds.origin_high.c[a] - bounds.origin_low.c[a];
         scene += high.c[a] - low.c[a];
     }
-    const bool wide = usual > 0.0f && extent > WIDE * usual && extent > LEAST_WIDE * scene;
+    const bool wide = usual > 0.0f && extent > WIDE * usual && extent > MIN_WIDE * scene;
     if (first && !wide) usual = usual > 0.0f ? usual + ADAPTION * (extent - usual) : extent;
     return wide;
 }
@@ -176,13 +176,13 @@ inline CUDA_CALLABLE void scatter_rays(
 template <int P, int W, bool SHARED, class Bounds>
 inline CUDA_CALLABLE void shorten_moved(const Packet<P, W, SHARED>& packet, Bounds& bounds)
 {
-    int most = (int)0x80000000;
+    int max_bits = (int)0x80000000;
     WRT_FOR (P, k) {
         const float rest = (packet.t[k] - packet.kept[k]) * LONGER + 0.0f;
         const int bits = packet.t[k] >= -0.0f ? __builtin_bit_cast(int, rest) : (int)0x80000000;
-        most = bits > most ? bits : most;
+        max_bits = bits > max_bits ? bits : max_bits;
     }
-    bounds.t_max = most < 0 ? -WRT_INFINITY : __builtin_bit_cast(float, most);
+    bounds.t_max = max_bits < 0 ? -WRT_INFINITY : __builtin_bit_cast(float, max_bits);
 }
 
 /// Bounds of a packet that `gather_rays` filled. MOVED: its origins are moved to the box in a lane of a node; outer: the bounds
@@ -207,7 +207,7 @@ inline CUDA_CALLABLE void bound_entries(
             lost |= (counts & (WRT_ABS(inverse[k]) < SMALLEST_INVERSE)) ? 1 : 0;
             entry.widen(origin[k] + packet.kept[k] * (1.0f / inverse[k]), counts);
         }
-        const float from = lost ? box[a * W] : entry.least(), to = lost ? box[(3 + a) * W] : entry.greatest();
+        const float from = lost ? box[a * W] : entry.lower(), to = lost ? box[(3 + a) * W] : entry.upper();
         const bool back = bounds.backward.c[a] != 0;
         bounds.origin_low.c[a] = from - wide;
         bounds.origin_high.c[a] = to + wide;

@@ -16,10 +16,10 @@ namespace {
 template <class V> inline V greater_of(V a, V b) { return a > b ? a : b; }
 
 /// Widens an interval per lane, at first [inf, -inf]; NaN widens nothing.
-template <class V> inline void widen(V value, V& least, V& greatest)
+template <class V> inline void widen(V value, V& lower, V& upper)
 {
-    least = value < least ? value : least;
-    greatest = value > greatest ? value : greatest;
+    lower = value < lower ? value : lower;
+    upper = value > upper ? value : upper;
 }
 
 /// Lanes BY, BY + 1, .. of two vectors side by side, of which only the first LANES lanes count.
@@ -44,10 +44,10 @@ template <int W> inline Vector<float, W> fold_triples(const Vector<float, W>* v)
 }
 
 /// Folds three registers of each end to one interval per component.
-template <int W> inline void fold_ends(const Vector<float, W>* least, const Vector<float, W>* greatest, float* low, float* high)
+template <int W> inline void fold_ends(const Vector<float, W>* lower, const Vector<float, W>* upper, float* low, float* high)
 {
-    const Vector<float, W> negated[3] = {-least[0], -least[1], -least[2]};
-    const auto lows = fold_triples<W>(negated), highs = fold_triples<W>(greatest);
+    const Vector<float, W> negated[3] = {-lower[0], -lower[1], -lower[2]};
+    const auto lows = fold_triples<W>(negated), highs = fold_triples<W>(upper);
     WRT_UNROLLED
     for (int i = 0; i < 3; ++i) low[i] = -lows[i], high[i] = highs[i];
 }
@@ -74,9 +74,9 @@ inline void find_extremes(const Batch& rays, const PacketRow<P, W>& row, RayExtr
         for (int i = 0; i < 3 * W; ++i) direction_of_all[i] = directions[i % 3];
     const float last = rays.t_max.data[0] > FARTHEST ? FARTHEST : rays.t_max.data[0];
     vf start = (vf)WRT_INFINITY, end = (vf)(-WRT_INFINITY), odd = (vf)0.0f;
-    vf least[3][3], most[3][3];  // of origins, directions and ends
+    vf lower[3][3], upper[3][3];  // of origins, directions and ends
     WRT_UNROLLED
-    for (int j = 0; j < 9; ++j) least[j / 3][j % 3] = start, most[j / 3][j % 3] = end;
+    for (int j = 0; j < 9; ++j) lower[j / 3][j % 3] = start, upper[j / 3][j % 3] = end;
     for (int y = 0; y < row.rows; ++y)
         for (int x = 0; x < row.length; x += W) {
             const size_t at = row.begin + (size_t)y * row.apart + x;
@@ -85,13 +85,13 @@ inline void find_extremes(const Batch& rays, const PacketRow<P, W>& row, RayExtr
             WRT_UNROLLED
             for (int a = 0; a < 3; ++a) {
                 const vf direction = load<vf>(d + a * W);
-                widen(direction, least[1][a], most[1][a]);
+                widen(direction, lower[1][a], upper[1][a]);
                 if (ODD) odd += direction * 0.0f;
                 if (SHARED) continue;
                 const vf origin = load<vf>(o + a * W);
-                widen(origin, least[0][a], most[0][a]);
+                widen(origin, lower[0][a], upper[0][a]);
                 if (ODD) odd += origin * 0.0f;
-                if (ENDS) widen(origin + direction * last, least[2][a], most[2][a]);
+                if (ENDS) widen(origin + direction * last, lower[2][a], upper[2][a]);
             }
             if (rays.t_min_stride) {
                 const vf t = load<vf>(rays.t_min.data + at);
@@ -104,9 +104,9 @@ inline void find_extremes(const Batch& rays, const PacketRow<P, W>& row, RayExtr
         }
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) found.low[0][a] = found.high[0][a] = origins[a];
-    if (!SHARED) fold_ends<W>(least[0], most[0], found.low[0], found.high[0]);
-    fold_ends<W>(least[1], most[1], found.low[1], found.high[1]);
-    if (ENDS) fold_ends<W>(least[2], most[2], found.low[2], found.high[2]);
+    if (!SHARED) fold_ends<W>(lower[0], upper[0], found.low[0], found.high[0]);
+    fold_ends<W>(lower[1], upper[1], found.low[1], found.high[1]);
+    if (ENDS) fold_ends<W>(lower[2], upper[2], found.low[2], found.high[2]);
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {
         found.lows[a] = (float)((double)found.low[0][a] - center[a]);
@@ -147,7 +147,7 @@ inline CUDA_CALLABLE int join_packets(
     join_range(rays, found, bounds);
     bounds.active = row.packets * P;
     float size = 0.0f, from_zero = 0.0f;
-    const auto grow = [](float value, float& most) { most = WRT_ABS(value) > most ? WRT_ABS(value) : most; };
+    const auto grow = [](float value, float& largest) { largest = WRT_ABS(value) > largest ? WRT_ABS(value) : largest; };
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {
         grow(found.low[1][a], size), grow(found.high[1][a], size);
@@ -159,9 +159,9 @@ inline CUDA_CALLABLE int join_packets(
     const bool one_range = !rays.t_max_stride;  // what `last` is for
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {
-        float &least_direction = found.low[1][a], &most_direction = found.high[1][a];
-        if ((least_direction > 0.0f) & (least_direction < negligible)) least_direction = 0.0f;
-        if ((most_direction < 0.0f) & (-most_direction < negligible)) most_direction = 0.0f;
+        float &lower_direction = found.low[1][a], &upper_direction = found.high[1][a];
+        if ((lower_direction > 0.0f) & (lower_direction < negligible)) lower_direction = 0.0f;
+        if ((upper_direction < 0.0f) & (-upper_direction < negligible)) upper_direction = 0.0f;
         if (!ENDS) continue;
         const double center = rays.center.c[a];
         bounds.end_low.c[a] = one_range ? (float)((double)found.low[2][a] - center) - error : -WRT_INFINITY;
@@ -176,7 +176,7 @@ inline CUDA_CALLABLE int join_packets(
 }
 
 // Constants of wrt.kernels.traversal.packet.leaves.covering_triangle.
-constexpr float INSIDE = 0x1p-14f, LEAST_AREA = 0x1p-9f, CLOSEST = 0x1p-8f, SMALLEST = 1e-10f, LARGEST = 1e12f;
+constexpr float INSIDE = 0x1p-14f, MIN_AREA = 0x1p-9f, CLOSEST = 0x1p-8f, SMALLEST = 1e-10f, LARGEST = 1e12f;
 
 #if WRT_VECTORS
 /// The rays of several packets: origins within `around` of `middle`, directions within `spread` of `along`, scaled; a range.
@@ -191,9 +191,9 @@ template <int W, class Batch> inline RayShaft shaft_of(const Batch& rays, const 
     float longest = 0.0f;
     WRT_UNROLLED
     for (int a = 0; a < 3; ++a) {
-        const float least_size = WRT_ABS(found.low[1][a]), most_size = WRT_ABS(found.high[1][a]);
-        longest = least_size > longest ? least_size : longest;
-        longest = most_size > longest ? most_size : longest;
+        const float lower_size = WRT_ABS(found.low[1][a]), upper_size = WRT_ABS(found.high[1][a]);
+        longest = lower_size > longest ? lower_size : longest;
+        longest = upper_size > longest ? upper_size : longest;
         shaft.middle[a] = 0.5f * found.lows[a] + 0.5f * found.highs[a];
         const float above = found.highs[a] - shaft.middle[a], below = shaft.middle[a] - found.lows[a];
         shaft.around[a] = above > below ? above : below;
@@ -264,7 +264,7 @@ template <int W> inline Vector<int, W> covering(const RayShaft& shaft, const flo
     const vf slowest = side * facing - MORE * facing_radius, fastest = side * facing + MORE * facing_radius;
     const vf nearest = side * distance - MORE * distance_radius, farthest = side * distance + MORE * distance_radius;
     const vf margin = CLOSEST * reach * fastest;
-    Vector<int, W> covered = (slowest > LEAST_AREA * unit) & (reach > SMALLEST) & (reach < LARGEST)
+    Vector<int, W> covered = (slowest > MIN_AREA * unit) & (reach > SMALLEST) & (reach < LARGEST)
         & (nearest > shaft.first_t * fastest + margin) & (farthest < shaft.last_t * slowest - margin);
     if (!bits_of(covered)) return covered;
     WRT_UNROLLED

@@ -81,8 +81,8 @@ template <class Body> inline CUDA_CALLABLE double begin_of(const Body& body, int
 {
     const auto& face = body.faces.data[body.primitive.data[slot]];
     const double p = dot(place_of(body.vertices.data[face.c[0]]), axis), q = dot(place_of(body.vertices.data[face.c[1]]), axis);
-    const double r = dot(place_of(body.vertices.data[face.c[2]]), axis), least = p < q ? p : q;
-    return least < r ? least : r;
+    const double r = dot(place_of(body.vertices.data[face.c[2]]), axis), lower = p < q ? p : q;
+    return lower < r ? lower : r;
 }
 
 /// The triangle at a place of the blocks, in the scene.
@@ -115,7 +115,7 @@ inline CUDA_CALLABLE double lower_to(double* shared, double value)
 struct NearestPair {
     double* shared;  // squared distance of the nearest pair of all threads, or what is looked up to
     double slack, near_slack;  // errors of distances of the trees' boxes, and of those of triangles
-    double most = 0.0, limit = 0.0, near_limit = 0.0, wide = 0.0, near = 0.0;
+    double max_square = 0.0, limit = 0.0, near_limit = 0.0, wide = 0.0, near = 0.0;
     Place axis = {0.0, 0.0, 0.0};  // of length 1, or 0: what is farther apart along it than `wide` or `near` is left out
     Nearest found = {__builtin_bit_cast(double, 0x7ff0000000000000ull), {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
     int first = -1, second = -1;
@@ -124,7 +124,7 @@ struct NearestPair {
     {
         const double distance = square_root(square) * (1.0 + 1e-14);
         wide = distance + slack, near = distance + near_slack;
-        most = square, limit = wide * wide, near_limit = near * near;
+        max_square = square, limit = wide * wide, near_limit = near * near;
     }
 
     inline CUDA_CALLABLE void look_along(const Place& from, const Place& to)
@@ -136,8 +136,8 @@ struct NearestPair {
 
     inline CUDA_CALLABLE void refresh()
     {
-        const double now = lower_to(shared, most);
-        if (now < most) look_up_to(now);
+        const double now = lower_to(shared, max_square);
+        if (now < max_square) look_up_to(now);
     }
 
     /// Whether a pair of these numbers comes before the one that is kept.
@@ -151,11 +151,11 @@ struct NearestPair {
         if (!(box_square(a, b) <= near_limit)) return;
         if (found.square == 0.0 && !before(one, other)) return;
         const Nearest now = nearest_of(a, b);
-        if (!(now.square <= most) || (now.square == found.square && !before(one, other))) return;
+        if (!(now.square <= max_square) || (now.square == found.square && !before(one, other))) return;
         if (now.square > 0.0 && now.square < found.square) look_along(now.p, now.q);
         found = now, first = one, second = other;
-        most = lower_to(shared, now.square);
-        look_up_to(most);
+        max_square = lower_to(shared, now.square);
+        look_up_to(max_square);
     }
 };
 
@@ -194,8 +194,8 @@ inline CUDA_CALLABLE void visit_leaves(const Body& a, const Body& b, int word_a,
     for (int i = 0; i < count_a; ++i) {
         if (own.word != word_a) own.triangles[i] = corners_at(a, slot_a + i);
         const Corners& t = own.triangles[i];
-        const double p = dot(t.v[0], axis), q = dot(t.v[1], axis), r = dot(t.v[2], axis), most = p > q ? p : q;
-        own.ends[i] = most > r ? most : r;
+        const double p = dot(t.v[0], axis), q = dot(t.v[1], axis), r = dot(t.v[2], axis), upper = p > q ? p : q;
+        own.ends[i] = upper > r ? upper : r;
         end = own.ends[i] > end ? own.ends[i] : end;
     }
     own.word = word_a;
@@ -267,7 +267,7 @@ inline CUDA_CALLABLE void walk(const Body& a, const Body& b, int lane_a, int lan
 template <int W, class Body, class Work, class Found>
 inline CUDA_CALLABLE void nearest_below(const Body& a, const Body& b, const Work& work, const Found& found, int i)
 {
-    NearestPair kept = {work.most.data, work.slack, work.near_slack};
+    NearestPair kept = {work.max_square.data, work.slack, work.near_slack};
     kept.look_up_to(work.limit);
     walk<W>(a, b, work.boxes.data[i].c[0], work.boxes.data[i].c[1], work.square.data[i], kept);
     found.square.data[i] = kept.found.square;

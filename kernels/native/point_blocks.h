@@ -16,7 +16,7 @@ namespace {
 constexpr float POINT_SLACK = 1.9073486328125e-6f;
 
 /// Squares of distances below this are no normal numbers.
-constexpr float LEAST_DISTANCE = 1e-18f;
+constexpr float MIN_DISTANCE = 1e-18f;
 
 /// A point; slack: POINT_SLACK of the distance of the farthest point of the tree's box, a NaN for a point that finds nothing.
 struct SearchPoint {
@@ -31,7 +31,7 @@ template <class Vec3> inline CUDA_CALLABLE SearchPoint point_in(const Vec3& low,
         const float below = WRT_ABS(low.c[a] - at[a]), above = WRT_ABS(high.c[a] - at[a]);
         reach += below > above ? below : above;
     }
-    return {x, y, z, reach - reach == 0.0f ? reach * POINT_SLACK + LEAST_DISTANCE : WRT_NAN};
+    return {x, y, z, reach - reach == 0.0f ? reach * POINT_SLACK + MIN_DISTANCE : WRT_NAN};
 }
 
 /// The vertex of a record, less the point.
@@ -57,7 +57,7 @@ inline CUDA_CALLABLE Triangle triangle_in_slot(const float* records, int slot, c
 }
 
 /// The first of the lanes in a mask that has the least of W numbers, none of which is negative or a NaN there.
-template <int W> inline CUDA_CALLABLE int least_lane(const float* numbers, unsigned mask)
+template <int W> inline CUDA_CALLABLE int min_lane(const float* numbers, unsigned mask)
 {
     if (!(mask & (mask - 1u))) return lowest_bit(mask);
 #if WRT_VECTORS
@@ -65,9 +65,9 @@ template <int W> inline CUDA_CALLABLE int least_lane(const float* numbers, unsig
     const Ints<W> numbered = (lane_bits<W>() & (int)mask) != 0 ? own : Ints<W>(0x7fffffff);
     return lowest_bit(bits_of(numbered == __builtin_reduce_min(numbered)));
 #else
-    int least = lowest_bit(mask);
-    for (int i = least + 1; i < W; ++i) least = (mask >> i & 1u) && numbers[i] < numbers[least] ? i : least;
-    return least;
+    int smallest = lowest_bit(mask);
+    for (int i = smallest + 1; i < W; ++i) smallest = (mask >> i & 1u) && numbers[i] < numbers[smallest] ? i : smallest;
+    return smallest;
 #endif
 }
 
@@ -101,7 +101,7 @@ inline CUDA_CALLABLE void search_lanes(
         left |= square[i] <= bound ? 1u << i : 0u;
     }
     while (left) {
-        const int i = Kept::NARROWS ? least_lane<W>(square, left) : lowest_bit(left), own = slot(i);
+        const int i = Kept::NARROWS ? min_lane<W>(square, left) : lowest_bit(left), own = slot(i);
         kept.keep(square[i], ids[own], own, point);
         left &= ~(1u << i);
         if (Kept::NARROWS) left = left ? left & lanes_up_to<W>(square, kept.bound) : 0u;
@@ -119,7 +119,7 @@ inline CUDA_CALLABLE void search_block(const float* records, const int* ids, int
 
 #if WRT_VECTORS
 /// Squares of dot products above this are normal numbers.
-constexpr float LEAST_DOT = 1e-15f;
+constexpr float MIN_DOT = 1e-15f;
 
 /// The vertices of the W triangles of a record, less the point; returns a bit for each triangle that may be within the limit:
 /// its box is, and the nearest of its vertices along the line from the point to the first of them.
@@ -134,16 +134,16 @@ template <int W> inline unsigned near_triangles(const float* record, const Searc
             from[3 * vertex + a] = load<Floats<W>>(record + (3 * vertex + a) * W) - at[a];
         const Floats<W> low = smaller(smaller(from[a], from[3 + a]), from[6 + a]);
         const Floats<W> high = larger(larger(from[a], from[3 + a]), from[6 + a]);
-        const Floats<W> most = larger(larger(low, -high), Floats<W>(0.0f));
-        square[a] = most * most;
+        const Floats<W> outside = larger(larger(low, -high), Floats<W>(0.0f));
+        square[a] = outside * outside;
     }
     const unsigned near = bits_of((square[0] + square[1]) + square[2] <= limit);
     if (!near) return 0u;
     const auto a_dot = [&](int vertex) {
         return (from[0] * from[3 * vertex] + from[1] * from[3 * vertex + 1]) + from[2] * from[3 * vertex + 2];
     };
-    const Floats<W> aa = a_dot(0), least = smaller(smaller(aa, a_dot(1)), a_dot(2));
-    return near & ~bits_of((least > LEAST_DOT) & (least * least > aa * limit));
+    const Floats<W> aa = a_dot(0), smallest = smaller(smaller(aa, a_dot(1)), a_dot(2));
+    return near & ~bits_of((smallest > MIN_DOT) & (smallest * smallest > aa * limit));
 }
 #endif
 

@@ -24,7 +24,7 @@ template <class Points, class Found> inline CUDA_CALLABLE void fetch_ahead(const
     const int i = point_at(points, place);
     WRT_FETCH(points.position.data + i);
     if (points.exact.shape[0]) WRT_FETCH(points.exact.data + i);
-    if (points.most_stride) WRT_FETCH(points.most.data + i);
+    if (points.distance_stride) WRT_FETCH(points.max_distance.data + i);
     WRT_FETCH_TO_WRITE(found.distance.data + i);
     WRT_FETCH_TO_WRITE(found.primitive.data + i);
     WRT_FETCH_TO_WRITE(found.uv.data + i);
@@ -35,7 +35,7 @@ template <class Points, class Found> inline CUDA_CALLABLE void fetch_ahead(const
 template <class Space, class Points, class Kept>
 inline CUDA_CALLABLE void search_point(Space& space, const Points& points, int i, Kept& kept, const int* tried, int count)
 {
-    if (!(space.load(points, i) & (kept.most >= 0.0f))) return;
+    if (!(space.load(points, i) & (kept.max_distance >= 0.0f))) return;
     space.start(kept);
     for (int j = 0; j < count; ++j) space.try_near(tried[2 * j], tried[2 * j + 1], kept);
     space.search(kept);
@@ -108,7 +108,8 @@ template <int W> struct GroupAnswers {
 template <class Kept, int GROUP, class Space, class Points, class Found, class Work>
 inline CUDA_CALLABLE void nearest_of_group(Space space, const Points& points, const Found& found, const Work& work, int first)
 {
-    constexpr int LANES = GROUP > 1 ? Space::LANES : 0, MOST = LANES > 2 ? LANES : 16, W = GROUP < MOST ? GROUP : MOST;
+    constexpr int LANES = GROUP > 1 ? Space::LANES : 0, MAX_WIDTH = LANES > 2 ? LANES : 16,
+                  W = GROUP < MAX_WIDTH ? GROUP : MAX_WIDTH;
     int number = -1, last[3] = {-1, -1, -1};  // slots
     typename Space::Start start;
     for (int begin = first; begin < first + GROUP && begin < points.count; begin += W) {
@@ -133,7 +134,7 @@ inline CUDA_CALLABLE void nearest_of_group(Space space, const Points& points, co
             }
             const int i = point_at(points, begin + j), tried[2] = {number, last[1]};
             fetch_ahead(points, found, begin + j + W);
-            Kept kept(points.most.data[(size_t)i * points.most_stride]);
+            Kept kept(points.max_distance.data[(size_t)i * points.distance_stride]);
             search_point(space, points, i, kept, tried, last[1] >= 0);
             if (kept.slot >= 0) number = kept.number, last[0] = last[1] = last[2] = kept.slot;
             answers.put(j, space, kept);
@@ -151,7 +152,7 @@ inline CUDA_CALLABLE void nearest_lists_of_group(Space space, const Points& poin
     int last[2 * TRIED], count = 0;
     for (int place = first; place < first + GROUP && place < points.count; ++place) {
         const int i = point_at(points, place);
-        NearestList<Found> kept(points.most.data[(size_t)i * points.most_stride], found, (size_t)i * room, room);
+        NearestList<Found> kept(points.max_distance.data[(size_t)i * points.distance_stride], found, (size_t)i * room, room);
         search_point(space, points, i, kept, last, count);
         if (kept.size > 0)
             for (count = 0; count < kept.size && count < TRIED; ++count)
@@ -171,7 +172,7 @@ inline CUDA_CALLABLE void count_within_group(Space space, const Points& points, 
 {
     for (int place = first; place < first + GROUP && place < points.count; ++place) {
         const int i = point_at(points, place);
-        TriangleCount kept(points.most.data[(size_t)i * points.most_stride]);
+        TriangleCount kept(points.max_distance.data[(size_t)i * points.distance_stride]);
         search_point(space, points, i, kept, nullptr, 0);
         lists.count.data[i] = kept.size;
     }
@@ -183,8 +184,8 @@ inline CUDA_CALLABLE void list_within_group(Space space, const Points& points, c
 {
     for (int place = first; place < first + GROUP && place < points.count; ++place) {
         const int i = point_at(points, place);
-        const float most = points.most.data[(size_t)i * points.most_stride];
-        TriangleList<decltype(lists.found)> kept(most, lists.found, (size_t)lists.begin.data[i]);
+        const float max_distance = points.max_distance.data[(size_t)i * points.distance_stride];
+        TriangleList<decltype(lists.found)> kept(max_distance, lists.found, (size_t)lists.begin.data[i]);
         search_point(space, points, i, kept, nullptr, 0);
         kept.rows.sort(kept.size);
         const int size = kept.rows.drop_repeated(kept.size);

@@ -83,24 +83,24 @@ template <class Found> struct NearestList : Search {
     TriangleRows<Found> rows;
     int room, size = 0;
 
-    CUDA_CALLABLE NearestList(float most, const Found& found, size_t begin, int room)
+    CUDA_CALLABLE NearestList(float max_distance, const Found& found, size_t begin, int room)
         : rows {found, begin}
         , room(room)
     {
-        this->most = most;
+        this->max_distance = max_distance;
     }
 
     inline CUDA_CALLABLE float farthest() const
     {
         const float last = size == room ? rows.distance(room - 1) : WRT_INFINITY;
-        return last < most ? last : most;
+        return last < max_distance ? last : max_distance;
     }
 
     inline CUDA_CALLABLE void keep(float square, int primitive, int slot, const SearchPoint& point)
     {
         const float away = square_root(square) * scale;
         const int own = first + primitive;
-        if (!(away <= most)) return;
+        if (!(away <= max_distance)) return;
         int place = size;
         while (place > 0 && !rows.before(place - 1, away, own)) --place;
         if (place == room || (place < size && rows.number(place) == own)) return;
@@ -116,19 +116,22 @@ struct TriangleCount : Search {
     static constexpr bool NARROWS = false;
     int size = 0;
 
-    explicit CUDA_CALLABLE TriangleCount(float most) { this->most = most; }
+    explicit CUDA_CALLABLE TriangleCount(float max_distance) { this->max_distance = max_distance; }
 
-    inline CUDA_CALLABLE float farthest() const { return most; }
+    inline CUDA_CALLABLE float farthest() const { return max_distance; }
 
-    inline CUDA_CALLABLE void keep(float square, int, int, const SearchPoint&) { size += square_root(square) * scale <= most; }
+    inline CUDA_CALLABLE void keep(float square, int, int, const SearchPoint&)
+    {
+        size += square_root(square) * scale <= max_distance;
+    }
 };
 
 /// The same triangles, in no order.
 template <class Found> struct TriangleList : TriangleCount {
     TriangleRows<Found> rows;
 
-    CUDA_CALLABLE TriangleList(float most, const Found& found, size_t begin)
-        : TriangleCount(most)
+    CUDA_CALLABLE TriangleList(float max_distance, const Found& found, size_t begin)
+        : TriangleCount(max_distance)
         , rows {found, begin}
     {
     }
@@ -136,7 +139,7 @@ template <class Found> struct TriangleList : TriangleCount {
     inline CUDA_CALLABLE void keep(float square, int primitive, int slot, const SearchPoint&)
     {
         const float away = square_root(square) * scale;
-        if (away <= most) rows.put(size++, away, first + primitive, slot);
+        if (away <= max_distance) rows.put(size++, away, first + primitive, slot);
     }
 };
 

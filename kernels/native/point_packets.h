@@ -12,7 +12,7 @@ namespace {
 /// W points, and the nearest triangle to each. `limit`: the greatest of all; walks read it.
 template <int W, int ROWS, class Triangles> struct NearestOfPacket {
     const Triangles& triangles;
-    float at[3][W], slack[W], most[W], distance[W], bounds[W], limits[W];
+    float at[3][W], slack[W], max_distance[W], distance[W], bounds[W], limits[W];
     int number[W], slot[W];
     BoxOfPoints box;
     float limit;
@@ -30,16 +30,16 @@ template <int W, int ROWS, class Triangles> struct NearestOfPacket {
         unsigned used = 0;
         for (int i = 0; i < W; ++i) {
             distance[i] = WRT_INFINITY, number[i] = slot[i] = -1;
-            bounds[i] = limits[i] = most[i] = -1.0f, slack[i] = 0.0f;
+            bounds[i] = limits[i] = max_distance[i] = -1.0f, slack[i] = 0.0f;
             if (i >= count) continue;
             const int own = point_at(points, begin + i);
-            const float farthest = points.most.data[(size_t)own * points.most_stride];
+            const float farthest = points.max_distance.data[(size_t)own * points.distance_stride];
             if (!(space.load(points, own) & (farthest >= 0.0f))) continue;
             used |= 1u << i;
             at[0][i] = space.point.x, at[1][i] = space.point.y, at[2][i] = space.point.z;
             Search search;
             search.look_up_to(farthest, space.point.slack);
-            slack[i] = space.point.slack, most[i] = farthest, bounds[i] = search.bound, limits[i] = search.limit;
+            slack[i] = space.point.slack, max_distance[i] = farthest, bounds[i] = search.bound, limits[i] = search.limit;
         }
         if (!used) return false;
         const int first = lowest_bit(used);
@@ -56,7 +56,7 @@ template <int W, int ROWS, class Triangles> struct NearestOfPacket {
     {
         const float away = square_root(square);
         const bool nearer = (away < distance[i]) | ((away == distance[i]) & (own < number[i]));
-        if (!((square <= bounds[i]) & (away <= most[i]) & nearer)) return;
+        if (!((square <= bounds[i]) & (away <= max_distance[i]) & nearer)) return;
         Search search;
         search.look_up_to(away, slack[i]);
         distance[i] = away, number[i] = own, slot[i] = place, bounds[i] = search.bound, limits[i] = search.limit;
@@ -85,8 +85,8 @@ template <int W, int ROWS, class Triangles> struct NearestOfPacket {
         };
         WRT_FOR_LANES (i) {
             const Offset a = vertex(i, 0);
-            const float aa = dot(a, a), least = smaller(smaller(aa, dot(a, vertex(i, 1))), dot(a, vertex(i, 2)));
-            flag[i] = ((least > LEAST_DOT) & (least * least > aa * limits[i])) ? 0 : flag[i];
+            const float aa = dot(a, a), smallest = smaller(smaller(aa, dot(a, vertex(i, 1))), dot(a, vertex(i, 2)));
+            flag[i] = ((smallest > MIN_DOT) & (smallest * smallest > aa * limits[i])) ? 0 : flag[i];
         }
         if (!bits<W>(flag)) return;
         WRT_FOR_LANES (i) {
@@ -95,8 +95,8 @@ template <int W, int ROWS, class Triangles> struct NearestOfPacket {
                         away = square_root(square);
             flag[i] = is_thin ? -1 : 0;
             const bool nearer = (away < distance[i]) | ((away == distance[i]) & (own < number[i]));
-            const bool counts = (square <= bounds[i]) & (away <= most[i]) & nearer & !is_thin;
-            const float wider = away * WIDENED + LEAST_DISTANCE, widest = wider + slack[i];
+            const bool counts = (square <= bounds[i]) & (away <= max_distance[i]) & nearer & !is_thin;
+            const float wider = away * WIDENED + MIN_DISTANCE, widest = wider + slack[i];
             distance[i] = counts ? away : distance[i], number[i] = counts ? own : number[i];
             slot[i] = counts ? place : slot[i];
             bounds[i] = counts ? wider * wider : bounds[i], limits[i] = counts ? widest * widest * WIDENED : limits[i];

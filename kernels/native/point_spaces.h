@@ -33,16 +33,16 @@ struct GroupBounds {
     /// reach: at least the sum over the axes of the greatest distance of a point from the tree's box.
     inline CUDA_CALLABLE void look_around(const Triangle& near, float reach)
     {
-        float least = WRT_INFINITY, edges = 0.0f, diagonal = 0.0f;
+        float min_square = WRT_INFINITY, edges = 0.0f, diagonal = 0.0f;
         for (int vertex = 0; vertex < 3; ++vertex) {
             const Offset &at = near.vertex[vertex], edge = near.vertex[(vertex + 1) % 3] - at;
             const float x = larger(at.x - box.low[0], box.high[0] - at.x), y = larger(at.y - box.low[1], box.high[1] - at.y);
             const float z = larger(at.z - box.low[2], box.high[2] - at.z);
-            least = smaller((x * x + y * y) + z * z, least);
+            min_square = smaller((x * x + y * y) + z * z, min_square);
             edges += dot(edge, edge);
         }
         for (int a = 0; a < 3; ++a) diagonal += (box.high[a] - box.low[a]) * (box.high[a] - box.low[a]);
-        const float wide = square_root(least) + SLACKS_OF_GROUP * (reach * POINT_SLACK + LEAST_DISTANCE);
+        const float wide = square_root(min_square) + SLACKS_OF_GROUP * (reach * POINT_SLACK + MIN_DISTANCE);
         limit = wide * wide * WIDENED;
         are_dense = diagonal < DENSE * edges;
     }
@@ -234,11 +234,11 @@ template <class Kind, int U, class Top, class Parts> struct PointInstances {
 
 /// Distance, weights and number (its bits) of the nearest triangle to a point that has entered a space, or that cannot find
 /// anything.
-template <class Vec4, class Space> inline CUDA_CALLABLE Vec4 nearest_in(Space space, bool has_entered, float most)
+template <class Vec4, class Space> inline CUDA_CALLABLE Vec4 nearest_in(Space space, bool has_entered, float max_distance)
 {
-    NearestTriangle kept(most);
+    NearestTriangle kept(max_distance);
     OnTriangle at = {0.0f, 0.0f, 0.0f, -1};
-    if (has_entered & (most >= 0.0f)) {
+    if (has_entered & (max_distance >= 0.0f)) {
         space.start(kept);
         space.search(kept);
     }

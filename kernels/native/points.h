@@ -17,7 +17,7 @@ constexpr int TREE_DEPTH = 64;
 
 /// What every search has: up to which distance it looks for triangles, and the tree that it is in.
 struct Search {
-    float most;  // greatest distance of a triangle that is found
+    float max_distance;  // greatest distance of a triangle that is found
     float scale = 1.0f;  // of distances in the tree
     float shrink = WIDENED;  // its inverse, widened
     int first = 0;  // number of the tree's first triangle
@@ -33,7 +33,7 @@ struct Search {
     /// Looks up to a distance of the scene.
     inline CUDA_CALLABLE void look_up_to(float distance, float slack)
     {
-        const float own = distance * shrink + LEAST_DISTANCE, wide = own + slack;
+        const float own = distance * shrink + MIN_DISTANCE, wide = own + slack;
         bound = own * own;
         limit = wide * wide * WIDENED;
     }
@@ -48,15 +48,15 @@ struct NearestTriangle : Search {
     float distance = WRT_INFINITY;
     int number = -1, slot = -1;
 
-    explicit CUDA_CALLABLE NearestTriangle(float most) { this->most = most; }
+    explicit CUDA_CALLABLE NearestTriangle(float max_distance) { this->max_distance = max_distance; }
 
-    inline CUDA_CALLABLE float farthest() const { return distance < most ? distance : most; }
+    inline CUDA_CALLABLE float farthest() const { return distance < max_distance ? distance : max_distance; }
 
     inline CUDA_CALLABLE void keep(float square, int primitive, int place, const SearchPoint& point)
     {
         const float away = square_root(square) * scale;
         const int own = first + primitive;
-        if (!(away <= most) || !((away < distance) | ((away == distance) & (own < number)))) return;
+        if (!(away <= max_distance) || !((away < distance) | ((away == distance) & (own < number)))) return;
         distance = away, number = own, slot = place;
         look_up_to(away, point.slack);
     }
@@ -76,8 +76,8 @@ struct CountedNearest : NearestTriangle {
 /// Squared distance along an axis, of an interval.
 inline CUDA_CALLABLE float outside(float low, float high, float x)
 {
-    const float below = low - x, above = x - high, most = below > above ? below : above;
-    return most > 0.0f ? most : 0.0f;
+    const float below = low - x, above = x - high, outside = below > above ? below : above;
+    return outside > 0.0f ? outside : 0.0f;
 }
 
 /// The same, from the coordinate of a point.
@@ -93,8 +93,8 @@ struct BoxOfPoints {
 
 inline CUDA_CALLABLE float distance_along(float low, float high, const BoxOfPoints& box, int axis)
 {
-    const float below = low - box.high[axis], above = box.low[axis] - high, most = below > above ? below : above;
-    return most > 0.0f ? most : 0.0f;
+    const float below = low - box.high[axis], above = box.low[axis] - high, outside = below > above ? below : above;
+    return outside > 0.0f ? outside : 0.0f;
 }
 
 /// Keys of the children of a node: the squared distance, whose lowest bits name the child; -1 for those that can hold nothing

@@ -40,8 +40,8 @@ struct Terms {
     {
         return (c & 1 ? high[0] : low[0]) + (c & 2 ? high[1] : low[1]) + (c & 4 ? high[2] : low[2]);
     }
-    CUDA_CALLABLE float least() const { return smaller(low[0], high[0]) + smaller(low[1], high[1]) + smaller(low[2], high[2]); }
-    CUDA_CALLABLE float greatest() const { return larger(low[0], high[0]) + larger(low[1], high[1]) + larger(low[2], high[2]); }
+    CUDA_CALLABLE float lower() const { return smaller(low[0], high[0]) + smaller(low[1], high[1]) + smaller(low[2], high[2]); }
+    CUDA_CALLABLE float upper() const { return larger(low[0], high[0]) + larger(low[1], high[1]) + larger(low[2], high[2]); }
 };
 
 struct Box {
@@ -89,7 +89,7 @@ inline CUDA_CALLABLE float parallel_area(const AreaFrame& frame, const Box& box)
     const Terms z = terms_of(box, frame.eye, frame.z);
     const float dx = box.high[0] - box.low[0], dy = box.high[1] - box.low[1], dz = box.high[2] - box.low[2];
     const float area = frame.across[0] * (dy * dz) + frame.across[1] * (dx * dz) + frame.across[2] * (dx * dy);
-    const Extent extent = {x.least(), x.greatest(), y.least(), y.greatest(), z.least(), z.greatest()};
+    const Extent extent = {x.lower(), x.upper(), y.lower(), y.upper(), z.lower(), z.upper()};
     return whole_or_less(frame, box, extent, area, extent.is_ahead(frame) & (extent.farthest >= frame.near));
 }
 

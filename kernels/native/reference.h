@@ -122,9 +122,9 @@ template <class Boxes> inline CUDA_CALLABLE void write_box(const float* vertices
     for (int corner = 0; corner < 3; ++corner) p[corner] = vertices + (size_t)face[corner] * 3;
     for (int axis = 0; axis < 3; ++axis) {
         const float a = p[0][axis], b = p[1][axis], c = p[2][axis];
-        const float least = b < c ? b : c, most = b > c ? b : c;
-        boxes.low.data[axis * n + i] = (a < least ? a : least) + 0.0f;
-        boxes.high.data[axis * n + i] = (a > most ? a : most) + 0.0f;
+        const float lower = b < c ? b : c, upper = b > c ? b : c;
+        boxes.low.data[axis * n + i] = (a < lower ? a : lower) + 0.0f;
+        boxes.high.data[axis * n + i] = (a > upper ? a : upper) + 0.0f;
     }
 }
 

@@ -175,8 +175,8 @@ template <class Detector>
 inline CUDA_CALLABLE void write_distances(const Detector& detector, const float* __restrict t, const int* __restrict primitive,
     const int* __restrict order, int place, int begin, int end, float* __restrict range)
 {
-    const float least = detector.min_range, most = detector.max_range, none = WRT_INFINITY;
-    const auto range_of = [&](int i) { return primitive[i] < 0 || t[i] < least || t[i] > most ? none : t[i]; };
+    const float nearest = detector.min_range, farthest = detector.max_range, none = WRT_INFINITY;
+    const auto range_of = [&](int i) { return primitive[i] < 0 || t[i] < nearest || t[i] > farthest ? none : t[i]; };
     if (order)
         for (int i = begin; i < end; ++i) range[order[place + i]] = range_of(i);
     else {

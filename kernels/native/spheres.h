@@ -182,14 +182,14 @@ inline CUDA_CALLABLE float meet_point(
 inline CUDA_CALLABLE void box_point(const float* half, const double* toward, double* place, double* across)
 {
     int side = 0;
-    double most = 0.0;
+    double max_size = 0.0;
     for (int a = 0; a < 3; ++a) {
         const double size = toward[a] < 0.0 ? -toward[a] : toward[a];
-        side = size > most ? a : side;
-        most = size > most ? size : most;
+        side = size > max_size ? a : side;
+        max_size = size > max_size ? size : max_size;
     }
     for (int a = 0; a < 3; ++a) {
-        place[a] = half[a] * (toward[a] / most);
+        place[a] = half[a] * (toward[a] / max_size);
         across[a] = a != side ? 0.0 : toward[a] < 0.0 ? -1.0 : 1.0;
     }
 }

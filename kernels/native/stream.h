@@ -26,10 +26,10 @@ inline CUDA_CALLABLE int filter_boxes(
     constexpr int L = block_lanes(W), BACK = 3 * W;
     const float* box = bounds + (size_t)node * (6 * W);
     const int* child = children + (size_t)node * W;
-    int least[W];
+    int min_order[W];
     unsigned are_leaves = 0, reached = 0;
     for (int i = 0; i < W; ++i) {
-        least[i] = NO_CHILD;
+        min_order[i] = NO_CHILD;
         are_leaves |= child[i] < 0 ? 1u << i : 0u;
     }
     int kept = 0;
@@ -49,7 +49,7 @@ inline CUDA_CALLABLE int filter_boxes(
                 const int entry = __builtin_bit_cast(int, own.enter);
                 int order = ((ORDER == Order::FAR ? 0x7f7fffff - entry : entry) & -W) | i;
                 order = own.enter <= own.leave ? order : NO_CHILD;
-                least[i] = order < least[i] ? order : least[i];
+                min_order[i] = order < min_order[i] ? order : min_order[i];
             }
         }
         const unsigned met = bits<L>(hit);
@@ -58,7 +58,7 @@ inline CUDA_CALLABLE int filter_boxes(
         reached |= met;
     }
     const unsigned inner = reached & ~are_leaves;
-    for (int i = 0; i < W; ++i) key[i] = inner >> i & 1u ? (ORDER == Order::NONE ? i : least[i]) : NO_CHILD;
+    for (int i = 0; i < W; ++i) key[i] = inner >> i & 1u ? (ORDER == Order::NONE ? i : min_order[i]) : NO_CHILD;
     leaves = reached & are_leaves;
     return kept;
 }

@@ -204,7 +204,7 @@ template <int W, int L> struct RootGrid {
     unsigned meet(const float* const* lanes_of, const float* t, unsigned used) const
     {
         const Spans far_t = load<Spans>(t);
-        Spans least = (Spans)WRT_INFINITY, most = -least;
+        Spans lower = (Spans)WRT_INFINITY, upper = -lower;
         Cells from[3], to[3];
         WRT_UNROLLED
         for (int a = 0; a < 3; ++a) {
@@ -213,8 +213,8 @@ template <int W, int L> struct RootGrid {
             origin -= grid[5 + a];
             const Spans end = origin + far_t * along;
             const Spans low_end = origin < end ? origin : end, high_end = origin > end ? origin : end;
-            least = low_end < least ? low_end : least;
-            most = high_end > most ? high_end : most;
+            lower = low_end < lower ? low_end : lower;
+            upper = high_end > upper ? high_end : upper;
             from[a] = narrow(cells_of(low_end, grid[0], grid[1 + a]));
             to[a] = narrow(cells_of(high_end, grid[0], grid[1 + a]));
         }
@@ -230,7 +230,7 @@ template <int W, int L> struct RootGrid {
         const auto meeting = __builtin_convertvector(apart >= (Cells)0, Vector<bool, L>);
         unsigned short bits_met;
         __builtin_memcpy(&bits_met, &meeting, sizeof(bits_met));
-        return bits_met | flags(!((least >= (Spans)-grid[4]) & (most <= (Spans)grid[4])));
+        return bits_met | flags(!((lower >= (Spans)-grid[4]) & (upper <= (Spans)grid[4])));
     }
 #endif
 

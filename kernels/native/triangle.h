@@ -260,9 +260,9 @@ template <int W, class Ray> inline CUDA_CALLABLE unsigned woop_lines(const float
     WRT_FOR_LANES (i) {
         const Sheared<float> s = own.sheared(i);
         const Areas<float> w = areas_of(s);
-        float least = w.a < w.b ? w.a : w.b, most = w.a > w.b ? w.a : w.b;
-        least = least < w.c ? least : w.c, most = most > w.c ? most : w.c;
-        met[i] = (((least < 0.0f) & (most > 0.0f)) | (s.depth[0] != s.depth[0])) ? 0 : -1;  // a NaN in unused lanes
+        float min_area = w.a < w.b ? w.a : w.b, max_area = w.a > w.b ? w.a : w.b;
+        min_area = min_area < w.c ? min_area : w.c, max_area = max_area > w.c ? max_area : w.c;
+        met[i] = (((min_area < 0.0f) & (max_area > 0.0f)) | (s.depth[0] != s.depth[0])) ? 0 : -1;  // a NaN in unused lanes
     }
     return bits<W>(met);
 }

@@ -29,8 +29,8 @@ inline CUDA_CALLABLE int after(int vertex) { return vertex == 2 ? 0 : vertex + 1
 /// The distance of two intervals.
 inline CUDA_CALLABLE double gap(double low, double high, double other_low, double other_high)
 {
-    const double above = other_low - high, below = low - other_high, most = above > below ? above : below;
-    return most > 0.0 ? most : 0.0;
+    const double above = other_low - high, below = low - other_high, outside = above > below ? above : below;
+    return outside > 0.0 ? outside : 0.0;
 }
 
 /// The squared distance of two boxes.

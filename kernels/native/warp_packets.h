@@ -76,20 +76,20 @@ template <bool FROM_ZERO, class Walk, class All> __device__ void walk_packet(con
 }
 
 /// Bounds of the rays of a warp that start at one point and have the same main axis and direction along it. Coordinates are
-/// relative to the origin, and `turn`ed. least, most: slopes along the other axes, and on the main one 1 / direction, scaled.
+/// relative to the origin, and `turn`ed. lower, upper: slopes along the other axes, and on the main one 1 / direction, scaled.
 struct WarpFrustum {
-    float origin[3], least[3], most[3], slack;
+    float origin[3], lower[3], upper[3], slack;
     int main;
     bool rises;
 };
 
-__device__ inline float least_of_warp(unsigned team, float x)
+__device__ inline float min_of_warp(unsigned team, float x)
 {
-    for (int step = WARP / 2; step > 0; step /= 2) x = least(x, __shfl_xor_sync(team, x, step));
+    for (int step = WARP / 2; step > 0; step /= 2) x = min_of(x, __shfl_xor_sync(team, x, step));
     return x;
 }
 
-__device__ inline int most_of_warp(unsigned team, int x)
+__device__ inline int max_of_warp(unsigned team, int x)
 {
     for (int step = WARP / 2; step > 0; step /= 2) x = larger(x, __shfl_xor_sync(team, x, step));
     return x;
@@ -113,11 +113,11 @@ template <class Walk> __device__ bool bound_warp(const Walk& walk, float reach, 
             : frustum.main == 1                 ? walk.filter.inverse[1]
                                                 : walk.filter.inverse[2];
         const float slope = axis == 2 ? inverse : walk.turned_ray.shear[axis];
-        frustum.least[axis] = least_of_warp(team, asks ? slope : WRT_INFINITY);
-        frustum.most[axis] = -least_of_warp(team, asks ? -slope : WRT_INFINITY);
+        frustum.lower[axis] = min_of_warp(team, asks ? slope : WRT_INFINITY);
+        frustum.upper[axis] = -min_of_warp(team, asks ? -slope : WRT_INFINITY);
     }
-    frustum.rises = frustum.least[2] > 0.0f;
-    return __all_sync(team, same) && (frustum.rises || frustum.most[2] < 0.0f);
+    frustum.rises = frustum.lower[2] > 0.0f;
+    return __all_sync(team, same) && (frustum.rises || frustum.upper[2] < 0.0f);
 }
 
 /// Where the first of the rays may enter a box, in their scaled t; infinite if none meets it before `last`.
@@ -131,14 +131,14 @@ __device__ inline float enter_box(const WarpFrustum& f, const float* low, const 
         from[axis] = from[axis] - f.origin[axis] - f.slack;
         to[axis] = to[axis] - f.origin[axis] + f.slack;
     }
-    const float near = f.rises ? most(from[2], 0.0f) : least(to[2], 0.0f), far = f.rises ? to[2] : from[2];
+    const float near = f.rises ? max_of(from[2], 0.0f) : min_of(to[2], 0.0f), far = f.rises ? to[2] : from[2];
     bool meets = f.rises ? far >= near : far <= near;
     WRT_UNROLLED
     for (int axis = 0; axis < 2; ++axis) {  // at a place on the main axis, rays are from the least slope's to the greatest's
-        const float steep = f.rises ? f.most[axis] : f.least[axis], flat = f.rises ? f.least[axis] : f.most[axis];
-        meets &= from[axis] <= most(steep * near, steep * far) && to[axis] >= least(flat * near, flat * far);
+        const float steep = f.rises ? f.upper[axis] : f.lower[axis], flat = f.rises ? f.lower[axis] : f.upper[axis];
+        meets &= from[axis] <= max_of(steep * near, steep * far) && to[axis] >= min_of(flat * near, flat * far);
     }
-    const float enter = least(near * f.least[2], near * f.most[2]);
+    const float enter = min_of(near * f.lower[2], near * f.upper[2]);
     return meets && enter <= last ? enter : WRT_INFINITY;
 }
 
@@ -189,7 +189,7 @@ template <bool FROM_ZERO, class Walk, class All> __device__ void walk_frustum(co
         const int taken = smaller(top, top + WARP + All::LEVELS <= ROOM ? WARP : 1);  // one by one, it grows by a node a level
         top -= taken;
         const int node = lane < taken ? stack[top + lane] : DONE;
-        const float last = __builtin_bit_cast(float, most_of_warp(team, walk.node != DONE ? walk.filter.t_max : 0));
+        const float last = __builtin_bit_cast(float, max_of_warp(team, walk.node != DONE ? walk.filter.t_max : 0));
         Child near = {0, WRT_INFINITY}, far = {0, WRT_INFINITY};
         if (node != DONE) {
             const TwoBoxes at = load_boxes((const float*)all.space.tree.nodes.data, node);

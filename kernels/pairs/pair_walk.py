@@ -35,7 +35,7 @@ class PairWork:
     """(N,) node * W + child of a box of each tree."""
     square: wp.array(dtype=wp.float64)
     """(N,) their squared distances."""
-    most: wp.array(dtype=wp.float64)
+    max_square: wp.array(dtype=wp.float64)
     """(1,) `limit`, which falls to the squared distance of the nearest pair so far."""
     limit: wp.float64
     """Greatest squared distance of a pair that is found."""

@@ -20,9 +20,9 @@ ENTER_INSTANCES = "space.enter(point.c[0], point.c[1], point.c[2], scene.mask, s
 
 
 @wp.func
-def search_point(scene: NoScene, point: wp.vec3d, most: float):
+def search_point(scene: NoScene, point: wp.vec3d, max_distance: float):
     """Distance, weights and number (its bits) of the nearest triangle to a point relative to the scene's centre."""
-    return wp.vec4(most, 0.0, 0.0, 0.0)
+    return wp.vec4(max_distance, 0.0, 0.0, 0.0)
 
 
 @cache
@@ -30,10 +30,10 @@ def add_point_search(handle: type, kind: str, width: int, instances: bool) -> No
     """Adds the overload of `search_point` for a type of handle, whose trees are as in `PointConfig`."""
     space = space_code(kind, width, instances, TRIANGLE_TESTS[TRIANGLE_TEST].record.components)
     enter = ENTER_INSTANCES if instances else ENTER_TREE
-    search = "return wrt::nearest_in<wp::vec_t<4, float>>(space, has_entered, most);"
+    search = "return wrt::nearest_in<wp::vec_t<4, float>>(space, has_entered, max_distance);"
 
     @native.func_native("point_spaces.h", f"{GUARDS}auto space = {space};\nconst bool has_entered = {enter};\n{search}")
-    def search_handle(scene: handle, point: wp.vec3d, most: float) -> wp.vec4: ...
+    def search_handle(scene: handle, point: wp.vec3d, max_distance: float) -> wp.vec4: ...
 
     search_point.add_overload(search_handle)
 

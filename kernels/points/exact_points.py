@@ -29,8 +29,8 @@ class ExactPoints:
 
     point: wp.array(dtype=wp.vec3d)
     """(N,) in the scene's coordinates."""
-    most: wp.array(dtype=wp.float64)
-    """(N,) or (1,) greatest distance at which a triangle is found, with the stride of `PointBatch.most`."""
+    max_distance: wp.array(dtype=wp.float64)
+    """(N,) or (1,) greatest distance at which a triangle is found, with the stride of `PointBatch.max_distance`."""
     t: wp.array(dtype=wp.float64)
     """(N,) distances; inf if nothing was found. Of lists, `room` for each point, as in `NearestBatch`."""
     uv: wp.array(dtype=wp.vec2d)

@@ -18,9 +18,9 @@ class PointBatch:
     """(N,) the same in float64, which scenes of instances read."""
     order: wp.array(dtype=int)
     """(N,) the order in which they are searched; (0,) for that in which they are given."""
-    most: wp.array(dtype=float)
+    max_distance: wp.array(dtype=float)
     """(N,) or (1,) greatest distance at which a triangle is found; 0 or more."""
-    most_stride: int
+    distance_stride: int
     """1, or 0 if all points have the same."""
     mask: wp.array(dtype=wp.uint32)
     """(N,) or (1,) a point sees the instances whose masks have a bit in common with it; (0,) for all."""

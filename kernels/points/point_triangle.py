@@ -14,7 +14,7 @@ FACE_SHARE, FACE_SLACK = wp.constant(1.000003814697265625), wp.constant(3.637978
 """A foot on the face is nearer than all edges, so it is taken although rounding makes it farther, by no more than this part of
 its squared distance and this part of that of the triangle's first vertex."""
 
-LEAST_AREA, GREATEST_AREA = wp.constant(1e-30), wp.constant(1e30)
+MIN_AREA, MAX_AREA = wp.constant(1e-30), wp.constant(1e30)
 """The same for areas outside of this range, in which float32 keeps all digits."""
 
 
@@ -74,7 +74,7 @@ def foot_on_plane(a: wp.vec3, ab: wp.vec3, ac: wp.vec3):
     """Weights of b and c at the foot of the perpendicular on the plane, and 1 if they are not to be trusted."""
     n = cross(ab, ac)
     area = dot(n, n)
-    sure = area >= FLAT * (dot(ab, ab) * dot(ac, ac)) and area > LEAST_AREA and area < GREATEST_AREA
+    sure = area >= FLAT * (dot(ab, ab) * dot(ac, ac)) and area > MIN_AREA and area < MAX_AREA
     return wp.vec3(dot(n, cross(ac, a)) / area, dot(n, cross(a, ab)) / area, wp.where(sure, 0.0, 1.0))
 
 

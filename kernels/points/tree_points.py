@@ -9,7 +9,7 @@ from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTrian
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH, WideNodes
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.points.point_batch import NearestBatch, NearLists, PointBatch
-from wrt.kernels.points.point_triangle import FACE_SHARE, FACE_SLACK, FLAT, GREATEST_AREA, LEAST_AREA
+from wrt.kernels.points.point_triangle import FACE_SHARE, FACE_SLACK, FLAT, MAX_AREA, MIN_AREA
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows
@@ -30,7 +30,7 @@ it."""
 GUARDS = f"""
     static_assert(wrt::FLAT == {float(FLAT)!r}f && wrt::TREE_DEPTH == {MAX_WIDE_DEPTH} && wrt::TREE_DEPTH == {MAX_TREE_DEPTH});
     static_assert(wrt::FACE_SHARE == {float(FACE_SHARE)!r}f && wrt::FACE_SLACK == {float(FACE_SLACK)!r}f);
-    static_assert(wrt::LEAST_AREA == {float(LEAST_AREA)!r}f && wrt::GREATEST_AREA == {float(GREATEST_AREA)!r}f);
+    static_assert(wrt::MIN_AREA == {float(MIN_AREA)!r}f && wrt::MAX_AREA == {float(MAX_AREA)!r}f);
 """
 """C++: constants that kernels/native has too."""
 

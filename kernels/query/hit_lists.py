@@ -103,12 +103,12 @@ def sort_lists(first: int, found: HitBatch):
 
 
 @exact_kernel
-def lengths_of_lists(first: int, counts: wp.array(dtype=int), most: int, lengths: wp.array(dtype=wp.int64)):
+def lengths_of_lists(first: int, counts: wp.array(dtype=int), max_length: int, lengths: wp.array(dtype=wp.int64)):
     """Writes the length of a ray's list, at most `most`, and 0 after the last one. Item: an element of `lengths`."""
     i = first + wp.tid()
     length = int(0)
     if i < counts.shape[0]:
-        length = wp.min(counts[i], most)
+        length = wp.min(counts[i], max_length)
     lengths[i] = wp.int64(length)
 
 

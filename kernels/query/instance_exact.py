@@ -22,6 +22,7 @@ from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays, rounded_ray, search_for, store_exact
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of
 from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
+from wrt.kernels.simd.boxes import BoxRay
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.walk_table import WALKS
@@ -131,7 +132,7 @@ def make_exact_instance_kernel(config: TraversalConfig, kind: str, levels: int) 
             search.mask = ray_mask(seen, i)
             slabs = upper_slabs(top, ray)
             work = Counters()
-            walk_keys(top.tree, root, slabs, ray.t_min, search, exact, i, start(ray.t_max), work)
+            walk_keys(top.tree, root, BoxRay(slabs, ray.t_min), search, exact, i, start(ray.t_max), work)
         store_exact(hits, i, exact)
 
     return specialised_kernel(exact_hits_instances)

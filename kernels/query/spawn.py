@@ -91,9 +91,9 @@ def keep_from_edges(weights: wp.vec3, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, off
     if area > wp.float64(0.0):
         # height over an edge = area / edge; weight = distance from the edge / height; 1 / radius = sum of 1 / height
         radius = area / (edges[0] + edges[1] + edges[2])
-        least = (wp.min(wp.float64(INSET * offset), wp.float64(0.5) * radius) / area) * edges
+        inset = (wp.min(wp.float64(INSET * offset), wp.float64(0.5) * radius) / area) * edges
         for _ in range(2):
-            missing = wp.max(least - result, wp.vec3d())
+            missing = wp.max(inset - result, wp.vec3d())
             # a distance m is missing to each edge e: the step is their sum along the normals, here turned by a right angle
             m = area * wp.vec3d(missing[0] / edges[0], missing[1] / edges[1], missing[2] / edges[2])
             step = (m[0] / edges[0]) * (c - b) + (m[1] / edges[1]) * (a - c) + (m[2] / edges[2]) * (b - a)

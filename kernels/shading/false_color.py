@@ -10,7 +10,7 @@ from wrt.kernels.runtime.options import exact_kernel
 GREY = wp.constant(wp.vec3(0.16, 0.17, 0.19))
 """Of pixels without a value."""
 
-LEAST = wp.constant(1.0e-30)
+MIN_RANGE = wp.constant(1.0e-30)
 """Least length of a scale: values that are all equal have one of length 0."""
 
 
@@ -30,7 +30,7 @@ def color_values(first: int, values: wp.array(dtype=float), low: float, high: fl
     i = first + wp.tid()
     value = values[i]
     if wp.isfinite(value):
-        image[i] = heat((value - low) / wp.max(high - low, LEAST))
+        image[i] = heat((value - low) / wp.max(high - low, MIN_RANGE))
     else:
         image[i] = GREY
 
@@ -40,7 +40,7 @@ def color_depths(first: int, t: wp.array(dtype=float), low: float, high: float, 
     """Item: a pixel. White for `low`, dark for `high`; `GREY` for a miss."""
     i = first + wp.tid()
     if wp.isfinite(t[i]):
-        share = wp.clamp((t[i] - low) / wp.max(high - low, LEAST), 0.0, 1.0)
+        share = wp.clamp((t[i] - low) / wp.max(high - low, MIN_RANGE), 0.0, 1.0)
         bright = 1.0 - 0.92 * share
         image[i] = wp.vec3(bright, bright, bright)
     else:

@@ -58,6 +58,14 @@ class RaySlabs:
     """Origin for far planes: moved against the direction by the slack."""
 
 
+@wp.struct
+class BoxRay:
+    """A ray as boxes see it, from t_min on."""
+
+    slabs: RaySlabs
+    t_min: float
+
+
 @wp.func
 def min_of(a: wp.vec3, b: wp.vec3):
     """Componentwise minimum of numbers that are not NaN; cheaper than `wp.min`, which also handles NaN."""

@@ -21,7 +21,7 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
 from wrt.kernels.layout.unchecked import load_int
-from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach
+from wrt.kernels.simd.boxes import BoxRay, RaySlabs, ray_slabs, reach
 from wrt.kernels.traversal.fan_brute_force import (
     EDGES,
     NORMALS,
@@ -115,7 +115,7 @@ def make_fan_bvh_walk(config: TraversalConfig, form: str) -> wp.Function:
         search.fans = tree.fans
         search.ray = ray
         search.slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.fans.low, tree.fans.high))
-        return walk_keys(tree.tree, 0, search.slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
+        return walk_keys(tree.tree, 0, BoxRay(search.slabs, ray.t_min), search, hits, i, start(ray.t_max), work)
 
     return walk_fan_bvh
 

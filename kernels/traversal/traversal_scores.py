@@ -23,10 +23,10 @@ if they start at one point (notebooks/records/2026-11-23-few-rays.md).
 CROWDED_CELLS = 2.0
 """The same in a kd-tree for rays that start at different points (notebooks/records/2026-11-23-few-rays.md)."""
 
-LEAST_SAMPLED = 2048
+MIN_SAMPLED = 2048
 """Number of rays from which a sample pays, and comparing plans: a sample takes as long as some hundred rays."""
 
-LEAST_SAMPLED_THROUGH_INSTANCES = 8192
+MIN_SAMPLED_THROUGH_INSTANCES = 8192
 """The same through instances, where packets have to save the time to set them up: such queries are not prepared
 (notebooks/records/2026-11-22-auto.md).
 """
@@ -121,7 +121,7 @@ class Situation(NamedTuple):
         """Whether only a sample tells if packets are faster."""
         if self.prefers_single or self.tests_each_hit or not self.coherent or self.tree != "bvh":
             return False
-        return self.rays >= (LEAST_SAMPLED_THROUGH_INSTANCES if self.instances else LEAST_SAMPLED)
+        return self.rays >= (MIN_SAMPLED_THROUGH_INSTANCES if self.instances else MIN_SAMPLED)
 
     @property
     def crowds_cells(self) -> bool:

@@ -76,6 +76,27 @@ def test_a_block_has_all_suns_of_some_points(batch, tmp_path):
     assert max(stored) < 1.2 * POINTS * 12 * 8
 
 
+@pytest.mark.parametrize("apart", [0.01, 1e4])
+def test_near_places_are_neighbours_of_a_block(batch, apart, monkeypatch):
+    """Blocks of places that are nearer to each other than rays to two suns are traced sun by sun; answers are the same."""
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 20), np.linspace(-1.0, 1.0, 15))
+    points = np.stack([x, y, np.full_like(x, 9.0)], axis=-1).reshape(-1, 3)
+    at = batch.scene.intersect(points, [0.0, 0.0, -1.0])
+    points = np.where(at.is_hit[:, None], at.position, points) * [apart, apart, 1.0]
+    limits = {"t_min": batch.rng.uniform(0.0, 0.1, POINTS), "t_max": batch.rng.uniform(0.5, 9.0, (SUNS, 1)), "skip": at}
+    dark = batch.scene.occluded(points, batch.suns, **{**limits, "skip": at.primitive_id[None].repeat(SUNS, axis=0)})
+    shapes, occluded = [], wrt.Scene.occluded
+    monkeypatch.setattr(
+        wrt.Scene, "occluded", lambda self, rays, **own: shapes.append(rays.shape) or occluded(self, rays, **own)
+    )
+    for reduce in ("sum", wrt.batches.WeightedSum(np.ones(SUNS))):
+        blocks = batch.scene.occluded_blocks(
+            points, batch.suns, **limits, reduce=reduce, axis=0, memory=BYTES_PER_RAY * SUNS * 100
+        )
+        np.testing.assert_array_equal(blocks.result(), dark.sum(axis=0))
+    assert set(shapes) == {(SUNS, 100) if apart < 1.0 else (100, SUNS)}
+
+
 def test_batches_that_stay_as_they_are(batch, tmp_path):
     """Rays of their own for each sun and point, arrays in files, functions of rows and of numbers, all axes reduced."""
     scene, shape = batch.scene, (SUNS, POINTS, 3)

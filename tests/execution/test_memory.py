@@ -243,6 +243,22 @@ def test_answers_have_the_arrays_of_their_kind_alone(kind, device):
         assert all(getattr(hits, name).shape == (count,) for name in made)
 
 
+def test_memory_of_blocks_in_cycles_is_not_freed(device):
+    """The collector finalises all of a cycle, and memory that then waits for others must not have been freed."""
+    memory.release()
+    freed, block = [], device_memory.take_block(5000, wp.get_device(device))
+    own = device_memory._taken[block.ptr]
+    free, own.deleter = own.deleter, lambda ptr, size: freed.append(ptr)
+    address, cycle = block.ptr, [block]
+    cycle.append(cycle)
+    del block, cycle, own
+    gc.collect()
+    assert freed == []
+    again = device_memory.take_block(5000, wp.get_device(device))
+    assert again.ptr == address
+    device_memory._taken[address].deleter = free
+
+
 @pytest.mark.cuda
 @pytest.mark.skipif(not wp.get_cuda_devices(), reason="there is no CUDA device here")
 def test_answers_on_cuda_take_memory_that_nobody_holds():

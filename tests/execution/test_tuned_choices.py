@@ -63,7 +63,7 @@ def test_what_was_written_is_read(file):
         b"[]",
         b"null",
         b"[" * 100_000,
-        b" " * (tuned_choices.MOST_BYTES + 1),
+        b" " * (tuned_choices.MAX_BYTES + 1),
         json.dumps({**this_machine(), "engines": [1]}).encode(),
         json.dumps({**this_machine(), "engines": {"2": {NAME: 7}}}).encode(),
         json.dumps({**this_machine(), "engines": {"2": "stream"}}).encode(),

@@ -60,7 +60,7 @@ def test_samples_apart(scene, monkeypatch):
         if not len(kept) or (((places[kept] - place) ** 2).sum(axis=1) >= np.float32(0.3) ** 2).all():
             kept.append(number)
     for least in (300, 1):  # all at once, and a part at a time
-        monkeypatch.setattr(surface_samples, "LEAST_PART", least)
+        monkeypatch.setattr(surface_samples, "MIN_PART", least)
         np.testing.assert_array_equal(surface_samples.kept_apart(scene, places, 0.3), kept)
 
 

@@ -16,10 +16,10 @@ from click.testing import CliRunner, Result
 
 from wrt.bench.commands.benchmark import COMPARISONS
 from wrt.cli import LazyCommand, main
-from wrt.cli.number_types import MOST
+from wrt.cli.number_types import MAX_INT
 
 NO_NUMBERS = ("", "x", "nan", "inf", "-inf", "1e999", str(10**300), str(-(10**300)), "0x10", "1,5")
-"""None is in the range of any option. (`MOST` bounds whole numbers.)"""
+"""None is in the range of any option. (`MAX_INT` bounds whole numbers.)"""
 
 
 def commands() -> dict[tuple[str, ...], click.Command]:
@@ -64,7 +64,7 @@ def test_numbers_that_are_none(words):
             assert_one_line(result, 2)
             assert parameter.opts[0] in result.stderr
         if not isinstance(parameter.type, click.types.FloatParamType):
-            assert parameter.type.max <= MOST
+            assert parameter.type.max <= MAX_INT
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +114,7 @@ def test_pictures_that_cannot_be_written(tmp_path, monkeypatch):
         os.mkfifo(tmp_path / "pipe.png")
         assert_one_line(run("render", "-o", tmp_path / "pipe.png"), 2)
     assert_one_line(run("render", "-o", tmp_path / "none" / "a.png"), 1)
-    result = run("render", "-o", tmp_path / "a.png", "--width", MOST, "--height", MOST)
+    result = run("render", "-o", tmp_path / "a.png", "--width", MAX_INT, "--height", MAX_INT)
     assert_one_line(result, 2)
     assert "choose a smaller --width or --height" in result.stderr
 

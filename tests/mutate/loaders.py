@@ -14,8 +14,8 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/meshes/files/triangulation.py",
-        old="if least > 0.0 or (strict and least == 0.0):",
-        new="if least > 1e9:",
+        old="if smallest > 0.0 or (strict and smallest == 0.0):",
+        new="if smallest > 1e9:",
         tests=f"{FILES}::test_what_is_in_the_file",
         promise="An ear holds no other corner of the polygon.",
     ),

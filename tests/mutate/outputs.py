@@ -65,7 +65,7 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/sensors/files/las_files.py",
-        old="    if most > step:\n        step = MOST_STEP\n",
+        old="    if coarsest > step:\n        step = MAX_STEP\n",
         new="",
         tests=f"{POINTS}::test_las_steps_follow_from_the_data",
         promise=UTM,
@@ -114,7 +114,7 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/sensors/files/bag_files.py",
-        old="if not 0.0 <= one.start < MOST_SECONDS:",
+        old="if not 0.0 <= one.start < MAX_SECONDS:",
         new="if not 0.0 <= one.start:",
         tests=f"{FIELDS}::test_a_topic_of_a_bag_has_one_kind",
         promise=NARROW,

@@ -24,7 +24,7 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/meshes/repeated_surfaces.py",
-        old="    order = (least[:, None] + np.arange(3)) % 3\n",
+        old="    order = (smallest[:, None] + np.arange(3)) % 3\n",
         new="    order = np.argsort(corners @ [1.0, 3.0, 9.0], axis=1)\n",
         tests=f"{REPEATED}::test_a_surface_that_is_written_twice_is_there_once[both sides of every face-bvh]",
         promise="A triangle that is turned over repeats nothing",

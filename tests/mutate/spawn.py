@@ -44,7 +44,7 @@ MUTATIONS = [
     Mutation(
         path="kernels/query/spawn.py",
         old="result += wp.vec3d(wp.dot(c - b, step), wp.dot(a - c, step), wp.dot(b - a, step)) / area",
-        new="result = wp.max(result, least) / (wp.max(result, least)[0] + wp.max(result, least)[1] + wp.max(result, least)[2])",
+        new="result = wp.max(result, inset) / (wp.max(result, inset)[0] + wp.max(result, inset)[1] + wp.max(result, inset)[2])",
         tests=(f"{_NEAR_HITS}[1.0-near]", f"{_CORNERS}[10.0-100.0]"),
         promise=_NEAR,
     ),

@@ -101,7 +101,7 @@ MUTATIONS = [
     ),
     Mutation(
         path="wrt/viewer/connections.py",
-        old="or len(self.open) >= MOST_CONNECTIONS:",
+        old="or len(self.open) >= MAX_CONNECTIONS:",
         new="or False:",
         tests=f"{CONNECTIONS}::test_too_many_connections",
         promise=NONSENSE,

@@ -10,7 +10,7 @@ from support.packet_loops import OPTIONS
 from support.packet_rays import packet_plan
 
 import wrt
-from wrt.kernels.traversal.packet.core.packet_splitting import LEAST_WIDE, forget_extent, is_wide
+from wrt.kernels.traversal.packet.core.packet_splitting import MIN_WIDE, forget_extent, is_wide
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
@@ -64,7 +64,7 @@ def test_nothing_is_usual_in_another_instance():
 
 
 def test_small_packets_are_not_wide():
-    small = LEAST_WIDE * 3.0 * SCENE
+    small = MIN_WIDE * 3.0 * SCENE
     assert answers([0.1 * small, 0.9 * small, 1.1 * small]) == [0, 0, 1]
     assert answers([0.0, 0.0, 2.0 * small, 2.0 * small]) == [0, 0, 0, 0]  # of rays from one point nothing is usual
 

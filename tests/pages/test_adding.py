@@ -141,7 +141,7 @@ def builder(entries, monkeypatch) -> str:
 def test_entries_are_named_as_their_files(entries):
     assert {name: entry.name for name, entry in entries.items()} == {name: name for name in EXAMPLES}
     assert BuilderCapabilities.CLIPS in entries["mean_split"].capabilities
-    assert BuilderCapabilities.LEAST_COST not in entries["mean_split"].capabilities
+    assert BuilderCapabilities.MIN_COST not in entries["mean_split"].capabilities
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -40,7 +40,8 @@ def test_graphs_measure_what_is_there(device):
         own = scene.closest_point(points, max_distance=4.0), scene.closest_point(points, k=2, mask=masks)
         return [answers(found) for found in (*own, mesh.closest_point(points, max_distance=2))]
 
-    step(scenes[0])
+    for _ in range(2):  # the first may build the upper tree again, on the host
+        step(scenes[0])
     with wp.ScopedCapture(device) as capture:
         found = step(scenes[0])
     for seed in range(3):
@@ -73,7 +74,7 @@ def test_maps_of_moves_on_the_device(device):
 
 
 REFUSED = {
-    "not in a Warp array": lambda scene, points: scene.closest_point(points.numpy()),
+    "not in a Warp array": lambda scene, points: scene.closest_point(np.zeros((4, 3))),
     "max_distance must be": lambda scene, points: scene.closest_point(points, max_distance=np.ones(4)),
     "closest_point cannot": lambda scene, points: scene.closest_point(points, precise=True),
     "within cannot": lambda scene, points: scene.within(points, 0.5),

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.engine.rays.device_rays import broadcast, repeated, repeats_of
+from wrt.engine.rays.device_rays import repeated, repeats_of
 
 CENTER = np.array([100.0, -7.0, 0.25])
 
@@ -55,16 +55,3 @@ def test_every_direction_from_every_point_on_a_gpu():
     expected = wrt.Scene(mesh, device="cpu").intersect(points, directions)
     np.testing.assert_array_equal(found.primitive_id, expected.primitive_id)
     np.testing.assert_array_equal(found.t, expected.t)
-
-
-@pytest.mark.parametrize("count", [1, 64, 127, 128, 129, 353])
-def test_runs_of_equal_vectors(count):
-    """On the CPU, copies of broadcast vectors, whose runs are written 64 at a time, are those of NumPy."""
-    rng = np.random.default_rng(6)
-    for leading in ((7,), (2, 5)):
-        for own in ((*leading, 1, 3), (count, 3), (leading[0], *[1] * len(leading), 3)):
-            values = rng.normal(size=own).astype(np.float32)
-            shape = np.broadcast_shapes(own, (*leading, count, 3))
-            made = broadcast(values, shape)
-            assert made.flags.c_contiguous
-            np.testing.assert_array_equal(made, np.broadcast_to(values, shape))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
 import warp as wp
@@ -105,6 +107,26 @@ def test_kept_memory_is_not_that_of_results(keeps, device):
         np.testing.assert_array_equal(hits.t, expected.t)
         np.testing.assert_array_equal(hits.normal, expected.normal)
         np.testing.assert_array_equal(state.boxes.origin, state.device_moves.bounded.origin.numpy())
+
+
+def test_memory_of_states_in_cycles_is_not_freed(monkeypatch, device):
+    """As that of answers: a state in a cycle, such as of an exception, is finalised with its arrays."""
+    monkeypatch.setattr(device_moves, "keeps_moves", lambda device: True)
+    scene = scene_of(matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), None, device)
+    values, freed = wp.array(poses(0), dtype=wp.transformf, device=device), []
+    for _ in range(2):
+        scene.update(range(COUNT), transform=values)
+    cycle, kept = [scene.state], scene.state.device_moves.kept
+    cycle.append(cycle)
+    (move,) = kept.lent.values()
+    free, move.table.deleter = move.table.deleter, lambda ptr, size: freed.append(ptr)
+    del move
+    scene.update(range(COUNT), transform=values)
+    del cycle
+    gc.collect()
+    assert freed == []
+    assert len(kept.items()) == len(kept.lent) == 1
+    kept.items()[0].table.deleter = free
 
 
 def test_masks_beside_transforms(keeps, device):

@@ -10,8 +10,8 @@ from support.hits import assert_same_hits, mixed_rays
 from support.random_instances import BALL, BOX, FLAT, move, random_instances
 
 import wrt
-from wrt.instances.few_moves import MOST_AT_ONCE
-from wrt.instances.instance_list import MOST_OBJECTS
+from wrt.instances.few_moves import MAX_AT_ONCE
+from wrt.instances.instance_list import MAX_OBJECTS
 
 
 @pytest.mark.parametrize("accelerator", ["bvh", "kdtree"])
@@ -71,7 +71,7 @@ def test_the_upper_level_is_built_again_only_when_it_is_worn(at_once):
         update(places @ move(0.1 * step, 0.1))
     tree = scene.state.tree
     assert tree.forest is built
-    assert (tree.cost is not None) == (at_once <= MOST_AT_ONCE)
+    assert (tree.cost is not None) == (at_once <= MAX_AT_ONCE)
     np.testing.assert_allclose(tree.cost or built.cost(tree.host), built.cost(tree.host), rtol=1e-12)
     shuffled = places[rng.permutation(count)]
     update(shuffled)
@@ -110,7 +110,7 @@ def test_a_failed_update_changes_nothing(case):
 
 def test_instances_are_objects_when_they_are_read():
     """Many that move are arrays until then; what has not changed stays the same object."""
-    count = MOST_OBJECTS + 8
+    count = MAX_OBJECTS + 8
     given = [wrt.Instance(BOX, move(3.0 * number), mask=number + 1) for number in range(count)]
     scene = wrt.Scene(given, device="cpu")
     assert scene.instances[3] is given[3]

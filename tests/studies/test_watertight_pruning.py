@@ -9,7 +9,7 @@ from studies.triangles import pichler_variants as tried
 from studies.triangles.isolated_tests import Beams, Soup, closest, exits, pairs
 from studies.triangles.pichler_tables import Case
 from studies.triangles.triangle_precision import solve
-from wrt.kernels.classics.studies.variants.watertight_pruning import LEAST_HEIGHT, PRUNED, ROUNDINGS, UNPRUNED
+from wrt.kernels.classics.studies.variants.watertight_pruning import MIN_HEIGHT, PRUNED, ROUNDINGS, UNPRUNED
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 pytestmark = pytest.mark.classics
@@ -160,7 +160,7 @@ def test_what_is_cut_off():
 def test_limits():
     """Triangles without area, too slim, too small and too large have no finite e; others have the one of the formula."""
     base = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1, 0]])
-    slim = base * [1, 0.5 * float(LEAST_HEIGHT), 1]
+    slim = base * [1, 0.5 * float(MIN_HEIGHT), 1]
     corners = np.array([base, base * [1, 0, 1], slim, base * 2.0**-61, base * 2.0**61, base * 4.0 + 8.0], dtype=FLOAT)
     reach, spread = Soup(corners).records(PRUNED.record, 1).numpy().reshape(len(corners), -1)[:, -2:].T
     np.testing.assert_array_equal(np.isinf(spread), [False, True, True, True, True, False])

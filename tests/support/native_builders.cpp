@@ -43,6 +43,11 @@ struct Mesh {
     float pad;
     bool shrinks;
 };
+struct Leaves {
+    Rows<int> primitive, begin, count, kept;
+    Rows<unsigned char> keeps;
+    Rows<Vec3> low, high, inner_low, inner_high;
+};
 struct MergedTree {
     Rows<float> box;
     Rows<Vec2i> child;
@@ -133,12 +138,13 @@ Vec3i scanned(float* list, int* counts, const KdBinning& binning, Sides& sides)
 }
 
 Vec2i clipped(const Mesh& mesh, const Boxes& boxes, Vec3& low, Vec3& high, const Slabs& slabs, float* list, int* counts,
-    unsigned char* keeps, Sides& sides)
+    const Leaves& leaves, Sides& sides)
 {
     const ClipCell cell = cell_of(low, high, 0.1f);
     clip_sides(mesh, cell, cell, list, 3, Split {1, 0.5f, true}, {true, list, list, {}}, sides);
     counts[0] = clip_range(mesh, cell, list, 3, 1, true, low, high) + clip_straddlers(mesh, cell, list, 3, counts, list)
-        + clip_part(mesh, cell, boxes, 1, 2, 3) + measure_leaf(mesh, cell, boxes, counts, 3, true, keeps, low, high);
+        + clip_part(mesh, cell, boxes, 1, 2, 3);
+    measure_leaf(mesh, boxes, leaves, 1, true);
     bin_parts(mesh, list, 3, slabs, list, counts, counts);
     return divide_parts<Vec2i>(mesh, list, 3, slabs, 2, list, list);
 }
@@ -152,7 +158,7 @@ int swept(const Cost& cost, const AxisFrame& frame, Vec2i* events, Vec3i* counts
     const auto digit = [&](int i) { return numbers[i] & 2047; };
     count_digits<2048>(digit, 3, numbers, 4);
     move_digits<2048>(digit, [&](int i, size_t to) { numbers[to] = i; }, 3, numbers, 4);
-    find_least_plane(cost, frame, events, 3, 1, 2, found);
+    find_best_plane(cost, frame, events, 3, 1, 2, found);
     count_events(numbers, 0, 3, numbers, numbers, counts, 2);
     return write_events(list, 3, 1, events) + write_new_events(list, 3, 1, events);
 }
@@ -174,7 +180,7 @@ void merged(const MergedTree& tree, const Mesh& mesh, int* found)
 void moved(const Map& map, const Vec3d& origin, double* numbers, long long* found, float* bounds)
 {
     bound_by_team(numbers, 8, 0, 8, map, origin, numbers, 4, 0, 0, 1);
-    keep_least(found, ordered_bits(step_below(numbers[0])));
+    keep_min(found, ordered_bits(step_below(numbers[0])));
     add_all(numbers, of_ordered(found[0]) + power_above(numbers[1]));
     refit_lane(bounds, 0, 1, 1, 2);
     meet_block();

@@ -33,7 +33,7 @@ struct Body {
 
 struct PairWork {
     array_t<vec_t<int, 2>> boxes;
-    array_t<double> square, most;
+    array_t<double> square, max_square;
     double limit, slack, near_slack;
 };
 

@@ -45,8 +45,8 @@ struct Points {
     Array<Vec3> position;
     Array<Vec3d> exact;
     Array<int> order;
-    Array<float> most;
-    int most_stride;
+    Array<float> max_distance;
+    int distance_stride;
     Array<unsigned> mask;
     int mask_stride;
     Array<int> environment;
@@ -103,7 +103,7 @@ struct Geometry {
 };
 struct Exact {
     Array<Vec3d> point;
-    Array<double> most, t;
+    Array<double> max_distance, t;
     Array<Vec2d> uv;
     int room;
 };

@@ -1,5 +1,7 @@
-// Instantiates the headers of kernels/fields that need no tree; see native_headers.cpp.
+// Instantiates the headers of kernels/fields that need no tree; see
+// native_headers.cpp.
 #include "column_sums.h"
+#include "lit_points.h"
 
 template <class T> struct Array {
     T* data;
@@ -10,6 +12,8 @@ struct Rows {
     Array<int> begins, groups;
     Array<double> weights;
 };
+
+bool ahead(unsigned mask, const float* t) { return wrt::some_ahead<8>(mask, t); }
 
 void sum(const unsigned char* values, const Rows& rows, double* sums)
 {

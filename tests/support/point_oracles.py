@@ -26,7 +26,7 @@ def nearest_of_all(
     """Writes the nearest of all triangles, which trees are compared with. Item: a point."""
     i = first + wp.tid()
     point = points.position[i]
-    most = points.most[i * points.most_stride]
+    most = points.max_distance[i * points.distance_stride]
     best = OnTriangle()
     best.square = INFINITY
     primitive = int(-1)
@@ -63,7 +63,7 @@ def brute_force(scene: wrt.Scene, points: np.ndarray, max_distance: float | np.n
         count,
         relative_points(scene.state, flat_points(scene.state, points, points.dtype == np.float64)),
     )
-    batch.most, batch.most_stride = wp.array(most, dtype=float, device=device), int(len(most) > 1)
+    batch.max_distance, batch.distance_stride = wp.array(most, dtype=float, device=device), int(len(most) > 1)
     found.distance, found.primitive = wp.empty(count, dtype=float, device=device), wp.empty(count, dtype=int, device=device)
     found.uv, found.feature = wp.empty(count, dtype=wp.vec2, device=device), wp.empty(count, dtype=wp.int8, device=device)
     mesh = scene.state.device_mesh

@@ -17,7 +17,7 @@ import msgspec
 from support.viewer_page import STAGES, Page, camera_fields, leave_at, left_over, until
 
 from wrt.viewer import connections, live_view
-from wrt.viewer.browser import LONGEST_SIDE, MOST_PIXELS, pose_of, size_of
+from wrt.viewer.browser import LONGEST_SIDE, MAX_PIXELS, pose_of, size_of
 from wrt.viewer.web_server import WebServer
 
 
@@ -185,7 +185,7 @@ def test_sizes_of_windows(width, height):
     """From 1 pixel to 2.3 million: a window of 10^9 x 1 was believed."""
     got = size_of(Window(width, height))
     assert all(1 <= side <= LONGEST_SIDE for side in got)
-    assert got[0] * got[1] <= MOST_PIXELS
+    assert got[0] * got[1] <= MAX_PIXELS
     if (width, height) == (800, 600):
         assert got == (800, 600)
 
@@ -229,7 +229,7 @@ def test_a_page_in_the_background(viewer, camera, page):
 
 def test_whoever_waits_gets_the_next_place(viewer, camera, page, monkeypatch):
     """Over the limit, a page is told so, and shows the scene as soon as another leaves. Those that have left do not count."""
-    monkeypatch.setattr(live_view, "MOST_CLIENTS", 2)
+    monkeypatch.setattr(live_view, "MAX_CLIENTS", 2)
     for _ in range(5):
         leave_at(viewer, camera, 4)
     pages = [page() for _ in range(3)]
@@ -246,7 +246,7 @@ def test_whoever_waits_gets_the_next_place(viewer, camera, page, monkeypatch):
 
 def test_too_many_connections(viewer, camera, page, monkeypatch):
     """Whoever does not even look is bounded, too."""
-    monkeypatch.setattr(connections, "MOST_CONNECTIONS", 2)
+    monkeypatch.setattr(connections, "MAX_CONNECTIONS", 2)
     first, second = page(), page()
     until(lambda: len(viewer._web._connections.open) == 2)
     third = page()

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 BLOCK = 1 << 16
 """Points that a function gets at a time."""
 
-MOST_TEXELS = 1 << 14
+MAX_TEXELS = 1 << 14
 """Largest resolution."""
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -101,7 +101,7 @@ def bake(
         triangles = np.repeat(np.arange(mesh.triangle_count), 3)
         corners = evaluated(scene, function, triangles, np.tile(CORNERS, (mesh.triangle_count, 1)), number)
         return at_vertices(mesh, corners)
-    size, padding = as_int("resolution", resolution, 1, MOST_TEXELS), as_int("padding", padding, 0)
+    size, padding = as_int("resolution", resolution, 1, MAX_TEXELS), as_int("padding", padding, 0)
     found = wrt.Scene(laid_out(mesh, uv), device="cpu", num_threads=state.num_threads).intersect(*texel_rays(size))
     covered = found.is_hit
     weights = np.clip(found.uv[covered].astype(np.float64), 0.0, 1.0)

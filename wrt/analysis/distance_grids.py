@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 BATCH, CUDA_BATCH = 512, 8192
 """Blocks whose distances are computed at a time: 2^18 points on CPUs, of which rays and answers take some 40 MB."""
 
-MOST_POINTS = 1 << 31
+MAX_POINTS = 1 << 31
 """Largest number of points of a grid."""
 
 MARGIN = 2
@@ -128,7 +128,7 @@ def distance_grid(
 
     state_of(scene).require_whole("a signed distance")
     refuse_capture("distance_grid", state_of(scene).device)
-    resolution, progress = as_int("resolution", resolution, 2, MOST_POINTS), as_bool("progress", progress)
+    resolution, progress = as_int("resolution", resolution, 2, MAX_POINTS), as_bool("progress", progress)
     lookup(SIGNS, sign, "sign")
     if band is not None:
         band = as_float("band", band)
@@ -189,7 +189,7 @@ def lay_out(box: np.ndarray, resolution: int, bounds: Any) -> tuple[np.ndarray, 
     if not (high - low >= 0.0).all() or not spacing > 0.0:
         raise ValueError(f"bounds must be a lower and an upper corner, not {low.tolist()} and {high.tolist()}")
     counts = tuple(int(np.ceil(side / spacing - 1e-6)) + 1 for side in high - low)
-    if np.prod(counts, dtype=np.float64) > MOST_POINTS:
+    if np.prod(counts, dtype=np.float64) > MAX_POINTS:
         raise ValueError(f"a grid of {' x '.join(map(str, counts))} points is too large; lower resolution")
     return low, spacing, counts  # type: ignore[return-value]
 

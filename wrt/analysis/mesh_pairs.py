@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 ENTRIES = 512
 """Pairs of boxes that threads of a CPU share; CUDA takes 16 times as many."""
 
-MOST_PAIRS = (1 << 31) - 1
+MAX_PAIRS = (1 << 31) - 1
 """Most pairs of triangles that are listed."""
 
 
@@ -79,12 +79,12 @@ def closest_pair(scene: Scene, first: int, second: int, *, max_distance: float =
             groups or fuzzy boxes.
         RuntimeError: a graph is being captured.
     """
-    state, most = state_of(scene), as_most(max_distance)
+    state, max_distance = state_of(scene), as_max_distance(max_distance)
     state.require_whole("a distance of meshes")
     ids = as_pair(state, "closest_pair", first, second)
     with use_threads(state.num_threads):
         a, b = (body_of(state, number) for number in sorted(ids))
-        pair = answer_of(state, (a, b), nearest_of(a, b, most))
+        pair = answer_of(state, (a, b), nearest_of(a, b, max_distance))
     return pair if ids[0] < ids[1] else turned(pair)
 
 
@@ -106,17 +106,17 @@ def clearance(scene: Scene, instances: Indices | None = None, *, max_distance: f
     Raises:
         TypeError, ValueError, RuntimeError: as `closest_pair`; fewer than two ids.
     """
-    state, most = state_of(scene), as_most(max_distance)
+    state, max_distance = state_of(scene), as_max_distance(max_distance)
     state.require_whole("a distance of meshes")
     chosen = as_bodies(state, instances)
     with use_threads(state.num_threads):
         bodies = {number: body_of(state, number) for number in chosen}
         best = answer_of(state, (), None)
-        for least, one, other in nearest_boxes(state, bodies, most):
-            if least > best.distance + slack_of(bodies[one], bodies[other])[0]:
+        for gap, one, other in nearest_boxes(state, bodies, max_distance):
+            if gap > best.distance + slack_of(bodies[one], bodies[other])[0]:
                 continue
             pair = bodies[one], bodies[other]
-            found = answer_of(state, pair, nearest_of(*pair, min(most, best.distance)))
+            found = answer_of(state, pair, nearest_of(*pair, min(max_distance, best.distance)))
             if found.found and key_of(found) < key_of(best):
                 best = found
     return best
@@ -150,16 +150,16 @@ def overlapping_triangles(scene: Scene, first: int, second: int) -> np.ndarray:
     return np.ascontiguousarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
 
 
-def as_most(max_distance: Any) -> float:
+def as_max_distance(max_distance: Any) -> float:
     """A greatest distance.
 
     Raises:
         TypeError, ValueError: as `closest_pair`.
     """
-    most = as_float("max_distance", max_distance)
-    if most < 0.0:
-        raise ValueError(f"max_distance must be 0 or more, or inf for no limit, not {most}")
-    return most
+    max_distance = as_float("max_distance", max_distance)
+    if max_distance < 0.0:
+        raise ValueError(f"max_distance must be 0 or more, or inf for no limit, not {max_distance}")
+    return max_distance
 
 
 def as_pair(state: SceneState, query: str, first: Any, second: Any) -> tuple[int, int]:
@@ -189,20 +189,20 @@ def as_bodies(state: SceneState, instances: Any) -> list[int]:
     return chosen
 
 
-def nearest_boxes(state: SceneState, bodies: dict[int, PlacedBody], most: float) -> list[tuple[float, int, int]]:
+def nearest_boxes(state: SceneState, bodies: dict[int, PlacedBody], max_distance: float) -> list[tuple[float, int, int]]:
     """(distance of boxes, id, greater id) of the pairs that may be the nearest, those with the nearest boxes first."""
     numbers = np.array(list(bodies))
     boxes = np.stack([body.box for body in bodies.values()])
     slack = np.array([sum(slack_of(body, body)) for body in bodies.values()])
     environments = np.array([one.environment for one in state.instances] or [-1] * body_count(state))[numbers]
-    found, bound = [], most
+    found, bound = [], max_distance
     for i in range(len(numbers) - 1):
-        least, greatest = box_gaps(boxes[i], boxes[i + 1 :])
+        gap, greatest = box_gaps(boxes[i], boxes[i + 1 :])
         own, others = environments[i], environments[i + 1 :]
         sees = (own == others) | (own < 0) | (others < 0)
         bound = min(bound, float(greatest[sees].min(initial=np.inf)))
-        near = np.flatnonzero(sees & (least <= bound + slack[i] + slack[i + 1 :]))
-        found += [(float(least[j]), int(numbers[i]), int(numbers[i + 1 + j])) for j in near]
+        near = np.flatnonzero(sees & (gap <= bound + slack[i] + slack[i + 1 :]))
+        found += [(float(gap[j]), int(numbers[i]), int(numbers[i + 1 + j])) for j in near]
     return sorted(found)
 
 
@@ -211,9 +211,9 @@ def entries_of(body: PlacedBody) -> int:
     return ENTRIES if body.part.is_cpu else 16 * ENTRIES
 
 
-def nearest_of(a: PlacedBody, b: PlacedBody, most: float) -> tuple[float, np.ndarray, np.ndarray] | None:
-    """Distance, triangles and points (2, 3) of the nearest pair; None if it is farther than `most`."""
-    work, found, device = pair_work(a, b, most, entries_of(a)), NearestPairs(), a.part.device
+def nearest_of(a: PlacedBody, b: PlacedBody, max_distance: float) -> tuple[float, np.ndarray, np.ndarray] | None:
+    """Distance, triangles and points (2, 3) of the nearest pair; None if it is farther than `max_distance`."""
+    work, found, device = pair_work(a, b, max_distance, entries_of(a)), NearestPairs(), a.part.device
     count = work.boxes.shape[0]
     if count == 0:
         return None
@@ -227,7 +227,7 @@ def nearest_of(a: PlacedBody, b: PlacedBody, most: float) -> tuple[float, np.nda
     square, triangles = found.square.numpy(), found.triangles.numpy()
     best = int(np.lexsort((triangles[:, 1], triangles[:, 0], square))[0])
     distance = float(np.sqrt(square[best]))
-    if triangles[best, 0] < 0 or distance > most:
+    if triangles[best, 0] < 0 or distance > max_distance:
         return None
     return distance, triangles[best], np.stack([found.first.numpy()[best], found.second.numpy()[best]])
 
@@ -246,8 +246,8 @@ def meeting_of(a: PlacedBody, b: PlacedBody) -> np.ndarray:
     launch(kernel, count, inputs, device=device, chunk=1, longest=16)
     ends = np.cumsum(lists.count.numpy().astype(np.int64))
     total = int(ends[-1]) if count else 0
-    if total > MOST_PAIRS:
-        raise ValueError(f"{total:,} pairs of triangles meet, and at most {MOST_PAIRS:,} are listed; pass parts of the meshes")
+    if total > MAX_PAIRS:
+        raise ValueError(f"{total:,} pairs of triangles meet, and at most {MAX_PAIRS:,} are listed; pass parts of the meshes")
     if total == 0:
         return np.empty((0, 2), dtype=np.int32)
     lists.begin = wp.array(np.concatenate([[0], ends[:-1]]), dtype=wp.int64, device=device)

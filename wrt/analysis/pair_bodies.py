@@ -197,12 +197,12 @@ def slack_of(a: PlacedBody, b: PlacedBody) -> tuple[float, float]:
     return TREE_ERROR * (a.reach + b.reach) + rounding, rounding
 
 
-def pair_work(a: PlacedBody, b: PlacedBody, most: float, entries: int) -> PairWork:
-    """Pairs of boxes near the roots, the nearest first, below which are all pairs of triangles up to the distance `most`.
+def pair_work(a: PlacedBody, b: PlacedBody, max_distance: float, entries: int) -> PairWork:
+    """Pairs of boxes near the roots, the nearest first, below which are all pairs of triangles up to `max_distance`.
 
     Args:
         a, b: the bodies.
-        most: greatest distance of a pair; 0 for pairs that meet.
+        max_distance: greatest distance of a pair; 0 for pairs that meet.
         entries: about how many are enough.
     """
     slack, near_slack = slack_of(a, b)
@@ -213,9 +213,9 @@ def pair_work(a: PlacedBody, b: PlacedBody, most: float, entries: int) -> PairWo
     lanes = np.stack(np.meshgrid(*roots, indexing="ij"), axis=-1).reshape(-1, 2)
     size, other_size = own[:, 1].sum(axis=1), other[:, 1].sum(axis=1)
     while True:
-        least, greatest = box_gaps(own[lanes[:, 0]], other[lanes[:, 1]])
-        near = least <= min(most, float(greatest.min(initial=np.inf)) if most > 0.0 else 0.0) + slack
-        lanes, least = lanes[near], least[near]
+        gap, greatest = box_gaps(own[lanes[:, 0]], other[lanes[:, 1]])
+        near = gap <= min(max_distance, float(greatest.min(initial=np.inf)) if max_distance > 0.0 else 0.0) + slack
+        lanes, gap = lanes[near], gap[near]
         words = np.stack([child[lanes[:, 0]], other_child[lanes[:, 1]]], axis=1)
         can = (words >= 0) & (words < [len(a.tree.child), len(b.tree.child)])
         if len(lanes) >= entries or not can.any():
@@ -229,10 +229,10 @@ def pair_work(a: PlacedBody, b: PlacedBody, most: float, entries: int) -> PairWo
             made[..., side] = opened
             parts.append(made[all_words[opened] != int(EMPTY_LANE)])
         lanes = np.concatenate(parts)
-    order, device, work = np.argsort(least, kind="stable"), a.part.device, PairWork()
+    order, device, work = np.argsort(gap, kind="stable"), a.part.device, PairWork()
     work.boxes = wp.array(lanes[order].astype(np.int32), dtype=wp.vec2i, device=device)
-    work.square = wp.array(least[order] ** 2, dtype=wp.float64, device=device)
-    work.limit = wp.float64(np.nextafter(np.float64(most) ** 2, np.inf))
-    work.most = wp.array([work.limit], dtype=wp.float64, device=device)
+    work.square = wp.array(gap[order] ** 2, dtype=wp.float64, device=device)
+    work.limit = wp.float64(np.nextafter(np.float64(max_distance) ** 2, np.inf))
+    work.max_square = wp.array([work.limit], dtype=wp.float64, device=device)
     work.slack, work.near_slack = wp.float64(slack), wp.float64(near_slack)
     return work

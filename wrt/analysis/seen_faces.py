@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
     from wrt.scene.scene import Scene
 
-MOST_SAMPLES = 1 << 16
+MAX_SAMPLES = 1 << 16
 """Most rays through a pixel."""
 
 
@@ -39,7 +39,7 @@ def visible_faces(scene: Scene, camera: PinholeCamera | OrthographicCamera, *, s
         TypeError: not a scene, camera is not a camera of wrt, or samples is not an int.
         ValueError: samples is less than 1, or more than 2^16.
     """
-    state, samples = state_of(scene), as_int("samples", samples, 1, MOST_SAMPLES)
+    state, samples = state_of(scene), as_int("samples", samples, 1, MAX_SAMPLES)
     if not callable(getattr(camera, "rays", None)):
         raise TypeError(f"camera must be a camera, such as wrt.PinholeCamera, not {type(camera).__name__}")
     seen = np.zeros(scene.triangle_count, dtype=bool)

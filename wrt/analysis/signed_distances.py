@@ -93,9 +93,9 @@ def signed_distance(
     return distance.reshape(found.shape) if isinstance(given, wp.array) else distance.numpy().reshape(found.shape)
 
 
-def signed(state: SceneState, points: wp.array, sign: str | None, most: float = INF) -> wp.array:
+def signed(state: SceneState, points: wp.array, sign: str | None, max_distance: float = INF) -> wp.array:
     """(N,) distances of (N,) vec3d points that follow each other in space, with signs by a rule; None for no signs."""
-    found = closest_point(state, points, most, in_order=True)
+    found = closest_point(state, points, max_distance, in_order=True)
     return found.batch.t if sign is None else with_signs(state, points, found, SIGNS[sign])
 
 

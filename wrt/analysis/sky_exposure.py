@@ -29,9 +29,6 @@ POINTS = 1 << 16
 """Points whose ambient rays are traced at a time."""
 
 
-GROUP = 8
-"""Largest number of directions that follow each other closely and are traced together."""
-
 CLOSE = float(np.cos(np.radians(4.0)))
 """Cosine of the angle between such directions."""
 
@@ -122,7 +119,7 @@ def as_shares(weights: Any, count: int) -> tuple[np.ndarray, bool]:
 
 def are_close(ways: np.ndarray) -> bool:
     """Whether unit vectors follow each other closely, as those to a sun do."""
-    return len(ways) >= GROUP and bool(np.median((ways[1:] * ways[:-1]).sum(axis=1)) >= CLOSE)
+    return len(ways) > 1 and bool(np.median((ways[1:] * ways[:-1]).sum(axis=1)) >= CLOSE)
 
 
 class LitSurface:
@@ -151,10 +148,10 @@ class LitSurface:
 
     def add(self, ways: np.ndarray, shares: np.ndarray, cosine: bool) -> np.ndarray:
         """(P, G) float64 sums of the weights (G, D) of those of the directions (D, 3) that points see."""
-        from wrt.kernels.fields.exposures import add_lit
+        from wrt.kernels.fields.exposures import GROUP, add_lit
 
         groups, device, tiles = len(shares), self.device, -(-self.count // self._tile)
-        sums = wp.zeros((self.count, groups), dtype=wp.float64, device=device)
+        sums = wp.zeros((groups, self.count), dtype=wp.float64, device=device)
         step = max(GROUP, BLOCK // self.count // GROUP * GROUP)
         for begin in range(0, len(ways), step):
             rows = slice(begin, begin + step)
@@ -170,12 +167,12 @@ class LitSurface:
                 rays, dark = self._trace(ways[rows], first, min(each, tiles - first))
                 launch(add_lit, rays.tiles, [self._points, rays, dark, weights, weighted, cosine, sums], device=device, chunk=4)
         found = np.empty((self.count, groups))
-        found[self._points.order.numpy()] = sums.numpy()
+        found[self._points.order.numpy()] = np.ascontiguousarray(sums.numpy().T)
         return found
 
     def _trace(self, ways: np.ndarray, first: int, tiles: int) -> tuple[Any, wp.array]:
         """Rays to directions from some tiles, from the first one on, and whether each is hidden."""
-        from wrt.kernels.fields.exposures import LitRays, count_lit, prepare_ways, write_lit
+        from wrt.kernels.fields.exposures import GROUP, LitRays, count_lit, prepare_ways, write_lit
         from wrt.kernels.triangle.watertight.woop import ShearedRay
 
         rays, device, state = LitRays(), self.device, self._scene.state

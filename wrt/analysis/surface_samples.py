@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 THROWN = 12.0
 """Points that are thrown for each area of radius x radius; some 0.6 are kept."""
 
-MOST_POINTS = 1 << 26
+MAX_POINTS = 1 << 26
 """Largest number of points."""
 
-LEAST_PART = 4096
+MIN_PART = 4096
 """Points that are settled at a time, at least."""
 
 GRID = 128
@@ -67,10 +67,10 @@ def sample_surface(scene: Scene, count: int | None = None, *, radius: float | No
     if not ends[-1] > 0.0:
         raise ValueError("the scene's triangles have no area, so that no point is on them")
     if radius is None:
-        thrown = as_int("count", count, 1, MOST_POINTS)
+        thrown = as_int("count", count, 1, MAX_POINTS)
     elif not (radius := as_float("radius", radius, finite=True)) > 0.0:
         raise ValueError(f"radius must be above 0, not {radius}")
-    elif (wanted := THROWN * float(ends[-1]) / max(radius * radius, 1e-300)) > MOST_POINTS:
+    elif (wanted := THROWN * float(ends[-1]) / max(radius * radius, 1e-300)) > MAX_POINTS:
         raise ValueError(f"radius {radius} is too small for an area of {ends[-1]:.4g}: {wanted:.4g} points would be thrown")
     else:
         thrown = int(np.ceil(wanted)) + 16
@@ -92,7 +92,7 @@ def kept_apart(scene: Scene, places: np.ndarray, radius: float) -> np.ndarray:
 
     A part of the points is settled at a time, beside those that are kept: few points are then near each other.
     """
-    device, size = scene.device, max(int(len(places) / THROWN), LEAST_PART)
+    device, size = scene.device, max(int(len(places) / THROWN), MIN_PART)
     grid, kept = wp.HashGrid(GRID, GRID, GRID, device=device), np.zeros(0, np.int64)
     with use_threads(scene.state.num_threads):
         for first in range(0, len(places), size):

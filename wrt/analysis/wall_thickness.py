@@ -106,8 +106,8 @@ def mean_near_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 def frame_of(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two directions (N, 3) at right angles to unit vectors and to each other; 0 for a zero vector."""
-    least = np.eye(3)[np.abs(axis).argmin(axis=1)]
-    across = np.cross(axis, least)
+    smallest = np.eye(3)[np.abs(axis).argmin(axis=1)]
+    across = np.cross(axis, smallest)
     length = np.linalg.norm(across, axis=1, keepdims=True)
     across = across / np.where(length > 0.0, length, 1.0)
     return across, np.cross(axis, across)

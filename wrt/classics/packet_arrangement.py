@@ -15,7 +15,7 @@ from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS, RayTags, fil
 from wrt.kernels.runtime.launch import as_device, launch
 from wrt.tables import lookup
 
-MOST_TAG = (1 << 31) - 1
+MAX_TAG = (1 << 31) - 1
 """Greatest type, property or number of a camera ray."""
 
 
@@ -104,6 +104,6 @@ def _tag(values: Any, name: str, count: int, device: wp.Device) -> wp.array:
         raise TypeError(f"{name} must be integers, not {values.dtype}")
     if values.shape != (count,):
         raise ValueError(f"{name} has the shape {values.shape}; it must have one value for each of {count} rays")
-    if count and not 0 <= int(values.min()) <= int(values.max()) <= MOST_TAG:
-        raise ValueError(f"{name} must be from 0 to {MOST_TAG}, but ranges from {values.min()} to {values.max()}")
+    if count and not 0 <= int(values.min()) <= int(values.max()) <= MAX_TAG:
+        raise ValueError(f"{name} must be from 0 to {MAX_TAG}, but ranges from {values.min()} to {values.max()}")
     return wp.array(values.astype(np.int32), dtype=int, device=device)

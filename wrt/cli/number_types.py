@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-MOST = 2**31 - 1
+MAX_INT = 2**31 - 1
 """Largest whole number: kernels count with 32 bits."""
 
 LARGEST = 3.4e38
@@ -21,7 +21,7 @@ class Whole(click.IntRange):
         max: greatest one.
     """
 
-    def __init__(self, min: int | None = None, max: int = MOST) -> None:
+    def __init__(self, min: int | None = None, max: int = MAX_INT) -> None:
         super().__init__(min, max)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
@@ -32,7 +32,7 @@ class Whole(click.IntRange):
 
     def _describe_range(self) -> str:
         """The range in help pages and errors: without the bound that all have, unless it is the only one."""
-        return f"x>={self.min}" if self.max == MOST and self.min is not None else super()._describe_range()
+        return f"x>={self.min}" if self.max == MAX_INT and self.min is not None else super()._describe_range()
 
 
 class Real(click.FloatRange):

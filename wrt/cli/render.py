@@ -228,10 +228,10 @@ def check_size(width: int, height: int) -> None:
     """
     from wrt.engine.memory import machine_bytes
 
-    size, most = 12 * width * height, machine_bytes()
-    if most and size > most:
+    size, available = 12 * width * height, machine_bytes()
+    if available and size > available:
         raise click.UsageError(
-            f"{width:,} x {height:,} pixels take {size / 1e9:,.1f} GB, and this machine has {most / 1e9:,.1f} GB; choose "
+            f"{width:,} x {height:,} pixels take {size / 1e9:,.1f} GB, and this machine has {available / 1e9:,.1f} GB; choose "
             "a smaller --width or --height"
         )
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 INF = float("inf")
 
-LEAST_RADIUS = 2.0**-126
+MIN_RADIUS = 2.0**-126
 """Smallest normal float32."""
 
 
@@ -371,7 +371,7 @@ def _as_radii(radius: Any, count: int, is_box: bool) -> np.ndarray:
         array = np.broadcast_to(array[:, None], (count, 3))
     if array.shape not in (((count, 3),) if is_box else ((1,), (count,))):
         raise ValueError(f"radius has the shape {array.shape}; pass one number, or one for each of {count} points")
-    good = (array >= LEAST_RADIUS) & (array < INF)
+    good = (array >= MIN_RADIUS) & (array < INF)
     if not good.all():
         first = int(np.argmin(good.reshape(len(array), -1).all(axis=1)))
         raise ValueError(

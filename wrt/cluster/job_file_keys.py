@@ -59,10 +59,10 @@ def some_of(names: Any) -> Check:
     return lambda value: texts(value) or next((message for one in value if (message := one_of(names)(one))), "")
 
 
-def whole(least: int, most: int = (1 << 62)) -> Check:
+def whole(minimum: int, maximum: int = (1 << 62)) -> Check:
     """A whole number in a range."""
-    words = f"must be a whole number from {least} to {most}"
-    return lambda value: "" if is_whole(value) and least <= value <= most else words
+    words = f"must be a whole number from {minimum} to {maximum}"
+    return lambda value: "" if is_whole(value) and minimum <= value <= maximum else words
 
 
 def is_whole(value: Any) -> bool:

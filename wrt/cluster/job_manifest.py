@@ -20,7 +20,7 @@ METHODS = ("intersect", "occluded", "count", "closest_point")
 
 HASH = re.compile(r"[0-9a-f]{64}")
 
-MOST = 1 << 62
+MAX_COUNT = 1 << 62
 """Number of rays at most."""
 
 
@@ -57,9 +57,9 @@ def parse_manifest(text: bytes) -> dict[str, Any]:
     return manifest
 
 
-def is_count(value: Any, least: int, most: int) -> bool:
+def is_count(value: Any, minimum: int, maximum: int) -> bool:
     """Whether a value is a whole number in a range."""
-    return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
+    return isinstance(value, int) and not isinstance(value, bool) and minimum <= value <= maximum
 
 
 def is_shape(value: Any) -> bool:
@@ -68,15 +68,15 @@ def is_shape(value: Any) -> bool:
         return False
     product = 1
     for length in value:
-        if not is_count(length, 0, MOST):
+        if not is_count(length, 0, MAX_COUNT):
             return False
         product *= max(length, 1)
-    return product <= MOST
+    return product <= MAX_COUNT
 
 
 FIELDS = {
     "id": lambda value: isinstance(value, str) and re.fullmatch("[0-9a-f]{16}", value) is not None,
-    "answers": lambda value: is_count(value, 1, MOST),
+    "answers": lambda value: is_count(value, 1, MAX_COUNT),
     "scene": lambda value: isinstance(value, str) and HASH.fullmatch(value) is not None,
     "rays": lambda value: isinstance(value, str) and HASH.fullmatch(value) is not None,
     "query": lambda value: value in METHODS,

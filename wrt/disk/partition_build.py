@@ -26,8 +26,8 @@ from wrt.atomic_files import named
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.disk.partition_files import (
     MAPPED,
+    MAX_PARTS,
     MAX_TRIANGLES,
-    MOST_PARTS,
     RECORDS,
     RELATIVE,
     PartList,
@@ -153,10 +153,10 @@ def build_parts(
             counts += np.bincount(grid.cells_of(vertices, faces), minlength=len(counts))
             advance(len(faces), "counting")
         division = divide(counts.reshape(grid.shape), part_triangles)
-        if division.parts > MOST_PARTS:
+        if division.parts > MAX_PARTS:
             raise ValueError(
                 f"part_triangles is {part_triangles}, which makes {division.parts:,} parts of {meshes.first[-1]:,} triangles; "
-                f"there may be {MOST_PARTS:,}: give parts more triangles"
+                f"there may be {MAX_PARTS:,}: give parts more triangles"
             )
         distribute(meshes, grid, division, work, advance)
         meshes.remove()

@@ -32,7 +32,7 @@ RECORDS = "records."
 MAX_TRIANGLES = (1 << 31) - 1
 """Greatest number of triangles: they are numbered with 32 bits."""
 
-MOST_PARTS = 65_534
+MAX_PARTS = 65_534
 """Greatest number of parts."""
 
 LARGEST = 1 << 50
@@ -144,7 +144,7 @@ def check_list(parts: PartList) -> None:
         array = getattr(parts, name)
         if array.dtype != dtype or array.shape != shape:
             raise ValueError(f"{name} holds {array.shape} of {array.dtype.str}, not {shape} of {np.dtype(dtype).str}")
-    if not (meshes and 1 <= count <= MOST_PARTS):
+    if not (meshes and 1 <= count <= MAX_PARTS):
         raise ValueError(f"it lists {meshes} meshes and {count} parts")
     first, triangles = parts.first.tolist(), parts.triangles.tolist()
     if first[0] != 0 or not all(a < b for a, b in pairwise(first)) or min(triangles) < 1 or sum(triangles) != first[-1]:

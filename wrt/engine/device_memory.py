@@ -6,6 +6,10 @@ here for the next call.
 
 A block is used again on the stream for which it was allocated, so that what ran there comes first. Arrays that another stream
 reads must be held until that has been waited for, as with all of Warp's arrays.
+
+This module refers to all memory, also while a block has it. What Python's collector finds in a cycle is finalised, all of it,
+before anything of it may come back to life: if a block in a cycle were the only holder of its memory, Warp would free that, and
+the block would then let it wait here for the next call.
 """
 
 from __future__ import annotations
@@ -27,6 +31,8 @@ Key = tuple[str, int, int]
 
 _lock = threading.RLock()  # the garbage collector may drop a block while the lock is held
 _waiting: defaultdict[Key, list[wp.array]] = defaultdict(list)
+_taken: dict[int, wp.array] = {}
+"""Memory of blocks, by its address."""
 _bytes = 0
 
 
@@ -37,30 +43,35 @@ class DeviceBlock:
         ptr: its address.
     """
 
-    __slots__ = ("_key", "_memory", "ptr")
+    __slots__ = ("_key", "ptr")
 
-    def __init__(self, key: Key, memory: wp.array) -> None:
-        self._key, self._memory, self.ptr = key, memory, memory.ptr
+    def __init__(self, key: Key, ptr: int) -> None:
+        self._key, self.ptr = key, ptr
 
     def __del__(self) -> None:
         if give_back is not None:  # nothing is left of this module when the interpreter exits
-            give_back(self._key, self._memory)
+            give_back(self._key, self.ptr)
 
 
 def take_block(size: int, device: wp.Device) -> DeviceBlock:
-    """A block of at least `size` bytes with undefined contents, on a CUDA device that captures no graph."""
+    """A block of at least `size` bytes with undefined contents, on a device that captures no graph."""
     rounded = -(-size // STEP) * STEP if size > STEP else max(SMALLEST, 1 << (size - 1).bit_length())
-    key = device.alias, device.stream.cuda_stream, rounded
+    key = device.alias, device.stream.cuda_stream if device.is_cuda else 0, rounded
     with _lock:
         memory = _waiting[key].pop() if _waiting.get(key) else None
         if memory is not None:
             _count(-rounded)
-    return DeviceBlock(key, wp.empty(rounded, dtype=wp.uint8, device=device) if memory is None else memory)
+            _taken[memory.ptr] = memory
+    if memory is None:
+        memory = wp.empty(rounded, dtype=wp.uint8, device=device)
+        _taken[memory.ptr] = memory
+    return DeviceBlock(key, memory.ptr)
 
 
-def give_back(key: Key, memory: wp.array) -> None:
-    """Lets memory wait, unless enough does."""
+def give_back(key: Key, ptr: int) -> None:
+    """Lets the memory of a block wait, unless enough does."""
     with _lock:
+        memory = _taken.pop(ptr)
         if _bytes + key[-1] <= KEPT_BYTES:
             _count(key[-1])
             _waiting[key].append(memory)

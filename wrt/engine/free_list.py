@@ -16,13 +16,18 @@ class FreeList(Generic[Item]):
     Each step is one operation of a deque, so that threads, signal handlers and the garbage collector may interrupt it.
 
     Args:
-        most: items of a key that are kept; one more drops the one that was given back first. None for no bound.
+        max_items: items of a key that are kept; one more drops the one that was given back first. None for no bound.
+
+    Attributes:
+        lent: items that finalizers give back, by their `id`. They must be here meanwhile: of what Python's collector finds in a
+            cycle, all finalizers run before anything of it may come back to life, those of Warp's arrays, too.
     """
 
-    __slots__ = ("_free",)
+    __slots__ = ("_free", "lent")
 
-    def __init__(self, most: int | None = None) -> None:
-        self._free: defaultdict[Hashable, deque[Item]] = defaultdict(partial(deque, maxlen=most))
+    def __init__(self, max_items: int | None = None) -> None:
+        self.lent: dict[int, Item] = {}
+        self._free: defaultdict[Hashable, deque[Item]] = defaultdict(partial(deque, maxlen=max_items))
 
     def take(self, key: Hashable = None) -> Item | None:
         """An item for the caller alone until `give_back`; None if none is free."""

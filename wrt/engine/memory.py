@@ -120,12 +120,12 @@ class BlockPool:
     def give_back(self, block: np.ndarray) -> None:
         """Returns an unused block to the pool."""
         with self._lock:
-            most = self.kept_bytes
-            if self.offered_bytes and self.free_bytes + block.nbytes > most and offer(block):
-                most += self.offered_bytes
+            limit = self.kept_bytes
+            if self.offered_bytes and self.free_bytes + block.nbytes > limit and offer(block):
+                limit += self.offered_bytes
             self._free[id(block)] = block
             self.free_bytes += block.nbytes
-            while self._free and self.free_bytes > most:
+            while self._free and self.free_bytes > limit:
                 self.free_bytes -= self._free.popitem(last=False)[1].nbytes
 
     def release(self) -> None:

@@ -60,7 +60,7 @@ class AmbientRays:
         self._scene, self._samples, self._seed, self._query = scene, samples, seed, query
         self._width, self._radius, self.scale = width, radius, int(ambient.SHARES) if radius else 1
         self.ray_count = 0
-        _, self._expected = most_rays(points, samples)
+        _, self._expected = max_rays(points, samples)
         self._origins, self._directions = (empty(self._expected.count, wp.vec3, scene.device) for _ in range(2))
         self._distance = wp.array(np.array([distance], np.float32), dtype=float, device=scene.device)
 
@@ -102,6 +102,6 @@ class AmbientRays:
         launch(kernel, len(hit), inputs, device=self._scene.device, chunk=CHUNK)
 
 
-def most_rays(points: int, samples: int) -> ExpectedRays:
+def max_rays(points: int, samples: int) -> ExpectedRays:
     """The most ambient rays that are traced at once, of this many points with this many rays each."""
     return expected_rays(ANY, points * min(samples, DIRECTIONS_AT_ONCE), coherent=False)

@@ -19,7 +19,7 @@ import warp as wp
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.engine.launch.expected_kernels import picture_rays, query_kernels
 from wrt.engine.rays.rays import Rays
-from wrt.imaging.ambient_rays import AmbientRays, most_rays
+from wrt.imaging.ambient_rays import AmbientRays, max_rays
 from wrt.imaging.cameras import PinholeCamera, pixel_offset
 from wrt.imaging.sampled_picture import Camera, SampledPicture, corner_normals, default_light
 from wrt.kernels.runtime.launch import expect, launch, use_threads
@@ -157,7 +157,7 @@ def _kernels(scene: Scene, camera: Camera, tile: int, settings: _Settings, smoot
     """One kernel of each module that a picture needs."""
     shared = isinstance(camera, PinholeCamera)
     rays = picture_rays(tile, shared, settings.shadows)
-    rays += [most_rays(tile, settings.ambient_samples)] if settings.ambient_samples else []
+    rays += [max_rays(tile, settings.ambient_samples)] if settings.ambient_samples else []
     shading = shading_kernels(smooth, settings.ambient_samples > 0)
     return [*query_kernels(scene.state, rays, **settings.query), *shading]
 

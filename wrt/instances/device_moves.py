@@ -300,13 +300,14 @@ class KeptMove:
 class Lease:
     """Gives a `KeptMove` back when no state, and no result, has its arrays any more."""
 
-    __slots__ = ("_free", "_key", "_move")
+    __slots__ = ("_free", "_key", "_number")
 
     def __init__(self, move: KeptMove, free: FreeList[KeptMove], key: Hashable) -> None:
-        self._move, self._free, self._key = move, free, key
+        self._number, self._free, self._key = id(move), free, key
+        free.lent[self._number] = move
 
     def __del__(self) -> None:
-        self._free.give_back(self._move, self._key)
+        self._free.give_back(self._free.lent.pop(self._number), self._key)
 
 
 class Reports:

@@ -20,7 +20,7 @@ from wrt.kernels.runtime.launch import Chunks, PreparedLaunch
 from wrt.kernels.traversal.two_level.instance_bounds import BoundedInstances, CoverPoints
 from wrt.kernels.traversal.two_level.instance_moves import EXTREMES, BoxTree, Moves, move_instances
 
-MOST_AT_ONCE = 32
+MAX_AT_ONCE = 32
 """Instances up to which one thread moves them, one after the other (notebooks/records/2026-11-23-instances.md)."""
 
 MAX_FREE = 4

@@ -14,7 +14,7 @@ import numpy as np
 
 from wrt.meshes.instance import Instance
 
-MOST_OBJECTS = 32
+MAX_OBJECTS = 32
 """Instances that change up to which making objects is faster than copying arrays of all instances."""
 
 
@@ -72,7 +72,7 @@ class InstanceList(Sequence[Instance]):
         """(M, 4, 4) transforms and (M,) masks of some instances; of all for None."""
         if rows is None:
             return self.transforms, self.masks
-        if "objects" not in self.__dict__ or len(rows) > MOST_OBJECTS:
+        if "objects" not in self.__dict__ or len(rows) > MAX_OBJECTS:
             return self.transforms[rows], self.masks[rows]
         own = [self.objects[row] for row in rows.tolist()]
         return np.array([one.transform for one in own]), np.array([one.mask for one in own])
@@ -87,7 +87,7 @@ class InstanceList(Sequence[Instance]):
             transforms: (M, 4, 4) float64, read-only; None for those they have.
             mask, environment: of all of them; None for those they have.
         """
-        if rows is not None and len(rows) <= MOST_OBJECTS and "objects" in self.__dict__:
+        if rows is not None and len(rows) <= MAX_OBJECTS and "objects" in self.__dict__:
             made = list(self.objects)
             for place, row in enumerate(rows.tolist()):
                 old = made[row]

@@ -141,8 +141,8 @@ class InfluenceAreas(Sequence):
         rng = np.random.default_rng(as_int("seed", seed, 0))
         lines = sample_lines(origins, directions, as_int("samples", samples, 20), rng)
         box = _check_bounds(bounds, lines.origins)
-        least = max(MIN_MEMBERS, int(np.ceil(least_share * len(lines))))
-        found = find_distributions(lines, float(np.sin(np.radians(tolerance))), least, rng)
+        min_members = max(MIN_MEMBERS, int(np.ceil(least_share * len(lines))))
+        found = find_distributions(lines, float(np.sin(np.radians(tolerance))), min_members, rng)
         areas, shares = [], []
         for distribution, chosen in found:
             for area, count in distribution.areas(lines.origins[chosen], lines.directions[chosen], box):
@@ -182,8 +182,8 @@ class Parallel:
         places, ends = origins @ frame.T, corners_of(box) @ frame.T
         low = np.append(places[:, :2].min(axis=0), min(places[:, 2].min(), ends[:, 2].min()))
         high = np.append(places[:, :2].max(axis=0), max(places[:, 2].max(), ends[:, 2].max()))
-        least = 1e-3 * np.linalg.norm(box[1] - box[0])  # the region of a single ray must have a volume, too
-        size = np.maximum(PAD * (high - low), least).tolist()
+        min_members = 1e-3 * np.linalg.norm(box[1] - box[0])  # the region of a single ray must have a volume, too
+        size = np.maximum(PAD * (high - low), min_members).tolist()
         middle = (low + high) / 2
         position = np.array([middle[0], middle[1], middle[2] - size[2] / 2]) @ frame
         area = PlaneInfluenceArea(
@@ -250,33 +250,34 @@ def tangents_of(seen: np.ndarray) -> np.ndarray | None:
 
 
 def find_distributions(
-    lines: Lines, sine: float, least: int, rng: np.random.Generator
+    lines: Lines, sine: float, min_members: int, rng: np.random.Generator
 ) -> list[tuple[Distribution, np.ndarray]]:
     """Distributions that explain at least `least` lines each, with the indices of those lines; no line is used twice."""
     rest = np.arange(len(lines))
     found: list[tuple[Distribution, np.ndarray]] = []
-    while len(rest) >= least:
+    while len(rest) >= min_members:
         left = lines[rest]
         best: Distribution | None = None
-        most = np.zeros(len(rest), dtype=bool)
-        candidates: list[Distribution] = [*parallel_candidates(left, sine, least), *radial_candidates(left, sine, least, rng)]
+        best_explained = np.zeros(len(rest), dtype=bool)
+        candidates: list[Distribution] = [*parallel_candidates(left, sine, min_members)]
+        candidates += radial_candidates(left, sine, min_members, rng)
         for candidate in candidates:
             explained = candidate.explains(left, sine)
             worth = explained.sum() / (POINT_MARGIN if isinstance(candidate, Radial) and isinstance(best, Parallel) else 1.0)
-            if worth > most.sum():
-                best, most = candidate, explained
-        if best is None or most.sum() < least:
+            if worth > best_explained.sum():
+                best, best_explained = candidate, explained
+        if best is None or best_explained.sum() < min_members:
             break
-        found.append((best, rest[most]))
-        rest = rest[~most]
+        found.append((best, rest[best_explained]))
+        rest = rest[~best_explained]
     return found
 
 
-def parallel_candidates(lines: Lines, sine: float, least: int) -> list[Parallel]:
+def parallel_candidates(lines: Lines, sine: float, min_members: int) -> list[Parallel]:
     """An axis for each cluster of directions."""
     cosines = np.clip(lines.directions @ lines.directions.T, -1.0, 1.0)
     sines = np.sqrt(1.0 - cosines * cosines)
-    labels = cluster(sines, sine, least, "precomputed")
+    labels = cluster(sines, sine, min_members, "precomputed")
     axes = []
     for label in range(labels.max() + 1):
         members = lines.directions[labels == label]
@@ -285,7 +286,7 @@ def parallel_candidates(lines: Lines, sine: float, least: int) -> list[Parallel]
     return axes
 
 
-def radial_candidates(lines: Lines, sine: float, least: int, rng: np.random.Generator) -> list[Radial]:
+def radial_candidates(lines: Lines, sine: float, min_members: int, rng: np.random.Generator) -> list[Radial]:
     """A point for each cluster of meeting points of lines."""
     one, other = rng.integers(0, len(lines), (2, PAIRS))
     a, b = lines[one], lines[other]
@@ -305,7 +306,7 @@ def radial_candidates(lines: Lines, sine: float, least: int, rng: np.random.Gene
         return []
     kept = np.flatnonzero(meeting)[:MAX_MEETING_POINTS]  # pairs are random: any subset will do
     places = (p[kept] + q[kept]) / 2
-    expected = PAIRS * len(kept) / meeting.sum() * (least / len(lines)) ** 2
+    expected = PAIRS * len(kept) / meeting.sum() * (min_members / len(lines)) ** 2
     labels = cluster(places, 2.0 * sine * size + near, max(MIN_MEMBERS, int(expected / 4)))
     centers = [np.median(places[labels == label], axis=0) for label in range(labels.max() + 1)]
     return [fit_point(Radial(center, near), lines, sine) for center in centers]
@@ -324,7 +325,7 @@ def fit_point(start: Radial, lines: Lines, sine: float) -> Radial:
     return best
 
 
-def cluster(points: np.ndarray, distance: float, least: int, metric: str = "euclidean") -> np.ndarray:
+def cluster(points: np.ndarray, distance: float, min_members: int, metric: str = "euclidean") -> np.ndarray:
     """(N,) cluster number of each point, -1 for none, by DBSCAN.
 
     Raises:
@@ -337,7 +338,7 @@ def cluster(points: np.ndarray, distance: float, least: int, metric: str = "eucl
             "wrt.known_rays.InfluenceAreas.from_rays clusters rays with scikit-learn, which is not installed; "
             "install it with: pip install scikit-learn"
         ) from error
-    return DBSCAN(eps=distance, min_samples=least, metric=metric).fit_predict(points)
+    return DBSCAN(eps=distance, min_samples=min_members, metric=metric).fit_predict(points)
 
 
 def sample_lines(origins: Any, directions: Any, count: int, rng: np.random.Generator) -> Lines:

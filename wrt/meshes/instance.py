@@ -151,8 +151,9 @@ def is_surely_regular(matrix: list[float]) -> bool:
     a, b, c, _x, d, e, f, _y, g, h, i = matrix[:11]
     square = a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + i * i
     largest = sqrt(square)  # at least the largest singular value
-    least = abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) / max(square, TINY)  # at most the smallest one
-    return largest <= MAX_SCALE and least >= 1.0 / MAX_SCALE and largest < MAX_CONDITION * least
+    determinant = abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
+    smallest = determinant / max(square, TINY)  # at most the smallest one
+    return largest <= MAX_SCALE and smallest >= 1.0 / MAX_SCALE and largest < MAX_CONDITION * smallest
 
 
 def check_transforms(transforms: Any, count: int) -> np.ndarray:
@@ -189,8 +190,8 @@ def check_transforms(transforms: Any, count: int) -> np.ndarray:
     with np.errstate(all="ignore"):  # a NaN is not below any bound
         square = a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + i * i
         largest = np.sqrt(square)  # as in `is_surely_regular`
-        least = np.abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) / np.maximum(square, TINY)
-        fine = (largest <= MAX_SCALE) & (least >= 1.0 / MAX_SCALE) & (largest < MAX_CONDITION * least)
+        smallest = np.abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) / np.maximum(square, TINY)
+        fine = (largest <= MAX_SCALE) & (smallest >= 1.0 / MAX_SCALE) & (largest < MAX_CONDITION * smallest)
         for values in (x, y, z):
             fine &= np.isfinite(values)
         for values, wanted in zip(entries[12:], LAST_ROW, strict=True):

@@ -91,10 +91,10 @@ def connected(edge: np.ndarray) -> np.ndarray:
     edge = edge.reshape(-1, 3)
     label = np.arange(len(edge))
     while True:
-        least = np.full(edge.max() + 1, len(edge))
+        smallest = np.full(edge.max() + 1, len(edge))
         for side in range(3):
-            np.minimum.at(least, edge[:, side], label)
-        better = least[edge].min(axis=1)
+            np.minimum.at(smallest, edge[:, side], label)
+        better = smallest[edge].min(axis=1)
         better = better[better]
         if (better == label).all():
             return label
@@ -144,12 +144,12 @@ def mixed(words: np.ndarray) -> np.ndarray:
 def rotated(corners: np.ndarray) -> np.ndarray:
     """(N, 3, 3) triangles whose corners are rotated so that the least, by x, then y, then z, is the first; -0.0 becomes 0.0."""
     corners = corners + 0.0
-    least = np.zeros(len(corners), dtype=np.int64)
+    smallest = np.zeros(len(corners), dtype=np.int64)
     for other in (1, 2):
-        here = corners[np.arange(len(corners)), least]
+        here = corners[np.arange(len(corners)), smallest]
         differs = here != corners[:, other]
         axis, rows = differs.argmax(axis=1), np.arange(len(corners))
         is_less = differs.any(axis=1) & (corners[rows, other, axis] < here[rows, axis])
-        least[is_less] = other
-    order = (least[:, None] + np.arange(3)) % 3
+        smallest[is_less] = other
+    order = (smallest[:, None] + np.arange(3)) % 3
     return np.take_along_axis(corners, order[:, :, None], axis=1)

@@ -218,7 +218,7 @@ def find_counted(scene: SceneState, plan: Plan, rays: DeviceRays, max_hits: int)
     return nearest, offsets
 
 
-def sum_on_device(counts: wp.array, most: int) -> tuple[wp.array, wp.array, int]:
+def sum_on_device(counts: wp.array, max_length: int) -> tuple[wp.array, wp.array, int]:
     """Where the lists of rays begin, by the number of their hits, of which each holds at most `most`.
 
     Returns:
@@ -231,7 +231,7 @@ def sum_on_device(counts: wp.array, most: int) -> tuple[wp.array, wp.array, int]
 
     device, count = counts.device, counts.size
     lengths, offsets = empty(count + 1, wp.int64, device), empty(count + 1, wp.int64, device)
-    launch(lengths_of_lists, count + 1, [counts, most, lengths], device=device, chunk=4096)
+    launch(lengths_of_lists, count + 1, [counts, max_length, lengths], device=device, chunk=4096)
     wp.utils.array_scan(lengths, offsets, inclusive=False)
     begins = empty(count, wp.int32, device)
     launch(narrow_offsets, count, [offsets, begins], device=device, chunk=4096)

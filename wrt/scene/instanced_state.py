@@ -23,7 +23,7 @@ from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.engine.facts.query_cache import QueryCache
 from wrt.engine.facts.scene_state import SceneState, Settings, new_mark
 from wrt.instances.device_moves import DeviceMoves, MovedInstances, fetched, move_on_device, transforms_on
-from wrt.instances.few_moves import MOST_AT_ONCE, move_few
+from wrt.instances.few_moves import MAX_AT_ONCE, move_few
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, UpperTree, build_upper, cover, on_device, write_maps
 from wrt.instances.instance_list import InstanceList
 from wrt.instances.instance_tables import first_triangles, geometry_table, part_table, upper_struct
@@ -197,7 +197,7 @@ class InstancedState(SceneState):
         rows: (M,) the instances; None for all. mask: theirs; None for those they have.
         """
         count, device = len(self.instances) if rows is None else len(rows), self.device
-        given = None if device.is_cpu and count <= MOST_AT_ONCE else transforms_on(device, transform, count)
+        given = None if device.is_cpu and count <= MAX_AT_ONCE else transforms_on(device, transform, count)
         if given is None:
             return None
         is_known = rows is None or (self.device_moves is not None and self.device_moves.has_chosen(rows))
@@ -262,7 +262,7 @@ class InstancedState(SceneState):
     def _kept(self, instances: InstanceList, rows: np.ndarray | None, moved: int) -> InstancedState:
         """The state after some instances have moved, or all, with the nodes of this one."""
         transforms, masks = instances.some(rows)
-        if len(transforms) <= MOST_AT_ONCE:
+        if len(transforms) <= MAX_AT_ONCE:
             few = np.arange(len(instances)) if rows is None else rows
             found = move_few(self, few, transforms, masks)
             if found is not None:

@@ -19,7 +19,7 @@ from wrt.scenes.shapes import boxes, check_count, copies, lathe, plane, sheets
 __all__ = ["atrium"]
 
 _BAY = 4.0  # distance of column axes
-_MOST = 10_000  # bays in a row, and storeys: columns are placed one by one
+_MAX_COUNT = 10_000  # bays in a row, and storeys: columns are placed one by one
 _GALLERY = 4.5  # depth of the gallery behind the columns
 _STOREY = 5.6
 _SPRING = 3.3  # height of the springing line of the arches
@@ -45,8 +45,8 @@ def atrium(bays: tuple[int, int] = (6, 3), storeys: int = 2, detail: int = 4) ->
     """
     if host_array("bays", bays).shape != (2,):
         raise TypeError(f"bays must be a pair (along x, along y), got {bays!r}")
-    bays_x, bays_y = (check_count("bays", bay, maximum=_MOST) for bay in bays)
-    storeys, detail = check_count("storeys", storeys, maximum=_MOST), check_count("detail", detail)
+    bays_x, bays_y = (check_count("bays", bay, maximum=_MAX_COUNT) for bay in bays)
+    storeys, detail = check_count("storeys", storeys, maximum=_MAX_COUNT), check_count("detail", detail)
     half = 0.5 * _BAY * np.array([bays_x, bays_y], dtype=float)
     column, floors = _column(detail), _STOREY * np.arange(storeys)
     feet = np.array([(x, y, z) for z in floors for x, y in _outline(bays_x, bays_y)])

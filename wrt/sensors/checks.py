@@ -37,7 +37,7 @@ def as_time(time: Any) -> float:
     return as_float("time", time, finite=True)
 
 
-def check_at_least(name: str, value: Any, least: float, below: float = np.inf) -> float:
+def check_at_least(name: str, value: Any, minimum: float, below: float = np.inf) -> float:
     """A number of at least `least` and below `below`.
 
     Raises:
@@ -45,9 +45,9 @@ def check_at_least(name: str, value: Any, least: float, below: float = np.inf) -
         ValueError: out of range.
     """
     value = as_float(name, value)
-    if not least <= value < below:
+    if not minimum <= value < below:
         raise ValueError(
-            f"{name} is {value}; it must be at least {least:g} and " + ("finite" if below == np.inf else f"below {below:g}")
+            f"{name} is {value}; it must be at least {minimum:g} and " + ("finite" if below == np.inf else f"below {below:g}")
         )
     return value
 

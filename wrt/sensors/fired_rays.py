@@ -42,14 +42,14 @@ class KeptRays:
     not.
 
     Args:
-        most: largest number of rays that are kept; those unused for longest go first.
+        max_rays: largest number of rays that are kept; those unused for longest go first.
     """
 
     SEEN = 64
     """Number of sensors at different poses that are remembered."""
 
-    def __init__(self, most: int) -> None:
-        self.most, self.count = most, 0
+    def __init__(self, max_rays: int) -> None:
+        self.max_rays, self.count = max_rays, 0
         self._rays: OrderedDict[Hashable, Fired] = OrderedDict()
         self._seen: OrderedDict[Hashable, None] = OrderedDict()
         self._lock = threading.Lock()
@@ -68,14 +68,14 @@ class KeptRays:
                 self._seen[key] = None
                 if len(self._seen) > self.SEEN:
                     self._seen.popitem(last=False)
-            elif key not in self._rays and len(rays[1]) <= self.most:
+            elif key not in self._rays and len(rays[1]) <= self.max_rays:
                 self._rays[key] = rays
                 self.count += len(rays[1])
-                while self.count > self.most:
+                while self.count > self.max_rays:
                     self.count -= len(self._rays.popitem(last=False)[1][1])
 
 
-kept_rays = KeptRays(most=1 << 22)
+kept_rays = KeptRays(max_rays=1 << 22)
 
 
 def fire(

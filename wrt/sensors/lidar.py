@@ -124,8 +124,8 @@ class Lidar:
             check_at_least(name, getattr(self, name), 0.0)
         check_at_least("dropout", self.dropout, 0.0, 1.0)
         check_at_least("reference_range", self.reference_range, float(np.finfo(np.float32).tiny))
-        for name, most in (("bundle", MAX_BUNDLE), ("returns", MAX_RETURNS)):
-            as_int(name, getattr(self, name), 1, most)
+        for name, maximum in (("bundle", MAX_BUNDLE), ("returns", MAX_RETURNS)):
+            as_int(name, getattr(self, name), 1, maximum)
         if not self.max_range > self.min_range:
             raise ValueError(f"max_range is {self.max_range}; it must be above min_range, {self.min_range}")
         lookup(KEEP, self.keep, "keep")

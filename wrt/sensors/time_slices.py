@@ -284,7 +284,7 @@ def for_each_ray(
     for name, values in given.items():
         if values is None:
             continue
-        least, most, dtype = LIMITS[name]
+        minimum, maximum, dtype = LIMITS[name]
         if order is None and stays_on(device, values, dtype, sensors):
             found[name] = repeated(values, beams * bundle)
             continue
@@ -292,8 +292,8 @@ def for_each_ray(
         array = as_real_array(name, values)
         if array.dtype.kind not in "iu":
             raise TypeError(f"{name} must hold integers, not {array.dtype}")
-        if array.size and (array.min() < least or array.max() > most):
-            raise ValueError(f"{name} must be from {least} to {most}, but ranges from {array.min()} to {array.max()}")
+        if array.size and (array.min() < minimum or array.max() > maximum):
+            raise ValueError(f"{name} must be from {minimum} to {maximum}, but ranges from {array.min()} to {array.max()}")
         if array.ndim == 0:
             found[name] = int(array)
             continue

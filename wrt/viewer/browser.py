@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
     from wrt.viewer.connections import Connection
 
-__all__ = ["MOST_PIXELS", "Browser", "Pose", "pose_of", "size_of"]
+__all__ = ["MAX_PIXELS", "Browser", "Pose", "pose_of", "size_of"]
 
 Pose = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...], float]
 """Position, look_at, up, and vertical field of view in degrees."""
 
-MOST_PIXELS = 1920 * 1200
+MAX_PIXELS = 1920 * 1200
 """Largest picture; a larger window shows it enlarged. It bounds the memory and the time of a client."""
 
 LONGEST_SIDE = 16384
@@ -134,9 +134,9 @@ def pose_of(camera: Any) -> Pose | None:
 
 
 def size_of(camera: Any) -> tuple[int, int]:
-    """Width and height of the picture for a client's window, at most `MOST_PIXELS` together; at least 1 each."""
+    """Width and height of the picture for a client's window, at most `MAX_PIXELS` together; at least 1 each."""
     width, height = _side(camera.image_width), _side(camera.image_height)
-    shrink = min(1.0, sqrt(MOST_PIXELS / (width * height)))
+    shrink = min(1.0, sqrt(MAX_PIXELS / (width * height)))
     return max(1, int(width * shrink)), max(1, int(height * shrink))
 
 

@@ -8,7 +8,7 @@ watched: the function that viser gives to the websocket server runs from the han
     handshake     at most `HANDSHAKE_SECONDS`, by the websocket server.
     first camera  at most `CAMERA_SECONDS` after it: who says nothing is dismissed.
     messages      at most `MESSAGE_BYTES`; one that cannot be read ends the connection.
-    at a time     at most `MOST_CONNECTIONS`.
+    at a time     at most `MAX_CONNECTIONS`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ HANDSHAKE_SECONDS, CAMERA_SECONDS, GOODBYE_SECONDS = 10.0, 20.0, 1.0
 MESSAGE_BYTES = 1 << 20
 """Pages send cameras, clicks and values of controls: some hundred bytes each."""
 
-MOST_CONNECTIONS = 64
+MAX_CONNECTIONS = 64
 """At a time, with those that get no pictures."""
 
 QUIET = logging.getLogger(f"{__name__}.protocol")
@@ -98,7 +98,7 @@ class Connections:
         """A handler of connections that watches over those of `handler`."""
 
         async def serve(socket: Any) -> None:
-            if not self.is_ready or len(self.open) >= MOST_CONNECTIONS:
+            if not self.is_ready or len(self.open) >= MAX_CONNECTIONS:
                 await socket.close(TRY_AGAIN, "too many connections" if self.is_ready else "not ready yet")
                 return
             connection = Connection()

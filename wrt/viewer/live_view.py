@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Viewer", "view"]
 
-MOST_CLIENTS = 16
+MAX_CLIENTS = 16
 """Clients at a time that get pictures."""
 
-MOST_LEAVING = 48
+MAX_LEAVING = 48
 """Clients that have left while a thread still waits for something on their behalf, such as a kernel to be compiled. If
 there are more, new ones wait."""
 
@@ -54,9 +54,9 @@ TOO_MANY = "{count} browsers look at this scene. This page shows it as soon as o
 
 NO_THREAD = "The system has no more threads for pictures ({error}). Load this page again later."
 
-MOST_PORT = 65535
+MAX_PORT = 65535
 
-MOST_POINTS = 2_000_000
+MAX_POINTS = 2_000_000
 """Points of a name."""
 
 
@@ -158,8 +158,8 @@ class Viewer:
         points, values = points.reshape(-1, 3), values.ravel()
         shown = np.isfinite(points).all(axis=1)
         points, values = points[shown], values[shown]
-        if len(points) > MOST_POINTS:
-            raise ValueError(f"there are {len(points)} points; at most {MOST_POINTS} can be drawn: leave some out")
+        if len(points) > MAX_POINTS:
+            raise ValueError(f"there are {len(points)} points; at most {MAX_POINTS} can be drawn: leave some out")
         if len(points) == 0:
             self._server.scene.remove_by_name(f"/wrt/{name}")
             return
@@ -246,7 +246,7 @@ class Viewer:
             if self._ended.is_set():
                 return
             if self._is_full:
-                self._waiting[browser.number] = browser.notify("Too many viewers", TOO_MANY.format(count=MOST_CLIENTS))
+                self._waiting[browser.number] = browser.notify("Too many viewers", TOO_MANY.format(count=MAX_CLIENTS))
                 return
             session = ClientSession(browser, self.shared, self._first, self._options, self._furnish, self._session_left)
             self.sessions[browser.number] = session
@@ -273,7 +273,7 @@ class Viewer:
 
     @property
     def _is_full(self) -> bool:
-        return len(self.sessions) >= MOST_CLIENTS or len(self._leaving) >= MOST_LEAVING
+        return len(self.sessions) >= MAX_CLIENTS or len(self._leaving) >= MAX_LEAVING
 
     def _leave(self, number: int) -> None:
         """A browser has gone, perhaps in the middle of a picture. Another one gets its place at once."""
@@ -367,7 +367,7 @@ def view(
     scene = Scene(scene) if isinstance(scene, TriangleMesh) else scene
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a wrt.Scene or a wrt.TriangleMesh, not {type(scene).__name__}")
-    port, samples, frames = as_int("port", port, 0, MOST_PORT), as_int("samples", samples, 1), as_int("frames", frames, 0)
+    port, samples, frames = as_int("port", port, 0, MAX_PORT), as_int("samples", samples, 1), as_int("frames", frames, 0)
     block, open_browser = None if block is None else as_bool("block", block), as_bool("open_browser", open_browser)
     if animate is not None and frames < 1:
         raise ValueError(f"frames is {frames}; an animation needs the number of its frames")

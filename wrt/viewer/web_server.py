@@ -47,7 +47,7 @@ REFUSED = {
 HIGHER = 100
 """Ports that are tried from the given one on."""
 
-LEAST_TOKEN = 8
+MIN_TOKEN = 8
 """Characters of a token that is given."""
 
 _starting = threading.Lock()
@@ -158,8 +158,8 @@ def _token_of(token: bool | str | None, host: str) -> str | None:
         return secrets.token_urlsafe(16) if token else None
     if not isinstance(token, str):
         raise TypeError(f"token must be True, False, None or a string, not {type(token).__name__}")
-    if len(token) < LEAST_TOKEN or not (token.isascii() and token.replace("-", "").replace("_", "").isalnum()):
-        raise ValueError(f"token must have at least {LEAST_TOKEN} letters, digits, - and _; True makes one")
+    if len(token) < MIN_TOKEN or not (token.isascii() and token.replace("-", "").replace("_", "").isalnum()):
+        raise ValueError(f"token must have at least {MIN_TOKEN} letters, digits, - and _; True makes one")
     return token
 
 

@@ -60,11 +60,11 @@ class BinnedNode:
 def merge_parts(node: BinnedNode, parts: wp.array(dtype=float), domain: wp.array(dtype=float), at: int):
     """Computes the centroid box of a node from its parts."""
     for lane in range(8):
-        least = load_float(parts, node.part_first * 8 + lane)
+        smallest = load_float(parts, node.part_first * 8 + lane)
         for part in range(1, node.part_count):
             value = load_float(parts, (node.part_first + part * 2) * 8 + lane)
-            least = wp.where(value < least, value, least)
-        store_float(domain, at * 8 + lane, least)
+            smallest = wp.where(value < smallest, value, smallest)
+        store_float(domain, at * 8 + lane, smallest)
 
 
 @exact_kernel

@@ -27,7 +27,7 @@ CODE_BITS = 30
 CELLS = wp.constant(1023.0)
 """The last cell along an axis."""
 
-LEAST_SIDE = 1e-30
+MIN_SIDE = 1e-30
 """Length of a side of the scene up to which it has one cell."""
 
 BLOCK, BLOCKS = 64, 8
@@ -131,7 +131,7 @@ def sort_by_codes(triangles: TriangleBoxes, tree: MergedTree) -> None:
     """Sorts the triangles by their codes; of equal codes, by their ids."""
     device, count = triangles.boxes.low.device, triangles.count
     sides = (triangles.high - triangles.low).astype(np.float32)
-    scale = np.where(sides > LEAST_SIDE, np.float32(1024.0) / np.maximum(sides, np.float32(LEAST_SIDE)), np.float32(0.0))
+    scale = np.where(sides > MIN_SIDE, np.float32(1024.0) / np.maximum(sides, np.float32(MIN_SIDE)), np.float32(0.0))
     corner = wp.vec3(*map(float, triangles.low))
     inputs = [triangles.boxes, corner, wp.vec3(*map(float, scale)), tree]
     launch(write_codes, count, inputs, device=device, chunk=CHUNK)

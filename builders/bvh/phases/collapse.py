@@ -100,14 +100,14 @@ def make_costs(heuristic: Heuristic) -> tuple[wp.Function, wp.Function]:
         return weigh(rays, tree, node) * leaf_cost(rules.cost, count)
 
     @wp.func
-    def least_cost(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), node: int, lanes: int):
+    def min_cost(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), node: int, lanes: int):
         """F(n, lanes)."""
         pair = tree.pair[node]
         if pair == LEAF:
             return cost_as_leaf(rules, rays, tree, costs, node)
         return costs[pair * MAX_WIDTH + lanes - 1]
 
-    return cost_as_leaf, least_cost
+    return cost_as_leaf, min_cost
 
 
 def make_solve(heuristic: Heuristic) -> wp.Kernel:
@@ -161,7 +161,7 @@ def make_solve(heuristic: Heuristic) -> wp.Kernel:
 def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
     """The kernel that picks the children of the nodes of a level."""
     rays_type = heuristic.rays
-    cost_as_leaf, least_cost = make_costs(heuristic)
+    cost_as_leaf, min_cost = make_costs(heuristic)
 
     @wp.func
     def share_lanes(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), pair: int, lanes: int):
@@ -169,9 +169,7 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
         best = float(INFINITY)
         share = int(1)
         for k in range(1, lanes):
-            cost = least_cost(rules, rays, tree, costs, 2 * pair, k) + least_cost(
-                rules, rays, tree, costs, 2 * pair + 1, lanes - k
-            )
+            cost = min_cost(rules, rays, tree, costs, 2 * pair, k) + min_cost(rules, rays, tree, costs, 2 * pair + 1, lanes - k)
             if cost < best:
                 best = cost
                 share = k
@@ -211,7 +209,7 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
                 # costs are no guide if surface areas overflow or are NaN: what has no children is a leaf whatever it costs
                 is_leaf = pair == LEAF
                 if tree.range[node][1] <= rules.max_leaf and not is_leaf:
-                    is_leaf = cost_as_leaf(rules, rays, tree, costs, node) <= least_cost(rules, rays, tree, costs, node, 1)
+                    is_leaf = cost_as_leaf(rules, rays, tree, costs, node) <= min_cost(rules, rays, tree, costs, node, 1)
                 if is_leaf:
                     wide.pick[index, held] = ~node
                     counts[1] += (tree.range[node][1] + width - 1) >> rules.cost.width_bits

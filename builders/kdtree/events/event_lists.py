@@ -1,6 +1,6 @@
 """Sorted events as a node's lists: exact planes, divided without sorting (Wald and Havran 2006).
 
-A node has one list per axis. Search sweeps the three lists, 16 events at a time where possible (`find_least_plane`). Classify
+A node has one list per axis. Search sweeps the three lists, 16 events at a time where possible (`find_best_plane`). Classify
 marks every triangle from the list of the split axis. Partition splits each list between the children in one pass. A part of a
 sorted list is sorted, so nothing is merged or sorted again, unless triangles are clipped to nodes (`clipped_events`).
 
@@ -14,7 +14,7 @@ import warp as wp
 from wrt.builders.core.subtrees import Frame, Parts, Task
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
-from wrt.builders.kdtree.events.sweep_planes import LeastPlane, Sweep, close_planar, find_least_plane, start_sweep, sweep_event
+from wrt.builders.kdtree.events.sweep_planes import BestPlane, Sweep, close_planar, find_best_plane, start_sweep, sweep_event
 from wrt.kernels.layout.unchecked import load_byte, load_pair, store_byte, store_pair
 from wrt.kernels.simd.boxes import INFINITY
 
@@ -52,7 +52,7 @@ def sweep_until(
     events: wp.array(dtype=wp.vec2i),
     begin: int,
     end: int,
-    least: float,
+    min_cost: float,
     sweep: wp.ref[Sweep],
 ):
     """Passes the events begin .. end - 1, or fewer: it stops when it has passed a plane of the least cost."""
@@ -60,7 +60,7 @@ def sweep_until(
     while i < end:
         event = load_pair(events, i)
         position = wp.cast(event[0], wp.float32)
-        if sweep.best.cost <= least and position != sweep.best.position:
+        if sweep.best.cost <= min_cost and position != sweep.best.position:
             break
         sweep_event(cost, along, event[1] & 3, position, sweep)
         i += 1
@@ -82,15 +82,15 @@ def sweep_range(
 
     any_planar: whether there may be events of planar triangles."""
     start = int(begin)
-    least = LeastPlane()
-    least.cost = -INFINITY
+    plane = BestPlane()
+    plane.cost = -INFINITY
     if not any_planar:
-        find_least_plane(cost, along, events, begin, end - begin, sweep.left, sweep.right, least)
-        start = least.event
-        sweep.left = least.left
-        sweep.right = least.right
-    if least.cost < sweep.best.cost:
-        sweep_until(cost, along, events, start, end, least.cost, sweep)
+        find_best_plane(cost, along, events, begin, end - begin, sweep.left, sweep.right, plane)
+        start = plane.event
+        sweep.left = plane.left
+        sweep.right = plane.right
+    if plane.cost < sweep.best.cost:
+        sweep_until(cost, along, events, start, end, plane.cost, sweep)
 
 
 @wp.func

@@ -11,7 +11,7 @@ its position with the current counts, without a branch on what follows, and the 
 Planar triangles are the exception, because putting some of them on each side is not a split. They are all tried on the right
 when the first of them comes, and all on the left when the last has been passed.
 
-**16 events at a time** (`find_least_plane`). An exact sweep evaluates the cost at every event, with counts that each event
+**16 events at a time** (`find_best_plane`). An exact sweep evaluates the cost at every event, with counts that each event
 changes. Done one after the other, this is half the time of an exact build. But the counts at 16 events are prefix sums over
 their types; the 16 costs are then lanes of one vector. Each lane keeps the least cost so far and the block of 16 in which it
 occurred. The plane itself is found by a sweep that starts at the first such block, one event at a time, so that ties, and the
@@ -91,7 +91,7 @@ def sweep_event(cost: SplitCost, along: AxisFrame, kind: int, position: float, s
 
 
 @wp.struct
-class LeastPlane:
+class BestPlane:
     """The least cost of a sweep along one axis and its position."""
 
     cost: float
@@ -106,9 +106,9 @@ class LeastPlane:
 
 @native.func_native(
     "events.h",
-    "wrt::find_least_plane(cost, frame, events.data + begin, count, left_before, right_before, found);\nfound.event += begin;",
+    "wrt::find_best_plane(cost, frame, events.data + begin, count, left_before, right_before, found);\nfound.event += begin;",
 )
-def find_least_plane(
+def find_best_plane(
     cost: SplitCost,
     frame: AxisFrame,
     events: wp.array(dtype=wp.vec2i),
@@ -116,7 +116,7 @@ def find_least_plane(
     count: int,
     left_before: int,
     right_before: int,
-    found: wp.ref[LeastPlane],
+    found: wp.ref[BestPlane],
 ):
     """Searches the events begin .. begin + count - 1, none of which is of a planar triangle.
 

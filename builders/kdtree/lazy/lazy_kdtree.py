@@ -263,19 +263,19 @@ class LazyKdTree:
             self.presort = clusters if divided else None
         return divided
 
-    def _divide_by(self, number: int, clusters: Clusters, most: float) -> bool:
+    def _divide_by(self, number: int, clusters: Clusters, max_duplication: float) -> bool:
         """Divides a cell into cells by its clusters; False if no plane does, or if too many triangles straddle the planes:
         most is the largest number of triangles in the cells, relative to those of the divided cell."""
         parent = self.cells[number]
-        least, size = self.config.stop.least_size * self.triangles.size, float((parent["high"] - parent["low"]).max())
-        if not size > least or not least / size < 1.0:  # NaN is not divided either
+        min_size, size = self.config.stop.least_size * self.triangles.size, float((parent["high"] - parent["low"]).max())
+        if not size > min_size or not min_size / size < 1.0:  # NaN is not divided either
             return False
-        top = self._build_top(parent, clusters, least / size)
+        top = self._build_top(parent, clusters, min_size / size)
         flat = unpack(top)
         leaf, listed = leaves_of(clusters, top.nodes)
         sizes = clusters.sizes
         duplication = sizes[listed].sum() / sizes.sum()
-        if len(flat.axis) == 1 or duplication > most:
+        if len(flat.axis) == 1 or duplication > max_duplication:
             return False
         leaves, begins, numbers = np.unique(leaf, return_index=True, return_counts=True)
         cells = np.zeros(len(leaves), dtype=CELL)

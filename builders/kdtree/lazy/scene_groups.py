@@ -97,13 +97,13 @@ class SceneGroups:
         """Number of triangles of some nodes."""
         return int(np.diff(self.triangles[nodes], axis=1).sum())
 
-    def opened(self, nodes: np.ndarray, low: np.ndarray, high: np.ndarray, least: int) -> tuple[np.ndarray, list[int]]:
-        """Replaces groups by their members, the largest box first, until there are `least` nodes or no groups.
+    def opened(self, nodes: np.ndarray, low: np.ndarray, high: np.ndarray, min_count: int) -> tuple[np.ndarray, list[int]]:
+        """Replaces groups by their members, the largest box first, until there are `min_count` nodes or no groups.
 
         Args:
             nodes: those of a cell.
             low, high: (3,) the cell; members outside are left out.
-            least: number of nodes from which on no group is opened.
+            min_count: number of nodes from which on no group is opened.
 
         Returns:
             The nodes, meshes first, and the groups that were opened.
@@ -112,7 +112,7 @@ class SceneGroups:
         waiting = [(-self.area[node], node) for node in nodes.tolist() if node >= self.meshes]
         heapify(waiting)
         groups = []
-        while waiting and len(done) + len(waiting) < least:
+        while waiting and len(done) + len(waiting) < min_count:
             groups.append(heappop(waiting)[1])
             below = self.members[groups[-1] - self.meshes]
             meets = ((self.low[below] < high) & (self.high[below] > low)).all(axis=1)

@@ -86,7 +86,7 @@ def median_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=in
     size = frame.inner_high - frame.inner_low
     axis = wp.where(size[0] >= size[1] and size[0] >= size[2], 0, wp.where(size[1] >= size[2], 1, 2))
     triangles = frame.triangles
-    least = int(triangles)
+    min_uneven = int(triangles)
     left = int(0)
     right = (triangles + step - 1) / step
     for b in range(1, bins):
@@ -94,8 +94,8 @@ def median_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=in
         right -= bin_count(counter, slot, (3 + axis) * bins + bins - b)
         uneven = wp.abs(left - right) * step
         position = frame.inner_low[axis] + size[axis] * (float(b) / float(bins))
-        if uneven < least and position > frame.low[axis] and position < frame.high[axis]:
-            least = uneven
+        if uneven < min_uneven and position > frame.low[axis] and position < frame.high[axis]:
+            min_uneven = uneven
             split.cost = 0.0
             split.axis = axis
             split.position = position

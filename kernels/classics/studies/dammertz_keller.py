@@ -23,10 +23,10 @@ from wrt.kernels.simd.boxes import SLACK, ray_slabs, reach, slab_interval
 from wrt.kernels.triangle.support.record_blocks import VERTICES, Corners, Record, corners_high, corners_low
 from wrt.kernels.triangle.support.vectors import PlainRay, dot, miss, prepare
 
-MOST = 24
+MAX_LEVEL = 24
 """Levels: each halves the edges, and float32 has 24 digits."""
 
-SIZE = 3 * MOST + 1
+SIZE = 3 * MAX_LEVEL + 1
 """Triangles that wait: each level leaves three."""
 
 
@@ -54,7 +54,7 @@ def intersect(ray: PlainRay, corners: Corners):
     """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     distance = reach(ray.origin, corners_low(corners), corners_high(corners))
     slabs = ray_slabs(ray.origin, ray.direction, distance)
-    least = SLACK * distance
+    smallest = SLACK * distance
     square = dot(ray.direction, ray.direction)
     if not (square > 0.0 and distance < wp.inf):
         return miss()
@@ -70,7 +70,7 @@ def intersect(ray: PlainRay, corners: Corners):
         span = slab_interval(slabs, low, high)
         if span[0] <= span[1]:
             side = high - low
-            if wp.max(side[0], wp.max(side[1], side[2])) <= least or part.level >= float(wp.static(MOST)):
+            if wp.max(side[0], wp.max(side[1], side[2])) <= smallest or part.level >= float(wp.static(MAX_LEVEL)):
                 centre = (here.a + here.b + here.c) / 3.0
                 third = part.size / 3.0
                 return wp.vec3(dot(centre - ray.origin, ray.direction) / square, part.u + third, part.v + third)

@@ -9,7 +9,7 @@ from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import specialised_kernel
-from wrt.kernels.simd.boxes import ray_slabs, reach
+from wrt.kernels.simd.boxes import BoxRay, ray_slabs, reach
 from wrt.kernels.traversal.leaf import Counters, begin_search, leaf_search
 from wrt.kernels.traversal.queued.queued_bvh import QueuedNodes
 from wrt.kernels.traversal.single.key_walk import make_key_walk
@@ -84,7 +84,7 @@ def make_log_kernel(config: TraversalConfig) -> wp.Kernel:
             search.next = ends[place]
         work = Counters()
         if root >= 0:
-            best = walk_keys(tree.nodes, root, slabs, ray.t_min, search, hits, i, best, work)
+            best = walk_keys(tree.nodes, root, BoxRay(slabs, ray.t_min), search, hits, i, best, work)
         else:
             best = visit(tree.nodes, root, search, hits, i, best, work)
         if words.shape[0] == 0:

@@ -53,7 +53,7 @@ from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
 from wrt.kernels.traversal.packet.core.packet_kdtree import MIXED_AXES, make_packet_kdtree_walk, walk_memory
-from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, packet_step
+from wrt.kernels.traversal.packet.core.packet_kernel import PacketWork, packet_layout, packet_memory, packet_step
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_load import bound_rays
 from wrt.kernels.traversal.single.single_kdtree import Cell, make_kdtree_walk, pop_cell, step_guessing
@@ -255,10 +255,12 @@ def make_entry_point_kernel(config: TraversalConfig, accelerated: bool) -> wp.Ke
         first: int, tree: KdNodes, triangles: TriangleBlocks, rays: RayBatch, hits: HitBatch, counters: CounterRows
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
-        memory = wp.zeros(shape=(memory_size,), dtype=int)
+        walk_memory = wp.zeros(shape=(memory_size,), dtype=int)
+        memory = packet_memory(packet, walk_memory)
         tile = (first + wp.tid()) * wp.static(large)
         end = wp.min(tile + wp.static(large), rays.count)
-        work = Counters()
+        work = PacketWork()
+        work.counters = counters
         part_tree = KdNodes()
         part_tree.nodes = tree.nodes
         root = wp.zeros(shape=(levels,), dtype=int)  # of each level: the entry point of the tile that is under way
@@ -276,7 +278,7 @@ def make_entry_point_kernel(config: TraversalConfig, accelerated: bool) -> wp.Ke
             for level in range(levels):
                 if (part - tile) % rays_here == 0:
                     if part_may_hit and (level == 0 or kdtree.split_axis(kdtree.load_node(tree.nodes, part_tree.root)) != LEAF):
-                        part_may_hit = search_tile(tree, part_tree, triangles, rays, part, rays_here, work)
+                        part_may_hit = search_tile(tree, part_tree, triangles, rays, part, rays_here, work.done)
                     root[level] = part_tree.root
                     low[level] = part_tree.low
                     high[level] = part_tree.high
@@ -290,13 +292,13 @@ def make_entry_point_kernel(config: TraversalConfig, accelerated: bool) -> wp.Ke
             begin = int(part)
             while begin < part_end:
                 if part_may_hit:
-                    trace_packet(tree, part_tree, triangles, rays, begin, packet, memory, hits, counters, work)
+                    trace_packet(tree, part_tree, triangles, rays, begin, memory, hits, work)
                 else:
                     for i in range(begin, wp.min(begin + wp.static(packet_rays), part_end)):
                         store(hits, i, start(0.0))
                     if wp.static(counting):
-                        counters.rows[begin] = work
-                        work = Counters()
+                        counters.rows[begin] = work.done
+                        work.done = Counters()
                 begin += wp.static(packet_rays)
             part += wp.static(small)
 

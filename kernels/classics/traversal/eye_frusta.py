@@ -92,7 +92,7 @@ def rays_per_item(config: TraversalConfig) -> int:
     return RUN * FRUSTA * config.packet.rays
 
 
-def most_waiting(config: TraversalConfig) -> int:
+def max_waiting(config: TraversalConfig) -> int:
     """Children that may wait at a time."""
     return config.stack.levels * (config.width - 1) + config.width
 
@@ -228,9 +228,26 @@ def make_rays(config: TraversalConfig) -> wp.Function:
     return make
 
 
+@wp.struct
+class FrustaMemory:
+    """The packets of a block of frusta."""
+
+    packets: wp.array2d(dtype=float)
+    bounds: wp.array(dtype=PacketBounds)
+
+
+@wp.func
+def frusta_memory(packets: wp.array2d(dtype=float), bounds: wp.array(dtype=PacketBounds)):
+    """Memory that the arrays of a kernel are; Warp assigns them to a struct only as arguments."""
+    memory = FrustaMemory()
+    memory.packets = packets
+    memory.bounds = bounds
+    return memory
+
+
 @cache
 def make_walk(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, rays, block, packets, bounds, lanes, slots, work) -> mask`: traces a block of frusta.
+    """`wp.func(tree, triangles, rays, block, frusta, lanes, slots, work) -> mask`: traces a block of frusta.
 
     Returns those whose rays were made. block: place of the first of them in the order of blocks.
     """
@@ -244,8 +261,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
         triangles: wp.ref[TriangleBlocks],
         rays: wp.ref[RayBatch],
         block: int,
-        packets: wp.array2d(dtype=float),
-        bounds: wp.array(dtype=PacketBounds),
+        frusta: wp.ref[FrustaMemory],
         lanes: wp.array(dtype=float),
         slots: wp.array(dtype=int),
         work: wp.ref[Counters],
@@ -273,14 +289,14 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                     waiting &= waiting - wp.uint32(1)
                     bit = wp.uint32(1) << wp.uint32(f)
                     if made & bit == wp.uint32(0):
-                        frustum_bounds(lanes, f, bounds[f])
+                        frustum_bounds(lanes, f, frusta.bounds[f])
                         begin = order(rays, block + f) * wp.static(packet_rays)
-                        if make(tree, triangles, rays, begin, child, packets[f], bounds[f]):
+                        if make(tree, triangles, rays, begin, child, frusta.packets[f], frusta.bounds[f]):
                             made |= bit
                     if made & bit != wp.uint32(0):
                         node, lane = slot / wp.static(width), slot % wp.static(width)
-                        visit(tree, triangles, node, lane, packets[f], bounds[f], slots, work)
-                        shorten_frustum(lanes, f, bounds[f].t_max)
+                        visit(tree, triangles, node, lane, frusta.packets[f], frusta.bounds[f], slots, work)
+                        shorten_frustum(lanes, f, frusta.bounds[f].t_max)
         return made
 
     return walk
@@ -290,10 +306,10 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 def make_eye_frusta_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation; its packets are frusta."""
     config = replace(config, packet=replace(config.packet, shared_origin=True))
-    layout, waiting = packet_layout(config), most_waiting(config)
+    layout, waiting = packet_layout(config), max_waiting(config)
     gather, order, walk = gather_directions(layout), frustum_at(layout.rays), make_walk(config)
     clear, store = clear_packet(layout), store_packet(layout, config.answer.rules.ends_at_first)
-    packet_rays, size, memory, counting = layout.rays, layout.size, lane_memory(waiting), config.counters
+    packet_rays, size, lanes_size, counting = layout.rays, layout.size, lane_memory(waiting), config.counters
 
     def multi_frusta(
         first: int, tree: WideNodes, triangles: TriangleBlocks, rays: RayBatch, hits: HitBatch, counters: CounterRows
@@ -301,7 +317,8 @@ def make_eye_frusta_kernel(config: TraversalConfig) -> wp.Kernel:
         """Traces a run of blocks. Item: a run."""
         packets = wp.zeros(shape=(FRUSTA, size), dtype=float)
         bounds = wp.zeros(shape=(FRUSTA,), dtype=PacketBounds)
-        lanes = wp.zeros(shape=(memory,), dtype=float)
+        memory = frusta_memory(packets, bounds)
+        lanes = wp.zeros(shape=(lanes_size,), dtype=float)
         slots = wp.zeros(shape=(waiting,), dtype=int)
         total = (rays.count - 1) / wp.static(packet_rays) + 1
         block = (first + wp.tid()) * wp.static(RUN * FRUSTA)
@@ -312,7 +329,7 @@ def make_eye_frusta_kernel(config: TraversalConfig) -> wp.Kernel:
             for f in range(frusta):
                 gather(rays, order(rays, block + f) * wp.static(packet_rays), lanes, f)
             bound_block(rays, tree.low, tree.high, lanes, frusta)
-            made = walk(tree, triangles, rays, block, packets, bounds, lanes, slots, work)
+            made = walk(tree, triangles, rays, block, memory, lanes, slots, work)
             for f in range(frusta):
                 if made & (wp.uint32(1) << wp.uint32(f)) == wp.uint32(0):
                     clear(packets[f])

@@ -260,7 +260,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
         work: wp.ref[Counters],
     ):
         path = base + wp.static(row)
-        most = int(float(bounds.active) * MAX_USE)
+        max_met = int(float(bounds.active) * MAX_USE)
         store_int(memory, path, start)
         key = cull_boxes(tree.bounds, start, packet, bounds, memory, base)
         level = wp.where(entry_of(key, wp.static(width)) <= bounds.t_max, 0, -1)
@@ -278,7 +278,7 @@ def make_walk(config: TraversalConfig, moved: bool) -> wp.Function:
                 if wp.static(counting):
                     work.boxes += wp.static(config.packet.rays)
                 if wp.static(repacks):  # noqa: SIM102 - decided when the kernel is made
-                    if descends and met < most and met <= wp.static(smaller):
+                    if descends and met < max_met and met <= wp.static(smaller):
                         descend(tree, triangles, wp.vec3i(node, lane, met), packet, memory, base, bounds, work)
                         shorten(packet, bounds)
                         descends = False

@@ -114,8 +114,8 @@ def lane_start(count: int) -> wp.Function:
 
 @cache
 def advance(count: int, counting: bool) -> wp.Function:
-    """`func(nodes, walks, log, row, least) -> uint32`: steps until fewer than `least` lanes are at inner nodes, or the log is
-    full.
+    """`func(nodes, walks, log, row, min_walking) -> uint32`: steps until fewer than `min_walking` lanes are at inner
+    nodes, or the log is full.
 
     Returns the mask of the lanes at leaves; `row` is the next free row of the log.
     """
@@ -123,9 +123,9 @@ def advance(count: int, counting: bool) -> wp.Function:
 
     form = f"{count}, {ROWS}, {int(counting)}"
 
-    @native.func_native("lockstep.h", f"return wrt::advance_walks<{form}>(nodes.data, walks, log.data, row, least);")
+    @native.func_native("lockstep.h", f"return wrt::advance_walks<{form}>(nodes.data, walks, log.data, row, min_walking);")
     def advance_lanes(
-        nodes: wp.array(dtype=wp.vec2i), walks: wp.ref[Walks], log: wp.array(dtype=int), row: wp.ref[int], least: int
+        nodes: wp.array(dtype=wp.vec2i), walks: wp.ref[Walks], log: wp.array(dtype=int), row: wp.ref[int], min_walking: int
     ) -> wp.uint32: ...
 
     return advance_lanes

@@ -27,7 +27,7 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import specialised_kernel
-from wrt.kernels.simd.boxes import ray_slabs, reach
+from wrt.kernels.simd.boxes import BoxRay, ray_slabs, reach
 from wrt.kernels.traversal.leaf import CounterRows, Counters, begin_search, leaf_search
 from wrt.kernels.traversal.queued.next_queue import RayQueue
 from wrt.kernels.traversal.single.key_walk import make_key_walk
@@ -72,7 +72,7 @@ def make_queued_bvh_kernel(config: TraversalConfig) -> wp.Kernel:
         search = begin(triangles, ray, slabs)
         work = Counters()
         if root >= 0:
-            best = walk_keys(tree.nodes, root, slabs, ray.t_min, search, hits, i, best, work)
+            best = walk_keys(tree.nodes, root, BoxRay(slabs, ray.t_min), search, hits, i, best, work)
         else:
             best = leaf(tree.nodes, root, search, hits, i, best, work)
         store(hits, i, best)

@@ -78,7 +78,7 @@ def make_light_buffer_kernel(config: TraversalConfig) -> wp.Kernel:
             at = query.cell * wp.static(CELL_WORDS)
             far = wp.cast(cells.cells[at + 2], wp.float32)
             nearest = wp.cast(cells.cells[at + 3], wp.float32)
-            if far <= query.most and not (query.least <= nearest):
+            if far <= query.max_depth and not (query.min_depth <= nearest):
                 query.decided = False
             skip = skipped.triangles[i * skipped.stride]
             if not query.decided:
@@ -93,7 +93,7 @@ def make_light_buffer_kernel(config: TraversalConfig) -> wp.Kernel:
                 while place < end:
                     entry = cells.entries[place]
                     place += 1
-                    if depth_of(entry) > query.most:
+                    if depth_of(entry) > query.max_depth:
                         break
                     triangle = triangle_in(entry)
                     if triangle == skip:
@@ -103,7 +103,7 @@ def make_light_buffer_kernel(config: TraversalConfig) -> wp.Kernel:
                         answer = wp.static(OCCLUDED)
                         break
                 # the list ends at the triangle that covers the cell, which this ray ignores
-                if skip >= 0 and answer == wp.static(LIT) and far <= query.most:
+                if skip >= 0 and answer == wp.static(LIT) and far <= query.max_depth:
                     answer = wp.static(UNDECIDED)
         answers[i] = wp.uint8(answer)
         if answer == wp.static(UNDECIDED):

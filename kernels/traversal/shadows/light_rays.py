@@ -18,12 +18,12 @@ class LightQuery:
     cell: int
     decided: bool
     """Whether the lists hold all triangles that the ray can hit."""
-    least: float
+    min_depth: float
     """Hits lie behind this depth ..."""
-    most: float
+    max_depth: float
     """... and in front of this one, rounding included."""
     sure: float
-    """A hit for certain in front of this depth, and behind `least`, counts."""
+    """A hit for certain in front of this depth, and behind `min_depth`, counts."""
 
 
 @wp.func
@@ -62,8 +62,8 @@ def find_cell(cells: LightCells, ray: Ray, distance: float):
     query.cell = (face * cells.resolution + j) * cells.resolution + i
     start = (1.0 - ray.t_min) * depth
     end = (1.0 - ray.t_max) * depth
-    query.most = start * (1.0 + DEPTH_SLACK) + cells.slack
+    query.max_depth = start * (1.0 + DEPTH_SLACK) + cells.slack
     query.sure = start * (1.0 - DEPTH_SLACK) - cells.slack
-    query.least = wp.where(ray.t_max == 1.0, 0.0, end * (1.0 + DEPTH_SLACK) + cells.slack)
+    query.min_depth = wp.where(ray.t_max == 1.0, 0.0, end * (1.0 + DEPTH_SLACK) + cells.slack)
     query.decided = distance <= cells.limit and ray.t_max <= 1.0
     return query

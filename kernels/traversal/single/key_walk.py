@@ -14,7 +14,7 @@ from wrt.kernels.answers.answer_kind import BestHit
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes
-from wrt.kernels.simd.boxes import RaySlabs
+from wrt.kernels.simd.boxes import BoxRay
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 
@@ -23,8 +23,7 @@ from wrt.kernels.traversal.traversal_config import TraversalConfig
 def make_key_walk(
     config: TraversalConfig, levels: int, Search: type, visit: wp.Function, enter_node: wp.Function | None = None
 ) -> wp.Function:
-    """`wp.func(tree, root, slabs, t_min, search, hits, i, best, work) -> best`: traverses the subtree of a node, for ray number
-    i.
+    """`wp.func(tree, root, ray, search, hits, i, best, work) -> best`: traverses the subtree of a node, for ray number i.
 
     Args:
         config: the specialisation; a node has at least 2 children.
@@ -41,8 +40,7 @@ def make_key_walk(
     def walk_keys(
         tree: WideNodes,
         root: int,
-        slabs: wp.ref[RaySlabs],
-        t_min: float,
+        ray: BoxRay,
         search: wp.ref[Search],
         hits: wp.ref[Results],
         i: int,
@@ -53,7 +51,7 @@ def make_key_walk(
         path = wp.zeros(shape=(levels,), dtype=int)
         store_int(path, 0, root)
         level = int(0)
-        key = test_boxes(tree.bounds, root, slabs, t_min, best.t, keys, 0)
+        key = test_boxes(tree.bounds, root, ray.slabs, ray.t_min, best.t, keys, 0)
         if wp.static(counting):
             work.nodes += 1
             work.boxes += wp.static(width)
@@ -67,7 +65,7 @@ def make_key_walk(
                 if child >= 0:
                     level += 1
                     store_int(path, level, child)
-                    key = test_boxes(tree.bounds, child, slabs, t_min, best.t, keys, level * wp.static(width))
+                    key = test_boxes(tree.bounds, child, ray.slabs, ray.t_min, best.t, keys, level * wp.static(width))
                     if wp.static(counting):
                         work.nodes += 1
                         work.boxes += wp.static(width)

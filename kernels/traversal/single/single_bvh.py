@@ -29,7 +29,7 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.simd.box_lanes import intersected_boxes
-from wrt.kernels.simd.boxes import INFINITY, RaySlabs, ray_slabs, reach
+from wrt.kernels.simd.boxes import INFINITY, BoxRay, RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.traversal.crossings import make_leaf_step
 from wrt.kernels.traversal.leaf import Counters, Leaf, begin_search, block_step, leaf_search
@@ -260,7 +260,7 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
     ):
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         search = begin(triangles, ray, slabs)
-        return walk_keys(tree, 0, slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
+        return walk_keys(tree, 0, BoxRay(slabs, ray.t_min), search, hits, i, start(ray.t_max), work)
 
     return walk_with_keys
 

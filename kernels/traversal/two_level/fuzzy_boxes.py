@@ -34,7 +34,7 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
 from wrt.kernels.layout.unchecked import load_int
-from wrt.kernels.simd.boxes import ray_slabs, reach
+from wrt.kernels.simd.boxes import BoxRay, ray_slabs, reach
 from wrt.kernels.traversal.leaf import Counters, begin_search, enter, leaf_search
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_bvh import make_leaf, make_leaf_loop
@@ -130,8 +130,8 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
         cluster = search.tree.clusters[load_int(search.tree.order, bvh.first_block(child) * wp.static(width))]
         slabs = cluster_slabs(cluster, search.ray, search.far)
         if wp.static(in_boxes):
-            t_min = search.ray.t_min
-            best = walk_below(search.tree.parts, cluster.root, slabs, t_min, search.leaf, hits, i, best, work)
+            seen = BoxRay(slabs, search.ray.t_min)
+            best = walk_below(search.tree.parts, cluster.root, seen, search.leaf, hits, i, best, work)
         else:
             interval = enter(slabs, cluster.low, cluster.high, search.ray.t_min, best.t)
             first = Cell()
@@ -162,7 +162,7 @@ def make_fuzzy_walk(config: TraversalConfig, kind: str) -> wp.Function:
         search.ray = ray
         search.far = far
         search.leaf = begin(triangles, ray, slabs)
-        return walk_keys(tree.top, 0, slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
+        return walk_keys(tree.top, 0, BoxRay(slabs, ray.t_min), search, hits, i, start(ray.t_max), work)
 
     return walk_fuzzy_boxes
 

@@ -53,10 +53,10 @@ def bound_points(
 @wp.func
 def norm(m: wp.mat33d):
     """The greatest row sum of absolute values."""
-    most = wp.float64(0.0)
+    largest = wp.float64(0.0)
     for row in range(3):
-        most = wp.max(most, (wp.abs(m[row, 0]) + wp.abs(m[row, 1])) + wp.abs(m[row, 2]))
-    return most
+        largest = wp.max(largest, (wp.abs(m[row, 0]) + wp.abs(m[row, 1])) + wp.abs(m[row, 2]))
+    return largest
 
 
 @wp.func

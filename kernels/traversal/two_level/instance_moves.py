@@ -163,14 +163,14 @@ def move_instances(
                 found = other
         extremes[axis] = found
     worst = wp.float64(0.0)
-    least = wp.float64(wp.inf)
+    smallest = wp.float64(wp.inf)
     for i in range(count):
         worst = wp.max(worst, bounded.norms[i])
         size = wp.float64(0.0)
         for axis in range(3):
             size = wp.max(size, bounded.corners[(axis + 3) * count + i] - bounded.corners[axis * count + i])
-        least = wp.min(least, size)
+        smallest = wp.min(smallest, size)
     extremes[6] = worst
-    extremes[7] = least
+    extremes[7] = smallest
     extremes[NODES] = surface(tree, tree.above_places)
     extremes[INSTANCES] = surface(tree, tree.leaf_places)

@@ -29,7 +29,7 @@ from wrt.kernels.layout.instance_maps import Placement, SceneRay, object_ray
 from wrt.kernels.layout.kdtree_nodes import KdNodes
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_int
-from wrt.kernels.simd.boxes import ray_slabs, reach
+from wrt.kernels.simd.boxes import BoxRay, ray_slabs, reach
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
@@ -211,7 +211,7 @@ def make_instance_walk(config: TraversalConfig, kind: str, levels: int) -> wp.Fu
         search.top = top
         search.parts = parts
         search.seen = seen
-        return walk_keys(top.tree, root, slabs, ray.t_min, search, hits, i, best, work)
+        return walk_keys(top.tree, root, BoxRay(slabs, ray.t_min), search, hits, i, best, work)
 
     return walk_instances
 

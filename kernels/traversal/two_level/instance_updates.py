@@ -49,7 +49,7 @@ NOT_FINE = wp.constant(8)
 """Place in `Spanned` of the first instance whose transform must be looked at."""
 
 
-Least = wp.types.vector(length=SPANNED, dtype=wp.int64)
+Minima = wp.types.vector(length=SPANNED, dtype=wp.int64)
 
 
 @wp.struct
@@ -169,8 +169,8 @@ def is_fine(m: wp.mat44d):
         - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
         + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
     )
-    least = volume / wp.max(square, TINY)
-    fine = square <= MAX_SQUARE_SCALE and least >= MIN_SCALE and wp.sqrt(square) < MAX_CONDITION * least
+    minima = volume / wp.max(square, TINY)
+    fine = square <= MAX_SQUARE_SCALE and minima >= MIN_SCALE and wp.sqrt(square) < MAX_CONDITION * minima
     for k in range(4):
         last = wp.where(k == 3, wp.float64(1.0), wp.float64(0.0))
         fine = fine and wp.abs(m[3, k] - last) <= AFFINE and wp.isfinite(m[k, 3])
@@ -277,8 +277,8 @@ def of_ordered(bits: wp.int64) -> wp.float64:
     """The double of `ordered_bits`."""
 
 
-@native.func_native("instance_updates.h", "wrt::keep_least(found.data + k, value);")
-def keep_least(found: wp.array(dtype=wp.int64), k: int, value: wp.int64):
+@native.func_native("instance_updates.h", "wrt::keep_min(found.data + k, value);")
+def keep_min(found: wp.array(dtype=wp.int64), k: int, value: wp.int64):
     """found[k] becomes the least of it and of the values of all threads of a warp."""
 
 
@@ -293,24 +293,24 @@ def span_instances(first: int, items: int, bounded: BoundedInstances, spanned: S
     share = first + wp.tid()
     count = bounded.norms.shape[0]
     huge = wp.int64(0x7FFFFFFFFFFFFFFF)
-    least = Least(huge, huge, huge, huge, huge, huge, huge, huge, huge)
+    minima = Minima(huge, huge, huge, huge, huge, huge, huge, huge, huge)
     i = share
     while i < count:
         if wp.isnan(bounded.norms[i]):
-            least[NOT_FINE] = wp.min(least[NOT_FINE], wp.int64(i))
+            minima[NOT_FINE] = wp.min(minima[NOT_FINE], wp.int64(i))
         else:
             size = wp.float64(0.0)
             for axis in range(3):
                 low = bounded.corners[axis * count + i]
                 high = bounded.corners[(axis + 3) * count + i]
-                least[axis] = wp.min(least[axis], ordered_bits(low))
-                least[axis + 3] = wp.min(least[axis + 3], ordered_bits(-high))
+                minima[axis] = wp.min(minima[axis], ordered_bits(low))
+                minima[axis + 3] = wp.min(minima[axis + 3], ordered_bits(-high))
                 size = wp.max(size, high - low)
-            least[6] = wp.min(least[6], ordered_bits(-bounded.norms[i]))
-            least[7] = wp.min(least[7], ordered_bits(size))
+            minima[6] = wp.min(minima[6], ordered_bits(-bounded.norms[i]))
+            minima[7] = wp.min(minima[7], ordered_bits(size))
         i += items
     for k in range(wp.static(SPANNED)):
-        keep_least(spanned.found, k, least[k])
+        keep_min(spanned.found, k, minima[k])
 
 
 @native.func_native("instance_updates.h", "return wrt::step_below(value);")

@@ -48,10 +48,10 @@ def points_command(
     are apart or meet in many triangles, and of 64 the nearest two are found.
     """
     mesh, names = load_model(model), peers or (*POINT_PEERS, PAIRS)
-    missing, most = missing_peers(names), threads or get_num_threads()
+    missing, max_threads = missing_peers(names), threads or get_num_threads()
     with progress() as on_turn, usage_errors():
         chosen = [name for name in names if name not in missing and name != PAIRS]
-        rows = list(compare_points(mesh, chosen, count, rounds, most, on_turn))
+        rows = list(compare_points(mesh, chosen, count, rounds, max_threads, on_turn))
         pairs = list(compare_pairs(mesh, rounds, on_turn)) if PAIRS in names and PAIRS not in missing else []
     print_rows(f"points: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles", rows)
     if pairs:
@@ -85,9 +85,9 @@ def print_rows(title: str, rows: Sequence[PointRow]) -> None:
     console.print(table)
     for row in rows:
         if row.work is not None:
-            nodes, triangles, *least = row.work.values()
+            nodes, triangles, *minima = row.work.values()
             console.print(
-                f"{row.points}: {nodes:.1f} nodes and {triangles:.1f} triangles a point; {least[0]:.1f} and {least[1]:.1f} "
+                f"{row.points}: {nodes:.1f} nodes and {triangles:.1f} triangles a point; {minima[0]:.1f} and {minima[1]:.1f} "
                 "if its distance were known.",
                 style="dim",
                 highlight=False,

@@ -47,12 +47,12 @@ def scaling_command(
 
     if plot_file is not None and (reason := matplotlib_missing()) is not None:
         raise click.UsageError(reason)
-    mesh, most = load_model(model), threads or get_num_threads()
+    mesh, max_threads = load_model(model), threads or get_num_threads()
     peers = [Embree(1, version) for version in EMBREES] if embree else []
     missing = {peer.name: reason for peer in peers if (reason := peer.available()) is not None}
     found = [peer.version.number for peer in peers if peer.name not in missing]
     with progress() as on_turn, usage_errors():
-        figures = measure_scaling(mesh, powers_of_two(most), rounds, found, on_turn)
+        figures = measure_scaling(mesh, powers_of_two(max_threads), rounds, found, on_turn)
     print_figures(f"threads: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles", figures)
     for name, reason in missing.items():
         click.echo(f"{name}: {reason}")

@@ -41,7 +41,7 @@ LEARNING_SECONDS, LEARNING_CALLS = 0.6, 8
 SETTLE = 0.01
 """Seconds below which a turn starts with an untimed call."""
 
-MORE_SECONDS, MOST_ROUNDS = 0.3, 25
+MORE_SECONDS, MAX_ROUNDS = 0.3, 25
 """Seconds for more turns of "auto" and the best engine, and rounds at most: the least of a few turns is still by chance."""
 
 AGAIN = " again"
@@ -133,8 +133,8 @@ def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn
     on_turn(AUTO)
     runs[AUTO] = partial(ask, scene, case, AUTO)
     settle(runs[AUTO], clock)
-    least = min(seconds.values())
-    contenders = [Contender(one, runs[one]) for one in runs if one in (AUTO, chosen) or seconds[one] < HOPELESS * least]
+    shortest = min(seconds.values())
+    contenders = [Contender(one, runs[one]) for one in runs if one in (AUTO, chosen) or seconds[one] < HOPELESS * shortest]
     query = None if peer is None else peer.query(case.workload)
     if query is not None:
         contenders.append(Contender("Open3D", query.run))
@@ -184,7 +184,7 @@ def take_more_turns(
     """
     again = best + AGAIN
     contenders = [Contender(AUTO, runs[AUTO]), Contender(best, runs[best]), Contender(again, runs[best])]
-    more = min(max(rounds, int(MORE_SECONDS / (6e-3 * times[best]))), MOST_ROUNDS)  # each turn may have an untimed call
+    more = min(max(rounds, int(MORE_SECONDS / (6e-3 * times[best]))), MAX_ROUNDS)  # each turn may have an untimed call
     timings = take_turns(contenders, more, settle=SETTLE, clock=clock, on_turn=on_turn)
     found = {name: 1e3 * timing.spread[0] for name, timing in timings.items()}
     for name in (AUTO, best):

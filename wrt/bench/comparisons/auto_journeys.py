@@ -48,13 +48,13 @@ def compare_journeys(
 
     on_turn(f"{name}: scans at {len(cases)} places")
     names = [one for one in plans[0] if one != AUTO]
-    least = {
+    fastest = {
         one: np.array(
             [min(timed(case, plan[one]) for _ in range(1 + REPEATS)) for case, plan in zip(cases, plans, strict=True)]
         )
         for one in names
     }
-    best = np.min([*least.values()], axis=0)
+    best = np.min([*fastest.values()], axis=0)
     for stay in STAYS:
         on_turn(f"{name}: {stay} scans at a place")
         took = {}
@@ -67,7 +67,7 @@ def compare_journeys(
                 found.append([timed(case, AUTO) for case in cases for _ in range(stay)])
             took[how] = np.min(found, axis=0).sum()
         set_auto(None)
-        one = min(least, key=lambda engine: least[engine].sum())
+        one = min(fastest, key=lambda engine: fastest[engine].sum())
         yield Choice(
             scene=name,
             kind=f"journey, {stay}",
@@ -81,5 +81,5 @@ def compare_journeys(
             ratio=float(took[AUTO] / (stay * best.sum())),
             rules_ratio=float(took[RULES] / (stay * best.sum())),
             auto_milliseconds=float(1e3 * took[AUTO] / (stay * len(cases))),
-            milliseconds={engine: float(1e3 * values.mean()) for engine, values in least.items()},
+            milliseconds={engine: float(1e3 * values.mean()) for engine, values in fastest.items()},
         )

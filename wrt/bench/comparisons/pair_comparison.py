@@ -27,7 +27,7 @@ TOLERANCE = 1e-9
 BUDGET = 5.0
 """Seconds for each contender and question."""
 
-MOST_CONTACTS = 10_000_000
+MAX_CONTACTS = 10_000_000
 """Pairs of triangles that FCL lists."""
 
 
@@ -101,7 +101,7 @@ def fcl_calls(mesh: TriangleMesh, placed: Sequence[np.ndarray]) -> list[Callable
     manager.setup()
 
     def meeting() -> float:
-        request, found = fcl.CollisionRequest(num_max_contacts=MOST_CONTACTS, enable_contact=False), fcl.CollisionResult()
+        request, found = fcl.CollisionRequest(num_max_contacts=MAX_CONTACTS, enable_contact=False), fcl.CollisionResult()
         return float(fcl.collide(bodies[0], bodies[1], request, found))
 
     def nearest() -> float:

@@ -45,14 +45,14 @@ class Contending:
         threads: that it uses.
         ask: points (N, 3) float32 -> a function that is timed.
         read: what that returned -> (N,) distances.
-        most: largest number of points that it is asked for.
+        max_points: largest number of points that it is asked for.
     """
 
     name: str
     threads: int
     ask: Callable[[np.ndarray], Callable[[], Any]]
     read: Callable[[Any, np.ndarray], np.ndarray]
-    most: int | None = None
+    max_points: int | None = None
 
 
 @dataclass(frozen=True)
@@ -113,11 +113,11 @@ def fcpw_scene(mesh: TriangleMesh, threads: int) -> Contending:
     scene.build(fcpw.aggregate_type.bvh_surface_area, True)
 
     def ask(points: np.ndarray) -> Callable[[], Any]:
-        most = np.full(len(points), np.inf, dtype=np.float32)
+        max_points = np.full(len(points), np.inf, dtype=np.float32)
 
         def run() -> Any:
             found = fcpw.interaction_3D_list()
-            scene.find_closest_points(points, most, found)
+            scene.find_closest_points(points, max_points, found)
             return found
 
         return run
@@ -245,7 +245,7 @@ def compare_points(
         return lambda name: on_turn(f"{title}: {name}")
 
     for title, points in sets_of_points(mesh, count).items():
-        given = {each.name: points[: each.most] for each in made}
+        given = {each.name: points[: each.max_points] for each in made}
         contenders = [Contender(each.name, each.ask(given[each.name]), len(given[each.name])) for each in made]
         timings = take_turns(contenders, rounds, budget=BUDGET, settle=0.5, on_turn=told(title))
         own = timings[made[0].name]
@@ -264,6 +264,6 @@ def compare_points(
 def visits(scene: Scene, points: np.ndarray, timing: Timing) -> dict[str, float]:
     """Nodes and triangles that a point visits, and the least: those that it visits if it knows its distance beforehand."""
     work = scene.closest_point(points, counters=True).counters
-    least = scene.closest_point(points, max_distance=timing.result, counters=True).counters
+    fewest = scene.closest_point(points, max_distance=timing.result, counters=True).counters
     figures = {key: float(work[key].mean()) for key in ("nodes", "triangles")}
-    return figures | {f"least {key}": float(least[key].mean()) for key in ("nodes", "triangles")}
+    return figures | {f"least {key}": float(fewest[key].mean()) for key in ("nodes", "triangles")}

@@ -236,6 +236,6 @@ def first_over(timing: Timing, first: Timing) -> float:
     return 1.0 / ratio if ratio else float("nan")
 
 
-def powers_of_two(most: int) -> list[int]:
-    """1, 2, 4 and so on; `most` is the last."""
-    return [1 << i for i in range(most.bit_length()) if 1 << i < most] + [most]
+def powers_of_two(maximum: int) -> list[int]:
+    """1, 2, 4 and so on; `maximum` is the last."""
+    return [1 << i for i in range(maximum.bit_length()) if 1 << i < maximum] + [maximum]

@@ -60,12 +60,12 @@ class Embree(Peer):
         return None if library(self.version.number) is not None else f"not installed; {self.version.remedy}"
 
     def load(self, mesh: TriangleMesh) -> None:
-        most = ",max_isa=avx2" if target_name() == "x86-64-v3" else ""
-        self._embree_device = device = Device(self.version.number, f"threads={self.threads}{most}", self.threads)
+        isa = ",max_isa=avx2" if target_name() == "x86-64-v3" else ""
+        self._embree_device = device = Device(self.version.number, f"threads={self.threads}{isa}", self.threads)
         self.width = next(width for width, asked in NATIVE_WIDTHS.items() if device.property(asked))
         version = device.property(0)
         self.note = f"version {version // 10000}.{version // 100 % 100}, its C library, packets of {self.width}, not robust"
-        self.note += ", AVX2" if most else ""
+        self.note += ", AVX2" if isa else ""
         padded = np.zeros((len(mesh.vertices) + 1, 3), dtype=np.float32)  # Embree reads 16 bytes a vertex
         padded[:-1] = mesh.vertices
         self._mesh = padded, np.ascontiguousarray(mesh.faces, dtype=np.uint32)

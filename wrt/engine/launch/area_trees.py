@@ -160,8 +160,8 @@ class AreaAssignment:
     rest: wp.array
     left: int
     unassigned: int
-    least_area: int
-    greatest_area: int
+    min_area: int
+    max_area: int
 
     def sort(self, areas: int) -> tuple[wp.array | None, list[int]]:
         """Sorts rays by area, those without one last, as `sort_buckets`. The order is None if most rays belong to the only
@@ -170,8 +170,8 @@ class AreaAssignment:
         Rays without an area are then traced with the others: limited to t <= -1, they miss.
         """
         count = len(self.area)
-        if self.least_area == self.greatest_area or (areas == 1 and self.unassigned <= count * MAX_UNASSIGNED_SHARE):
-            return None, [0] * (self.least_area + 1) + [count] * (areas + 1 - self.least_area)
+        if self.min_area == self.max_area or (areas == 1 and self.unassigned <= count * MAX_UNASSIGNED_SHARE):
+            return None, [0] * (self.min_area + 1) + [count] * (areas + 1 - self.min_area)
         return sort_buckets(self.area, areas + 1)
 
 
@@ -187,10 +187,10 @@ def assign(scene: SceneState, rays: RayBatch, given: GivenAreas | None = None) -
     inputs = [rays, chunk, local.top.struct, *known, local.low, local.high, splits, sums]
     launch(assign_rays, chunks, inputs, device=device, chunk=1)
     left, greatest, fewest, unassigned = sums.numpy().reshape(-1, 4).T
-    least_area = len(local) - int(fewest.max(initial=0))
-    greatest_area = int(greatest.max(initial=0))
+    min_area = len(local) - int(fewest.max(initial=0))
+    max_area = int(greatest.max(initial=0))
     arrays = splits.area, splits.cut, splits.rest
-    return AreaAssignment(*arrays, int(left.sum()), int(unassigned.sum()), least_area, greatest_area)  # type: ignore[arg-type, call-arg]
+    return AreaAssignment(*arrays, int(left.sum()), int(unassigned.sum()), min_area, max_area)  # type: ignore[arg-type, call-arg]
 
 
 @dataclass

@@ -133,10 +133,10 @@ def compare_parts(
             wins[name] += fastest if best not in took or value < (1.0 - MARGIN) * took[best] else 0.0
             lost += value - fastest
         active = [name for name in active if seconds[name] < HOPELESS_PART * shared[name]]
-    least = max(shared.values())  # of all places: a plan that was the fastest once has parts until the end, or another had
-    rates = {name: least / (PLACES * size) * seconds[name] / shared[name] for name in plans}
+    longest = max(shared.values())  # of all places: a plan that was the fastest once has parts until the end, or another had
+    rates = {name: longest / (PLACES * size) * seconds[name] / shared[name] for name in plans}
     for name in plans:
-        if 2.0 * wins[name] <= least:  # one part may have been disturbed
+        if 2.0 * wins[name] <= longest:  # one part may have been disturbed
             rates[name] = max(rates[name], rates[best])
     gaps = [*zip([0, *ends], [*begins, count], strict=True)]
     return rates, lost, gaps

@@ -17,7 +17,7 @@ from wrt.engine.plan.plan import ChosenPlan, Plan
 from wrt.engine.plan.plan_checks import check_plan
 from wrt.engine.plan.planner import choose_plan, chosen_plan
 from wrt.kernels.runtime.launch import get_num_threads
-from wrt.kernels.traversal.traversal_scores import LEAST_SAMPLED
+from wrt.kernels.traversal.traversal_scores import MIN_SAMPLED
 from wrt.tables import one_of
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def given_choice(scene: SceneState, rays: RayFacts, query: Query, given: Plan) -
 
 def find_contest(scene: SceneState, rays: RayFacts, query: Query, chosen: ChosenPlan, known: Contest | None) -> Contest | None:
     """What compares a plan with its rivals, told what the rules say now; None if nothing does."""
-    measured = scene.is_cpu and query.traversal == AUTO and rays.count >= LEAST_SAMPLED and get_auto() == MEASURED
+    measured = scene.is_cpu and query.traversal == AUTO and rays.count >= MIN_SAMPLED and get_auto() == MEASURED
     if not measured or scene.facts.tree != "bvh" or scene.area_trees is not None or scene.facts.has_masks:
         return None
     contest = known or Contest(rays, query, chosen, learner_of(scene, rays, query, chosen.name))

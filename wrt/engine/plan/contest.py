@@ -106,8 +106,8 @@ class Contest:
         learner = self.learner
         chosen.ready = True
         learner.tell(chosen.name, rays, seconds, 1 + self._untimed)
-        least = seconds if learner.usual is None else learner.usual * rays
-        is_quick = least < QUICK_SECONDS and not learner.is_trying and learner.best == chosen.name
+        expected = seconds if learner.usual is None else learner.usual * rays
+        is_quick = expected < QUICK_SECONDS and not learner.is_trying and learner.best == chosen.name
         self.left = self._untimed = QUICK_CALLS if is_quick else 0
         self.show(chosen)
 

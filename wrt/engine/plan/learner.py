@@ -190,8 +190,8 @@ class Learner:
         usual = self.usual or 0.0
         if not usual:
             return 0.0
-        least = max(usual, self.rates.get(self.best, 0.0))  # the rates of others changed, too
-        ratios = [self.rates.get(way, least) / least for way in ways if way != self.best]
+        fastest = max(usual, self.rates.get(self.best, 0.0))  # the rates of others changed, too
+        ratios = [self.rates.get(way, fastest) / fastest for way in ways if way != self.best]
         calls = sum((ratio - 1.0) * (turns / TURNS if ratio >= HOPELESS else turns) for ratio in ratios if ratio > 1.0)
         return calls * self._since / max(self._calls, 1)
 
@@ -201,14 +201,14 @@ class Learner:
         self._took.append((way, rays, seconds))
         self._seen[way] = min(self._seen.get(way, float("inf")), seconds / max(rays, 1))
         if len(self._took) == len(self._seen):  # the first round
-            least = min(self._seen.values())
-            self._queue = [one for one in self._queue if self._seen.get(one, least) < HOPELESS * least]
+            fastest = min(self._seen.values())
+            self._queue = [one for one in self._queue if self._seen.get(one, fastest) < HOPELESS * fastest]
         first = min(self._seen, key=self._seen.__getitem__)
         if not self._queue and not self._is_sure and self._is_faster(self._seen, first):
             self._queue, self._is_sure = [self.best, first, first, self.best], True
         if not self._queue:
-            least = self._seen[first]
-            self._conclude(self._seen, sum(max(took - least * count, 0.0) for _, count, took in self._took))
+            fastest = self._seen[first]
+            self._conclude(self._seen, sum(max(took - fastest * count, 0.0) for _, count, took in self._took))
 
     def _is_faster(self, rates: Mapping[str, float], way: str) -> bool:
         """Whether a way is to replace the best one by these rates."""

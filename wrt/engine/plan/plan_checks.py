@@ -306,10 +306,10 @@ def check_plan(plan: Plan, scene: SceneFacts, rays: RayFacts, query: str) -> Pla
         raise ValueError(f"plan.reorder is {plan.reorder!r}, which needs {able}, not {plan.traversal!r}")
     if plan.reorder == "tiles" and rays.columns == 0:
         raise ValueError(f"plan.reorder is 'tiles', but rays of shape {rays.shape} are not the pixels of an image")
-    most = longest_stream(scene, traversal)
-    if Capabilities.STREAMS in traversal.capabilities and not 1 <= plan.stream <= most:
+    longest = longest_stream(scene, traversal)
+    if Capabilities.STREAMS in traversal.capabilities and not 1 <= plan.stream <= longest:
         why = ", as streams on CUDA take local memory for all threads of the device" if scene.is_cuda else ""
-        raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {most}{why}")
+        raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {longest}{why}")
     if Capabilities.PACKETS not in traversal.capabilities:
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:

@@ -41,7 +41,7 @@ PACKET = 32
 CROWDED_PACKET = 64
 """The same of crowded rays (notebooks/records/2026-11-28-auto.md)."""
 
-LEAST_VECTORS = 2
+MIN_VECTORS = 2
 """Vectors of a packet at least, through instances, and in the cells of a kd-tree."""
 
 CROWDED = 8.0
@@ -63,7 +63,7 @@ stores (notebooks/records/2026-11-24-streams.md).
 MIN_RAYS_TO_REORDER = 1 << 16
 """Smallest batch whose rays are sorted before tracing."""
 
-MOST_RIVALS = 3
+MAX_RIVALS = 3
 """Plans that are compared with the one of the rules: each costs time, and kernels."""
 
 MANY = 1 << 30
@@ -82,7 +82,7 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     if given == AUTO:
         situation = situation_of(known, rays, kind, cull_backfaces, has_wide_form=wide_form_pays(scene, rays))
         if situation.needs_sample and sample is not None and not known.points:
-            situation = situation._replace(overlap=measure_overlap(scene, sample(), LEAST_VECTORS * known.width, kind))
+            situation = situation._replace(overlap=measure_overlap(scene, sample(), MIN_VECTORS * known.width, kind))
         name, reason = choose_traversal(known, situation, test.name)
         reason = "alpha masks decide hits one by one" if known.has_masks else reason
         reason = reason.partition(",")[0] if known.points else reason  # the rest is about triangles
@@ -159,7 +159,7 @@ def choose_traversal(scene: SceneFacts, situation: Situation, triangle_test: str
 
 
 def rival_plans(scene: SceneState, rays: RayFacts, query: Query, plan: Plan) -> list[Plan]:
-    """A plan of the rules, and at most `MOST_RIVALS` others: packets with the other culling, and what the rules choose for a
+    """A plan of the rules, and at most `MAX_RIVALS` others: packets with the other culling, and what the rules choose for a
     sample that shares all or nothing, and for few or many triangles, or rays through instances. Short rays take the same way,
     however different they are, so packets are compared for incoherent rays, too."""
     known, kind, found = scene.facts, query.kind, {plan.engine: plan}
@@ -181,7 +181,7 @@ def rival_plans(scene: SceneState, rays: RayFacts, query: Query, plan: Plan) -> 
         if name not in {rival.traversal for rival in found.values()}:
             rival = choose_plan(scene, rays, query._replace(traversal=name))
             found.setdefault(rival.engine, replace(rival, reason=plan.reason))
-    return [*found.values()][: 1 + MOST_RIVALS]
+    return [*found.values()][: 1 + MAX_RIVALS]
 
 
 def situation_of(
@@ -229,8 +229,8 @@ def stream_size(scene: SceneFacts, rays: RayFacts, traversal: Traversal) -> int:
     if scene.is_cuda:
         return CUDA_STREAM
     share = rays.count / max(STREAMS_PER_THREAD * get_num_threads(), scene.instances)
-    most = min(share, longest_stream(scene, traversal))
-    return next((size for size in STREAMS if size <= most), STREAMS[-1])
+    longest = min(share, longest_stream(scene, traversal))
+    return next((size for size in STREAMS if size <= longest), STREAMS[-1])
 
 
 def packet_rays(scene: SceneFacts, rays: RayFacts, traversal: Traversal, width: int) -> int:
@@ -238,8 +238,8 @@ def packet_rays(scene: SceneFacts, rays: RayFacts, traversal: Traversal, width: 
     if Capabilities.ONE_VECTOR in traversal.capabilities:
         return width
     by_boxes = traversal.walks_boxes(scene.tree) and not (scene.is_cuda or scene.instances)
-    least = CROWDED_PACKET if is_crowded(scene, rays) else PACKET if by_boxes else 0
-    return max(least // width, LEAST_VECTORS) * width
+    smallest = CROWDED_PACKET if is_crowded(scene, rays) else PACKET if by_boxes else 0
+    return max(smallest // width, MIN_VECTORS) * width
 
 
 def is_crowded(scene: SceneFacts, rays: RayFacts) -> bool:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 VARIABLE = "WRT_TUNED"
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """Bytes of a file that is read."""
 
 Engines = dict[str, dict[str, str]]
@@ -80,13 +80,13 @@ def read(path: Path) -> Engines:
     """The engines of a file; none if it is not there or not to be used, which is said on stderr."""
     try:
         with open(path, "rb") as file:
-            content = file.read(MOST_BYTES + 1)
+            content = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
         return {}
     except OSError as error:
         return _refuse(path, error)
     try:
-        found = json.loads(content) if len(content) <= MOST_BYTES else None
+        found = json.loads(content) if len(content) <= MAX_BYTES else None
         machine = {name: found[name] for name in this_machine()}  # type: ignore[index]
         known = {str(threads): dict(own) for threads, own in found["engines"].items()}  # type: ignore[index]
         texts = [text for own in known.values() for pair in own.items() for text in pair]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -25,11 +26,8 @@ ZERO_CENTER = np.zeros(3)
 
 FLOATS = FLOAT32, FLOAT64
 
-RUN = 64
-"""Equal vectors that are written at a time."""
-
-REPEATED = 2
-"""Times that vectors in float64 are repeated from which on they are made relative to the centre before."""
+MANY = 4096
+"""Least number of rays whose vectors are broadcast by a kernel on the CPU, with all threads and into memory that is kept."""
 
 ARRAYS = {"origins": wp.vec3, "directions": wp.vec3, "t_min": wp.float32, "t_max": wp.float32}
 """The arrays of rays."""
@@ -273,19 +271,7 @@ def flatten_shared(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[i
     shared = all(n == 1 or stride == 0 for n, stride in zip(values.shape[:leading], values.strides[:leading], strict=True))
     if shared and math.prod(shape) > 1:
         return np.ascontiguousarray(values[(0,) * leading]).reshape(1, *trailing), 0
-    return broadcast(values, shape + trailing).reshape(-1, *trailing), 1
-
-
-def broadcast(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """A contiguous copy of vectors in another shape. Runs of equal ones are written 64 at a time: NumPy writes one by one."""
-    values = np.broadcast_to(values, shape)
-    if len(shape) < 3 or values.strides[-2] or shape[-2] < 2 * RUN:
-        return np.ascontiguousarray(values)
-    made, runs = np.empty(shape, dtype=values.dtype), shape[-2] // RUN
-    head, end = np.ascontiguousarray(values[..., :RUN, :]), runs * RUN
-    made[..., :end, :].reshape(*shape[:-2], runs, RUN, shape[-1])[...] = head[..., None, :, :]
-    made[..., end:, :] = head[..., : shape[-2] - end, :]
-    return made
+    return np.ascontiguousarray(np.broadcast_to(values, shape + trailing)).reshape(-1, *trailing), 1
 
 
 def _vectors(
@@ -298,12 +284,9 @@ def _vectors(
         if stride and values.shape != shape:
             raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
         values = values if values.ndim == 1 else values.flatten()
-    elif device.is_cuda and (repeats := repeats_of(values, shape)) is not None:
+    elif (device.is_cuda or math.prod(shape) >= MANY) and (repeats := repeats_of(values, shape)) is not None:
         return repeated(values, shape, repeats, device, center), 1
     else:
-        if values.dtype == np.float64 and device.is_cpu and REPEATED * values.size <= 3 * math.prod(shape):
-            with np.errstate(over="ignore", invalid="ignore"):  # once, and half as much is repeated
-                values = (values - center).astype(np.float32)
         values, stride = flatten_shared(values, shape, (3,))  # type: ignore[arg-type]
         if len(values) == 1 and values.dtype == np.float64 and device.is_cpu:  # a launch would take longer
             with np.errstate(over="ignore"):
@@ -329,22 +312,26 @@ def repeats_of(values: np.ndarray, shape: tuple[int, ...]) -> tuple[bool, ...] |
 def repeated(
     values: np.ndarray, shape: tuple[int, ...], repeats: tuple[bool, ...], device: wp.Device, center: np.ndarray
 ) -> wp.array:
-    """Vectors broadcast on the device: only those that differ are copied there.
+    """Vectors broadcast by a kernel: only those that differ are copied to the device and made relative to the centre.
 
     To write them all takes the host longer than tracing takes a GPU, and several GPUs share the host's memory.
     """
     missing = len(shape) - values.ndim + 1
     few = values[tuple(slice(0, 1) if again else slice(None) for again in repeats[missing:])]
+    joined = [
+        (math.prod(n for n, _ in axes), again) for again, axes in groupby(zip(shape, repeats, strict=True), lambda x: x[1])
+    ]
     lengths, strides, step = [1] * 4, [0] * 4, 1
-    for axis in range(len(shape) - 1, -1, -1):
-        lengths[axis + 4 - len(shape)] = shape[axis]
-        if not repeats[axis]:
-            strides[axis + 4 - len(shape)] = step
-            step *= shape[axis]
+    for axis, (length, again) in zip((3, 2, 1, 0), reversed(joined), strict=False):
+        lengths[axis] = length
+        if not again:
+            strides[axis] = step
+            step *= length
     points, _ = _vectors(few, few.shape[:-1], device, center)
     out = empty(math.prod(shape), wp.vec3f, device)
-    inputs = [points, wp.vec4i(*lengths), wp.vec4i(*strides), out]
-    launch(repeat_points, len(out), inputs, device=device, chunk=4096)
+    run = lengths[3] if device.is_cpu else 1
+    inputs = [points, wp.vec4i(*lengths), wp.vec4i(*strides), run, out]
+    launch(repeat_points, len(out) // run, inputs, device=device, chunk=max(1, MANY // run))
     return out
 
 

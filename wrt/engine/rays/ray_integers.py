@@ -85,8 +85,8 @@ def as_integers(name: str, given: Any, low: int, high: int, hint: str = "") -> n
     if values.dtype.kind not in "iu":
         raise TypeError(f"{name} must hold integers, not {values.dtype}{hint}")
     if values.size and (values.min() < low or values.max() > high):
-        most = f"2**{high.bit_length()} - 1" if high >= (1 << 31) - 1 else str(high)
-        raise ValueError(f"{name} must be from {low} to {most}, but ranges from {values.min()} to {values.max()}")
+        maximum = f"2**{high.bit_length()} - 1" if high >= (1 << 31) - 1 else str(high)
+        raise ValueError(f"{name} must be from {low} to {maximum}, but ranges from {values.min()} to {values.max()}")
     return values
 
 

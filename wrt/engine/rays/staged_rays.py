@@ -73,16 +73,17 @@ class StagedRays:
         t_max[...] = self.t_max
 
 
-def stage(rays: Rays, device: wp.Device, center: np.ndarray, most: int) -> StagedRays | None:
-    """The rays, if they are 1 to `most` in NumPy arrays, lists or numbers, and no graph is being captured; else None.
+def stage(rays: Rays, device: wp.Device, center: np.ndarray, max_rays: int) -> StagedRays | None:
+    """The rays, if they are 1 to `max_rays` in NumPy arrays, lists or numbers, and no graph is being captured; else None.
 
     Raises:
         TypeError, ValueError: as `wrt.engine.rays.device_rays.lay_out`.
     """
     origins, directions, t_min, t_max = rays.origins, rays.directions, rays.t_min, rays.t_max
-    if type(directions) is np.ndarray and directions.size > 3 * most:  # usual, and soon told
+    if type(directions) is np.ndarray and directions.size > 3 * max_rays:  # usual, and soon told
         return None
-    if not (is_small(origins, most) and is_small(directions, most) and is_small(t_min, most) and is_small(t_max, most)):
+    small = is_small(origins, max_rays) and is_small(directions, max_rays)
+    if not (small and is_small(t_min, max_rays) and is_small(t_max, max_rays)):
         return None
     if device.is_capturing:
         return None
@@ -90,7 +91,7 @@ def stage(rays: Rays, device: wp.Device, center: np.ndarray, most: int) -> Stage
     t_min, t_max = as_range(t_min, "t_min", device), as_range(t_max, "t_max", device)
     shape = common_shape(origins, directions, t_min, t_max)
     count = math.prod(shape)
-    if not 0 < count <= most:
+    if not 0 < count <= max_rays:
         return None
     dtype = np.float64 if FLOAT64 in (origins.dtype, directions.dtype) else np.float32
     facts, values = RayFacts(count, shape, count > 1 and shares_origin(origins)), (origins, directions, t_min, t_max)
@@ -103,8 +104,8 @@ def shares_origin(origins: Any) -> bool:
     return not any(shape[axis] > 1 and strides[axis] for axis in range(len(shape) - 1))
 
 
-def is_small(values: Any, most: int) -> bool:
+def is_small(values: Any, max_rays: int) -> bool:
     """Whether values are of NumPy or Python, and not too many to be looked at."""
     if isinstance(values, np.ndarray):
-        return values.size <= 3 * most
-    return isinstance(values, (float, int, np.generic)) or (isinstance(values, (list, tuple)) and len(values) <= most)
+        return values.size <= 3 * max_rays
+    return isinstance(values, (float, int, np.generic)) or (isinstance(values, (list, tuple)) and len(values) <= max_rays)

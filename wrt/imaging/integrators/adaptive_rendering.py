@@ -93,14 +93,14 @@ class AdaptiveRendering:
         self.samples, unbiased = as_int("samples", samples, 8), as_bool("unbiased", unbiased)
         self._pilot = max(4, self.samples // 4) if pilot is None else as_int("pilot", pilot, 4, self.samples)
         self._rounds = 1 if unbiased else as_int("rounds", rounds, 1)
-        self._most = 16 * self.samples if most is None else as_int("most", most, self.samples)
-        one = Rendering(scene, camera, samples=self._most, **options)
+        self._max_samples = 16 * self.samples if most is None else as_int("most", most, self.samples)
+        one = Rendering(scene, camera, samples=self._max_samples, **options)
         one_of(SAMPLERS, one.settings.sampler, "sampler")
         self.settings: RenderSettings = one.settings
         self._halves = [one]
         if unbiased:
             settings = {**options, "seed": one.settings.seed + FAR}
-            self._halves.append(Rendering(scene, camera, samples=self._most, **settings))
+            self._halves.append(Rendering(scene, camera, samples=self._max_samples, **settings))
         self._scene, self.camera = scene, camera
         self._counts = np.zeros((len(self._halves), one.pixels), dtype=np.int32)
         self._dither = np.random.default_rng(one.settings.seed).random(one.pixels)
@@ -144,7 +144,7 @@ class AdaptiveRendering:
         share = np.sqrt(averaged(spread.reshape(shape)).ravel()) / (near + DARK * max(float(mean.mean()), 1e-30))
         if not share.sum() > 0.0:
             share = np.ones_like(share)
-        wanted = shared_out(total, share, np.maximum(self._most / len(self._halves) - count, 0.0))
+        wanted = shared_out(total, share, np.maximum(self._max_samples / len(self._halves) - count, 0.0))
         return np.floor(wanted / self._unit + self._dither).astype(np.int64)
 
     @property

@@ -101,13 +101,13 @@ def _materials(
 ) -> MeshMaterials | None:
     """Colours and texture coordinates of vertices, which stand behind positions and normals."""
     at = 3 + 3 * (b"N" in letters and b"NC" not in letters)
-    least, behind = int(words.min()), 2 * (b"ST" in letters)
+    shortest, behind = int(words.min()), 2 * (b"ST" in letters)
     colors = uv = None
-    if b"C" in letters and least >= at + 3 + behind:
+    if b"C" in letters and shortest >= at + 3 + behind:
         given = numbers[first[:, None] + np.arange(at, at + 3)]
         levels = given / 255.0 if np.nanmax(given, initial=0.0) > 1.0 else given
         colors = np.ascontiguousarray(to_linear(checked_colors(levels, "colours of vertices", source))[faces])
-    if b"ST" in letters and least >= at + behind:
+    if b"ST" in letters and shortest >= at + behind:
         uv = checked_uv(numbers[(first + words - 2)[:, None] + np.arange(2)][faces], source)
     if colors is None and uv is None:
         return None

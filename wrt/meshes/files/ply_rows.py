@@ -256,8 +256,8 @@ class Binary(Body):
             for k, one in enumerate(lists)
         ]
         starts = []
-        least = sum(before) + behind + sum(step[1] for step in steps)
-        if element.count * least > end - at:
+        min_bytes = sum(before) + behind + sum(step[1] for step in steps)
+        if element.count * min_bytes > end - at:
             raise _shorter(element)
         for _ in range(element.count):
             starts.append(at)

@@ -163,8 +163,8 @@ class EarClipping:
             if other in (a, b, c) or (self.x[other], self.y[other]) in own:
                 continue
             sides = self._turn(a, b, other), self._turn(b, c, other), self._turn(c, a, other)
-            least = min(sides)
-            if least > 0.0 or (strict and least == 0.0):
+            smallest = min(sides)
+            if smallest > 0.0 or (strict and smallest == 0.0):
                 return False
         return True
 

@@ -22,7 +22,8 @@ from wrt.engine.rays.rays import Rays, leading_shape
 from wrt.kernels.runtime.launch import use_threads
 from wrt.query.batches.array_files import SMALL, opened, opened_by_workers
 from wrt.query.batches.block_rows import GeneratedRays, SkippedTriangles, cut_rows, is_cut
-from wrt.query.batches.reductions import BlockReduction
+from wrt.query.batches.outer_batches import places_last
+from wrt.query.batches.reductions import BlockReduction, as_array
 from wrt.query.batches.shared_files import SharedScene, deliver_scene, dumps, kept, share_scene
 from wrt.query.batches.workers import Workers, task_threads
 
@@ -56,6 +57,8 @@ class BlockQuery:
     def answer(self, scene: Any, rays: Rays, columns: Mapping[str, Any], first: int = 0) -> Any:
         """The answer to the rays of a block, whose first row has the number `first`: hits, an array, states of reductions, or
         reduced rows."""
+        turned = None if self.reduction is None or self.gives_hits else places_last(scene, rays, columns, self.reduction)
+        rays, columns = turned or (rays, columns)
         given = {
             name: values.on(scene.device) if isinstance(values, SkippedTriangles) else values
             for name, values in columns.items()
@@ -64,6 +67,7 @@ class BlockQuery:
             found = scene.closest_point(rays.origins, max_distance=rays.t_max, **self.options, **given)
         else:
             found = getattr(scene, self.method)(rays, **self.options, **given)
+        found = np.swapaxes(as_array(found), 0, 1) if turned else found
         if self.reduction is None:
             return found
         dimensions = len(rays.shape)

@@ -18,7 +18,7 @@ from wrt.instances.instance_boxes import address_of, on_device
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.validation import as_numbers
 
-LEAST_EXPONENT = -1074
+MIN_EXPONENT = -1074
 """Of the smallest float64."""
 
 
@@ -54,7 +54,7 @@ class WeightedSum:
             total = float(np.abs(weights).sum(axis=-1).max())
         if not np.isfinite(2.0 * total):
             raise ValueError("the sum of weights is too large for float64; pass smaller ones")
-        unit = float(np.ldexp(1.0, max(int(np.frexp(total)[1]) - 51, LEAST_EXPONENT)))
+        unit = float(np.ldexp(1.0, max(int(np.frexp(total)[1]) - 51, MIN_EXPONENT)))
         object.__setattr__(self, "weights", weights)
         object.__setattr__(self, "_units", np.rint(np.atleast_2d(weights) / unit))
         object.__setattr__(self, "_unit", unit)

@@ -75,9 +75,9 @@ class Workers:
         convert_fields(self)
         if self.threads is not None:
             check_num_threads(self.threads, "threads")
-        for name, least in (("window", 1), ("retries", 0)):
+        for name, minimum in (("window", 1), ("retries", 0)):
             if getattr(self, name) is not None:
-                as_int(name, getattr(self, name), least)
+                as_int(name, getattr(self, name), minimum)
 
     @property
     def in_this_process(self) -> bool:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
     from wrt.meshes.mesh import TriangleMesh
 
-MOST_PAIRS = 20_000_000
+MAX_PAIRS = 20_000_000
 """Pairs of a point and a triangle for which winding numbers are computed."""
 
 FEWEST_POINTS = 16
@@ -73,7 +73,7 @@ def check_inside(
         scene: the scene.
         joined: all its triangles, as `flattened`.
         rng: where points come from.
-        samples: most points; fewer if there are many triangles (`MOST_PAIRS`).
+        samples: most points; fewer if there are many triangles (`MAX_PAIRS`).
         tolerance: distance from a triangle within which a point may be on either side, as a share of the scene's extent.
     """
     corners = joined.vertices[joined.faces].astype(np.float64) - scene.center
@@ -81,7 +81,7 @@ def check_inside(
     if any(one.mask == 0 or one.environment >= 0 for one in scene.instances):
         return InsideCheck(0, 0, 0, 0, ("not compared, as instances are masked or in environments", *distinct.doubts()))
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    count = min(samples, max(FEWEST_POINTS, MOST_PAIRS // len(corners)))
+    count = min(samples, max(FEWEST_POINTS, MAX_PAIRS // len(corners)))
     points = rng.uniform(low, high, (count, 3)).astype(np.float32).astype(np.float64)
     try:
         answers = {rule: contains(scene, points + scene.center, rule=rule) for rule in RULES}

@@ -255,7 +255,7 @@ def limits_on(device: wp.Device, values: Any, shape: tuple[int, ...], name: str)
 def as_points(
     scene: SceneState,
     points: Any,
-    most: Any,
+    max_distance: Any,
     name: str = "max_distance",
     mask: Any = None,
     environment: Any = None,
@@ -266,7 +266,7 @@ def as_points(
     Args:
         scene: what they are searched in.
         points: (..., 3).
-        most: greatest distances, as in `as_distances`.
+        max_distance: greatest distances, as in `as_distances`.
         name: of these, for messages.
         mask, environment: of the instances that points see, as in `wrt.Scene.intersect`.
         in_order: as in `closest_point`.
@@ -282,10 +282,10 @@ def as_points(
     count = math.prod(shape)
     if count > MAX_RAYS:
         raise ValueError(f"{count:,} points are more than the {MAX_RAYS:,} of one call; pass parts of them")
-    limits = limits_on(device, most, shape, name)
+    limits = limits_on(device, max_distance, shape, name)
     flat, batch = flat_points(scene, given, is_wide), PointBatch()
     batch.count, batch.position = count, relative_points(scene, flat)
-    batch.most, batch.most_stride = limits, int(limits.size > 1)
+    batch.max_distance, batch.distance_stride = limits, int(limits.size > 1)
     if count >= MIN_SORTED and not (in_order or (device.is_cpu and device.is_capturing)):  # the CPU sorts without kernels
         batch.order = morton_order(batch.position, scene.device_mesh.low, scene.device_mesh.high)
     if scene.instances:

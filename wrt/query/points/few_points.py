@@ -26,9 +26,9 @@ FIELDS = {"t": "distance", "primitive": "primitive", "uv": "uv", "feature": "fea
 """Fields of `wrt.kernels.points.point_batch.NearestBatch`, by the name of the answer."""
 
 
-def may_be_few(scene: SceneState, points: Any, most: Any, limit: int) -> bool:
+def may_be_few(scene: SceneState, points: Any, max_distance: Any, limit: int) -> bool:
     """Whether a kept launch finds what is nearest to points: fewer than `limit` in a NumPy array, in one complete tree."""
-    if type(points) is not np.ndarray or type(most) is not float or not most >= 0.0:
+    if type(points) is not np.ndarray or type(max_distance) is not float or not max_distance >= 0.0:
         return False
     is_array = points.dtype in (np.float64, np.float32) and points.ndim > 0 and points.shape[-1] == 3
     is_one_tree = scene.device.is_cpu and not scene.instances and scene.lazy_tree is None
@@ -55,14 +55,14 @@ class FewPoints:
         inputs = [space, PointBatch(), as_lists(NearestBatch()), rows]
         self._launch = PreparedLaunch(specialise(make_points_kernel, config), inputs, scene.device)
         self._points, self._found = self._launch.argument(POINTS), self._launch.argument(LISTS).found
-        self._most = np.zeros(1, dtype=np.float32)
-        write_flat(self._points.most, address_of(self._most), 1, wp.float32)
+        self._max_distance = np.zeros(1, dtype=np.float32)
+        write_flat(self._points.max_distance, address_of(self._max_distance), 1, wp.float32)
 
-    def find(self, scene: SceneState, points: np.ndarray, most: float) -> tuple[DeviceHits, wp.array]:
+    def find(self, scene: SceneState, points: np.ndarray, max_distance: float) -> tuple[DeviceHits, wp.array]:
         """What is nearest to points (..., 3), with distances as t, and the features."""
         with np.errstate(over="ignore", invalid="ignore"):
             relative = (points.reshape(-1, 3) - scene.center).astype(np.float32, order="C")
-            self._most[0] = most
+            self._max_distance[0] = max_distance
         count = self._points.count = len(relative)
         write_flat(self._points.position, address_of(relative), count, wp.vec3)
         found: dict[str, HostArray] = {name: empty_host(count, DTYPES[name]) for name in HIT_COLUMNS}

@@ -38,12 +38,12 @@ POINTS, FOUND, NEXT = 3, 4, 5
 CHUNKS = Chunks(256)
 
 
-def may_be_kept(scene: SceneState, points: Any, most: Any, least: int) -> bool:
-    """Whether a kept launch searches points, as `wrt.engine.rays.rays.as_vectors` gives them; least: fewest points."""
-    if type(points) is not wp.array or type(most) is not float or not most >= 0.0:
+def may_be_kept(scene: SceneState, points: Any, max_distance: Any, min_count: int) -> bool:
+    """Whether a kept launch searches points, as `wrt.engine.rays.rays.as_vectors` gives them; min_count: fewest points."""
+    if type(points) is not wp.array or type(max_distance) is not float or not max_distance >= 0.0:
         return False
     is_one_tree = not scene.instances and scene.lazy_tree is None
-    return is_one_tree and least <= points.size <= MAX_RAYS and not scene.device.is_capturing
+    return is_one_tree and min_count <= points.size <= MAX_RAYS and not scene.device.is_capturing
 
 
 class KeptSearch:
@@ -71,7 +71,7 @@ class KeptSearch:
         kernel = specialise(make_packed_points_kernel, stack_levels(scene.tree.depth))
         self._search = RecordedLaunch(kernel, search, device, (POINTS, FOUND, NEXT))
 
-    def find(self, points: wp.array, most: float) -> tuple[DeviceHits, wp.array]:
+    def find(self, points: wp.array, max_distance: float) -> tuple[DeviceHits, wp.array]:
         """What is nearest to points, with distances as t, and the features."""
         from wrt.kernels.points.packed_points import BLOCKS
         from wrt.kernels.traversal.persistent.next_ray import counter_of
@@ -90,9 +90,13 @@ class KeptSearch:
         self._shift.run(count, CHUNKS)
         self._cells.run(count, CHUNKS)
         sort_cells(cell, order, count)
-        limits, counter, batch = number_on(device, most), counter_of(device), self._search.argument(POINTS)
+        limits, counter, batch = number_on(device, max_distance), counter_of(device), self._search.argument(POINTS)
         batch.count = count
-        for field, values, size in ((batch.position, position, count), (batch.order, order, count), (batch.most, limits, 1)):
+        for field, values, size in (
+            (batch.position, position, count),
+            (batch.order, order, count),
+            (batch.max_distance, limits, 1),
+        ):
             write_flat(field, values.ptr, size, values.dtype)
         hits, feature = DeviceHits.new(CLOSEST, count, device), empty(count, wp.int8, device)
         found, next_point = self._search.argument(FOUND), self._search.argument(NEXT)

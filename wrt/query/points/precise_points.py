@@ -95,7 +95,7 @@ def find_nearest_precisely(scene: SceneState, given: Points, limits: np.ndarray,
         launch(specialise(make_widen, wp.vec3), count, [wp.vec3d(), narrow, flat], device=device, chunk=4096)
     exact = ExactPoints()
     exact.point = flat
-    exact.most = wp.array(limits, dtype=wp.float64, device=device)
+    exact.max_distance = wp.array(limits, dtype=wp.float64, device=device)
     exact.t, exact.uv, exact.room = empty(rows, wp.float64, device), empty(rows, wp.vec2d, device), k or 1
     hits, feature = DeviceHits.new(EXACT, rows, device), empty(rows, wp.int8, device)
     config = point_config(scene, "nearest" if k is None else "some")

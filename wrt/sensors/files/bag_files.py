@@ -22,10 +22,10 @@ from wrt.sensors.lidar_scan import LidarScan
 ROS_TYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 """Numbers of types in sensor_msgs/PointField."""
 
-MOST_SECONDS = 1 << 31
+MAX_SECONDS = 1 << 31
 """Seconds of a stamp (builtin_interfaces/Time) are integers of 32 bits."""
 
-MOST_BYTES = (1 << 32) - 1
+MAX_BYTES = (1 << 32) - 1
 """Bytes of the data of a message, whose length has 32 bits."""
 
 
@@ -86,7 +86,7 @@ def check_topic(topic: str, measured: list[Any]) -> str:
     for one in measured:
         if not isinstance(one, LidarScan | CameraImages):
             raise TypeError(f"{topic} must hold scans or images of wrt.sensors, not {type(one).__name__}")
-        if not 0.0 <= one.start < MOST_SECONDS:
+        if not 0.0 <= one.start < MAX_SECONDS:
             raise ValueError(
                 f"{topic} holds a measurement at {one.start} s; stamps of ROS 2 are from 0 to 2^31 seconds: shift the clock"
             )
@@ -132,7 +132,7 @@ def check_bytes(size: int) -> None:
     Raises:
         ValueError: it is.
     """
-    if size > MOST_BYTES:
+    if size > MAX_BYTES:
         raise ValueError(
-            f"a message would hold {size:,} bytes, and those of ROS 2 hold {MOST_BYTES:,}; use fewer beams or pixels"
+            f"a message would hold {size:,} bytes, and those of ROS 2 hold {MAX_BYTES:,}; use fewer beams or pixels"
         )

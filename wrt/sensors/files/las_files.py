@@ -19,10 +19,10 @@ import numpy as np
 from wrt.sensors.checks import as_integers
 from wrt.sensors.files.table_fields import WIDER, needed
 
-STEP, LEAST_STEP, MOST_STEP = 1e-4, 1e-9, 1e-3
+STEP, MIN_STEP, MAX_STEP = 1e-4, 1e-9, 1e-3
 """Metres between coordinates: of points 1 m to 214 km apart, and the limits for others."""
 
-MOST_RETURNS = 15
+MAX_RETURNS = 15
 """Returns of a pulse in point format 6, whose field has 4 bits."""
 
 LONGEST_NAME = 32
@@ -87,11 +87,11 @@ def offsets_and_step(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         point, axis = np.argwhere(wrong)[0]
         raise ValueError(f"points have {'xyz'[axis]} = {corners[point, axis]}; LAS files hold finite coordinates only")
     low, extent = np.floor(corners.min(axis=0)), np.ptp(corners, axis=0).max()
-    step = STEP if extent >= 1.0 else max(STEP * 10.0 ** floor(log10(max(extent, LEAST_STEP))), LEAST_STEP)
-    most = np.ceil(corners.max(axis=0) - low).max() / (2**31 - 1)
-    if most > step:
-        step = MOST_STEP
-    if most > step:
+    step = STEP if extent >= 1.0 else max(STEP * 10.0 ** floor(log10(max(extent, MIN_STEP))), MIN_STEP)
+    coarsest = np.ceil(corners.max(axis=0) - low).max() / (2**31 - 1)
+    if coarsest > step:
+        step = MAX_STEP
+    if coarsest > step:
         raise ValueError(f"points are {extent:g} apart, too far for LAS files in steps of 1 mm; write a .ply or .pcd file")
     return low, np.full(3, step)
 
@@ -120,12 +120,12 @@ def fitting(dimension: Any, values: np.ndarray) -> np.ndarray:
     if dimension.kind.name == "FloatingPoint":
         return values.astype(np.float64)
     if dimension.num_bits < 8:  # of a byte that several fields share
-        small, most = (
+        small, coarsest = (
             as_integers(f"points[{dimension.name!r}]", values, np.uint8, " in LAS files"),
             (1 << dimension.num_bits) - 1,
         )
-        if small.size and small.max() > most:
-            raise ValueError(f"points[{dimension.name!r}] holds {small.max()}; it must be from 0 to {most} in LAS files")
+        if small.size and small.max() > coarsest:
+            raise ValueError(f"points[{dimension.name!r}] holds {small.max()}; it must be from 0 to {coarsest} in LAS files")
         return small
     kind = f"{'u' if dimension.kind.name == 'UnsignedInteger' else 'i'}{dimension.num_bits // 8}"
     return as_integers(f"points[{dimension.name!r}]", values, np.dtype(kind), " in LAS files")
@@ -156,9 +156,9 @@ def _time(values: np.ndarray) -> tuple[str, np.ndarray]:
 
 def _return_number(values: np.ndarray) -> tuple[str, np.ndarray]:
     numbers = as_integers("points['return_number']", values, np.uint8, " in LAS files")
-    if numbers.size and numbers.max() >= MOST_RETURNS:
+    if numbers.size and numbers.max() >= MAX_RETURNS:
         raise ValueError(
-            f"points['return_number'] holds {numbers.max()}; it must be from 0 to {MOST_RETURNS - 1} in LAS files, which count "
+            f"points['return_number'] holds {numbers.max()}; it must be from 0 to {MAX_RETURNS - 1} in LAS files, which count "
             "returns in 4 bits from 1 up"
         )
     return "return_number", numbers + 1

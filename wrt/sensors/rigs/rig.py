@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 ARC_ERROR = 1e-6
 """Largest distance, in units of length, between a mounted sensor's arc and the chords that it moves along."""
 
-MOST_CHORDS = 4096
+MAX_CHORDS = 4096
 """Chords of an arc between two key poses."""
 
 
@@ -137,7 +137,7 @@ def mounted(path: Trajectory | StillPoses, mount: np.ndarray) -> Any:
     arm, between = np.linalg.norm(mount[:3, 3]), np.abs((path.rotations[1:] * path.rotations[:-1]).sum(axis=1))
     turns = 2.0 * np.arccos(np.minimum(between, 1.0))
     pieces = np.ceil(turns * np.sqrt(arm / (8.0 * ARC_ERROR)))  # a chord of the angle a is arm a^2 / 8 away from its arc
-    pieces = np.clip(pieces, 1, MOST_CHORDS).astype(np.int64)
+    pieces = np.clip(pieces, 1, MAX_CHORDS).astype(np.int64)
     steps = np.repeat(np.diff(times) / pieces, pieces)
     number = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     keys = np.unique(np.append(np.repeat(times[:-1], pieces) + number * steps, times[-1]))

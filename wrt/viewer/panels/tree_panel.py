@@ -16,14 +16,14 @@ __all__ = ["TreePanel"]
 
 SHOWN, BOTH = "of this scene", "BVH and kd-tree side by side"
 OCTREE, REGIONS = "octree of areas", "regions of areas"
-MOST_AREAS = 64
+MAX_AREAS = 64
 """Influence areas whose trees can be chosen."""
 
 NAMES = ("/wrt/boxes", "/wrt/other boxes")
 
 NO_AREAS = "the tree that is shown has no influence areas"
 
-MOST_BOXES = 2000
+MAX_BOXES = 2000
 """Boxes that are drawn of a level: those that cost most."""
 
 
@@ -40,7 +40,7 @@ class TreePanel:
         areas = session.shared.current[1].state.area_trees
         trees = [SHOWN, "bvh", "kdtree", BOTH]
         if areas is not None:
-            trees += [REGIONS, OCTREE, *(f"of area {number}" for number in range(min(len(areas), MOST_AREAS)))]
+            trees += [REGIONS, OCTREE, *(f"of area {number}" for number in range(min(len(areas), MAX_AREAS)))]
         with gui.add_folder("Tree", expand_by_default=False):
             self._shows = gui.add_checkbox("Boxes", initial_value=False)
             self._tree = gui.add_dropdown("Tree", trees, initial_value=SHOWN)
@@ -91,7 +91,7 @@ class TreePanel:
     def _draw(self, name: str, kind: str, boxes: TreeBoxes, center: np.ndarray, shift: np.ndarray) -> str:
         """Draws the boxes of a tree; a description."""
         level = min(int(self._level.value), boxes.levels - 1)
-        found = boxes.at_level(level, self._leaves.value, MOST_BOXES)
+        found = boxes.at_level(level, self._leaves.value, MAX_BOXES)
         values = boxes.measure(self._measure.value)[found]
         largest = float(values.max()) if len(values) else 0.0
         low, high = (corner[found] + center for corner in (boxes.low, boxes.high))

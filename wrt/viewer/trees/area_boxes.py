@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["octree_boxes", "region_corners"]
 
-MOST_CELLS = 1 << 20
+MAX_CELLS = 1 << 20
 """Cells after which no deeper level is listed."""
 
 
@@ -37,7 +37,7 @@ def octree_boxes(top: TopLevel) -> TreeBoxes:
     tree = top.struct
     child, counts = tree.child.numpy(), np.diff(tree.begin.numpy())
     cells, corners = [np.zeros(1, dtype=np.int64)], [top.root]
-    while sum(map(len, cells)) <= MOST_CELLS:
+    while sum(map(len, cells)) <= MAX_CELLS:
         inner = child[cells[-1]] >= 0
         if not inner.any():
             break

@@ -13,7 +13,7 @@ from wrt.viewer.trees.tree_walk import Placed, Visit, Walk
 
 __all__ = ["walk"]
 
-MOST_VISITS = 10_000
+MAX_VISITS = 10_000
 """Visits after which a way ends."""
 
 
@@ -29,8 +29,8 @@ def walk(scene: SceneState, origin: Any, direction: Any) -> list[Visit]:
     """
     origin, direction = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
     if scene.instances:
-        return [*islice(InstanceWalk(scene, origin, direction).visits(), MOST_VISITS)]  # type: ignore[arg-type]
+        return [*islice(InstanceWalk(scene, origin, direction).visits(), MAX_VISITS)]  # type: ignore[arg-type]
     if not hasattr(scene.tree, "nodes" if scene.accelerator.kind == "kdtree" else "child"):
         raise ValueError("the scene has many trees; pick in a wrt.Scene of meshes or instances")
     center = np.asarray(scene.center, dtype=np.float64)
-    return [*islice(Walk(scene, origin - center, direction, Placed(np.eye(3), center)).visits(), MOST_VISITS)]
+    return [*islice(Walk(scene, origin - center, direction, Placed(np.eye(3), center)).visits(), MAX_VISITS)]

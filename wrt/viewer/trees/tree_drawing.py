@@ -26,10 +26,10 @@ __all__ = ["draw_tree"]
 PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Planes by their names: the axes of space to the right and upward."""
 
-MOST_BOXES = 3000
+MAX_BOXES = 3000
 """Boxes of the levels that are drawn if no depth is given."""
 
-MOST_POINTS = 20_000
+MAX_POINTS = 20_000
 """Vertices of the meshes that are drawn behind the boxes."""
 
 WIDEST, THINNEST = 2.5, 0.5
@@ -105,7 +105,7 @@ def _deepest(boxes: TreeBoxes, depth: int | None) -> int:
     """
     last = boxes.levels - 1
     if depth is None:
-        few = np.cumsum(np.bincount(boxes.depth)) <= MOST_BOXES
+        few = np.cumsum(np.bincount(boxes.depth)) <= MAX_BOXES
         return max(int(few.sum()) - 1, 0)
     depth = as_int("depth", depth)
     if not 0 <= depth <= last:
@@ -170,7 +170,7 @@ def _draw_vertices(axes: Axes, meshes: Sequence[Any], plane: tuple[int, int]) ->
     points = [mesh.vertices[mesh.referenced] for mesh in meshes]
     if points:
         every = np.concatenate(points)
-        shown = every[:: -(-len(every) // MOST_POINTS)]
+        shown = every[:: -(-len(every) // MAX_POINTS)]
         axes.plot(*shown[:, plane].T, ".", color="0.7", markersize=1.0, zorder=1)
 
 

@@ -51,16 +51,16 @@ class TreeBoxes:
         """(N,) float64: one of `MEASURES`."""
         return getattr(self, name.replace(" ", "_")).astype(np.float64)
 
-    def at_level(self, level: int, with_leaves: bool, most: int) -> np.ndarray:
+    def at_level(self, level: int, with_leaves: bool, max_boxes: int) -> np.ndarray:
         """Indices of the boxes of a level, those that cost most first.
 
         Args:
             level: 0 for the root.
             with_leaves: whether leaves of higher levels are among them, so that all triangles are in some box.
-            most: largest number of boxes.
+            max_boxes: largest number of boxes.
         """
         found = np.flatnonzero((self.depth == level) | (with_leaves & self.is_leaf & (self.depth < level)))
-        return found[np.argsort(-self.cost[found], kind="stable")][:most]
+        return found[np.argsort(-self.cost[found], kind="stable")][:max_boxes]
 
 
 def tree_boxes(tree: Bvh | KdTree) -> TreeBoxes:

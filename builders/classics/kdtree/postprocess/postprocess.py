@@ -65,54 +65,33 @@ def postprocess(tree: KdTree, triangles: TriangleBoxes, config: KdTreeConfig) ->
     return replace(tree, stats=replace(tree.stats, seconds=seconds))
 
 
-@native.func_native(
-    "clip.h",
-    "const auto cell = wrt::cell_of(low, high, lists.pad);\n"
-    "const int* triangles = primitive.data + begin;\n"
-    "return wrt::measure_leaf(lists, cell, boxes, triangles, count, tested, keeps.data + begin, inner_low, inner_high);",
-)
-def measure_range(
-    lists: ClippedMesh,
-    boxes: Boxes,
-    primitive: wp.array(dtype=int),
-    begin: int,
-    count: int,
-    low: wp.vec3,
-    high: wp.vec3,
-    tested: bool,
-    keeps: wp.array(dtype=wp.uint8),
-    inner_low: wp.ref[wp.vec3],
-    inner_high: wp.ref[wp.vec3],
-) -> int:
-    """Marks the triangles in primitive[begin .. begin + count - 1] that meet a cell, all of them if they are not `tested`.
-    Returns their number, and the box of these triangles, or of their parts, within the cell."""
+@wp.struct
+class Leaves:
+    """The leaves of a tree, and what is found about them; `leaf_contents` explains the last four arrays."""
+
+    primitive: wp.array(dtype=int)
+    """Lists of all leaves."""
+    begin: wp.array(dtype=int)
+    """First lane of a leaf's list."""
+    count: wp.array(dtype=int)
+    low: wp.array(dtype=wp.vec3)
+    high: wp.array(dtype=wp.vec3)
+    keeps: wp.array(dtype=wp.uint8)
+    kept: wp.array(dtype=int)
+    inner_low: wp.array(dtype=wp.vec3)
+    inner_high: wp.array(dtype=wp.vec3)
+
+
+@native.func_native("clip.h", "wrt::measure_leaf(mesh, boxes, leaves, leaf, tested);")
+def measure_leaf(mesh: ClippedMesh, boxes: Boxes, leaves: Leaves, leaf: int, tested: bool):
+    """Finds which triangles of a leaf meet its cell, all of them if they are not `tested`, and the box of these triangles, or
+    of their parts, within the cell."""
 
 
 @exact_kernel
-def measure_leaves(
-    first: int,
-    mesh: ClippedMesh,
-    boxes: Boxes,
-    primitive: wp.array(dtype=int),
-    begin: wp.array(dtype=int),
-    count: wp.array(dtype=int),
-    low: wp.array(dtype=wp.vec3),
-    high: wp.array(dtype=wp.vec3),
-    tested: bool,
-    keeps: wp.array(dtype=wp.uint8),
-    kept: wp.array(dtype=int),
-    inner_low: wp.array(dtype=wp.vec3),
-    inner_high: wp.array(dtype=wp.vec3),
-):
-    """Item: a leaf. See `measure_range`; begin: first lane of its list."""
-    leaf = first + wp.tid()
-    box_low = wp.vec3()
-    box_high = wp.vec3()
-    kept[leaf] = measure_range(
-        mesh, boxes, primitive, begin[leaf], count[leaf], low[leaf], high[leaf], tested, keeps, box_low, box_high
-    )
-    inner_low[leaf] = box_low
-    inner_high[leaf] = box_high
+def measure_leaves(first: int, mesh: ClippedMesh, boxes: Boxes, leaves: Leaves, tested: bool):
+    """Item: a leaf."""
+    measure_leaf(mesh, boxes, leaves, first + wp.tid(), tested)
 
 
 def leaf_contents(
@@ -134,16 +113,19 @@ def leaf_contents(
     """
     device, leaves = tree.nodes.device, np.flatnonzero(flat.is_leaf)
     mesh = clipped_mesh(triangles, triangles.size, shrinks) if tested else ClippedMesh()
-    begin, count = (
+    found = Leaves()
+    found.primitive = tree.primitive
+    found.begin, found.count = (
         wp.array(a[leaves].astype(np.int32), device=device) for a in (flat.first_block * tree.width, flat.triangles)
     )
-    low, high = (wp.array(a[leaves].astype(np.float32), dtype=wp.vec3, device=device) for a in (flat.low, flat.high))
-    keeps = wp.zeros(len(tree.primitive), dtype=wp.uint8, device=device)
-    kept = wp.empty(len(leaves), dtype=int, device=device)
-    inner_low, inner_high = (wp.empty(len(leaves), dtype=wp.vec3, device=device) for _ in range(2))
-    inputs = [mesh, triangles.boxes, tree.primitive, begin, count, low, high, tested, keeps, kept, inner_low, inner_high]
-    launch(measure_leaves, len(leaves), inputs, device=device, chunk=256)
-    return keeps.numpy() != 0, kept.numpy(), inner_low.numpy(), inner_high.numpy()
+    found.low, found.high = (
+        wp.array(a[leaves].astype(np.float32), dtype=wp.vec3, device=device) for a in (flat.low, flat.high)
+    )
+    found.keeps = wp.zeros(len(tree.primitive), dtype=wp.uint8, device=device)
+    found.kept = wp.empty(len(leaves), dtype=int, device=device)
+    found.inner_low, found.inner_high = (wp.empty(len(leaves), dtype=wp.vec3, device=device) for _ in range(2))
+    launch(measure_leaves, len(leaves), [mesh, triangles.boxes, found, tested], device=device, chunk=256)
+    return found.keeps.numpy() != 0, found.kept.numpy(), found.inner_low.numpy(), found.inner_high.numpy()
 
 
 def with_lists(tree: KdTree, flat: UnpackedKdTree, keeps: np.ndarray, kept: np.ndarray) -> KdTree:

@@ -9,7 +9,7 @@ the watertight test (`wrt.kernels.triangle.watertight.woop`) decides on what is 
 **Bound.** u = 2^-24. The ray is o + s d, its direction divided by the component along its main axis, as the watertight test
 divides it. All norms are maximum norms, so |d| = 1. V is the largest coordinate of the vertices, K = |o| + V, L the longest
 edge. The plane is n . p = h with |n| = 1. The record is rounded once from float64, whose own errors stay below u / 100 if the
-triangle's height is at least `LEAST_HEIGHT` of the longest edge.
+triangle's height is at least `MIN_HEIGHT` of the longest edge.
 
 1.  *What the watertight test calls a hit.* A sheared vertex has an error of at most 5 u K: two differences and a product
     round by u K each, and a difference of up to 2 K by 2 u K. The signs of the areas are exact for the vertices as computed,
@@ -28,7 +28,7 @@ triangle's height is at least `LEAST_HEIGHT` of the longest edge.
 
 So a comparison of a hit is beyond its bound by at most (1.87 * 150 + 63) u K / (L |N|) = 344 u K / (L |N|), and e = 352 u K /
 (L |N|) covers terms in u^2 and its own rounding. Where e is 2 or more, nothing is cut off. Elsewhere K < 2^18 L, so that
-nothing overflows, and what underflows does not matter, as L is between `LEAST_EDGE` and `LARGEST_EDGE`. Triangles beyond these
+nothing overflows, and what underflows does not matter, as L is between `MIN_EDGE` and `MAX_EDGE`. Triangles beyond these
 limits, and those without area, have no finite e. A NaN fails no comparison, and misses later.
 
 **Limits.** e grows with the distance from the scene's centre in lengths of the triangle, and towards grazing rays. Where it is
@@ -56,11 +56,11 @@ from wrt.kernels.triangle.watertight.woop_areas import THIN
 ROUNDINGS = wp.constant(352.0 * 2.0**-24)
 """e, but for K / (L |N|)."""
 
-LEAST_HEIGHT = wp.constant(wp.float64(2.0**-18))
+MIN_HEIGHT = wp.constant(wp.float64(2.0**-18))
 """Height over the longest edge, from which on float64 computes the triangle's frame to u / 100."""
 
-LEAST_EDGE = wp.constant(wp.float64(2.0**-60))
-LARGEST_EDGE = wp.constant(wp.float64(2.0**60))
+MIN_EDGE = wp.constant(wp.float64(2.0**-60))
+MAX_EDGE = wp.constant(wp.float64(2.0**60))
 """Longest edges of triangles that are pruned."""
 
 Margin = wp.types.vector(length=2, dtype=wp.float32)
@@ -71,7 +71,7 @@ def derive_margin(corners: Corners):
     """V, and e L |N| / K / L; infinite for a triangle that is not to be pruned."""
     frame = similarity(corners)
     edge = wp.length(frame.edge)
-    fits = frame.y >= LEAST_HEIGHT and edge >= LEAST_EDGE and edge <= LARGEST_EDGE
+    fits = frame.y >= MIN_HEIGHT and edge >= MIN_EDGE and edge <= MAX_EDGE
     far = wp.max(largest(wp.vec3d(corners.a)), wp.max(largest(wp.vec3d(corners.b)), largest(wp.vec3d(corners.c))))
     return Margin(float(far), wp.where(fits, float(wp.float64(ROUNDINGS) / edge), wp.inf))
 

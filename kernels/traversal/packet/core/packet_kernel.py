@@ -37,6 +37,33 @@ def packet_layout(config: TraversalConfig) -> PacketLayout:
     return PacketLayout(config.packet.rays, config.width, config.packet.shared_origin, config.triangle_test)
 
 
+@wp.struct
+class PacketMemory:
+    """Memory of an item, in which it traces one packet after the other."""
+
+    packet: wp.array(dtype=float)
+    """The packet (`PacketLayout`)."""
+    walk: wp.array(dtype=int)
+    """What its walk needs."""
+
+
+@wp.func
+def packet_memory(packet: wp.array(dtype=float), walk: wp.array(dtype=int)):
+    """Memory that the arrays of a kernel are; Warp assigns them to a struct only as arguments."""
+    memory = PacketMemory()
+    memory.packet = packet
+    memory.walk = walk
+    return memory
+
+
+@wp.struct
+class PacketWork:
+    """Work done for a packet so far, and where it is written when the packet is done."""
+
+    counters: CounterRows
+    done: Counters
+
+
 RUN = 8
 """Packets per item, or more (`RayBatch.run`). They share its local memory, which Warp clears once per item
 (notebooks/records/2026-11-21-packets.md)."""
@@ -140,8 +167,7 @@ def ray_continuation(config: TraversalConfig, Tree: type, walk_ray: wp.Function)
 
 @cache
 def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
-    """`wp.func(tree, triangles, rays, begin, packet, hits, counters, work)`: traces the rays of the packet at `begin` one by
-    one.
+    """`wp.func(tree, triangles, rays, begin, packet, hits, work)`: traces the rays of the packet at `begin` one by one.
 
     These are all of its rays, or those for which `packet_splitting.needs_single_ray` is true. They keep what the packet has
     found, and search up to there. walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`. `work` is the work done for
@@ -159,8 +185,7 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
         begin: int,
         packet: wp.array(dtype=float),
         hits: wp.ref[HitBatch],
-        counters: CounterRows,
-        work: wp.ref[Counters],
+        work: wp.ref[PacketWork],
     ):
         for place in range(begin, wp.min(begin + wp.static(packet_rays), rays.count)):
             if not needs_single_ray(packet, place - begin):
@@ -169,11 +194,11 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
             ray = load_ray(rays, i)
             best = start(ray.t_max)
             if ray.valid:
-                best = continue_ray(tree, triangles, packet, place - begin, ray, hits, i, work)
+                best = continue_ray(tree, triangles, packet, place - begin, ray, hits, i, work.done)
             store(hits, i, best)
             if wp.static(counting):
-                counters.rows[place] = work
-                work = Counters()
+                work.counters.rows[place] = work.done
+                work.done = Counters()
 
     return trace
 
@@ -279,11 +304,10 @@ def packet_step(
     reversible: bool = False,
     later: bool = False,
 ) -> wp.Function:
-    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work) -> bool`: traces the packet at
-    `begin`. False if it met no leaf, as far as that is known (`later`).
+    """`wp.func(tree, below, triangles, rays, begin, memory, hits, work) -> bool`: traces the packet at `begin`. False if it met
+    no leaf, as far as that is known (`later`).
 
-    below: the tree, or the subtree that contains all hits of the packet. packet: memory for it. memory: memory for its walk.
-    `work` is the work done for it so far.
+    below: the tree, or the subtree that contains all hits of the packet.
 
     Args:
         config: the specialisation.
@@ -309,25 +333,23 @@ def packet_step(
         triangles: wp.ref[TriangleBlocks],
         rays: wp.ref[RayBatch],
         begin: int,
-        packet: wp.array(dtype=float),
-        memory: wp.array(dtype=int),
+        memory: wp.ref[PacketMemory],
         hits: wp.ref[HitBatch],
-        counters: CounterRows,
-        work: wp.ref[Counters],
+        work: wp.ref[PacketWork],
     ):
         bounds = PacketBounds()
         if wp.static(fetches):
             fetch(rays, begin, hits)
-        load(rays, begin, tree.low, tree.high, packet, bounds)
-        completed = trace(tree, below, triangles, packet, memory, bounds, work)
+        load(rays, begin, tree.low, tree.high, memory.packet, bounds)
+        completed = trace(tree, below, triangles, memory.packet, memory.walk, bounds, work.done)
         tested = not wp.static(later) or bounds.finished != 0
         if completed or wp.static(parts):  # left-over rays are stored again when they are traced
-            store(packet, rays, begin, hits, not tested)
+            store(memory.packet, rays, begin, hits, not tested)
         if not completed:
-            single_rays(tree, triangles, rays, begin, packet, hits, counters, work)
+            single_rays(tree, triangles, rays, begin, memory.packet, hits, work)
         elif wp.static(counting):
-            counters.rows[begin] = work
-            work = Counters()
+            work.counters.rows[begin] = work.done
+            work.done = Counters()
         return tested
 
     return step
@@ -377,17 +399,20 @@ def make_packet_kernel(
         counters: CounterRows,
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
-        memory = wp.zeros(shape=(memory_size,), dtype=int)
+        walk_memory = wp.zeros(shape=(memory_size,), dtype=int)
+        memory = packet_memory(packet, walk_memory)
+        work = PacketWork()
+        work.counters = counters
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
         missed = int(0)
         while begin < end:
             packets = int(0)
             if wp.static(joining):
-                packets = answer_together(tree, triangles, rays, wp.vec2i(begin, end), packet, memory, hits, missed)
+                packets = answer_together(tree, triangles, rays, wp.vec2i(begin, end), packet, walk_memory, hits, missed)
             if packets == 0:
-                work = Counters()
-                tested = step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)
+                work.done = Counters()
+                tested = step(tree, tree, triangles, rays, begin, memory, hits, work)
                 missed = wp.where(tested, 0, missed + 1)
                 packets = 1
             begin += packets * wp.static(packet_rays)

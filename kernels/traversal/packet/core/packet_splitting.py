@@ -37,7 +37,7 @@ MAX_PARTS = 7
 WIDE = 3.0
 """How many times as far apart as usual the origins of a packet must be that is split before its traversal."""
 
-LEAST_WIDE = 2.0**-7
+MIN_WIDE = 2.0**-7
 """Share of the scene's size that they must span."""
 
 ADAPTION = 0.25
@@ -47,7 +47,7 @@ DONE, SINGLE_RAY = -1, -2
 
 GUARDS = f"""
 static_assert(wrt::DONE == {DONE} && wrt::SINGLE_RAY == {SINGLE_RAY} && wrt::MAX_PARTS == {MAX_PARTS});
-static_assert(wrt::WIDE == {WIDE!r}f && wrt::LEAST_WIDE == {LEAST_WIDE!r}f && wrt::ADAPTION == {ADAPTION!r}f);
+static_assert(wrt::WIDE == {WIDE!r}f && wrt::MIN_WIDE == {MIN_WIDE!r}f && wrt::ADAPTION == {ADAPTION!r}f);
 """
 """C++: the constants of splitting have these values."""
 

@@ -15,7 +15,7 @@ radius, a sum of half extents times absolute values. Directions are divided by t
 
 **Exactness.** The answer must be that of the test of each ray, which rounds. Its areas have errors of less than 2^-19 S^2,
 where S is the sum of a triangle's largest coordinates relative to the origins. So rays count as inside only by a margin of
-`INSIDE` S^2, triangles count only if they span at least `LEAST_AREA` S^2 as seen along the rays, and then t has an error of
+`INSIDE` S^2, triangles count only if they span at least `MIN_AREA` S^2 as seen along the rays, and then t has an error of
 less than S / 512: the plane of the triangle must be `CLOSEST` S within the rays' range. Nothing else can make such a test miss,
 if it promises that (`PacketForm.certain`). NaN and infinite numbers are found on the way, and no triangle covers a zero
 direction.
@@ -34,7 +34,7 @@ from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 INSIDE = 2.0**-14
 """Least signed area by which rays must pass inside of an edge, as a fraction of S^2: 32 times the error of a test's area."""
 
-LEAST_AREA = 2.0**-9
+MIN_AREA = 2.0**-9
 """Least area of a triangle as seen along the rays, likewise."""
 
 CLOSEST = 2.0**-8
@@ -44,7 +44,7 @@ SMALLEST, LARGEST = 1e-10, 1e12
 """Of S, so that no product of three lengths underflows or overflows."""
 
 GUARDS = f"""
-static_assert(wrt::INSIDE == {INSIDE!r}f && wrt::LEAST_AREA == {LEAST_AREA!r}f && wrt::CLOSEST == {CLOSEST!r}f);
+static_assert(wrt::INSIDE == {INSIDE!r}f && wrt::MIN_AREA == {MIN_AREA!r}f && wrt::CLOSEST == {CLOSEST!r}f);
 static_assert(wrt::SMALLEST == {SMALLEST!r}f && wrt::LARGEST == {LARGEST!r}f);
 """
 """C++: the constants have these values."""

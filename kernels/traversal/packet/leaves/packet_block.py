@@ -34,7 +34,7 @@ from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout, cpp
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
-LEAST_LISTED = {16: 1}
+MIN_LISTED = {16: 1}
 """Triangles of a block from which they are listed for each ray, by width; 2 for other widths. A single one that is left of a
 block is mostly hit, but with 16 lanes a round of the test costs more than all else."""
 
@@ -42,7 +42,7 @@ block is mostly hit, but with 16 lanes a round of the test costs more than all e
 def pairs_code(pairs: str, width: int, what: str, arguments: str) -> str:
     """C++ that tests the triangles `mask` of a block. pairs: `PacketForm.pairs`; what, arguments: those of `test_triangles`
     but the test."""
-    return f"{GUARDS}wrt::test_pairs<{what}, {LEAST_LISTED.get(width, 2)}>({arguments}, {pairs});"
+    return f"{GUARDS}wrt::test_pairs<{what}, {MIN_LISTED.get(width, 2)}>({arguments}, {pairs});"
 
 
 def triangles_code(layout: PacketLayout) -> str:
