@@ -75,66 +75,76 @@ def across(axis: wp.vec3d):
     return wp.normalize(side)
 
 
-@native.func_native("sensor_rays.h", "wrt::turn_axes<wp::vec3d>(axes.data, turn, begin, end, turned.data);")
-def turn_axes(axes: wp.array(dtype=wp.vec3), turn: wp.quatd, begin: int, end: int, turned: wp.array(dtype=wp.vec3)):
-    """Writes the directions of axes begin .. end - 1, normalised and turned."""
+@native.func_native("sensor_rays.h", "wrt::turn_axes<wp::vec3d>(axes.data, turn, begin, end, turned.data + first);")
+def turn_axes(axes: wp.array(dtype=wp.vec3), turn: wp.quatd, begin: int, end: int, first: int, turned: wp.array(dtype=wp.vec3)):
+    """Writes the directions of axes begin .. end - 1, normalised and turned; axis 0 is that of direction number `first`."""
+
+
+@wp.struct
+class FiredRays:
+    """Where rays are written."""
+
+    origins: wp.array(dtype=wp.vec3d)
+    """(N,) in the world; (1,) if all rays share it; (0,) if it is not needed in float64."""
+    center: wp.vec3d
+    relative: wp.array(dtype=wp.vec3)
+    """The same relative to the centre, in float32; (0,) if that is not needed."""
+    directions: wp.array(dtype=wp.vec3)
+    """(N,)."""
 
 
 @wp.func
-def is_one_still(beams: Beams, path: PosePath):
-    """Whether rays are those of one sensor at rest, from one point, one for each beam, in the order of their numbers."""
-    alone = beams.order.shape[0] == 0 and beams.offsets.shape[0] == 0 and beams.spread.shape[0] == 1
-    return path.times.shape[0] == 0 and alone
+def write_origin(rays: FiredRays, i: int, origin: wp.vec3d):
+    """Writes the origin of a ray, where it is needed."""
+    if i < rays.origins.shape[0]:
+        rays.origins[i] = origin
+    if i < rays.relative.shape[0]:
+        rays.relative[i] = wp.vec3(origin - rays.center)
+
+
+@wp.func
+def fire_still(beams: Beams, path: PosePath, rays: FiredRays, begin: int, end: int):
+    """Writes a range of rays of sensors at rest, each from one point: rays of the axes, in the order of their numbers."""
+    own = beams.directions.shape[0]
+    i = int(begin)
+    while i < end:
+        sensor = i / own
+        stop = wp.min(end, (sensor + 1) * own)
+        pose = pose_of(path, sensor, beams.start)
+        turn_axes(beams.directions, pose.rotation, i - sensor * own, stop - sensor * own, sensor * own, rays.directions)
+        origin = pose.position + wp.quat_rotate(pose.rotation, wp.vec3d())
+        for k in range(i, wp.min(stop, wp.max(rays.origins.shape[0], rays.relative.shape[0]))):
+            write_origin(rays, k, origin)
+        i = stop
 
 
 @exact_kernel
-def fire_beams(
-    first: int,
-    block: int,
-    count: int,
-    beams: Beams,
-    path: PosePath,
-    origins: wp.array(dtype=wp.vec3d),
-    center: wp.vec3d,
-    relative: wp.array(dtype=wp.vec3),
-    directions: wp.array(dtype=wp.vec3),
-):
-    """Writes rays in the world. Item: a block of rays; R neighbours belong to a beam.
-
-    origins: (N,); (1,) if all rays share it; (0,) if it is not needed in float64. relative: the same minus `center`; (0,) if
-    that is not needed.
-    """
+def fire_beams(first: int, block: int, count: int, beams: Beams, path: PosePath, rays: FiredRays):
+    """Writes rays in the world. Item: a block of rays; R neighbours belong to a beam."""
     begin = (first + wp.tid()) * block
     end = wp.min(begin + block, count)
-    rays = beams.spread.shape[0]
-    several = wp.max(origins.shape[0], relative.shape[0])
-    still = is_one_still(beams, path)
-    if still:
-        turn_axes(beams.directions, path.rotation, begin, end, directions)
-        end = wp.min(end, several)
+    bundle = beams.spread.shape[0]
+    if path.times.shape[0] <= 1 and beams.order.shape[0] == 0 and beams.offsets.shape[0] == 0 and bundle == 1:
+        fire_still(beams, path, rays, begin, end)
+        return
     pose = Pose()
     sensor = int(-1)
     for i in range(begin, end):
         item = i
         ray = int(0)
-        if rays > 1:
-            item = i / rays
-            ray = i - item * rays
+        if bundle > 1:
+            item = i / bundle
+            ray = i - item * bundle
         place = place_of(beams, beam_at(beams, item))
         beam = place.beam
         if place.sensor != sensor or path.times.shape[0] > 1:
             pose = pose_of(path, place.sensor, beams.start + beams.times[beam])
             sensor = place.sensor
-        if not still:
-            axis = wp.normalize(wp.vec3d(beams.directions[beam]))
-            if rays > 1:
-                side = across(axis)
-                tangents = wp.vec2d(beams.spread[ray])
-                axis = wp.normalize(axis + tangents[0] * side + tangents[1] * wp.cross(axis, side))
-            directions[i] = wp.vec3(wp.quat_rotate(pose.rotation, axis))
-        if i < several:
-            origin = pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, beam))
-            if i < origins.shape[0]:
-                origins[i] = origin
-            if i < relative.shape[0]:
-                relative[i] = wp.vec3(origin - center)
+        axis = wp.normalize(wp.vec3d(beams.directions[beam]))
+        if bundle > 1:
+            side = across(axis)
+            tangents = wp.vec2d(beams.spread[ray])
+            axis = wp.normalize(axis + tangents[0] * side + tangents[1] * wp.cross(axis, side))
+        rays.directions[i] = wp.vec3(wp.quat_rotate(pose.rotation, axis))
+        if i < wp.max(rays.origins.shape[0], rays.relative.shape[0]):
+            write_origin(rays, i, pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, beam)))

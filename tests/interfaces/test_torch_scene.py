@@ -59,7 +59,8 @@ def test_queries(given):
     hits, expected = tensors.intersect(*rays_there), scene.intersect(*rays)
     assert 0.1 < expected.is_hit.mean() < 0.95
     pairs = [(getattr(hits, name), getattr(expected, name)) for name in ("t", "uv", "primitive_id", "is_hit", "normal")]
-    pairs.append((tensors.occluded(*rays_there, t_max=torch.full((500,), 0.5)), scene.occluded(*rays, t_max=0.5)))
+    ends = torch.full((500,), 0.5, device=rays_there[0].device)
+    pairs.append((tensors.occluded(*rays_there, t_max=ends), scene.occluded(*rays, t_max=0.5)))
     pairs.append((tensors.count(*rays_there), scene.count(*rays)))
     pairs.append((tensors.contains(rays_there[0]), scene.contains(rays[0])))
     pairs.append((tensors.visible(*rays_there), scene.visible(*rays)))

@@ -112,6 +112,7 @@ LENS = BrownConrady(60.0, 60.0, 7.5, 24.5)
         (lambda scene: Camera(5, 5, LENS).capture(scene, FORWARD, labels=[1]), ValueError, "labels"),
         (lambda scene: Camera(5, 5, LENS).capture(scene, FORWARD, labels=[0.5, 1]), TypeError, "labels"),
         (lambda scene: Camera(5, 5, LENS).capture(scene, 2 * FORWARD), ValueError, "last row"),
+        (lambda scene: Camera(5, 5, LENS).capture("mesh.ply", FORWARD), TypeError, "scene must be a wrt.Scene .*not str"),
         (lambda scene: look_at([0, 0, 0], [0, 0, 1]), ValueError, r"straight down; pass another.*up=\(0, 1, 0\)"),
         (lambda scene: look_at([0, 0, 0], [0, 2, 0], up=[0, 1, 0]), ValueError, r"up=\(1, 0, 0\)"),
         (lambda scene: look_at([0, 0, 0], [0, 0, 0]), ValueError, "same point"),

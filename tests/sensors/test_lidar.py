@@ -315,6 +315,11 @@ WRONG = [
     (lambda: Lidar(pattern=BEAM, dropout=1.0), ValueError, "dropout"),
     (lambda: Lidar.preset("vlp"), ValueError, "velodyne_vlp16"),
     (lambda: noisy_scan(-1), ValueError, "seed"),
+    (
+        lambda: Lidar(pattern=BEAM).scan(wrt.scenes.build("teapot", level=1), np.eye(4)),
+        TypeError,
+        "scene must be a wrt.Scene .*not TriangleMesh; make a scene",
+    ),
     (lambda: noisy_scan(0.5), TypeError, "seed"),
 ]
 

@@ -173,6 +173,8 @@ def test_camera_positions_in_utm_coordinates():
 def test_wrong_files(table, tmp_path):
     with pytest.raises(ValueError, match=r"\.ply, \.bin, \.pcd"):
         write_points(tmp_path / "scan.txt", table)
+    with pytest.raises(ValueError, match="masked values"):
+        write_points(tmp_path / "scan.ply", np.ma.masked_array(table, mask=np.arange(len(table)) == 0))
     with pytest.raises(TypeError, match="to_structured"):
         write_points(tmp_path / "scan.ply", np.zeros((5, 3)))
     with pytest.raises(ValueError, match="'x' of type"):

@@ -27,6 +27,11 @@ SIZE = STREAMS[-1]
 """What a plan asks for if rays are few: other tests have these kernels too."""
 
 
+def size_on(scene: wrt.Scene) -> int:
+    """Rays of a stream. On CUDA a stream is a thread's, and takes memory for all threads."""
+    return CUDA_STREAM if scene.device.is_cuda else SIZE
+
+
 def stream_plan(scene: wrt.Scene, rays: wrt.Rays, size: int, triangle_test: str = "woop") -> Plan:
     return replace(scene.explain(rays, traversal="stream", triangle_test=triangle_test), stream=size)
 
@@ -64,8 +69,7 @@ def test_beams(tree, triangle_test, own_origins, device):
         scene = wrt.Scene(mesh, tree, device=device)
         origins, directions = beams(mesh, 60, own_origins)
         rays = wrt.Rays(origins[:-5] if own_origins else origins, directions[:-5])
-        size = CUDA_STREAM if scene.device.is_cuda else SIZE  # there a stream is a thread's, and takes memory for all threads
-        expected = assert_equals_brute_force(scene, rays, size, triangle_test)
+        expected = assert_equals_brute_force(scene, rays, size_on(scene), triangle_test)
         assert expected.is_hit.mean() > 0.05
 
 
@@ -119,8 +123,9 @@ def test_ray_counts(tree, device):
     """None, one, and counts about the length of a stream."""
     mesh = wrt.scenes.build("teapot", level=3)
     scene = wrt.Scene(mesh, tree, device=device)
-    for count in (0, 1, SIZE - 1, SIZE, SIZE + 1, 2 * SIZE - 1, 2 * SIZE, 2 * SIZE + 1):
-        assert_equals_brute_force(scene, wrt.Rays(*mixed_rays(mesh, count, seed=count)), SIZE)
+    size = size_on(scene)
+    for count in (0, 1, size - 1, size, size + 1, 2 * size - 1, 2 * size, 2 * size + 1):
+        assert_equals_brute_force(scene, wrt.Rays(*mixed_rays(mesh, count, seed=count)), size)
 
 
 @pytest.mark.parametrize("accelerator", [wrt.Bvh(width=2), wrt.Bvh(width=8), wrt.KdTree(width=1), wrt.KdTree(width=4)])
@@ -158,9 +163,9 @@ def test_many_layers_met_at_their_vertices_and_edges(tree, device):
     directions = np.tile([0.0, 0.0, 1.0], (300, 1)) * rng.choice([-1.0, 1.0], (300, 1))
     directions[200:] += rng.normal(scale=0.05, size=(100, 3))
     far = rng.choice([0.03, 0.5, np.inf], 300).astype(np.float32)
-    expected = assert_equals_brute_force(scene, wrt.Rays(origins, directions, 0.0, far), SIZE)
+    expected = assert_equals_brute_force(scene, wrt.Rays(origins, directions, 0.0, far), size_on(scene))
     assert 0.4 < expected.is_hit.mean() < 0.95
-    assert_equals_brute_force(scene, wrt.Rays(origins, directions), SIZE)
+    assert_equals_brute_force(scene, wrt.Rays(origins, directions), size_on(scene))
 
 
 @pytest.mark.parametrize("tree", TREES)
@@ -171,14 +176,14 @@ def test_a_range_from_minus_zero(tree, device):
     rng = np.random.default_rng(0)
     origins, directions = rng.uniform(*mesh.bounds, (500, 3)), rng.normal(size=(500, 3))
     rays = wrt.Rays(origins, directions, np.full(500, -0.0, dtype=np.float32))
-    assert assert_equals_brute_force(scene, rays, SIZE).is_hit.mean() > 0.3
+    assert assert_equals_brute_force(scene, rays, size_on(scene)).is_hit.mean() > 0.3
 
 
 @pytest.mark.parametrize("tree", TREES)
 def test_only_bad_rays(tree, device):
     scene = wrt.Scene(wrt.scenes.build("teapot", level=2), tree, device=device)
     rays = wrt.Rays(np.full((300, 3), np.nan), np.zeros((300, 3)))
-    assert not assert_equals_brute_force(scene, rays, SIZE).is_hit.any()
+    assert not assert_equals_brute_force(scene, rays, size_on(scene)).is_hit.any()
 
 
 @pytest.mark.parametrize("tree", TREES)

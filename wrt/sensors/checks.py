@@ -12,6 +12,20 @@ SAME_STRETCH = 1e-6
 """Relative difference up to which two matrices count as having the same scale and shear."""
 
 
+def check_scene(scene: Any) -> None:
+    """Refuses what sensors cannot look at.
+
+    Raises:
+        TypeError: neither a scene in memory nor a cloud.
+    """
+    from wrt.clouds.point_cloud import PointCloud
+    from wrt.query.api import Queries
+
+    if not isinstance(scene, (Queries, PointCloud)):
+        found = type(scene).__name__
+        raise TypeError(f"scene must be a wrt.Scene or a wrt.PointCloud, not {found}; make a scene with wrt.Scene(mesh)")
+
+
 def check_real(name: str, values: Any, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
     """A fresh float64 array of finite numbers.
 

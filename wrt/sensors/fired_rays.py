@@ -91,7 +91,7 @@ def fire(
         center: (3,) to which origins are relative, in float32; None for float64 in the world.
         key: of the beams, without poses, if no other beams have it; None if rays are not to be kept.
     """
-    from wrt.kernels.sensors.lidar_beams import fire_beams
+    from wrt.kernels.sensors.lidar_beams import FiredRays, fire_beams
 
     if not path.is_still or shape[0] > MAX_SENSORS or path.key is None or device.is_capturing:
         key = None
@@ -103,11 +103,12 @@ def fire(
     count, shared = sensors * own, path.is_still and one_centre and sensors == 1
     origins = empty(1 if shared else count, wp.vec3d if center is None else wp.vec3, device)
     directions = empty(count, wp.vec3, device)
-    if center is None:
-        places = origins, wp.vec3d(), no_vectors(device.alias)
-    else:
-        places = no_vectors(device.alias, wp.vec3d), wp.vec3d(*center.tolist()), origins
-    launch_blocks(fire_beams, count, [beams, path.path(device), *places, directions], device)
+    fired = FiredRays()
+    fired.origins = origins if center is None else no_vectors(device.alias, wp.vec3d)
+    fired.relative = no_vectors(device.alias) if center is None else origins
+    fired.center = wp.vec3d() if center is None else wp.vec3d(*center.tolist())
+    fired.directions = directions
+    launch_blocks(fire_beams, count, [beams, path.path(device), fired], device)
     if key is not None:
         kept_rays.offer(key, (origins, directions))
     return origins, directions

@@ -16,7 +16,7 @@ from wrt.engine.memory import empty
 from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, convert_fields
 from wrt.sensors.camera_conversion import camera_of, lens_of
-from wrt.sensors.checks import as_time, check_at_least
+from wrt.sensors.checks import as_time, check_at_least, check_scene
 from wrt.sensors.fired_rays import fire, spread_on
 from wrt.sensors.lens_models import LensModel
 from wrt.sensors.outputs.captured_images import CameraImages, CapturedLayers
@@ -181,6 +181,7 @@ class Camera:
                 instances, or `albedo` of a `PointCloud`.
             RuntimeError: a graph is being captured, which cannot repeat the image.
         """
+        check_scene(scene)
         if materials is not None and not albedo:
             raise ValueError("materials are those of the colours; pass albedo=True, or leave materials out")
         path, time, slices = as_poses(pose), as_time(time), check_slices(slices)

@@ -15,7 +15,7 @@ import warp as wp
 from wrt.engine.facts.query_kinds import AUTO
 from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
 from wrt.kernels.validation import as_bool, as_int, convert_fields
-from wrt.sensors.checks import as_time, check_at_least, check_real
+from wrt.sensors.checks import as_time, check_at_least, check_real, check_scene
 from wrt.sensors.fired_rays import fire, spread_on
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
@@ -212,6 +212,7 @@ class Lidar:
         """
         from wrt.query.api import Queries
 
+        check_scene(scene)
         path, chosen = as_poses(pose), as_layers(layers, MeasuredReturns.KINDS)
         to_warp = self.pattern.is_warp or isinstance(path, DevicePoses) if to_warp is None else as_bool("to_warp", to_warp)
         refuse_captured_scan(scene.device, path, motions, to_warp)

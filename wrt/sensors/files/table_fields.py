@@ -32,8 +32,10 @@ def as_table(points: Any, organized: bool = False) -> np.ndarray:
 
     Raises:
         TypeError: another array.
-        ValueError: a field whose name has spaces, of which headers of files would make two.
+        ValueError: masked values, or a field whose name has spaces, of which headers of files would make two.
     """
+    if isinstance(points, np.ma.MaskedArray) and any(np.ma.getmaskarray(points).tobytes()):  # of fields: is_masked fails
+        raise ValueError("points has masked values; replace them with .filled(value), or leave these points out")
     points = np.asarray(points)
     names = points.dtype.names or ()
     if not {"x", "y", "z"} <= set(names) or points.ndim not in ((1, 2) if organized else (1,)):
