@@ -29,6 +29,8 @@ class Pseudonormals:
     """(V,)"""
     of_edge: wp.array2d(dtype=wp.vec3)
     """(F, 3), of the edges behind the first, the second and the third vertex."""
+    scale: float
+    """A power of two by which edges are multiplied, so that their products are normal numbers in tiny scenes, too."""
 
 
 @exact_kernel
@@ -51,7 +53,8 @@ def find_sides(
         kind = int(feature[i])
         at = int(0)
         normal = wp.cross(
-            normals.vertices[face[1]] - normals.vertices[face[0]], normals.vertices[face[2]] - normals.vertices[face[0]]
+            normals.scale * (normals.vertices[face[1]] - normals.vertices[face[0]]),
+            normals.scale * (normals.vertices[face[2]] - normals.vertices[face[0]]),
         )
         if kind == 0:
             at = wp.where(weights[1] > weights[0], 1, 0)

@@ -63,15 +63,16 @@ inline CUDA_CALLABLE float half_solid_angle(const Apart& a, const Apart& b, cons
     return angle_of(volume_of(a, b, c), rest);
 }
 
-/// The vertex of a record, less the point.
-template <int W> inline CUDA_CALLABLE Apart vertex_at(const float* record, int vertex, const Apart& point)
+/// The vertex of a record times the scale, less the point.
+template <int W> inline CUDA_CALLABLE Apart vertex_at(const float* record, int vertex, float scale, const Apart& point)
 {
     const float* const from = record + 3 * W * vertex;
-    return {from[0] - point.x, from[W] - point.y, from[2 * W] - point.z};
+    return {from[0] * scale - point.x, from[W] * scale - point.y, from[2 * W] * scale - point.z};
 }
 
-/// Half the solid angles of the triangles of a leaf.
-template <int W> inline CUDA_CALLABLE float angles_of_leaf(const float* records, int word, const Apart& point)
+/// Half the solid angles of a leaf's triangles. point: times the scale, a power of two that keeps products of three
+/// lengths normal numbers; angles have the same bits with another one.
+template <int W> inline CUDA_CALLABLE float angles_of_leaf(const float* records, int word, float scale, const Apart& point)
 {
     float sum = 0.0f;
     int block = ~word >> 6;
@@ -79,8 +80,8 @@ template <int W> inline CUDA_CALLABLE float angles_of_leaf(const float* records,
         const float* const record = records + (size_t)block * (9 * W);
         float angle[W];
         WRT_FOR_LANES (i) {
-            const Apart a = vertex_at<W>(record + i, 0, point), b = vertex_at<W>(record + i, 1, point);
-            const float one = half_solid_angle(a, b, vertex_at<W>(record + i, 2, point));
+            const Apart a = vertex_at<W>(record + i, 0, scale, point), b = vertex_at<W>(record + i, 1, scale, point);
+            const float one = half_solid_angle(a, b, vertex_at<W>(record + i, 2, scale, point));
             angle[i] = one == one ? one : 0.0f;
         }
         for (int i = 0; i < W && i < left; ++i) sum += angle[i];
@@ -134,7 +135,7 @@ inline CUDA_CALLABLE float number_at(const Tree& tree, const Triangles& triangle
         for (; near; near &= near - 1u) {
             const int word = tree.child.data[node * W + lowest_bit(near)];
             if (word >= 0) nodes[size++] = word;
-            else angles += angles_of_leaf<W>(triangles.records.data, word, point);
+            else angles += angles_of_leaf<W>(triangles.records.data, word, clusters.scale, scaled);
         }
     }
     return (sum + 2.0f * angles) * OVER_FOUR_PI;

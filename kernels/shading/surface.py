@@ -33,8 +33,11 @@ class Appearance:
     corner_normals: wp.array(dtype=wp.vec3)
     """(3 F,) if `smooth`. Geometry shared by instances counts once in F."""
     albedo: wp.array(dtype=wp.vec3)
-    """(F,) or (1,), linear."""
+    """(F,), or (N,) of points, or (1,); linear."""
     albedo_stride: int
+    point: wp.array(dtype=int)
+    """(N,) numbers of the points that the camera rays have met, on which `mesh` has a triangle each; empty if it has all
+    triangles of a scene."""
 
 
 @wp.struct
@@ -125,7 +128,10 @@ def find_surface(
         cosine = wp.max(0.0, float(wp.dot(normal, wp.normalize(to_light))))
         if not cosine > 0.0:
             to_light = wp.vec3d()
-        surface.albedo[i] = scene.albedo[triangle.face * scene.albedo_stride]
+        painted = triangle.face
+        if scene.point.shape[0] > 0:
+            painted = scene.point[i]
+        surface.albedo[i] = scene.albedo[painted * scene.albedo_stride]
     surface.origin[i] = origin
     surface.face_normal[i] = wp.vec3(side_normal)
     surface.normal[i] = wp.vec3(normal)

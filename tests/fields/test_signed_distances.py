@@ -168,3 +168,15 @@ def test_what_is_refused():
         wrt.analysis.signed_distance(scene, [0.0, 0.0, 0.0], max_distance=-1.0)
     with pytest.raises(ValueError, match=r"points must have shape"):
         wrt.analysis.signed_distance(scene, [0.0, 0.0])
+
+
+@pytest.mark.parametrize("power", [-60, -46, 30])
+def test_pseudonormals_of_tiny_and_huge_scenes(power):
+    """The sides of the same scene of size 1: products of three lengths neither vanish nor overflow."""
+    mesh, points = trimesh.creation.icosphere(2), np.random.default_rng(0).uniform(-1.3, 1.3, (500, 3)).astype(np.float32)
+    vertices, scale = mesh.vertices.astype(np.float32), np.float32(2.0**power)
+    one, other = (wrt.Scene(wrt.TriangleMesh(vertices * size, mesh.faces), device="cpu") for size in (np.float32(1.0), scale))
+    expected = wrt.analysis.signed_distance(one, points, sign="pseudonormal")
+    assert expected.min() < -0.1 < 0.1 < expected.max()
+    found = wrt.analysis.signed_distance(other, points * scale, sign="pseudonormal")
+    np.testing.assert_array_equal(found < 0.0, expected < 0.0)

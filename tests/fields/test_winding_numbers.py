@@ -182,3 +182,14 @@ def test_scenes_are_let_go(tree):
     del scene
     gc.collect()
     assert state() is None
+
+
+@pytest.mark.parametrize("power", [-60, -46, 30])
+def test_tiny_and_huge_scenes(power):
+    """Those of the same scene of size 1, to the bit: products of three lengths neither vanish nor overflow."""
+    mesh, points = trimesh.creation.icosphere(2), np.random.default_rng(0).uniform(-1.3, 1.3, (500, 3)).astype(np.float32)
+    vertices, scale = mesh.vertices.astype(np.float32), np.float32(2.0**power)
+    expected = wrt.analysis.winding_number(wrt.Scene(wrt.TriangleMesh(vertices, mesh.faces), device="cpu"), points)
+    assert expected.min() < 0.1 < 0.9 < expected.max()
+    scene = wrt.Scene(wrt.TriangleMesh(vertices * scale, mesh.faces), device="cpu")
+    np.testing.assert_array_equal(wrt.analysis.winding_number(scene, points * scale), expected)

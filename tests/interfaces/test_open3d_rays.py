@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -222,8 +223,6 @@ def test_bad_arguments(scene):
         scene.add_triangles(np.zeros((3, 3)), np.array([[0, 1, 3]]))
     with pytest.raises(ValueError, match="nthreads"):
         scene.cast_rays(np.zeros((4, 6)), nthreads=-1)
-    with pytest.raises(ValueError, match="t_min"):
-        scene.test_occlusions(np.zeros((4, 6)), tnear=-1.0)
     pinhole = scene.create_rays_pinhole
     with pytest.raises(TypeError, match="fov_deg, center, eye"):
         pinhole(60)
@@ -237,3 +236,31 @@ def test_bad_arguments(scene):
         pinhole(60, [0, 0, 0], [0, 0, 1], [0, 0, 1], 4, 4)
     with pytest.raises(ValueError, match="fov_deg"):
         pinhole(180, [0, 0, 0], [0, 0, 1], [0, 1, 0], 4, 4)
+
+
+def test_errors_name_arguments(scene):
+    """Those that callers pass, and none of those inside."""
+    vertices, faces = PARTS[0]
+    for given in (
+        {"vertices": vertices, "triangles": faces},
+        {"triangle_mesh": SPHERE},
+        {"mesh": SPHERE, "triangle_indices": faces},
+    ):
+        with pytest.raises(TypeError, match=r"^pass add_triangles\(mesh\) or add_triangles\(vertex_positions, triangle_ind"):
+            scene.add_triangles(**given)
+    with pytest.raises(TypeError, match=r"^pass add_triangles"):
+        scene.add_triangles(vertices, vertex_positions=faces)
+    with pytest.raises(ValueError, match=r"^tnear is -1\.0"):
+        scene.test_occlusions(np.zeros((1, 6)), tnear=-1.0)
+
+
+class EmptyMesh:
+    """What an Open3D tensor mesh without geometry has."""
+
+    vertex: ClassVar[dict[str, np.ndarray]] = {}
+    triangle: ClassVar[dict[str, np.ndarray]] = {}
+
+
+def test_a_tensor_mesh_without_geometry(scene):
+    with pytest.raises(ValueError, match="no vertex positions"):
+        scene.add_triangles(EmptyMesh())

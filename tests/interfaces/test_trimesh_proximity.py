@@ -93,7 +93,7 @@ def test_bad_points():
     assert np.isnan(query.signed_distance([[np.nan, 0, 0]])).all()
     for call in (query.on_surface, query.signed_distance, query.vertex):
         with pytest.raises(ValueError, match=r"points must have shape \(n, 3\)"):
-            call(np.zeros(3))
+            call(np.zeros(2 if call == query.vertex else 3))
     with pytest.raises(ValueError, match="the mesh has no faces"):
         wrt.compat.ProximityQuery(trimesh.Trimesh()).on_surface(POINTS)
     with pytest.raises(ValueError, match="is near no vertex"):
@@ -102,3 +102,11 @@ def test_bad_points():
         pytest.fail("entered")
     with pytest.raises(TypeError, match=r"mesh must be a trimesh\.Trimesh"):
         wrt.compat.ProximityQuery(3)
+
+
+def test_the_vertex_next_to_one_point():
+    """Of one point alone, trimesh gives two numbers."""
+    mesh = BODIES["sphere"]
+    ours, theirs = wrt.compat.ProximityQuery(mesh).vertex(POINTS[0]), trimesh.proximity.ProximityQuery(mesh).vertex(POINTS[0])
+    assert np.shape(ours[0]) == np.shape(ours[1]) == ()
+    assert ours == theirs

@@ -7,6 +7,7 @@ References: baerentzen-aanaes-2005.
 
 from __future__ import annotations
 
+import math
 import threading
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
@@ -38,6 +39,8 @@ def make_pseudonormals(mesh: TriangleMesh, center: np.ndarray, device: wp.Device
     of_vertex, of_edge = vertex_normals(mesh.vertices, mesh.faces), edge_normals(mesh.vertices, mesh.faces)
     made = Pseudonormals()
     made.vertices = wp.array((mesh.vertices.astype(np.float64) - center).astype(np.float32), dtype=wp.vec3, device=device)
+    farthest = float(np.abs(made.vertices.numpy()).max(initial=0.0))
+    made.scale = math.ldexp(1.0, min(1 - math.frexp(farthest)[1], 126))
     made.faces = wp.array(mesh.faces, dtype=wp.vec3i, device=device)
     made.of_vertex = wp.array(of_vertex.astype(np.float32), dtype=wp.vec3, device=device)
     made.of_edge = wp.array(of_edge.astype(np.float32), dtype=wp.vec3, device=device)

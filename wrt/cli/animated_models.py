@@ -12,6 +12,7 @@ import click
 import numpy as np
 
 from wrt.cli.arguments import busy, load_mesh, make_scene
+from wrt.cli.cloud_models import refuse_cloud
 
 if TYPE_CHECKING:
     from wrt.meshes.mesh import TriangleMesh
@@ -89,6 +90,8 @@ def load_models(models: tuple[Path, ...], given: Mapping[str, Any], animate: boo
             raise click.UsageError("--animate needs the frames: MODEL... or a folder")
         mesh, builtin = load_mesh({**given, "model": None}, materials=True)
         return Models([mesh], builtin)
+    for model in models:
+        refuse_cloud(model, "view")
     groups = [files_of(model) for model in models]
     if animate:
         groups = [[file for group in groups for file in group]]

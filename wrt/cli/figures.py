@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from wrt.cli.arguments import load_mesh, make_scene, model_options, start_warp
+from wrt.cli.cloud_models import is_cloud, load_cloud
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -21,11 +22,17 @@ HISTOGRAM_ROWS, HISTOGRAM_WIDTH = 24, 40
 @model_options
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
 def info(as_json: bool, **given: Any) -> None:
-    """Shows statistics of MODEL (or of a built-in scene), of its tree, and what its kernels are compiled for."""
+    """Shows statistics of MODEL (or of a built-in scene), of its tree, and what its kernels are compiled for.
+
+    Of a file of points (.pcd, .las, .laz, .xyz, KITTI's .bin, and .ply without faces), those of the points and their spacing.
+    """
     start_warp(given["device"])
-    mesh, _ = load_mesh(given)
-    scene = make_scene(mesh, given)
-    result = {"model": mesh.summary(), **scene.statistics().to_dict(), "CPU": _cpu(), "kernels": _kernels()}
+    if is_cloud(given["model"]):
+        figures: dict[str, Any] = {"points": load_cloud(given["model"], given).summary()}
+    else:
+        mesh, _ = load_mesh(given)
+        figures = {"model": mesh.summary(), **make_scene(mesh, given).statistics().to_dict()}
+    result = {**figures, "CPU": _cpu(), "kernels": _kernels()}
     if as_json:
         click.echo(json.dumps(result, indent=1))
         return

@@ -22,6 +22,7 @@ from wrt.cli.arguments import (
     sample_progress,
     start_warp,
 )
+from wrt.cli.cloud_models import is_cloud, load_cloud
 from wrt.cli.number_types import Real, Whole
 
 if TYPE_CHECKING:
@@ -76,12 +77,16 @@ GROUND_SIZE = 32.0
 @click.option("--shadows/--no-shadows", default=True, show_default=True)
 @click.option("--smooth/--flat", default=True, show_default=True, help="Interpolate normals, or show facets.")
 @click.option("--ground/--no-ground", default=False, show_default=True, help="Put a plane under the MODEL.")
+@click.option("--radius", type=Real(0, min_open=True), help="Radius of a cloud's points.  [from their spacing]")
 @click.option("--triangle-test", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
 @click.option("--traversal", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
 @click.option("--resume", is_flag=True, help="Continue a picture that Ctrl-C ended; not for ambient.")
 @click.option("--seed", default=0, show_default=True, type=Whole(0), help="Seed of the sample pattern.")
 def render(output: Path, ground: bool, **given: Any) -> None:
-    """Renders MODEL, any mesh file that trimesh reads, or a built-in scene, to an image.
+    """Renders MODEL, any mesh file that trimesh reads, a file of points, or a built-in scene, to an image.
+
+    Points (.pcd, .las, .laz, .xyz, KITTI's .bin, and .ply without faces) are spheres in their colours, or in greys by their
+    intensity.
 
     With an integrator other than ambient, Ctrl-C ends the rendering and writes the picture with the samples that it has. They
     are also kept in a file beside the picture, from which the same command with --resume goes on. .exr and .npy files hold
@@ -89,7 +94,7 @@ def render(output: Path, ground: bool, **given: Any) -> None:
     """
     start_warp(given["device"])
     from wrt.imaging.image_files import check_path
-    from wrt.meshes.up_axis import default_up
+    from wrt.meshes.up_axis import Z_UP, default_up, up_of_format
 
     try:
         check_path(output)
@@ -99,32 +104,43 @@ def render(output: Path, ground: bool, **given: Any) -> None:
     _check_integrator(given)
     check_size(given["width"], given["height"])
     query = {name: check_name(name, given[name]) for name in ("triangle_test", "traversal")}
-    expect_build(given)
-    mesh, builtin = load_mesh(given, materials=given["integrator"] != "ambient")
-    up = given["up"] or (builtin.up if builtin else default_up(mesh))
-    if ground and builtin:
-        raise click.UsageError("--ground needs a MODEL; built-in scenes have their own ground")
-    scene = make_scene([mesh, _ground(mesh, up)] if ground else mesh, given)
-    camera = _camera(mesh, builtin, up, given)
+    builtin, albedo = None, {}
+    if is_cloud(given["model"]):
+        _check_options_of_clouds(given, ground)
+        model: Any = load_cloud(given["model"], given)
+        scene: Any = model.build(given)
+        up = given["up"] or up_of_format(given["model"].suffix[1:]) or Z_UP
+        framed, contents, albedo = scene, f"{len(scene):,} points of radius {model.radius:.3g}", {"albedo": model.albedo}
+    else:
+        if given["radius"] is not None:
+            raise click.UsageError("--radius is that of points, and this model has triangles; leave it out")
+        expect_build(given)
+        model, builtin = load_mesh(given, materials=given["integrator"] != "ambient")
+        up = given["up"] or (builtin.up if builtin else default_up(model))
+        if ground and builtin:
+            raise click.UsageError("--ground needs a MODEL; built-in scenes have their own ground")
+        scene = make_scene([model, _ground(model, up)] if ground else model, given)
+        framed, contents = model, f"{scene.triangle_count:,} triangles"
+    camera = _camera(framed, builtin, up, given)
     start = time.perf_counter()
     light = given["light"] or (builtin.light if builtin else None)
     try:
-        picture = _picture(scene, camera, light, given, query)
+        picture = _picture(scene, camera, light, given, query | albedo)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     if given["integrator"] == "ambient":
-        with progress(f"rendering {mesh.name}") as on_progress:
+        with progress(f"rendering {model.name}") as on_progress:
             picture.advance(progress=on_progress)
         picture.save(output)
         made = ""
     else:
-        made = _make_or_keep(picture, output, mesh.name, given["resume"])
+        made = _make_or_keep(picture, output, model.name, given["resume"])
     seconds = time.perf_counter() - start
-    click.echo(f"{output}: {camera.width} x {camera.height}, {scene.triangle_count:,} triangles, {made}{seconds:.1f} s")
+    click.echo(f"{output}: {camera.width} x {camera.height}, {contents}, {made}{seconds:.1f} s")
 
 
 def _picture(
-    scene: Scene, camera: PinholeCamera, light: Any, given: Mapping[str, Any], query: Mapping[str, Any]
+    scene: Any, camera: PinholeCamera, light: Any, given: Mapping[str, Any], query: Mapping[str, Any]
 ) -> SampledPicture:
     """The picture by the options, without samples."""
     from wrt.imaging.integrators.rendering_call import new_picture
@@ -137,6 +153,18 @@ def _picture(
         wanted = ("depth", "sampler", "exposure", "tone_mapping", "lens_radius")
     options |= {option: given[option] for option in (*wanted, "samples", "smooth", "seed") if given[option] is not None}
     return new_picture(scene, camera, given["integrator"], **options, **query)
+
+
+def _check_options_of_clouds(given: Mapping[str, Any], ground: bool) -> None:
+    """Refuses what points do not have."""
+    if given["scene"] is not None or given["options"] or given["level"] is not None:
+        raise click.UsageError("--scene, --level and --option choose a built-in scene: leave them out, or leave MODEL out")
+    if given["integrator"] != "ambient":
+        raise click.UsageError(f"--integrator {given['integrator']} needs materials, and points have none; leave it out")
+    if given["triangle_test"] != "auto":
+        raise click.UsageError("--triangle-test is for triangles, and this model has points; leave it out")
+    if ground:
+        raise click.UsageError("--ground is for triangles: points and meshes are in no scene together; leave it out")
 
 
 def _check_integrator(given: Mapping[str, Any]) -> None:
@@ -188,7 +216,7 @@ def _lights(scene: Scene, camera: PinholeCamera, light: Any, sky: float | None) 
     return lights
 
 
-def _camera(mesh: TriangleMesh, builtin: BuiltinScene | None, up: tuple[float, ...], given: Mapping[str, Any]) -> PinholeCamera:
+def _camera(mesh: Any, builtin: BuiltinScene | None, up: tuple[float, ...], given: Mapping[str, Any]) -> PinholeCamera:
     """The camera of the built-in scene, or one that frames the model, with the given options in place of its own."""
     from wrt.imaging.cameras import PinholeCamera
 

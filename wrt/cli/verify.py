@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from wrt.cli.arguments import busy, check_name, load_mesh, make_scene, model_options, start_warp
+from wrt.cli.cloud_models import refuse_cloud
 from wrt.cli.number_types import Whole
 
 
@@ -25,6 +26,7 @@ def verify(triangle_test: str, samples: int, seed: int, as_json: bool, **given: 
     """
     start_warp(given["device"])
     check_test(triangle_test)
+    refuse_cloud(given["model"], "verify")
     mesh, _ = load_mesh(given)
     scene = make_scene(mesh, given, triangle_test)
     with busy("comparing with brute force"):

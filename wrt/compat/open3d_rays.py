@@ -79,12 +79,10 @@ class RaycastingScene(DistanceQueries):
             TypeError: other arguments than these.
             ValueError: bad geometry, as for `wrt.TriangleMesh`.
         """
-        if len(args) + len(kwargs) == 1:
-            mesh = _as_mesh(*args, **kwargs)
-        elif len(args) + len(kwargs) == 2:
-            mesh = _mesh_of_arrays(*args, **kwargs)
-        else:
+        given = len(args) + len(kwargs)
+        if given not in (1, 2) or not set(kwargs) <= set(ARGUMENTS[given][len(args) :]):
             raise TypeError("pass add_triangles(mesh) or add_triangles(vertex_positions, triangle_indices)")
+        mesh = _as_mesh(*args, **kwargs) if given == 1 else _mesh_of_arrays(*args, **kwargs)
         self._meshes.append(mesh)
         self.__dict__.pop("scene", None)
         return len(self._meshes) - 1
@@ -135,6 +133,8 @@ class RaycastingScene(DistanceQueries):
         """
         origins, directions = _split(rays)
         tnear, tfar = as_float("tnear", tnear), as_float("tfar", tfar)
+        if tnear < 0.0:
+            raise ValueError(f"tnear is {tnear}; rays start at 0, so pass 0 or more")
         with self._threads(nthreads):
             if self.scene is None:
                 return np.zeros(origins.shape[:-1], dtype=bool)
@@ -210,6 +210,10 @@ class RaycastingScene(DistanceQueries):
         return use_threads(_as_threads(nthreads) or self._nthreads or None)
 
 
+ARGUMENTS = {1: ("mesh",), 2: ("vertex_positions", "triangle_indices")}
+"""Names of the arguments of `add_triangles`, by their number."""
+
+
 def _as_threads(nthreads: int | None) -> int:
     return 0 if nthreads is None else as_int("nthreads", nthreads, 0, MAX_THREADS)
 
@@ -218,6 +222,8 @@ def _as_mesh(mesh: Any) -> TriangleMesh:
     if isinstance(mesh, TriangleMesh):
         return mesh
     if hasattr(mesh, "vertex") and hasattr(mesh, "triangle"):
+        if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
+            raise ValueError("mesh has no vertex positions or no triangle indices: a mesh needs at least one triangle")
         return _mesh_of_arrays(mesh.vertex["positions"], mesh.triangle["indices"])
     if hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
         return _mesh_of_arrays(mesh.vertices, mesh.faces)

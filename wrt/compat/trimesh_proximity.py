@@ -86,7 +86,11 @@ class ProximityQuery:
 
     def vertex(self, points: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """The closest vertex to each point, by the k-d tree of the mesh's vertices, which trimesh keeps: (n,) float64 distances
-        and (n,) int64 vertices. Errors as in `on_surface`; ValueError for a point with a NaN or an infinity."""
+        and (n,) int64 vertices; for one point (3,), two numbers. Errors as in `on_surface`; ValueError for a point with a NaN
+        or an infinity."""
+        if is_one_point(points):
+            distances, numbers = self.vertex(np.asarray(points)[None])
+            return distances[0], numbers[0]
         points = as_rows(points, "points")
         if bad := first_bad(~np.isfinite(points).all(axis=1), points):
             raise ValueError(f"points{bad}, which is near no vertex; leave such points out")
@@ -113,6 +117,14 @@ class ProximityQuery:
         if scene is None:
             raise ValueError("the mesh has no faces, so that nothing is nearest to a point; add some first")
         return scene
+
+
+def is_one_point(points: Any) -> bool:
+    """Whether the shape is (3,); False for what has none, of which `as_rows` says what is wrong."""
+    try:
+        return np.shape(points) == (3,)
+    except (TypeError, ValueError):
+        return False
 
 
 @contextmanager

@@ -7,7 +7,7 @@ visit the same part of the tree, and pixels of the background cost nothing (note
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -19,7 +19,10 @@ from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading import ambient
 from wrt.kernels.shading.surface import Surface
-from wrt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from wrt.clouds.point_cloud import PointCloud
+    from wrt.scene.scene import Scene
 
 DIRECTIONS_AT_ONCE = 16
 """Most rays of a point that are traced at once; bounds the memory."""
@@ -48,7 +51,7 @@ class AmbientRays:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | PointCloud,
         points: int,
         samples: int,
         distance: float,

@@ -22,14 +22,16 @@ from wrt.engine.rays.rays import Rays
 from wrt.imaging.ambient_rays import AmbientRays, max_rays
 from wrt.imaging.cameras import PinholeCamera, pixel_offset
 from wrt.imaging.sampled_picture import Camera, SampledPicture, corner_normals, default_light
+from wrt.imaging.view_frames import is_cloud
 from wrt.kernels.runtime.launch import expect, launch, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.kernels.shading.pixel_rays import pinhole_directions
 from wrt.kernels.validation import as_bool, as_float, as_int, as_numbers, as_point
-from wrt.scene.scene import Scene
 
 if TYPE_CHECKING:
     from wrt.array_types import ArrayLike, Numbers
+    from wrt.clouds.point_cloud import PointCloud
+    from wrt.scene.scene import Scene
 
 __all__ = ["AmbientRendering"]
 
@@ -48,7 +50,7 @@ class AmbientRendering(SampledPicture):
     The same arguments give the same picture bit for bit, whatever the number of threads and the steps in which it advances.
 
     Args:
-        scene: the scene. Later updates of it do not show.
+        scene: the scene, or a `wrt.sensors.PointCloud`. Later updates of it do not show.
         camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
         samples: camera rays per pixel, >= 1.
         light: (3,) position of the light; None for a position above and to the left of the camera (`default_light`).
@@ -59,14 +61,14 @@ class AmbientRendering(SampledPicture):
         ambient_radius: pixels share their ambient rays with those up to this many rows and columns away, if these see the same
             smooth surface: less noise, blurred small shadows; 0 to 8, 0 for none. The picture then depends on `tile_pixels`.
         albedo: share of light that is reflected, linear, in [0, 1]: a number, (3,), or (F, 3) for all triangles of the
-            scene in the order of `scene.meshes`; instances of a mesh share its albedo.
+            scene in the order of `scene.meshes`, or for all points; instances of a mesh share its albedo.
         background: colour of pixels without a hit, as displayed (sRGB, [0, 1]): a number, (3,), or a pair of these for the
             lower and the upper edge of the image.
         smooth: whether to interpolate normals between triangles; False shows facets.
         crease_angle: edges between triangles whose planes differ by more than this angle stay sharp; in degrees, in (0,
             90).
         seed: seed of the sample pattern.
-        traversal, triangle_test: as in `Scene.intersect`.
+        traversal, triangle_test: as in `Scene.intersect`; points have no triangle test.
         tile_pixels: most camera rays that are traced at once; None for 65536. It does not change the picture.
 
     Attributes:
@@ -78,9 +80,11 @@ class AmbientRendering(SampledPicture):
         ValueError: a value out of range, or an unknown name.
     """
 
+    _takes_points = True
+
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | PointCloud,
         camera: Camera,
         *,
         samples: int = 1,
@@ -101,7 +105,7 @@ class AmbientRendering(SampledPicture):
         tile_pixels: int | None = None,
     ) -> None:
         super().__init__(scene, camera)
-        shadows, smooth = as_bool("shadows", shadows), as_bool("smooth", smooth)
+        shadows, smooth = as_bool("shadows", shadows), as_bool("smooth", smooth) and not is_cloud(scene)
         if not 0.0 < (crease_angle := as_float("crease_angle", crease_angle)) < 90.0:
             raise ValueError(
                 f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)"
@@ -116,7 +120,7 @@ class AmbientRendering(SampledPicture):
             ambient_distance=_check_distance(ambient_distance),
             ambient_radius=as_int("ambient_radius", ambient_radius, 0),
             seed=(self._seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
-            query={"traversal": traversal, "triangle_test": triangle_test},
+            query=_query(scene, traversal, triangle_test),
         )
         if self._settings.ambient_radius > MAX_RADIUS:
             raise ValueError(f"ambient_radius is {ambient_radius}; it must be at most {MAX_RADIUS}")
@@ -153,7 +157,16 @@ class AmbientRendering(SampledPicture):
         return self._of_pixels(film.develop, wp.vec3, self._sums[0], self.done)
 
 
-def _kernels(scene: Scene, camera: Camera, tile: int, settings: _Settings, smooth: bool) -> list[wp.Kernel]:
+def _query(scene: Scene | PointCloud, traversal: str, triangle_test: str) -> dict[str, Any]:
+    """Options of the queries."""
+    if not is_cloud(scene):
+        return {"traversal": traversal, "triangle_test": triangle_test}
+    if triangle_test != AUTO:
+        raise ValueError(f"triangle_test is {triangle_test!r}, and points have no triangles; leave it out")
+    return {"traversal": traversal}
+
+
+def _kernels(scene: Any, camera: Camera, tile: int, settings: _Settings, smooth: bool) -> list[wp.Kernel]:
     """One kernel of each module that a picture needs."""
     shared = isinstance(camera, PinholeCamera)
     rays = picture_rays(tile, shared, settings.shadows)
@@ -186,7 +199,7 @@ class _Settings:
 class _Tile:
     """A range of pixels: one camera ray each, and its secondary rays."""
 
-    def __init__(self, scene: Scene, look: surface.Appearance, settings: _Settings, first: int, count: int) -> None:
+    def __init__(self, scene: Any, look: surface.Appearance, settings: _Settings, first: int, count: int) -> None:
         self.scene, self.look, self.settings = scene, look, settings
         self.first, self.count = first, count
         self.surface = surface.Surface()
@@ -199,9 +212,11 @@ class _Tile:
     def expose(self, rays: Rays, sample: int, ambient_rays: AmbientRays | None, picture: wp.array) -> None:
         """Adds the light of these rays to the image."""
         hits = self.scene.intersect(rays, **self.settings.query)
-        stride, primitive = 0 if rays.directions.size == 1 else 1, hits.batch.primitive
-        light = wp.vec3d(*self.settings.light)
-        self._run(surface.find_surface, self.look, light, rays.directions, stride, primitive, hits.uv, self.surface)
+        stride, light = 0 if rays.directions.size == 1 else 1, wp.vec3d(*self.settings.light)
+        self.look.mesh, primitive, uv = hits._surface
+        if is_cloud(self.scene):
+            self.look.point = hits.batch.primitive
+        self._run(surface.find_surface, self.look, light, rays.directions, stride, primitive, uv, self.surface)
         received = film.Received()
         received.shadows = self.settings.shadows
         received.ambient_samples = self.settings.ambient_samples
@@ -220,16 +235,16 @@ class _Tile:
         launch(kernel, self.count, inputs, device=self.scene.device, chunk=1024)
 
 
-def _ambient_rays(scene: Scene, tile: int, width: int, settings: _Settings) -> AmbientRays | None:
+def _ambient_rays(scene: Any, tile: int, width: int, settings: _Settings) -> AmbientRays | None:
     if settings.ambient_samples == 0:
         return None
-    rays = settings.ambient_samples, settings.ambient_distance, settings.seed, settings.query
+    rays = settings.ambient_samples, settings.ambient_distance, settings.seed, {"triangle_test": AUTO, **settings.query}
     return AmbientRays(scene, tile, *rays, width, settings.ambient_radius)
 
 
-def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surface.Appearance:
+def _appearance(scene: Any, albedo: Any, crease_angle: float | None) -> surface.Appearance:
     look = surface.Appearance()
-    look.mesh = scene.state.device_mesh
+    look.mesh, look.point = scene.state.device_mesh, wp.empty(0, dtype=int, device=scene.device)
     look.smooth = crease_angle is not None
     if crease_angle is not None:
         look.corner_normals = corner_normals(scene, crease_angle)

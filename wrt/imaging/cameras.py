@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from wrt.array_types import ArrayLike
+    from wrt.clouds.point_cloud import PointCloud
     from wrt.meshes.instance import Geometry
     from wrt.scene.scene import Scene
 
@@ -222,7 +223,7 @@ class PinholeCamera(_Camera):
     @classmethod
     def framing(
         cls,
-        geometry: Geometry | Scene,
+        geometry: Geometry | Scene | PointCloud,
         width: int,
         height: int,
         *,
@@ -231,10 +232,10 @@ class PinholeCamera(_Camera):
         up: ArrayLike | None = None,
         margin: float = 0.05,
     ) -> PinholeCamera:
-        """A camera that shows all of a mesh or scene, as large as the image allows.
+        """A camera that shows all of a mesh, scene or point cloud, as large as the image allows.
 
         Args:
-            geometry: a `wrt.TriangleMesh` or `wrt.Scene`.
+            geometry: a `wrt.TriangleMesh`, `wrt.Scene` or `wrt.sensors.PointCloud`.
             width, height, fov: as in the constructor.
             up: as in the constructor; None for the upward direction of the mesh, `wrt.TriangleMesh.up`: y if it was read from
                 a glTF, OBJ, OFF or PLY file. z if it has none, or if those of a scene's meshes differ.
@@ -243,7 +244,7 @@ class PinholeCamera(_Camera):
             margin: free share of the image along the tightest edges, in [0, 1).
 
         Raises:
-            TypeError: `geometry` is neither a mesh nor a scene.
+            TypeError: `geometry` is none of these.
             ValueError: as in the constructor, and for a `margin` out of range.
         """
         if not 0.0 <= (margin := as_float("margin", margin)) < 1.0:

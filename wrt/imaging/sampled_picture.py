@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -14,11 +14,15 @@ import warp as wp
 from wrt.engine.memory import empty
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera
 from wrt.imaging.image_files import save_image
+from wrt.imaging.view_frames import is_cloud
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import launch, refuse_capture, use_threads
 from wrt.kernels.validation import as_int
 from wrt.meshes.vertex_values import joined, smooth_corner_normals
 from wrt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from wrt.clouds.point_cloud import PointCloud
 
 __all__ = ["Camera", "SampledPicture", "corner_normals", "default_light"]
 
@@ -49,13 +53,17 @@ class SampledPicture(ABC):
     """What the samples so far have added, one value a pixel in each."""
     _tile: int
     """Pixels whose samples are traced together."""
+    _takes_points: ClassVar[bool] = False
+    """Whether `scene` may be a point cloud."""
+
     _pass: int = 1
     """Most samples of a pixel that are traced together."""
 
-    def __init__(self, scene: Scene, camera: Camera) -> None:
-        _check_types(scene, camera)
+    def __init__(self, scene: Scene | PointCloud, camera: Camera) -> None:
+        _check_types(scene, camera, self._takes_points)
         refuse_capture("rendering", scene.device)
-        self._scene, self.camera, self.done = scene, camera, 0
+        self._scene: Any = scene
+        self.camera, self.done = camera, 0
         self.pixels = camera.width * camera.height
 
     def advance(self, samples: int | None = None, progress: Callable[[int, int], Any] | None = None) -> Any:
@@ -154,9 +162,10 @@ class SampledPicture(ABC):
         save_image(path, self.image())
 
 
-def _check_types(scene: Any, camera: Any) -> None:
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene must be a wrt.Scene, not {type(scene).__name__}; make one with wrt.Scene(mesh)")
+def _check_types(scene: Any, camera: Any, takes_points: bool) -> None:
+    if not isinstance(scene, Scene) and not (is_cloud(scene) and takes_points):
+        remedy = "integrator='ambient' renders points" if is_cloud(scene) else "make one with wrt.Scene(mesh)"
+        raise TypeError(f"scene must be a wrt.Scene, not {type(scene).__name__}; {remedy}")
     if not isinstance(camera, Camera):
         raise TypeError(f"camera must be a wrt.PinholeCamera or wrt.OrthographicCamera, not {type(camera).__name__}")
 

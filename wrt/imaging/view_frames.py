@@ -9,6 +9,9 @@ import numpy as np
 from wrt.kernels.validation import as_numbers
 
 _SINE_OF_PARALLEL = 1e-6
+FRAMED, CELLS = 100_000, 64
+"""Points of a cloud from which a camera frames cells in their place, and cells along an axis."""
+
 _RIGID = 1e-4
 """By how much products of axes may differ from 1 and 0: poses in files are float32, or text of few digits."""
 
@@ -59,10 +62,14 @@ def default_view(up: np.ndarray) -> np.ndarray:
 
 
 def corners_of(geometry: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of all triangles, relative to the centre of their bounding box, and that centre."""
+    """Vertices of all triangles, or corners of boxes around points, relative to the centre of their bounding box, and that
+    centre."""
+    if is_cloud(geometry):
+        points, center, radius, _ = geometry.state.arrays()
+        return _box_corners(points.astype(np.float64), radius if radius.ndim == 2 else radius[:, None]), center
     meshes = getattr(geometry, "meshes", (geometry,))
     if not all(hasattr(mesh, "vertices") and hasattr(mesh, "faces") for mesh in meshes):
-        raise TypeError(f"geometry must be a wrt.TriangleMesh or a wrt.Scene, not {type(geometry).__name__}")
+        raise TypeError(f"geometry must be a wrt.TriangleMesh or a wrt.Scene, or a point cloud, not {type(geometry).__name__}")
     points = []
     for mesh in meshes:
         used = np.zeros(len(mesh.vertices), dtype=bool)
@@ -71,6 +78,25 @@ def corners_of(geometry: Any) -> tuple[np.ndarray, np.ndarray]:
     joined = np.concatenate(points)
     center = joined.min(axis=0) / 2 + joined.max(axis=0) / 2
     return joined - center, center
+
+
+def _box_corners(points: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """(M, 3) corners of boxes around (N, 3) points, half of whose edges are given.
+
+    Of many points, those of the cells of a grid that have some, as much wider as the widest box.
+    """
+    if len(points) > FRAMED:
+        low, size = points.min(axis=0), np.maximum(np.ptp(points, axis=0), 1e-30) / CELLS
+        used, cells = np.zeros((CELLS,) * 3, dtype=bool), np.minimum((points - low) / size, CELLS - 1).astype(int)
+        used[tuple(cells.T)] = True
+        points, half = low + (np.argwhere(used) + 0.5) * size, half.max(axis=0) + 0.5 * size
+    signs = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), axis=-1).reshape(-1, 3)
+    return np.concatenate([points + sign * half for sign in signs])
+
+
+def is_cloud(geometry: Any) -> bool:
+    """Whether it is a `wrt.sensors.PointCloud`."""
+    return getattr(getattr(geometry, "state", None), "tangents", None) is not None
 
 
 def nearest_view(points: np.ndarray, axes: tuple[np.ndarray, ...], tangents: tuple[float, float]) -> np.ndarray:

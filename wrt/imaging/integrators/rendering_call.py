@@ -11,16 +11,17 @@ from wrt.imaging.ambient_rendering import AmbientRendering
 from wrt.imaging.integrators import INTEGRATORS
 from wrt.imaging.integrators.render_settings import AmbientOptions
 from wrt.imaging.sampled_picture import Camera, SampledPicture
-from wrt.scene.scene import Scene
 from wrt.tables import one_of
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from wrt.clouds.point_cloud import PointCloud
     from wrt.imaging.integrators.render_settings import PictureOptions, RenderSettings
     from wrt.imaging.integrators.scene_motion import Motion
     from wrt.lights.device_lights import Lights
     from wrt.materials.material import Materials
+    from wrt.scene.scene import Scene
 
 __all__ = ["new_picture", "render"]
 
@@ -29,7 +30,7 @@ OF_OTHERS = ("lights", "materials", "motion", "settings")
 
 
 def render(
-    scene: Scene,
+    scene: Scene | PointCloud,
     camera: Camera,
     *,
     integrator: str = "ambient",
@@ -59,7 +60,7 @@ def render(
     * "path": path tracing: all light, however often it is scattered.
 
     Args:
-        scene: the scene.
+        scene: the scene; for "ambient", also a `wrt.sensors.PointCloud`.
         camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
         integrator: one of these.
         lights, materials, motion, settings: as in `wrt.pictures.Rendering`; not of "ambient".
@@ -79,7 +80,7 @@ def render(
     return new_picture(scene, camera, integrator, **given).advance(progress=progress).image()
 
 
-def new_picture(scene: Scene, camera: Camera, integrator: str, **options: Any) -> SampledPicture:
+def new_picture(scene: Any, camera: Camera, integrator: str, **options: Any) -> SampledPicture:
     """A picture by any integrator, without samples; arguments and errors as in `render`."""
     if one_of(INTEGRATORS, integrator, "integrator") != "ambient":
         from wrt.imaging.integrators.rendering_job import Rendering  # whose kernels need time to be imported
