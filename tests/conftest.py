@@ -22,6 +22,8 @@ import wrt
 def pytest_addoption(parser: pytest.Parser) -> None:
     text = "of the chosen cases of each file one in N, but at least one; N turns that follow each other draw all"
     parser.addoption("--sample", metavar="N:TURN", type=as_sample, help=text)
+    text = "with --sample: draws among the tests with one of these markers, and runs all others"
+    parser.addoption("--sampled", metavar="MARKER,MARKER", default="", help=text)
     text = "writes the ids of skipped tests into a file; `pytest @FILE` runs them again, as after installing what they need"
     parser.addoption("--write-skipped", metavar="FILE", help=text)
     text = "marks what such a file names as `was_skipped`, so that `-m` can choose it beside other tests"
@@ -78,7 +80,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items.sort(key=lambda item: not item.nodeid.startswith(LONGEST))
     yield
     if config.option.sample:
-        chosen = sample(items, *config.option.sample)
+        chosen = sample(items, *config.option.sample, [name for name in config.option.sampled.split(",") if name])
         kept = {*chosen}
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])
         items[:] = chosen

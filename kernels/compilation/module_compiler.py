@@ -27,7 +27,7 @@ import warp as wp
 from wrt.kernels.compilation import compile_progress, shipped_kernels
 from wrt.kernels.compilation.cores import available_cores
 from wrt.kernels.compilation.kernel_cache import is_compiled, leave_full_disk, load_compiled, load_module
-from wrt.kernels.compilation.precompiled_header import shared_header
+from wrt.kernels.compilation.precompiled_header import is_cache_new, shared_header
 
 VARIABLE = "WRT_COMPILE_JOBS"
 
@@ -107,6 +107,21 @@ def expect(modules: Iterable[wp.Module], device: wp.Device, block_dim: int) -> l
     return found
 
 
+def expect_header(device: wp.Device) -> None:
+    """Begins to precompile Warp's header, for which all modules wait, before it is known which modules there will be: where a
+    kernel cache is new and no kernels are shipped."""
+    key = _no_kernels(), device.alias, shipped_kernels.CPU_BLOCK
+    with _lock:
+        if device.is_cpu and key not in _pending and is_cache_new() and not shipped_kernels.targets():
+            _pending[key] = Future()
+            _begin(key)
+
+
+def _no_kernels() -> wp.Module:
+    """The Warp module of this file, which only has the options of others."""
+    return wp.get_module(__name__)
+
+
 def load_modules(modules: Iterable[wp.Module], device: wp.Device, block_dim: int) -> None:
     """Loads modules, once what the kernel cache does not have of them is compiled.
 
@@ -168,7 +183,8 @@ def _serve(queue: SimpleQueue[tuple[Key, Future[None]] | None]) -> None:
             if job.set_running_or_notify_cancel():
                 leave_full_disk()
                 with shared_header(module, block_dim):
-                    module.load(wp.get_device(alias), block_dim=block_dim)
+                    if module is not _no_kernels():
+                        module.load(wp.get_device(alias), block_dim=block_dim)
         _end(work[0], job)
         del work, module, job  # a module lives no longer for having been compiled
 
@@ -198,7 +214,8 @@ def _end(key: Key, job: Future[None]) -> None:
     with _lock:
         if _pending.get(key) is job:
             del _pending[key]
-    compile_progress.finish()
+    if key[0] is not _no_kernels():
+        compile_progress.finish()
     if not job.cancelled():
         job.set_result(None)
 

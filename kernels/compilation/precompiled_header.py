@@ -83,6 +83,13 @@ def shared_header(module: wp.Module, block_dim: int) -> Iterator[None]:
                     _without.add(key)
 
 
+def is_cache_new() -> bool:
+    """Whether the kernel cache has no header yet, of any key, and one would be kept."""
+    cache = Path(wp.config.kernel_cache_dir)
+    has_any = any((cache / FOLDER).glob("*/*.pch"))
+    return bool(wp.config.use_precompiled_headers) and not has_any and os.access(cache, os.W_OK)
+
+
 def _key_for(module: wp.Module) -> str | None:
     """The folder's name of headers for a module; None where none is made."""
     if not isinstance(module, wp.Module) or not wp.config.use_precompiled_headers:
@@ -167,7 +174,7 @@ def _make(module: wp.Module, block_dim: int, own: Path) -> None:
     """Makes the header of a module, less what `LEFT_OUT` leaves out, under the name by which Warp looks for it in the thread's
     folder. If that fails, Warp makes its own later."""
     with suppress(Exception), TemporaryDirectory(dir=own) as folder:
-        options = module.resolved_options[block_dim]
+        options = module.resolved_options.get(block_dim) or module.resolve_options(wp.config, block_dim=block_dim)
         flags, level = options["cpu_compiler_flags"], options["optimization_level"]
         empty = Path(folder, "empty.cpp")
         empty.touch()

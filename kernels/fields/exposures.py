@@ -107,6 +107,22 @@ def prepare_ways(first: int, directions: wp.array(dtype=wp.vec3), prepared: wp.a
     prepared[i] = prepare(wp.vec3(), checked_ray(wp.vec3(), directions[i], 0.0, FARTHEST).direction)
 
 
+@wp.struct
+class LitSums:
+    """What is added up for points."""
+
+    dark: wp.array(dtype=wp.bool)
+    """Whether each ray met something."""
+    weights: wp.array2d(dtype=wp.float64)
+    """(D, G) of each direction, in each group of sums."""
+    weighted: wp.array(dtype=wp.vec2i)
+    """(D,) the first and the end of the groups of sums in which a direction has weights other than 0."""
+    cosine: bool
+    """Whether weights are multiplied by the cosine with the point's normal."""
+    sums: wp.array2d(dtype=wp.float64)
+    """(G, P), in the order of points."""
+
+
 @wp.func
 def is_lit(points: LitPoints, i: int, way: wp.vec3d):
     """Whether a direction is in front of a point."""
@@ -150,11 +166,11 @@ def write_rays(
     static_assert(wrt::LIT_TILE == {int(TILE)} && wrt::LIT_GROUP == {GROUP});
     const double* const normals = (const double*)&points.normal.data[begin];
     const float* const to = (const float*)&rays.direction.data[ways.c[0]];
-    const int count = end - begin, group = ways.c[1] - ways.c[0], groups = weights.shape[1];
+    const int count = end - begin, group = ways.c[1] - ways.c[0], groups = lit.weights.shape[1];
     unsigned char seen[wrt::LIT_GROUP * wrt::LIT_TILE];
-    wrt::sort_seen(normals, count, to, group, full, &dark.data[ray], seen);
-    wrt::add_seen(normals, count, to, group, seen, cosine, &weights.data[ways.c[0] * groups], groups,
-        (const int*)&weighted.data[ways.c[0]], &sums.data[begin], sums.shape[1]);
+    wrt::sort_seen(normals, count, to, group, full, &lit.dark.data[ray], seen);
+    wrt::add_seen(normals, count, to, group, seen, lit.cosine, &lit.weights.data[ways.c[0] * groups], groups,
+        (const int*)&lit.weighted.data[ways.c[0]], &lit.sums.data[begin], lit.sums.shape[1]);
     """,
 )
 def add_group(
@@ -165,14 +181,10 @@ def add_group(
     ways: wp.vec2i,
     full: bool,
     ray: int,
-    dark: wp.array(dtype=wp.bool),
-    cosine: bool,
-    weights: wp.array2d(dtype=wp.float64),
-    weighted: wp.array(dtype=wp.vec2i),
-    sums: wp.array2d(dtype=wp.float64),
+    lit: LitSums,
 ):
     """Adds the weights of what a range of points sees of a range of directions. full: whether each point has a ray to each,
-    from number `ray` on; others as in `add_lit`."""
+    from number `ray` on."""
 
 
 @native.func_native("lit_points.h", f"return wrt::some_ahead<{int(LANES)}>(mask, t.c);")
@@ -257,17 +269,9 @@ def add_lit(
     first: int,
     points: LitPoints,
     rays: LitRays,
-    dark: wp.array(dtype=wp.bool),
-    weights: wp.array2d(dtype=wp.float64),
-    weighted: wp.array(dtype=wp.vec2i),
-    cosine: bool,
-    sums: wp.array2d(dtype=wp.float64),
+    lit: LitSums,
 ):
-    """Adds the weights of what points see. Item: a tile.
-
-    dark: whether each ray met something. weights: (D, G) of each direction, in each group of sums. weighted: (D,) the first and
-    the end of the groups of sums in which a direction has weights other than 0. sums: (G, P), in the order of points.
-    """
+    """Adds the weights of what points see. Item: a tile."""
     tile = first + wp.tid()
     begin = (rays.first_tile + tile) * TILE
     end = wp.min(begin + TILE, points.order.shape[0])
@@ -277,4 +281,4 @@ def add_lit(
         count = rays.begin[group * rays.tiles + tile + 1] - ray
         if count > 0:
             full = count == (end - begin) * (ways[1] - ways[0])
-            add_group(points, begin, end, rays, ways, full, ray, dark, cosine, weights, weighted, sums)
+            add_group(points, begin, end, rays, ways, full, ray, lit)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator
 import numpy as np
 from support.algorithms import ENGINE_TESTS
 from support.hits import mixed_rays
-from support.meshes import SCENES
+from support.meshes import STORED
 
 import wrt
 from wrt.engine.facts.query_kinds import ALL, ANY, CLOSEST, COUNT
@@ -69,7 +69,7 @@ def hit_hashes(
 ) -> Iterator[tuple[str, str, str]]:
     """(case, engine, hash) for every engine and case."""
     for scene_name in scenes:
-        mesh = SCENES[scene_name]()
+        mesh = STORED[scene_name]()
         rays = {shared: rays_of(mesh, shared) for shared in (False, True)}
         for kind, accelerator in TREES.items():
             scene = wrt.Scene(mesh, accelerator, device="cpu")

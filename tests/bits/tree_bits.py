@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator
 
-from support.meshes import SCENES
+from support.meshes import STORED
 
 import wrt
 from wrt.builders import tree as trees
@@ -47,7 +47,7 @@ def tree_hashes(
 ) -> Iterator[tuple[str, str, str]]:
     """(case, number of threads, hash) for every build, or for those of some names."""
     for scene_name in scenes:
-        mesh = SCENES[scene_name]()
+        mesh = STORED[scene_name]()
         for name, description in builds(mesh):
             if names is not None and name not in names:
                 continue

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
-from support.meshes import SCENES
+from support.meshes import SCENES, STORED
 
 import wrt
 from studies.kdtrees.layout_comparison import (
@@ -36,7 +36,7 @@ pytestmark = pytest.mark.classics
 
 @pytest.fixture(scope="module")
 def scene() -> wrt.Scene:
-    return wrt.Scene(SCENES["wood"](), wrt.KdTree(builder="binned", width=8), device="cpu")
+    return wrt.Scene(STORED["wood"](), wrt.KdTree(builder="binned", width=8), device="cpu")
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -27,7 +27,6 @@ SHORT_BODY = 40
 
 WRITTEN_TWICE = {
     ("exact_signs.h: cross", "nearest_on_triangle.h: cross", "shading_vectors.h: cross"),
-    ("point_blocks.h: vertex_at", "winding.h: vertex_at"),
     ("projected_areas.h: lower", "projected_areas.h: upper"),
 }
 """Functions with equal bodies: the same of numbers, of types of vectors, or of the other end."""

@@ -151,6 +151,14 @@ def test_samples_of_turns_that_follow_each_other_have_all_cases():
     assert selection.sample(items, 1, 5) == items
 
 
+def test_samples_of_markers_have_all_other_tests():
+    markers = {"a": ("slow",), "b": ("slow", "classics"), "c": ("studies",)}
+    items = [Item(nodeid=f"one.py::test_{name}[{case}]", keywords=own) for name, own in markers.items() for case in range(6)]
+    drawn = [selection.sample(items, 3, turn, ["classics", "studies"]) for turn in range(3)]
+    assert all(own[:6] == items[:6] and len(own) == 6 + 4 for own in drawn)
+    assert {item.nodeid for own in drawn for item in own} == {item.nodeid for item in items}
+
+
 @pytest.mark.parametrize(
     ("chosen", "alone"),
     [

@@ -68,6 +68,27 @@ def test_a_later_process_makes_no_header(folder, tmp_path):
     assert (answers, made) == (ANSWERS, [])
 
 
+EXPECT = "from wrt.kernels.compilation.module_compiler import expect_header\nexpect_header(wp.get_device('cpu'))\n"
+
+
+def test_a_header_is_made_before_there_is_a_module(tmp_path):
+    """The modules take it; what is counted as compiled are they alone."""
+    (tmp_path / "cache" / wp.config.version / precompiled_header.FOLDER).mkdir(parents=True)
+    wait = "from time import sleep\nwhile not made:\n    sleep(0.01)\n"
+    counted = LOAD.replace("made]", "made, compile_progress.counts()]")
+    (answers, made, (compiled, asked)), _ = done(COUNT + EXPECT + wait + counted, tmp_path)
+    assert answers == ANSWERS
+    assert len(made) == 1
+    assert compiled == asked == len(ANSWERS)
+
+
+def test_no_header_is_made_for_a_cache_that_has_one(folder, tmp_path):
+    fresh_cache(folder, tmp_path / "cache")
+    threads = "import threading\nprint(json.dumps([thread.name for thread in threading.enumerate()]))\n"
+    names, _ = done(EXPECT + threads, tmp_path)
+    assert not [name for name in names if "compile" in name]
+
+
 @pytest.mark.parametrize("damage", ["cut short", "a byte changed", "refused by Clang"])
 def test_a_damaged_header_is_made_again(folder, tmp_path, damage):
     """One with a wrong checksum is not used; what has the right one, and Clang refuses, is removed with it."""

@@ -40,11 +40,19 @@ FEW_TRIANGLES = ("teapot", "random_triangles", "grid", "degenerate", "needles")
 OTHERS = [(tree, "vertex", "woop", own) for tree in TRAVERSALS["packet"].trees if tree != "bvh" for own in (False, True)]
 """Leaves are leaves: what culling and test do there, one tree shows for all."""
 
+THIRD = (("interval", False), ("leaf_boxes", True))
+"""Cullings, with origins of their own or shared, whose pairs with the second test and with the origins other cases have."""
+
 
 def cases() -> list:
-    """Trees with what fits. Of each culling with one test, own origins tell what the number of lanes does to it."""
+    """Trees with what fits. Of each culling with one test, own origins tell what the number of lanes does to it.
+
+    Of the cullings with a second test, one culling has both shared origins and those of their own: the others have one of them.
+    """
+    marks = {("woop", True): [pytest.mark.width]}
+    third = {("bvh", culling, "moeller_trumbore", own): [pytest.mark.exhaustive] for culling, own in THIRD}
     given = [("bvh", *fitting) for fitting in FITTING] + OTHERS
-    return [pytest.param(*case, marks=[pytest.mark.width] if case[2:] == ("woop", True) else []) for case in given]
+    return [pytest.param(*case, marks=marks.get(case[2:], []) + third.get(case, [])) for case in given]
 
 
 @pytest.mark.parametrize(("tree", "culling", "triangle_test", "own_origins"), cases())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -34,15 +35,20 @@ def as_sample(text: str) -> tuple[int, int]:
     return int(number), int(turn)
 
 
-def sample(items: list[pytest.Item], number: int, turn: int) -> list[pytest.Item]:
+def sample(items: list[pytest.Item], number: int, turn: int, markers: Collection[str] = ()) -> list[pytest.Item]:
     """One in `number` of the cases of each file, and at least one: others in each of `number` turns, all in all of these.
 
-    Cases of one test follow each other, so that each test with `number` cases or more is in every sample.
+    Cases of one test follow each other, so that each test with `number` cases or more is in every sample. With markers, only
+    what has one of them is a case: all else is in every sample.
     """
-    cases = defaultdict(list)
+    cases, kept = defaultdict(list), set()
     for item in items:
-        cases[item.nodeid.partition("::")[0]].append(item)
-    kept = {one for own in cases.values() for one in (own[turn % number :: number] or [own[turn % len(own)]])}
+        if not markers or any(name in item.keywords for name in markers):
+            cases[item.nodeid.partition("::")[0]].append(item)
+        else:
+            kept.add(item)
+    for own in cases.values():
+        kept.update(own[turn % number :: number] or [own[turn % len(own)]])
     return [item for item in items if item in kept]
 
 

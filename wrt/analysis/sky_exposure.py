@@ -148,26 +148,27 @@ class LitSurface:
 
     def add(self, ways: np.ndarray, shares: np.ndarray, cosine: bool) -> np.ndarray:
         """(P, G) float64 sums of the weights (G, D) of those of the directions (D, 3) that points see."""
-        from wrt.kernels.fields.exposures import GROUP, add_lit
+        from wrt.kernels.fields.exposures import GROUP, LitSums, add_lit
 
         groups, device, tiles = len(shares), self.device, -(-self.count // self._tile)
-        sums = wp.zeros((groups, self.count), dtype=wp.float64, device=device)
+        lit = LitSums()
+        lit.sums, lit.cosine = wp.zeros((groups, self.count), dtype=wp.float64, device=device), cosine
         step = max(GROUP, BLOCK // self.count // GROUP * GROUP)
         for begin in range(0, len(ways), step):
             rows = slice(begin, begin + step)
             own = np.ascontiguousarray(shares[:, rows].T)
-            weights = wp.array(own, dtype=wp.float64, device=device)
+            lit.weights = wp.array(own, dtype=wp.float64, device=device)
             some = own != 0.0
             weighted = (
                 np.stack([some.argmax(axis=1), groups - some[:, ::-1].argmax(axis=1)], axis=1) * some.any(axis=1)[:, None]
             )
-            weighted = wp.array(weighted.astype(np.int32), dtype=wp.vec2i, device=device)
+            lit.weighted = wp.array(weighted.astype(np.int32), dtype=wp.vec2i, device=device)
             each = max(1, BLOCK // (self._tile * step))
             for first in range(0, tiles, each):
-                rays, dark = self._trace(ways[rows], first, min(each, tiles - first))
-                launch(add_lit, rays.tiles, [self._points, rays, dark, weights, weighted, cosine, sums], device=device, chunk=4)
+                rays, lit.dark = self._trace(ways[rows], first, min(each, tiles - first))
+                launch(add_lit, rays.tiles, [self._points, rays, lit], device=device, chunk=4)
         found = np.empty((self.count, groups))
-        found[self._points.order.numpy()] = np.ascontiguousarray(sums.numpy().T)
+        found[self._points.order.numpy()] = np.ascontiguousarray(lit.sums.numpy().T)
         return found
 
     def _trace(self, ways: np.ndarray, first: int, tiles: int) -> tuple[Any, wp.array]:

@@ -186,16 +186,18 @@ def check_name(argument: str, name: str) -> str:
 
 
 def start_warp(device: str | None) -> None:
-    """Initialises Warp without its log lines; checks the device."""
+    """Initialises Warp without its log lines; checks the device, and begins what compiling for it waits for."""
     import warp
 
     from wrt.kernels.compilation.kernel_cache import init_warp
+    from wrt.kernels.compilation.module_compiler import expect_header
 
     warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)
     init_warp()
     names = [known.alias for known in warp.get_devices()]
     if device is not None and device not in (*names, "cuda" if len(names) > 1 else "cpu"):
         raise click.BadParameter(f"device {device!r} does not exist; choose from {', '.join(names)}", param_hint="--device")
+    expect_header(warp.get_device(device))
 
 
 @contextmanager
