@@ -242,6 +242,7 @@ def test_what_is_named_must_be_there():
     assert selection.named(items, ["tests/test_b.py", "tests/test_c.py::test_c[1]"]) == items[1:]
     with pytest.raises(pytest.UsageError, match=r"no test is called tests/test_a\.py::test_b"):
         selection.named(items, ["tests/test_a.py", "tests/test_a.py::test_b"])
+    assert selection.named(items, ["tests/test_a.py", "tests/test_skipped_again.py"]) == items[:1]
 
 
 @pytest.mark.parametrize("text", ["", "0:1", "-1:1", "some", ":3", "1.5:1", "3", "3:some", "3:-1"])

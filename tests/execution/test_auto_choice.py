@@ -286,13 +286,22 @@ def test_choices_in_the_grid(lanes):
     """Every case of the grid; a sample is traced exactly where only it can tell."""
     for scene, triangles, instances, kind, rays, coherent, found in CASES:
         overlap, expected = found[lanes]
-        few = few_rays(triangles, not instances)
+        few = few_rays(triangles, not instances, threads=2)
         facts = SceneFacts(tree="bvh", width=lanes, triangles=triangles, instances=instances, few_rays=few)
         known = RayFacts(rays, (rays,), kind in ("view", "scan"), coherent)
         told = situation_of(facts, known, "any" if kind in ("shadow", "ao") else "closest")
         assert told.needs_sample == (overlap is not None), (scene, kind, rays)
         told = told if overlap is None else told._replace(overlap=overlap)
         assert choose_traversal(facts, told)[0] == expected, (scene, kind, rays)
+
+
+@pytest.mark.parametrize(
+    ("triangles", "in_bvh", "threads", "limit"),
+    [(49_999, True, 2, 1024), (50_000, True, 7, 512), (50_000, True, 8, 1024), (50_000, False, 2, 1024)],
+)
+def test_few_rays(triangles, in_bvh, threads, limit):
+    """A case on both sides of each limit."""
+    assert few_rays(triangles, in_bvh, threads) == limit
 
 
 @pytest.mark.parametrize("shared", [False, True])

@@ -158,6 +158,8 @@ def test_info(tmp_path, table):
     ],
 )
 def test_wrong_calls(tmp_path, monkeypatch, table, arguments, message):
+    if arguments[0] == "view":
+        pytest.importorskip("viser")
     monkeypatch.chdir(tmp_path)
     wrt.sensors.write_points("map.pcd", table[:30])
     wrt.sensors.write_points("points.ply", table[:30])

@@ -106,6 +106,7 @@ def test_bad_points():
 
 def test_the_vertex_next_to_one_point():
     """Of one point alone, trimesh gives two numbers."""
+    pytest.importorskip("scipy")
     mesh = BODIES["sphere"]
     ours, theirs = wrt.compat.ProximityQuery(mesh).vertex(POINTS[0]), trimesh.proximity.ProximityQuery(mesh).vertex(POINTS[0])
     assert np.shape(ours[0]) == np.shape(ours[1]) == ()

@@ -56,11 +56,11 @@ def named(items: list[pytest.Item], ids: list[str]) -> list[pytest.Item]:
     """The tests that ids name: those of a test, or of all in a file.
 
     Raises:
-        UsageError: an id names none, as where a test was renamed.
+        UsageError: an id names none in a file that has others, as where a test was renamed; one without any is skipped again.
     """
-    wanted = {*ids}
+    wanted, files = {*ids}, {item.nodeid.partition("::")[0] for item in items}
     found = {item: {item.nodeid, item.nodeid.partition("::")[0]} & wanted for item in items}
-    if unknown := sorted(wanted.difference(*found.values())):
+    if unknown := [name for name in sorted(wanted.difference(*found.values())) if name.partition("::")[0] in files]:
         raise pytest.UsageError(f"no test is called {unknown[0]}")
     return [item for item, by in found.items() if by]
 

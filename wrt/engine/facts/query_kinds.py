@@ -22,14 +22,20 @@ FEW_RAYS_OF_MANY, MANY_TRIANGLES = 512, 50_000
 (notebooks/records/2026-11-23-few-rays.md)."""
 
 
-def few_rays(triangles: int, in_bvh: bool) -> int:
+MANY_THREADS = 8
+"""Threads from which that limit is the same for all scenes: single rays begin without waking a thread
+(notebooks/records/2026-11-28-auto.md)."""
+
+
+def few_rays(triangles: int, in_bvh: bool, threads: int) -> int:
     """Number of rays up to which each is traced on its own on the CPU, in a scene of one level.
 
     Args:
         triangles: how many the scene has.
         in_bvh: whether its tree is a BVH.
+        threads: how many trace them.
     """
-    return FEW_RAYS_OF_MANY if in_bvh and triangles >= MANY_TRIANGLES else FEW_RAYS
+    return FEW_RAYS_OF_MANY if in_bvh and triangles >= MANY_TRIANGLES and threads < MANY_THREADS else FEW_RAYS
 
 
 class Query(NamedTuple):

@@ -20,7 +20,7 @@ from wrt.engine.facts.hit_filter import HitFilter, alpha_masks, has_masks, shown
 from wrt.engine.facts.query_cache import QueryCache
 from wrt.engine.facts.query_kinds import few_rays
 from wrt.engine.facts.scene_settings import Settings
-from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.runtime.launch import get_num_threads, use_threads
 from wrt.meshes.mesh import TriangleMesh
 
 if TYPE_CHECKING:
@@ -200,9 +200,9 @@ class SceneState:
 
     @cached_property
     def few_rays(self) -> int:
-        """Number of rays up to which each is traced on its own on the CPU."""
+        """Number of rays up to which each is traced on its own on the CPU, with as many threads as at the first query."""
         in_bvh = self.accelerator.kind == "bvh" and self.area_trees is None and not self.only_single
-        return few_rays(self.triangle_count, in_bvh and not self.instances)
+        return few_rays(self.triangle_count, in_bvh and not self.instances, get_num_threads())
 
     @cached_property
     def is_closed(self) -> bool:

@@ -249,7 +249,7 @@ def limits_on(device: wp.Device, values: Any, shape: tuple[int, ...], name: str)
     if type(values) is float and values >= 0.0:
         return number_on(device, values)
     limits = as_distances(values, shape, name)
-    return wp.array(limits, dtype=float, device=device) if limits.size > 1 else number_on(device, float(limits[0]))
+    return number_on(device, float(limits[0])) if limits.size == 1 else wp.array(limits, dtype=float, device=device)
 
 
 def as_points(
