@@ -9,6 +9,7 @@ triangle used moved the centre of a scene away from a sphere at UTM coordinates:
 from __future__ import annotations
 
 import struct
+import warnings
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from click.testing import CliRunner
 
 import wrt
 from wrt.cli import main
-from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT
+from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT, MIN_EXTENT
 
 CUBE = trimesh.creation.box()
 UTM = np.array([691000.0, 5334000.0, 520.0])
@@ -141,6 +142,24 @@ def test_up_to_the_limit(tree):
         wrt.Scene(cube(MAX_EXTENT * 1.001), tree, device="cpu")
     far = wrt.Scene(wrt.TriangleMesh(np.full((3, 3), MAX_COORDINATE), [[0, 1, 2]]), tree, device="cpu")
     assert np.isfinite(far.bounds.astype(np.float32)).all()
+
+
+@pytest.mark.parametrize("subdivisions", [1, 4])
+def test_tiny_geometry_is_warned_of(subdivisions):
+    """Of few triangles and of many. What is answered in float64 is right there, too."""
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.5)
+    rng = np.random.default_rng(2)
+    origins, directions = rng.uniform(-0.4, 0.4, (200, 3)), rng.normal(size=(200, 3))
+    expected = wrt.Scene(wrt.TriangleMesh(ball.vertices, ball.faces), device="cpu").intersect(origins, directions, precise=True)
+    with pytest.warns(UserWarning, match=r"the geometry is 8\.88e-16 across.*precise=True"):
+        scene = wrt.Scene(wrt.TriangleMesh(ball.vertices * 2.0**-50, ball.faces), device="cpu")
+    hits = scene.intersect(origins * 2.0**-50, directions, precise=True)
+    np.testing.assert_array_equal(hits.t, expected.t * 2.0**-50)
+    np.testing.assert_array_equal(hits.primitive_id, expected.primitive_id)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for vertices in (cube(MIN_EXTENT).vertices, np.zeros_like(cube().vertices)):
+            wrt.Scene(wrt.TriangleMesh(vertices, cube().faces), device="cpu")
 
 
 def test_builders_refuse_what_has_no_differences():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +26,12 @@ D, sheared vertices are up to 2 D from the ray, so the three areas of the watert
 and with the depths D of the vertices to 24 D^3. float32 holds values up to 2^128, hence D < 2^41. This leaves room for rays
 that start 30 sides away, or whose directions are that long. Products in builders, areas times costs times 2^31 triangles,
 stay below 2^110.
+"""
+
+MIN_EXTENT = 2.0**-32
+"""Shorter longest sides, 2.3e-10 units of length, are warned of. The same products are as small as h^2 D with triangles of size
+h, and float32 has numbers down to 2^-149: relative errors of 2^-24 need h^2 D > 2^-125. This leaves triangles of a 2^14th of
+the side.
 """
 
 MAX_COORDINATE = 2.0**120
@@ -114,8 +121,9 @@ def lay_out_few(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarra
     if len(meshes) > 1:
         bounds = np.array([mesh.bounds for mesh in meshes])
         low, high = bounds[:, 0].min(axis=0).tolist(), bounds[:, 1].max(axis=0).tolist()
-    if max(*high, -min(low)) > MAX_COORDINATE or max([b - a for a, b in zip(low, high, strict=True)]) > MAX_EXTENT:
-        find_bounds(meshes)  # raises the error
+    side = max([b - a for a, b in zip(low, high, strict=True)])
+    if max(*high, -min(low)) > MAX_COORDINATE or side > MAX_EXTENT or 0.0 < side < MIN_EXTENT:
+        find_bounds(meshes)  # raises the error, or warns
     center = [0.5 * a + 0.5 * b for a, b in zip(low, high, strict=True)]
     vertices, faces, first = join_meshes(meshes)
     mesh = SceneMesh()
@@ -144,11 +152,15 @@ def find_center(meshes: Sequence[TriangleMesh]) -> np.ndarray:
 def find_bounds(meshes: Sequence[TriangleMesh]) -> tuple[np.ndarray, np.ndarray]:
     """(3,) float64 each: lower and upper corner of the bounding box of all triangles.
 
+    A longest side shorter than MIN_EXTENT, but not 0, is warned of.
+
     Raises:
         ValueError: the box has a side longer than MAX_EXTENT, or a coordinate is beyond MAX_COORDINATE.
     """
     bounds = np.array([mesh.bounds for mesh in meshes])
     low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    if 0.0 < (high - low).max() < MIN_EXTENT:
+        warnings.warn(TINY.format((high - low).max(), MIN_EXTENT), stacklevel=3)
     if max(-low.min(), high.max()) > MAX_COORDINATE:
         raise ValueError(f"{_outlier(meshes, np.zeros(3))} is beyond {MAX_COORDINATE:.3g}, {_REMEDY}")
     if (high - low).max() > MAX_EXTENT:
@@ -158,6 +170,12 @@ def find_bounds(meshes: Sequence[TriangleMesh]) -> tuple[np.ndarray, np.ndarray]
         )
     return low, high
 
+
+TINY = (
+    "the geometry is {:.3g} across: in less than {:.3g}, float32 cannot hold products of lengths, so that hits of rays lose "
+    "digits or are wrong; scale the geometry up, or ask with precise=True"
+)
+"""What is said of geometry that is too small for triangle tests in float32."""
 
 _REMEDY = "a coordinate that is probably an error; repair or remove it, or scale the geometry down"
 
