@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import faulthandler
+import signal
 import threading
 from collections.abc import Callable
 
@@ -237,3 +239,36 @@ def test_threads():
     assert not errors
     assert learner.best == "a"
     assert 8 * calls * 0.010 <= learner.spent <= 8 * calls * 0.015
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="Windows has no such signals")
+def test_signal_handlers_do_not_wait_for_what_they_interrupt():
+    """A handler that asks and tells, in the midst of a call of its own thread: that one goes on as if nothing had happened."""
+    learner, answers = Learner("a"), []
+
+    def interrupted(names):
+        for name in names:
+            signal.raise_signal(signal.SIGALRM)
+            yield name
+
+    def handler(*_):
+        answers.append(learner.turn(["a", "b"]))
+        learner.tell("a", 1, 1.0)
+        learner.conclude({"b": 1.0})
+        learner.changed(1.0)
+        answers.append(learner.is_due(["a", "b"]) or learner.takes_change())
+
+    learner.tell("a", 1000, 1.0)
+    before = signal.signal(signal.SIGALRM, handler)
+    faulthandler.dump_traceback_later(30, exit=True)  # in place of waiting for ever
+    try:
+        assert learner.turn(interrupted("ab")) == "a"
+        assert learner.is_trying
+        assert answers == ["a", None, "a", None]
+        assert not learner.is_due(interrupted("ab"))
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        signal.signal(signal.SIGALRM, before)
+    assert (learner.spent, learner.looked, learner.trials) == (1.0, 0.0, 0)
+    learner.tell("a", 1000, 1.0)
+    assert learner.spent == 2.0

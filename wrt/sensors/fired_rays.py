@@ -52,14 +52,15 @@ class KeptRays:
         self.max_rays, self.count = max_rays, 0
         self._rays: OrderedDict[Hashable, Fired] = OrderedDict()
         self._seen: OrderedDict[Hashable, None] = OrderedDict()
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # the handler of a signal may scan, too
 
     def find(self, key: Hashable) -> Fired | None:
         """The rays of a key, if they are kept."""
         with self._lock:
-            if key in self._rays:
-                self._rays.move_to_end(key)
-            return self._rays.get(key)
+            found = self._rays.get(key)
+            if found is not None:
+                self._rays[key] = self._rays.pop(key, found)  # the last to go
+            return found
 
     def offer(self, key: Hashable, rays: Fired) -> None:
         """Keeps rays, if their key was offered before."""
@@ -69,8 +70,8 @@ class KeptRays:
                 if len(self._seen) > self.SEEN:
                     self._seen.popitem(last=False)
             elif key not in self._rays and len(rays[1]) <= self.max_rays:
-                self._rays[key] = rays
                 self.count += len(rays[1])
+                self._rays[key] = rays
                 while self.count > self.max_rays:
                     self.count -= len(self._rays.popitem(last=False)[1][1])
 

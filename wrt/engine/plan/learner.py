@@ -16,7 +16,9 @@ times as long in its first turn has no other. What that costs and saves: noteboo
 from __future__ import annotations
 
 import threading
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
+from functools import wraps
+from typing import TypeVar
 
 FIRST_SECONDS = 0.005
 """Seconds of calls before the first trial: other calls take less than a trial can save."""
@@ -49,8 +51,29 @@ HOPELESS = 2.0
 """Times the least time: a way that takes so long has no further turns in a trial."""
 
 
+Result = TypeVar("Result")
+
+
+def alone(method: Callable[..., Result]) -> Callable[..., Result | None]:
+    """A method of `Learner` that others wait for; None at once in a signal handler that interrupts one of its own thread."""
+
+    @wraps(method)
+    def call(self: Learner, *arguments: object, **options: object) -> Result | None:
+        with self._lock:
+            if self._inside:
+                return None
+            self._inside = True
+            try:
+                return method(self, *arguments, **options)
+            finally:
+                self._inside = False
+
+    return call
+
+
 class Learner:
-    """What the calls of a kind have told. Several threads may use it at once.
+    """What the calls of a kind have told. Several threads may use it at once, and so may the handlers of signals that interrupt
+    it: these get the best way, and what they tell is not noted.
 
     Args:
         guess: the way that is best by other knowledge.
@@ -78,7 +101,7 @@ class Learner:
         self._seen: dict[str, float] = {}
         self._took: list[tuple[str, float, float]] = []
         self._is_sure = False
-        self._lock = threading.Lock()
+        self._lock, self._inside = threading.RLock(), False
 
     @property
     def is_trying(self) -> bool:
@@ -91,20 +114,26 @@ class Learner:
         Args:
             ways: those that can.
         """
-        with self._lock:
-            able = [*ways]
-            self._queue = [way for way in self._queue if way in able]
-            if not self._queue and self._is_due(able):
-                first = [self.best, *(way for way in able if way != self.best)]
-                turns = [first if turn % 2 == 0 else first[::-1] for turn in range(TURNS)]
-                self._queue, self._seen, self._took = [way for one in turns for way in one], {}, []
-                self._is_sure = False
-            return self._queue[0] if self._queue else self.best
+        with self._lock:  # as `alone`, which every call would feel
+            if self._inside:
+                return self.best
+            self._inside = True
+            try:
+                able = [*ways]
+                self._queue = [way for way in self._queue if way in able]
+                if not self._queue and self._is_due(able):
+                    first = [self.best, *(way for way in able if way != self.best)]
+                    turns = [first if turn % 2 == 0 else first[::-1] for turn in range(TURNS)]
+                    self._queue, self._seen, self._took = [way for one in turns for way in one], {}, []
+                    self._is_sure = False
+                return self._queue[0] if self._queue else self.best
+            finally:
+                self._inside = False
 
+    @alone
     def is_due(self, ways: Iterable[str], turns: float = TURNS) -> bool:
         """Whether a trial of these ways would begin now, in which each has this many turns: parts are less than one."""
-        with self._lock:
-            return not self._queue and self._is_due([*ways], turns)
+        return not self._queue and self._is_due([*ways], turns)
 
     def tell(self, way: str, rays: int, seconds: float, calls: int = 1) -> None:
         """What a call took.
@@ -116,13 +145,20 @@ class Learner:
             calls: how many calls it stands for: the others were not timed.
         """
         rate = seconds / max(rays, 1)
-        with self._lock:
-            self.spent += calls * seconds
-            if not self._queue:
-                self._follow(way, rate, seconds, calls)
-            elif way == self._queue[0]:
-                self._take(way, rays, seconds)
+        with self._lock:  # as `alone`, which every call would feel
+            if self._inside:
+                return
+            self._inside = True
+            try:
+                self.spent += calls * seconds
+                if not self._queue:
+                    self._follow(way, rate, seconds, calls)
+                elif way == self._queue[0]:
+                    self._take(way, rays, seconds)
+            finally:
+                self._inside = False
 
+    @alone
     def conclude(self, rates: Mapping[str, float], lost: float = 0.0) -> None:
         """Ends a trial.
 
@@ -130,47 +166,46 @@ class Learner:
             rates: seconds a ray of each way, those that were dropped included.
             lost: seconds that it took longer than the best way would have.
         """
-        with self._lock:
-            self._conclude(dict(rates), lost)
+        self._conclude(dict(rates), lost)
 
     def may_look(self) -> bool:
         """Whether a look at rays that are others than before is worth its time."""
         return self.looked <= LOOKS_SHARE * self.spent
 
+    @alone
     def leave_trial(self) -> None:
         """Ends a trial without a result: the next call has other rays than those before."""
-        with self._lock:
-            self._queue, self._seen = [], {}
+        self._queue, self._seen = [], {}
 
     def renew_lock(self) -> None:
         """Makes a new lock, in a forked child: a thread that it does not have may hold the old one."""
-        self._lock = threading.Lock()
+        self._lock, self._inside = threading.RLock(), False
 
+    @alone
     def changed(self, looked: float = 0.0) -> None:
         """The next calls may be others than those before, in spite of their kind; to look at them took some seconds."""
-        with self._lock:
-            self.looked += looked
-            self._change()
+        self.looked += looked
+        self._change()
 
+    @alone
     def guessed(self, guess: str) -> None:
         """The way that other knowledge takes for the best for the next calls: followed if it is another one than before."""
-        with self._lock:
-            if guess != self.guess:
-                self.guess = self.best = guess
-                self.usual = self.rates.get(guess)
-                self._change()
+        if guess != self.guess:
+            self.guess = self.best = guess
+            self.usual = self.rates.get(guess)
+            self._change()
 
+    @alone
     def keep_to(self, ways: Container[str]) -> None:
         """Returns to the guess if the best way is none of these."""
-        with self._lock:
-            if self.best not in ways:
-                self.best, self.usual = self.guess, None
+        if self.best not in ways:
+            self.best, self.usual = self.guess, None
 
+    @alone
     def takes_change(self) -> bool:
         """Whether the rate has changed since this was asked before."""
-        with self._lock:
-            told, self._is_told = self._is_told, True
-            return not told
+        told, self._is_told = self._is_told, True
+        return not told
 
     def _change(self) -> None:
         self._has_changed, self._slow = True, 0
