@@ -63,6 +63,11 @@ def ends():
             process.send_signal(signal.SIGINT)
     for how, process in processes.items():
         try:
+            process.wait(LONGEST / 2)
+        except subprocess.TimeoutExpired:
+            if how == "interrupt":  # Python drops an exception that is raised while it deletes an object, Ctrl-C too
+                process.send_signal(signal.SIGINT)
+        try:
             out, err = process.communicate(timeout=LONGEST + 10.0)
         except subprocess.TimeoutExpired:
             process.kill()
