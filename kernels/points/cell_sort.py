@@ -20,62 +20,51 @@ DIGITS = 1 << 11
 CHUNKS_PER_THREAD = 2
 
 DIGIT = f"""
-    const auto cells = cell.data + begin;
-    const auto pairs = moved.data + begin;
-    const auto digit = [&](int i) {{ return (is_second ? pairs[i].c[0] / {DIGITS} : cells[i]) & {DIGITS - 1}; }};
+    const int begin = chunk * sort.size, left = sort.cell.shape[0] - begin, count = left < sort.size ? left : sort.size;
+    const auto cells = sort.cell.data + begin;
+    const auto pairs = sort.moved.data + begin;
+    int* const places = sort.places.data + chunk;
+    const auto digit = [&](int i) {{ return (sort.is_second ? pairs[i].c[0] / {DIGITS} : cells[i]) & {DIGITS - 1}; }};
 """
 
 
-@native.func_native(
-    "sorting.h", DIGIT + f"wrt::count_digits<{DIGITS}>(digit, end - begin, places.data + chunk, places.shape[1]);"
-)
-def count_range(
-    cell: wp.array(dtype=int),
-    moved: wp.array(dtype=wp.vec2i),
-    is_second: wp.bool,
-    chunk: int,
-    begin: int,
-    end: int,
-    places: wp.array2d(dtype=int),
-):
+@wp.struct
+class CellSort:
+    """A pass of a sort."""
+
+    cell: wp.array(dtype=int)
+    """(N,) cells of points; after the second pass, numbers of points."""
+    moved: wp.array(dtype=wp.vec2i)
+    """(N,) cells and numbers of points, in the order of the first pass."""
+    is_second: wp.bool
+    size: int
+    """Points of a chunk; the last may have fewer."""
+    places: wp.array2d(dtype=int)
+    """(DIGITS, chunks) points with a digit in a chunk, and then where the first of them goes."""
+
+
+@native.func_native("sorting.h", DIGIT + f"wrt::count_digits<{DIGITS}>(digit, count, places, sort.places.shape[1]);")
+def count_chunk(sort: CellSort, chunk: int):
     """Counts the digits of a chunk."""
 
 
 @native.func_native(
     "sorting.h",
     f"""{DIGIT}
-    const int* const next = places.data + chunk;
-    const auto move = [&](int i, size_t to) {{ moved.data[to].c[0] = cells[i], moved.data[to].c[1] = begin + i; }};
-    const auto move_number = [&](int i, size_t to) {{ cell.data[to] = pairs[i].c[1]; }};
-    if (is_second) wrt::move_digits<{DIGITS}>(digit, move_number, end - begin, next, places.shape[1]);
-    else wrt::move_digits<{DIGITS}>(digit, move, end - begin, next, places.shape[1]);
+    const auto move = [&](int i, size_t to) {{ sort.moved.data[to].c[0] = cells[i], sort.moved.data[to].c[1] = begin + i; }};
+    const auto move_number = [&](int i, size_t to) {{ sort.cell.data[to] = pairs[i].c[1]; }};
+    if (sort.is_second) wrt::move_digits<{DIGITS}>(digit, move_number, count, places, sort.places.shape[1]);
+    else wrt::move_digits<{DIGITS}>(digit, move, count, places, sort.places.shape[1]);
     """,
 )
-def move_range(
-    cell: wp.array(dtype=int),
-    moved: wp.array(dtype=wp.vec2i),
-    is_second: wp.bool,
-    chunk: int,
-    begin: int,
-    end: int,
-    places: wp.array2d(dtype=int),
-):
-    """Moves a chunk to the places of its digits."""
+def move_chunk(sort: CellSort, chunk: int):
+    """Moves the points of a chunk to the places of their digits."""
 
 
 @exact_kernel
-def count_chunks(
-    first: int,
-    cell: wp.array(dtype=int),
-    moved: wp.array(dtype=wp.vec2i),
-    is_second: wp.bool,
-    size: int,
-    places: wp.array2d(dtype=int),
-):
-    """Item: a chunk of `size` points. Writes the counts of its digits to places, (DIGITS, chunks)."""
-    chunk = first + wp.tid()
-    begin = chunk * size
-    count_range(cell, moved, is_second, chunk, begin, wp.min(begin + size, cell.shape[0]), places)
+def count_chunks(first: int, sort: CellSort):
+    """Item: a chunk."""
+    count_chunk(sort, first + wp.tid())
 
 
 @exact_kernel
@@ -90,18 +79,9 @@ def find_places(first: int, places: wp.array2d(dtype=int)):
 
 
 @exact_kernel
-def move_chunks(
-    first: int,
-    cell: wp.array(dtype=int),
-    moved: wp.array(dtype=wp.vec2i),
-    is_second: wp.bool,
-    size: int,
-    places: wp.array2d(dtype=int),
-):
-    """Item: a chunk. Moves its points."""
-    chunk = first + wp.tid()
-    begin = chunk * size
-    move_range(cell, moved, is_second, chunk, begin, wp.min(begin + size, cell.shape[0]), places)
+def move_chunks(first: int, sort: CellSort):
+    """Item: a chunk."""
+    move_chunk(sort, first + wp.tid())
 
 
 def sort_by_cells(cell: wp.array) -> None:
@@ -110,12 +90,13 @@ def sort_by_cells(cell: wp.array) -> None:
     Args:
         cell: (N,) int32 on the CPU, from 0 to DIGITS^2 - 1.
     """
-    count, device = len(cell), cell.device
-    size = -(-count // (CHUNKS_PER_THREAD * get_num_threads()))
-    chunks = -(-count // size)
-    places, moved = wp.empty((DIGITS, chunks), dtype=int, device=device), wp.empty(count, dtype=wp.vec2i, device=device)
+    count, device, sort = len(cell), cell.device, CellSort()
+    sort.size = -(-count // (CHUNKS_PER_THREAD * get_num_threads()))
+    chunks = -(-count // sort.size)
+    sort.cell, sort.moved = cell, wp.empty(count, dtype=wp.vec2i, device=device)
+    sort.places = wp.empty((DIGITS, chunks), dtype=int, device=device)
     for is_second in (False, True):
-        inputs = [cell, moved, is_second, size, places]
-        launch(count_chunks, chunks, inputs, device=device, chunk=1, chunks_per_thread=1)
-        launch(find_places, 1, [places], device=device)
-        launch(move_chunks, chunks, inputs, device=device, chunk=1, chunks_per_thread=1)
+        sort.is_second = is_second
+        launch(count_chunks, chunks, [sort], device=device, chunk=1, chunks_per_thread=1)
+        launch(find_places, 1, [sort.places], device=device)
+        launch(move_chunks, chunks, [sort], device=device, chunk=1, chunks_per_thread=1)

@@ -104,7 +104,7 @@ def sort_lists(first: int, found: HitBatch):
 
 @exact_kernel
 def lengths_of_lists(first: int, counts: wp.array(dtype=int), max_length: int, lengths: wp.array(dtype=wp.int64)):
-    """Writes the length of a ray's list, at most `most`, and 0 after the last one. Item: an element of `lengths`."""
+    """Writes the length of a ray's list, at most `max_length`, and 0 after the last one. Item: an element of `lengths`."""
     i = first + wp.tid()
     length = int(0)
     if i < counts.shape[0]:

@@ -252,7 +252,7 @@ def tangents_of(seen: np.ndarray) -> np.ndarray | None:
 def find_distributions(
     lines: Lines, sine: float, min_members: int, rng: np.random.Generator
 ) -> list[tuple[Distribution, np.ndarray]]:
-    """Distributions that explain at least `least` lines each, with the indices of those lines; no line is used twice."""
+    """Distributions that explain at least `min_members` lines each, with the indices of those lines; no line is used twice."""
     rest = np.arange(len(lines))
     found: list[tuple[Distribution, np.ndarray]] = []
     while len(rest) >= min_members:

@@ -219,7 +219,7 @@ def find_counted(scene: SceneState, plan: Plan, rays: DeviceRays, max_hits: int)
 
 
 def sum_on_device(counts: wp.array, max_length: int) -> tuple[wp.array, wp.array, int]:
-    """Where the lists of rays begin, by the number of their hits, of which each holds at most `most`.
+    """Where the lists of rays begin, by the number of their hits, of which each holds at most `max_length`.
 
     Returns:
         (N + 1,) int64: the first index of each list, and the end of the last; (N,) int32, the same without the end; the end.

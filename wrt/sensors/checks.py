@@ -23,7 +23,9 @@ def check_scene(scene: Any) -> None:
 
     if not isinstance(scene, (Queries, PointCloud)):
         found = type(scene).__name__
-        raise TypeError(f"scene must be a wrt.Scene or a wrt.PointCloud, not {found}; make a scene with wrt.Scene(mesh)")
+        raise TypeError(
+            f"scene must be a wrt.Scene or a wrt.sensors.PointCloud, not {found}; make a scene with wrt.Scene(mesh)"
+        )
 
 
 def check_real(name: str, values: Any, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
@@ -52,7 +54,7 @@ def as_time(time: Any) -> float:
 
 
 def check_at_least(name: str, value: Any, minimum: float, below: float = np.inf) -> float:
-    """A number of at least `least` and below `below`.
+    """A number of at least `minimum` and below `below`.
 
     Raises:
         TypeError: not a number.

@@ -1,7 +1,7 @@
 """Closest points to many points in a Warp array, in one tree on CUDA: launches that are packed once, and kept with the state.
 
-The device needs 0.14 ms to sort a million points and 0.8 ms to search those near a surface. Until the search is launched it
-waits for Python, which took 0.26 to 0.6 ms (notebooks/records/2026-11-28-points-gpu.md).
+Until the search is launched the device waits for Python, which took up to half as long as the search
+(notebooks/records/2026-11-28-gpu-calls.md).
 """
 
 from __future__ import annotations

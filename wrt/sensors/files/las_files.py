@@ -120,12 +120,12 @@ def fitting(dimension: Any, values: np.ndarray) -> np.ndarray:
     if dimension.kind.name == "FloatingPoint":
         return values.astype(np.float64)
     if dimension.num_bits < 8:  # of a byte that several fields share
-        small, coarsest = (
+        small, limit = (
             as_integers(f"points[{dimension.name!r}]", values, np.uint8, " in LAS files"),
             (1 << dimension.num_bits) - 1,
         )
-        if small.size and small.max() > coarsest:
-            raise ValueError(f"points[{dimension.name!r}] holds {small.max()}; it must be from 0 to {coarsest} in LAS files")
+        if small.size and small.max() > limit:
+            raise ValueError(f"points[{dimension.name!r}] holds {small.max()}; it must be from 0 to {limit} in LAS files")
         return small
     kind = f"{'u' if dimension.kind.name == 'UnsignedInteger' else 'i'}{dimension.num_bits // 8}"
     return as_integers(f"points[{dimension.name!r}]", values, np.dtype(kind), " in LAS files")
