@@ -238,7 +238,7 @@ class FrustaMemory:
 
 @wp.func
 def frusta_memory(packets: wp.array2d(dtype=float), bounds: wp.array(dtype=PacketBounds)):
-    """Memory that the arrays of a kernel are; Warp assigns them to a struct only as arguments."""
+    """A struct of arrays that a kernel has made: Warp lets only a function's arguments become fields."""
     memory = FrustaMemory()
     memory.packets = packets
     memory.bounds = bounds

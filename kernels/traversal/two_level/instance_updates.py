@@ -169,8 +169,8 @@ def is_fine(m: wp.mat44d):
         - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
         + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
     )
-    minima = volume / wp.max(square, TINY)
-    fine = square <= MAX_SQUARE_SCALE and minima >= MIN_SCALE and wp.sqrt(square) < MAX_CONDITION * minima
+    smallest = volume / wp.max(square, TINY)
+    fine = square <= MAX_SQUARE_SCALE and smallest >= MIN_SCALE and wp.sqrt(square) < MAX_CONDITION * smallest
     for k in range(4):
         last = wp.where(k == 3, wp.float64(1.0), wp.float64(0.0))
         fine = fine and wp.abs(m[3, k] - last) <= AFFINE and wp.isfinite(m[k, 3])

@@ -49,7 +49,7 @@ class PacketMemory:
 
 @wp.func
 def packet_memory(packet: wp.array(dtype=float), walk: wp.array(dtype=int)):
-    """Memory that the arrays of a kernel are; Warp assigns them to a struct only as arguments."""
+    """A struct of arrays that a kernel has made: Warp lets only a function's arguments become fields."""
     memory = PacketMemory()
     memory.packet = packet
     memory.walk = walk
