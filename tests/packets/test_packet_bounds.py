@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import warp as wp
 from support.packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
-from support.selection import slow
 
 from wrt.kernels.traversal.packet.core.packet_splitting import DONE, MAX_PARTS, SINGLE_RAY, activate_part, finish_part
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
@@ -44,7 +43,7 @@ def run(packets: Packets, stage: int) -> None:
     wp.launch(bounding_loops(), packets.count, [packets.loop, stage, packets.layout.rays], device=packets.device)
 
 
-@pytest.fixture(params=[OWN, *slow(SHARED)], ids=["own", "shared"])
+@pytest.fixture(params=[SHARED, OWN], ids=["shared", "own"])
 def packets(request, device) -> Packets:
     return make_packets(request.param, 200, device)
 
