@@ -1,4 +1,4 @@
-"""Kernels that make calls faster and that nobody waits for: compiled by processes of their own, while calls do without.
+"""Kernels that make calls faster and are not needed: compiled by processes of their own, while calls do without.
 
 A thread that runs Clang cannot be stopped, and the interpreter would wait for it at its exit. So such a kernel is compiled by
 another process, of the lowest priority, into the same kernel cache. It goes on when this process ends, and the next one finds

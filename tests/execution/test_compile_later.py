@@ -157,7 +157,7 @@ def test_a_kernel_that_is_missed_too_long_is_waited_for(monkeypatch):
     missing = shift_kernel()
     assert not missing.spend(BEGIN_SECONDS)
     assert missing.spend(PATIENCE_SECONDS)
-    assert missing._process.returncode is not None, "what nobody waits for any more is ended"
+    assert missing._process.returncode is not None, "its process is ended"
 
 
 def test_no_more_processes_than_may_compile(monkeypatch):
