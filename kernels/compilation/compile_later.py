@@ -36,9 +36,9 @@ VARIABLE = "WRT_COMPILE_LATER"
 BEGIN_SECONDS = 0.05
 """Seconds of calls without a kernel before it is compiled: what takes less gains nothing that a user would notice."""
 
-PATIENCE_SECONDS = 4.0
-"""Seconds of calls without a kernel after which they wait for it, as long as the longest of them takes to compile: on a machine
-that is busy, a process of the lowest priority may have no time at all."""
+PATIENCE_SECONDS = 8.0
+"""Seconds of calls without a kernel after which they wait for it, twice as long as most take to compile: on a machine that is
+busy, a process of the lowest priority may have no time at all."""
 
 LOWEST_PRIORITY = 19
 
