@@ -100,8 +100,7 @@ class MissingKernel:
 
     def _stop(self) -> None:
         if self._process is not None:
-            self._process.kill()
-            self._process.wait()
+            end(self._process)
 
 
 def missing_kernel(factory: Callable[[Any], wp.Kernel], config: Any, kernel: wp.Kernel) -> MissingKernel:
@@ -148,6 +147,19 @@ def _start(told: bytes) -> subprocess.Popen[bytes]:
         atexit.unregister(_leave)
         atexit.register(_leave)
     return process
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    """Ends a process, and waits until it has."""
+    process.kill()
+    process.wait()
+
+
+def stop() -> None:
+    """Ends all processes that compile for this one: whoever removes the kernel cache calls this before."""
+    for process in _processes:
+        end(process)
+    _processes.clear()
 
 
 def serve() -> None:

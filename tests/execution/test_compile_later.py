@@ -170,7 +170,8 @@ def test_no_more_processes_than_may_compile(monkeypatch):
     first._stop()
     assert not second.spend(0.0)
     assert second._process is not None
-    second._stop()
+    compile_later.stop()
+    assert second._process.returncode is not None
 
 
 def test_a_process_that_cannot_be_started_is_not_waited_for(monkeypatch):
