@@ -316,6 +316,7 @@ def test_auto_chooses_it_on_cuda():
         "cull_backfaces": False,
         "is_cuda": True,
         "tree": "bvh",
+        "lanes": 2,
         "triangles": 1000,
         "instances": 0,
         "own_spaces": False,

@@ -182,4 +182,4 @@ def is_measured(scene: SceneState, rays: RayFacts, query: Query) -> bool:
 
 def is_changing(scene: SceneState, count: int) -> bool:
     """Whether the plan of this many rays depends on what came before."""
-    return scene.changes_plans and (scene.lazy_tree is not None or count > scene.few_rays)
+    return scene.changes_plans and (scene.lazy_tree is not None or (scene.cache.wide is None and count > scene.few_rays))
