@@ -300,9 +300,9 @@ def add_lit(
     begin = (rays.first_tile + tile) * TILE
     end = wp.min(begin + TILE, points.order.shape[0])
     if lit.is_first:
-        for sum in range(lit.sums.shape[0]):
+        for share in range(lit.sums.shape[0]):
             for i in range(begin, end):
-                lit.sums[sum, i] = wp.float64(0.0)
+                lit.sums[share, i] = wp.float64(0.0)
     for group in range(rays.groups):
         ways = directions_of(rays, group)
         ray = rays.begin[group * rays.tiles + tile]
@@ -314,8 +314,8 @@ def add_lit(
 
 @exact_kernel
 def spread_sums(first: int, points: LitPoints, lit: LitSums, found: wp.array2d(dtype=wp.float64)):
-    """Writes the sums of a point, (P, G), where the caller has the point. Item: a point, in the order in which they are taken."""
+    """Writes the sums of a point, (P, G), where the caller has it. Item: a point, in the order in which they are taken."""
     i = first + wp.tid()
     at = points.order[i]
-    for sum in range(lit.sums.shape[0]):
-        found[at, sum] = lit.sums[sum, i]
+    for share in range(lit.sums.shape[0]):
+        found[at, share] = lit.sums[share, i]
