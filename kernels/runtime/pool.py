@@ -71,13 +71,16 @@ class Slot:
         """Whether the slot has no job and no helper."""
         return self._words[layout.PHASE] == layout.IDLE
 
-    def begin(self, job: Job) -> None:
-        """Sets the job that the next turn begins."""
+    def begin(self, job: Job) -> bool:
+        """Begins a job with its first turn; whether that was all, as for most jobs."""
         self._run.arguments.p2 = ctypes.addressof(job)
-
-    def turn(self) -> None:
-        """Works on the job for at most `TURN_NS`, or until the current chunk is done."""
         self._run_now()
+        return self._words[layout.PHASE] == layout.IDLE
+
+    def turn(self) -> bool:
+        """Works on the job for at most `TURN_NS`, or until the current chunk is done; whether the slot is idle then."""
+        self._run_now()
+        return self._words[layout.PHASE] == layout.IDLE
 
     def stop(self) -> None:
         """Stops the job: no thread takes another chunk."""
@@ -127,12 +130,11 @@ class Pool:
         slot = self._slot()
         slot.is_busy = True
         try:
-            slot.begin(job)
-            slot.turn()
-            while not slot.is_idle:
+            is_done = slot.begin(job)
+            while not is_done:
                 if self.closed:
                     raise RuntimeError("the query was stopped: the interpreter is exiting, or the process was forked")
-                slot.turn()
+                is_done = slot.turn()
             slot.is_busy = False
         except BaseException:
             slot.owner_waits = True

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
+import sys
 import threading
 import types
 from pathlib import Path
@@ -87,6 +89,23 @@ def test_no_header_is_made_for_a_cache_that_has_one(folder, tmp_path):
     threads = "import threading\nprint(json.dumps([thread.name for thread in threading.enumerate()]))\n"
     names, _ = done(EXPECT + threads, tmp_path)
     assert not [name for name in names if "compile" in name]
+
+
+def test_commands_expect_the_header_of_the_flags_that_kernels_have(tmp_path):
+    """Commands start Warp before any kernel is defined. A header of Warp's own flags would serve no module."""
+    program = """
+from wrt.cli.arguments import start_warp
+from wrt.kernels.compilation import module_compiler, precompiled_header
+keys = []
+module_compiler.expect_header = lambda device: keys.append(precompiled_header._key_for(module_compiler._no_kernels()))
+start_warp("cpu")
+import wrt.builders.triangle_boxes
+keys.append(precompiled_header._key_for(wrt.builders.triangle_boxes.compute_boxes.module))
+assert None not in keys and len(keys) == 2 and keys[0] == keys[1], keys
+"""
+    environment = os.environ | {"WARP_CACHE_PATH": str(tmp_path)}
+    result = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
+    assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.parametrize("damage", ["cut short", "a byte changed", "refused by Clang"])

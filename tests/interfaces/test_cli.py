@@ -271,6 +271,10 @@ def test_as_a_process(tmp_path, model):
     assert done.returncode == 1
     assert done.stderr.startswith("error: no mesh file at 'b.ply'")
     assert done.stderr.count("\n") == 1
+    wrt.TriangleMesh([[0, 0, 0], [1e-12, 0, 0], [0, 1e-12, 0]], [[0, 1, 2]]).save(tmp_path / "c.ply")
+    done = subprocess.run([*command, "info", "c.ply"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stderr.startswith("warning: the geometry is 1e-12 across")
+    assert done.stderr.count("\n") == 1  # not the line of code that warns, which says nothing to whoever calls a command
 
 
 def test_help_imports_nothing_heavy():

@@ -225,7 +225,7 @@ def test_tree_and_threads_are_switched_while_it_runs(tab):
 
 def test_points_over_the_picture(tab):
     tab.settle()
-    position = tab.pick.hits.position
+    position = tab.session.request.camera_of().look_at
     tab.viewer.add_points(np.stack([position, position + 0.1]), [0.0, 1.0], size=20.0)
     tab.viewer.remove_points()
     with pytest.raises(ValueError, match="shape"):

@@ -12,9 +12,9 @@
     wrt job run job.toml            a resumable batch of rays
     wrt bench bunny.ply             against other ray tracers
 
-An error is one line on stderr. Exit status: 0 for success, 1 for a failure, 2 for wrong usage, 130 for Ctrl-C. With
-WRT_TRACEBACK=1, an error that no command expects comes with its traceback. Commands are imported when they are called, so that
-`wrt --help` answers at once.
+An error is one line on stderr, and so is a warning. Exit status: 0 for success, 1 for a failure, 2 for wrong usage, 130 for
+Ctrl-C. With WRT_TRACEBACK=1, an error that no command expects comes with its traceback. Commands are imported when they are
+called, so that `wrt --help` answers at once.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ from __future__ import annotations
 import gc
 import os
 import sys
+import warnings
+from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -67,7 +70,8 @@ class CommandLine(click.Group):
         """Runs a command and ends the process with its exit status."""
         kwargs["standalone_mode"] = False
         replace_closed_streams()
-        thresholds = gc.get_threshold()
+        thresholds, plain = gc.get_threshold(), warnings.formatwarning
+        warnings.formatwarning = partial(_warning, plain)
         gc.set_threshold(OBJECTS_TO_COLLECT, *thresholds[1:])
         try:
             status = super().main(*args, **kwargs)
@@ -94,13 +98,22 @@ class CommandLine(click.Group):
             _fail(f"unexpected {reason}; with {TRACEBACK}=1, the traceback says where", 1)
         finally:
             gc.set_threshold(*thresholds)
+            warnings.formatwarning = plain
         sys.exit(status if isinstance(status, int) else 0)
 
 
-def _fail(message: str, status: int) -> None:
+def _one_line(message: object) -> str:
     line = " ".join(str(message).split())
-    line = line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
-    say(f"error: {line}")
+    return line if len(line) <= LONGEST else f"{line[:LONGEST]} ..."
+
+
+def _warning(plain: Callable[..., str], message: Warning | str, category: type[Warning], *place: Any) -> str:
+    """A warning for users as one line, without the place in the code; others, which are for programmers, as Python has them."""
+    return f"warning: {_one_line(message)}\n" if category is UserWarning else plain(message, category, *place)
+
+
+def _fail(message: str, status: int) -> None:
+    say(f"error: {_one_line(message)}")
     drop_unwritten()
     sys.exit(status)
 

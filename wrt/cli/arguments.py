@@ -189,6 +189,7 @@ def start_warp(device: str | None) -> None:
     """Initialises Warp without its log lines; checks the device, and begins what compiling for it waits for."""
     import warp
 
+    import wrt.kernels.runtime.options  # noqa: F401 (chooses the target, for whose flags the header is)
     from wrt.kernels.compilation.kernel_cache import init_warp
     from wrt.kernels.compilation.module_compiler import expect_header
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import socket
-import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -96,11 +95,7 @@ def _serve(host: str, port: int, token: bool | None, open_browser: bool) -> WebS
     """Starts the server and says where."""
     from wrt.viewer.web_server import WebServer
 
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        server = WebServer(host, port, token)
-    for one in said:
-        click.echo(f"warning: {one.message}", err=True)
+    server = WebServer(host, port, token)
     click.echo(f"{server.url} (Ctrl-C ends it)")
     if server.gate.token:
         click.echo(f"from other computers: {server.url_of(socket.gethostname())}")

@@ -74,7 +74,8 @@ class DeviceHits:
     def new_on_host(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
         """The same on the CPU, while no graph is captured."""
         hits = cls(count, device)
-        hits._host = {name: empty_host(count, DTYPES[name]) for name in ANSWERS[query].stored.columns}
+        names = ANSWERS[query].stored.columns
+        hits._host = dict(zip(names, empty_host(count, *map(DTYPES.__getitem__, names)), strict=True))
         return hits
 
     @classmethod

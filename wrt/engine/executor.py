@@ -89,7 +89,7 @@ def _answer(scene: SceneState, rays: GivenRays, query: Query) -> Answer:
         scene, given = take_areas(scene, query.areas, one_object(rays).shape)
     brought = on_device(scene, rays, query, may_stage(scene, query))
     chosen, contest = find_choice(scene, brought.facts, query, brought.sample)
-    if contest is not None and not query.counters and not scene.device.is_capturing:
+    if contest is not None and not query.counters and (brought.in_place or not scene.device.is_capturing):
         return Answer(trace_measured(scene, contest, brought, query), brought.form, contest.shown)  # type: ignore[arg-type]
     hits, work = trace_chosen(scene, chosen, brought, query.kind, query.counters, given)
     if not scene.is_cpu and query is QUERIES.get(query.kind):

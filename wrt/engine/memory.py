@@ -159,15 +159,19 @@ class Lease:
             _pool.give_back(self.block)
 
 
-def empty_host(count: int, dtype: type) -> HostArray:
-    """A flat array with undefined contents; its memory may be reused."""
-    number, element = ELEMENTS[dtype]
-    size = count * ELEMENT_BYTES[dtype]
-    if size < MIN_BYTES:
-        values = np.empty((count, *element), number)
-        return HostArray(address_of(values), count, dtype, values, values)
-    lease = Lease(size)
-    return HostArray(address_of(lease.block), count, dtype, lease)
+def empty_host(count: int, *dtypes: type) -> list[HostArray]:
+    """Flat arrays of `count` elements with undefined contents; their memory may be reused."""
+    made = []
+    for dtype in dtypes:
+        size = count * ELEMENT_BYTES[dtype]
+        if size < MIN_BYTES:
+            number, element = ELEMENTS[dtype]
+            values = np.empty((count, *element), number)
+            made.append(HostArray(address_of(values), count, dtype, values, values))
+        else:
+            lease = Lease(size)
+            made.append(HostArray(address_of(lease.block), count, dtype, lease))
+    return made
 
 
 def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
@@ -202,7 +206,7 @@ class ArraysOfBlock:
         self._on_host = device.is_cpu and not device.is_capturing
         self._device = device
         self._block: wp.array | HostArray
-        self._block = empty_host(size, wp.uint8) if self._on_host else empty(size, wp.uint8, device)
+        self._block = empty_host(size, wp.uint8)[0] if self._on_host else empty(size, wp.uint8, device)
 
     def __getitem__(self, name: str) -> wp.array | HostArray:
         """The array of a name."""

@@ -87,8 +87,8 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO, rule:
         scene = scene.distinct()
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         rays = aimed(buffers, DIRECTIONS[0], scene.device)
-        found = detect_coherence(rays.origins, rays.directions, scene.device)
-        rays.facts = buffers.facts = buffers.facts._replace(scattered=found.scattered)
+        _, scattered, _ = detect_coherence(rays.origins, rays.directions, scene.device)
+        rays.facts = buffers.facts = buffers.facts._replace(scattered=scattered)
         plan = make_plan(scene, rays, traversal, AUTO, chosen.query)
         inside = decide(scene, plan, rays, chosen)
         if not scene.is_closed:
@@ -96,7 +96,7 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO, rule:
             other = decide(scene, plan, rays, chosen)
             order = find_undecided(inside, other)
             if order is not None:
-                few = DeviceRays.of_batch(sort_rays(rays.batch, order, empty), buffers.facts.coherent, found.scattered)
+                few = DeviceRays.of_batch(sort_rays(rays.batch, order, empty), buffers.facts.coherent, scattered)
                 few = aimed(few, DIRECTIONS[2], scene.device)
                 unsort_hits(order, decide(scene, plan, few, chosen).struct(), inside.struct(), ANY)
     return inside.values(ANY, buffers.form)

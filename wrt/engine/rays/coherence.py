@@ -8,7 +8,6 @@ depend on what is detected, only speed does.
 from __future__ import annotations
 
 import ctypes
-from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -25,20 +24,10 @@ MIN_IMAGE_RAYS = 4096
 """Smallest flat list that is tested for being the pixels of an image: for fewer rays there is nothing to gain."""
 
 
-class Coherence(NamedTuple):
-    """Result of coherence detection.
-
-    Attributes:
-        coherent: whether neighbouring rays are similar: for most pairs of a sample, directions differ by less than about 15
-            degrees and, unless origins are shared, the distance of origins is small against that of rays far apart.
-        scattered: whether neighbouring rays start far apart.
-        columns: columns of the image whose pixels, row by row, a flat list of rays belongs to; 0 if it does not, or was not
-            tested.
-    """
-
-    coherent: bool
-    scattered: bool
-    columns: int
+Coherence = tuple[bool, bool, int]
+"""Whether neighbouring rays are similar: for most pairs of a sample, directions differ by less than about 15 degrees and,
+unless origins are shared, the distance of origins is small against that of rays far apart. Whether neighbouring rays start far
+apart. Columns of the image whose pixels, row by row, a flat list of rays belongs to; 0 if it does not, or was not tested."""
 
 
 class CoherenceDetector:
@@ -61,12 +50,12 @@ class CoherenceDetector:
     def detect(self, origins: Vectors, directions: Vectors, sampled: bool, listed: bool) -> Coherence:
         """Tests pairs of neighbours if `sampled`, and for an image if `listed`."""
         arguments = self.arguments
-        point_at(arguments.origins, origins)
-        point_at(arguments.directions, directions)
+        for field, values in ((arguments.origins, origins), (arguments.directions, directions)):  # as `point_at`
+            field.data, field.shape[0] = values.ptr or 0, values.size
         arguments.sampled, arguments.listed = sampled, listed
         self.launch.hooks.forward(ctypes.byref(self.launch.bounds), ctypes.byref(arguments))
         coherent, scattered, columns = self.found.tolist()
-        return Coherence(bool(coherent), bool(scattered), columns)
+        return bool(coherent), bool(scattered), columns
 
 
 _detectors: FreeList[CoherenceDetector] = FreeList()
@@ -86,7 +75,7 @@ def detect_coherence(origins: Vectors, directions: Vectors, device: wp.Device, m
     count = directions.size
     sampled, listed = count >= 2 * PAIRS, may_be_image and count >= MIN_IMAGE_RAYS
     if device.is_cuda or not (sampled or listed):
-        return Coherence(True, False, 0)
+        return True, False, 0
     detector = _detectors.take() or CoherenceDetector()
     result = detector.detect(origins, directions, sampled, listed)
     _detectors.give_back(detector)

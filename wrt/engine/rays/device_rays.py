@@ -155,7 +155,9 @@ def examine(rays: DeviceRays, device: wp.Device) -> DeviceRays:
     count, shape, shared_origin, *_ = rays.facts
     may_be_image = len(shape) == 1 and shared_origin and rays.layout.directions == 1
     coherent, scattered, columns = detect_coherence(rays.origins, rays.directions, device, may_be_image)
-    rays.facts = RayFacts(count, shape, shared_origin, coherent, scattered, columns or columns_of_shape(shape))
+    if len(shape) == 2:
+        columns = columns_of_shape(shape)
+    rays.facts = RayFacts(count, shape, shared_origin, coherent, scattered, columns)
     return rays
 
 

@@ -16,7 +16,6 @@ from wrt.kernels.traversal.leaf import Counters
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
-    from wrt.engine.host_arrays import HostArray
     from wrt.kernels.points.tree_points import PointConfig
 
 POINTS, LISTS = 2, 3
@@ -65,8 +64,8 @@ class FewPoints:
             self._max_distance[0] = max_distance
         count = self._points.count = len(relative)
         write_flat(self._points.position, address_of(relative), count, wp.vec3)
-        found: dict[str, HostArray] = {name: empty_host(count, DTYPES[name]) for name in HIT_COLUMNS}
-        feature = empty_host(count, wp.int8)
+        *columns, feature = empty_host(count, *map(DTYPES.__getitem__, HIT_COLUMNS), wp.int8)
+        found = dict(zip(HIT_COLUMNS, columns, strict=True))
         for name, values in {**found, "feature": feature}.items():
             write_flat(getattr(self._found, FIELDS[name]), values.ptr, count, values.dtype)
         self._launch.run(-(-count // self._group), self._chunks, (relative, found, feature))

@@ -77,7 +77,7 @@ def row_table(
             launch(count_rows, blocks, [source], device=host, chunk=4)
             begins[1:] = np.cumsum(begins[:-1])
             begins[0] = 0
-        rows = empty_host(int(begins[-1]) * size, wp.uint8)
+        (rows,) = empty_host(int(begins[-1]) * size, wp.uint8)
         columns, kept = _columns(fields, dtype, count)
         if rows.size:
             launch(write_rows, blocks, [source, columns, size, rows.array], device=host, chunk=4)
