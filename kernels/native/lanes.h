@@ -69,23 +69,12 @@ template <class T, int N> inline CUDA_CALLABLE void copy(T* to, const T (&from)[
 #endif
 }
 
-/// The value, computed once, in a register: the compiler does not compute parts of it again where it is used.
-template <class T> inline CUDA_CALLABLE T in_register(T value)
-{
-#if WRT_VECTORS
-    __asm__("" : "+r"(value));
-#endif
-    return value;
-}
-
-/// The same object, which is read where it is used: the compiler would read it before a loop that does not change it, and move
-/// what there are no registers for to the stack, each time that the loop begins.
+/// The same object, at a place of which the compiler knows nothing else: it reads what is used where it is used.
 template <class T> inline CUDA_CALLABLE T& read_in_place(T& object)
 {
 #if WRT_VECTORS
-    T* where = &object;
-    __asm__ volatile("" : "+r"(where));
-    return *where;
+    T* volatile place = &object;
+    return *place;
 #else
     return object;
 #endif

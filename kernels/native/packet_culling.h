@@ -55,6 +55,7 @@ inline CUDA_CALLABLE float mixed_entry(const PlanePointers& planes, const MixedA
 template <int W, class Bounds> inline CUDA_CALLABLE int interval_keys(const float* box, const Bounds& all_bounds, int* key)
 {
     constexpr int BACK = 3 * W;
+    // a walk meets more leaves than nodes; after each, what is read here would be loaded, spread and put on the stack ahead
     const Bounds& bounds = read_in_place(all_bounds);
     const BoxRays rays = box_rays(bounds);
     const PlanePointers planes

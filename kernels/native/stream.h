@@ -13,7 +13,7 @@ enum class Order { NONE, NEAR, FAR };
 
 /// -1 for a number with a sign, else 0. Read as volatile: Clang would make a vector of the three signs of a ray, and take it
 /// apart again.
-inline CUDA_CALLABLE int sign_of(const float& x) { return in_register(*(const volatile int*)&x >> 31); }
+inline CUDA_CALLABLE int sign_of(const float& x) { return *(const volatile int*)&x >> 31; }
 
 /// Filters a list of `count` rays by the W boxes of a node; see `wrt.kernels.traversal.stream.stream_lanes.filter_boxes`.
 template <int W, Order ORDER, class Ray>
@@ -32,7 +32,8 @@ inline CUDA_CALLABLE int filter_boxes(
     int kept = 0;
     for (int j = 0; j < count; ++j) {
         const int k = list[j] & ((1 << RAY_BITS) - 1);
-        const Ray& ray = *in_register(rays + k);
+        // of AVX2's 16 registers none is left for `rays`: it would be loaded again for each number of the ray
+        const Ray& ray = W < 16 ? read_in_place(rays[k]) : rays[k];
         const float* const inverse = ray.slabs.inverse.c;
         const BoxRay slabs = box_ray(ray.slabs);
         const int x = sign_of(inverse[0]), y = sign_of(inverse[1]), z = sign_of(inverse[2]);
