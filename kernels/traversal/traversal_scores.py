@@ -5,7 +5,7 @@ a number and the reason for choosing the traversal, or None where another one is
 answer the query, "auto" takes the one with the highest score. A score decides about speed alone and never about hits.
 
 The traversal of single rays scores everywhere. The numbers below make the first guess, which calls of many rays on the CPU then
-measure against others (`wrt.engine.plan.contest`). So they are few, and the same on all CPUs
+measure against others (`wrt.engine.plan.contest`). So they are few, and but for any hits the same on all CPUs
 (notebooks/records/2026-11-28-auto.md).
 """
 
@@ -36,6 +36,10 @@ GREATEST_SHARE = 0.24
 
 MANY_TRIANGLES = 50_000
 """Triangles from which interleaved walks are faster than streams."""
+
+MANY_LANES, MANY_OCCLUDERS, MANY_RAYS = 16, 250_000, 1 << 16
+"""Lanes with which an instruction compacts the lists of streams, and triangles from which interleaved walks are faster there
+for any hits: of coherent rays, and of at least this many others (notebooks/records/2026-11-28-lost-speed.md)."""
 
 RAYS_PER_INSTANCE = 1 << 15
 """Rays per instance from which sorting rays by instance pays."""
@@ -71,6 +75,7 @@ class Situation(NamedTuple):
         cull_backfaces: whether rays hit only the front of triangles.
         is_cuda: whether the query runs on CUDA.
         tree: kind of the scene's trees, "bvh" or "kdtree".
+        lanes: children of a node.
         triangles: number of triangles, in all instances.
         instances: number of instances; 0 in scenes of one level.
         own_spaces: whether each tree of the scene has its own coordinate space.
@@ -86,6 +91,7 @@ class Situation(NamedTuple):
     cull_backfaces: bool
     is_cuda: bool
     tree: str
+    lanes: int
     triangles: int
     instances: int
     own_spaces: bool
@@ -119,7 +125,7 @@ class Situation(NamedTuple):
     @property
     def needs_sample(self) -> bool:
         """Whether only a sample tells if packets are faster."""
-        if self.prefers_single or self.tests_each_hit or not self.coherent or self.tree != "bvh":
+        if self.prefers_single or self.tests_each_hit or not self.coherent or not (self.tree == "bvh" or self.has_wide_form):
             return False
         return self.rays >= (MIN_SAMPLED_THROUGH_INSTANCES if self.instances else MIN_SAMPLED)
 
@@ -127,6 +133,13 @@ class Situation(NamedTuple):
     def crowds_cells(self) -> bool:
         """Whether coherent rays are so numerous that packets are faster than single rays in the cells of a kd-tree."""
         return self.rays >= (RAYS_PER_TRIANGLE if self.shared_origin else CROWDED_CELLS) * self.triangles
+
+    @property
+    def has_many_triangles(self) -> bool:
+        """Whether interleaved walks are faster than streams."""
+        fills_lists = self.lanes >= MANY_LANES and (self.coherent or self.rays >= MANY_RAYS)
+        occludes = fills_lists and ANSWERS[self.query].rules.ends_at_first
+        return self.triangles >= (MANY_OCCLUDERS if occludes else MANY_TRIANGLES)
 
     @property
     def stays_together(self) -> bool:
@@ -225,7 +238,7 @@ def score_interleaved(situation: Situation) -> tuple[float, str] | None:
     """Interleaved walks suit rays that streams suit, if there are enough triangles for the rays to part."""
     if situation.prefers_single or situation.tests_each_hit or situation.instances or situation.tree != "bvh":
         return None
-    return (INTERLEAVED_RAYS, reason_for_streams(situation)) if situation.triangles >= MANY_TRIANGLES else None
+    return (INTERLEAVED_RAYS, reason_for_streams(situation)) if situation.has_many_triangles else None
 
 
 def reason_for_streams(situation: Situation) -> str:

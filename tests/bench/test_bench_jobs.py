@@ -17,6 +17,7 @@ def cell():
     return whole_jobs.Cell(0.04, 2)
 
 
+@pytest.mark.slow
 def test_figures(tmp_path):
     path = tmp_path / "jobs.json"
     command = ["bench", "jobs", "scan", "capture", "--size", "0.04", "--rounds", "2", "--no-process", "--json", str(path)]
@@ -75,6 +76,7 @@ def test_checks_of_a_print_are_those_of_trimesh():
             np.testing.assert_allclose(np.median(own), np.median(other), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_ranges_of_environments_are_those_of_warp():
     worlds = whole_jobs.Worlds(0.01, 2)
     own, other = whole_jobs.world_contenders(worlds)[1:]

@@ -11,6 +11,7 @@ import trimesh
 import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.selection import slow
 
 import wrt
 from wrt.engine.facts.facts import RayFacts
@@ -143,7 +144,10 @@ def test_one_sphere(distance, radius, length, direction, aside):
     np.testing.assert_allclose(np.linalg.norm(hits.position - UTM), radius, rtol=1e-6, atol=steps)
 
 
-@pytest.mark.parametrize(("traversal", "kind"), [("stream", "spheres"), ("interleaved", "discs"), ("interleaved", "boxes")])
+@pytest.mark.parametrize(
+    ("traversal", "kind"),
+    [("interleaved", "discs"), *slow(("stream", "spheres"), ("interleaved", "boxes"))],
+)
 def test_every_traversal_gives_the_bits_of_brute_force(traversal, kind):
     """Closest and any hits, counts and lists, of rays from a point and from anywhere; of boxes closest hits alone."""
     cloud = scattered(kind, at=UTM)

@@ -10,6 +10,7 @@ import pytest
 from support import import_graph, query_walk
 
 import wrt
+from wrt.engine import executor
 from wrt.kernels.runtime.launch import PreparedLaunch
 
 MOST_MODULES = 8
@@ -71,14 +72,19 @@ def test_way_of_a_query(monkeypatch, count):
 
 
 @pytest.mark.parametrize("count", [1, 5000])
-def test_rays_are_handed_down(count):
-    """A call whose query is prepared runs few functions; the origins pass few files, and go to no room above."""
+def test_rays_are_handed_down(monkeypatch, count):
+    """A call whose query is prepared runs few functions; the origins pass few files, and go to no room above.
+
+    The clock of "auto" stands still. On a busy machine calls that are watched seem slow, one after the other was a turn of a
+    trial, which runs more functions, and there was none to count.
+    """
+    monkeypatch.setattr(executor, "call_clock", lambda: lambda: 0.0)
     scene = wrt.Scene(wrt.scenes.build("teapot", level=2), device="cpu")
     rays = np.random.default_rng(0).normal(size=(2, count, 3)).astype(np.float32)
-    for _ in range(6):  # calls that "auto" times run more functions, but they are few
+    for _ in range(6):
         scene.intersect(*rays)
     walks = [query_walk.walk(scene.intersect, *rays.copy()) for _ in range(3)]
-    seen = min(walks, key=lambda one: one.calls)  # garbage that is collected meanwhile calls functions, too
+    seen = min(walks, key=lambda one: one.calls)  # "auto" times one call of four; collected garbage calls functions, too
     assert ("wrt.engine.executor", "wrt.engine.launch.prepared") in seen.hand_overs or count == 1
     assert 5 < len(seen.hand_overs) <= MOST_HAND_OVERS, seen.hand_overs
     assert 20 < seen.calls <= MOST_CALLS

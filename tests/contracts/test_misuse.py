@@ -325,7 +325,7 @@ def test_a_kernel_cache_that_runs_full(monkeypatch, capfd):
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is bound by a limit that Linux has")
 def test_too_little_memory_for_a_tree(tmp_path):
     code = (
-        "import resource, numpy as np, wrt\n"
+        "import support.environment, resource, numpy as np, wrt\n"
         "n = 1_000_000\n"
         "corners = np.random.default_rng(0).random((3 * n, 3), dtype=np.float32)\n"
         "faces = np.arange(3 * n, dtype=np.int32).reshape(-1, 3)\n"
@@ -338,7 +338,7 @@ def test_too_little_memory_for_a_tree(tmp_path):
         "except MemoryError as error:\n"
         "    print(error)\n"
     )
-    done = run(code, tmp_path)
+    done = run(code, tmp_path, PYTHONPATH=str(Path(__file__).parents[1]))
     assert "too little memory for the tree of 1,000,000 triangles, which take 48.0 MB themselves" in done.stdout, done.stderr
 
 

@@ -86,6 +86,7 @@ TOY_MUTATIONS = {
 }
 
 
+@pytest.mark.slow
 def test_the_runner_tells_what_is_killed(tmp_path, monkeypatch):
     """On a package without kernels: only a test that fails because of a mutation that runs kills it."""
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # starts in half the time

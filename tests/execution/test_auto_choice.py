@@ -73,7 +73,11 @@ bvh                8 any     -                       49999     65536 -      stre
 bvh                8 any     -                       50000     65536 -      interleaved incoherent
 bvh               16 closest coherent                40000      4999 -      stream      coherent, but triangles are small
 bvh               16 closest coherent                40000      5000 -      packet      coherent
-bvh               16 any     coherent+point          49999      2000 -      stream      coherent, but triangles are small
+bvh               16 any     -                      249999     65536 -      stream      incoherent
+bvh               16 any     -                      249999     65535 -      interleaved incoherent
+bvh               16 any     -                      250000     65536 -      interleaved incoherent
+bvh               16 any     coherent+point         249999      2000 -      stream      coherent, but triangles are small
+bvh               16 any     coherent+point         250000      2000 -      interleaved coherent, but triangles are small
 bvh                4 any     coherent+point          50000      2000 -      interleaved coherent, but triangles are small
 bvh                8 closest coherent+point          80000      9999 -      interleaved coherent, but triangles are small
 bvh               16 count   -                         500      8192 -      stream      all hits of many rays
@@ -181,18 +185,18 @@ GRID = """
 bunny         69630  0 view      4096 coherent 0.327:2.1   interleaved 0.399:2.7   interleaved
 bunny         69630  0 scan      4096 coherent 0.252:6.4   interleaved 0.327:9.2   interleaved
 bunny         69630  0 random    4096 parted   -           interleaved -           interleaved
-bunny         69630  0 shadow     908 coherent -           interleaved -           interleaved
+bunny         69630  0 shadow     908 coherent -           stream      -           interleaved
 bunny         69630  0 ao         908 parted   -           interleaved -           interleaved
 bunny         69630  0 view     65536 coherent 0.191:2.4   packet      0.207:2.6   packet
 bunny         69630  0 scan     65536 coherent 0.173:6.5   packet      0.168:9.1   packet
 bunny         69630  0 random   65536 parted   -           interleaved -           interleaved
-bunny         69630  0 shadow   14567 coherent 0.312:5.8   interleaved 0.325:8.5   interleaved
+bunny         69630  0 shadow   14567 coherent 0.312:5.8   stream      0.325:8.5   interleaved
 bunny         69630  0 ao       14567 parted   -           interleaved -           interleaved
 bunny         69630  0 view   1048576 coherent 0.168:1.9   packet      0.146:2.6   packet
 bunny         69630  0 scan   1048576 coherent 0.155:6.5   packet      0.137:9.2   packet
 bunny         69630  0 random 1048576 parted   -           interleaved -           interleaved
 bunny         69630  0 shadow  233064 coherent 0.186:7.4   packet      0.169:9.6   packet
-bunny         69630  0 ao      233064 parted   -           interleaved -           interleaved
+bunny         69630  0 ao      233064 parted   -           stream      -           interleaved
 world        788410  0 view      4096 coherent 0.223:1.9   packet      0.155:1.5   packet
 world        788410  0 scan      4096 coherent 0.235:11.1  packet      0.29:13.9   interleaved
 world        788410  0 random    4096 parted   -           interleaved -           interleaved
@@ -241,18 +245,18 @@ city         995330  0 ao      401215 parted   -           interleaved -        
 dragon       202520  0 view      4096 coherent 0.396:2.5   interleaved 0.44:2.4    interleaved
 dragon       202520  0 scan      4096 coherent 0.21:11.0   packet      0.261:14.0  interleaved
 dragon       202520  0 random    4096 parted   -           interleaved -           interleaved
-dragon       202520  0 shadow     850 coherent -           interleaved -           interleaved
+dragon       202520  0 shadow     850 coherent -           stream      -           interleaved
 dragon       202520  0 ao         850 parted   -           interleaved -           interleaved
 dragon       202520  0 view     65536 coherent 0.242:2.2   interleaved 0.326:3.1   interleaved
 dragon       202520  0 scan     65536 coherent 0.153:10.4  packet      0.161:13.9  packet
 dragon       202520  0 random   65536 parted   -           interleaved -           interleaved
-dragon       202520  0 shadow   13588 coherent 0.353:7.1   interleaved 0.374:9.7   interleaved
+dragon       202520  0 shadow   13588 coherent 0.353:7.1   stream      0.374:9.7   interleaved
 dragon       202520  0 ao       13588 parted   -           interleaved -           interleaved
 dragon       202520  0 view   1048576 coherent 0.15:1.8    packet      0.181:3.7   packet
 dragon       202520  0 scan   1048576 coherent 0.14:10.4   packet      0.14:13.4   packet
 dragon       202520  0 random 1048576 parted   -           interleaved -           interleaved
 dragon       202520  0 shadow  217356 coherent 0.18:6.9    packet      0.182:8.7   packet
-dragon       202520  0 ao      217356 parted   -           interleaved -           interleaved
+dragon       202520  0 ao      217356 parted   -           stream      -           interleaved
 large_dragon 810080  0 view      4096 coherent 0.462:2.7   interleaved 0.506:2.8   interleaved
 large_dragon 810080  0 scan      4096 coherent 0.233:11.6  packet      0.294:15.3  interleaved
 large_dragon 810080  0 random    4096 parted   -           interleaved -           interleaved

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import wrt
+from wrt.engine.facts.wide_trees import wide_tree
 from wrt.engine.plan import choices, planner
 from wrt.engine.plan.packet_sample import measure_overlap
 from wrt.engine.rays.device_rays import to_device
@@ -74,6 +75,16 @@ def test_an_instance_shares_as_its_mesh_does(scene, teapot):
     assert both.steps == alone.steps + 2
 
 
+def test_kdtrees_are_sampled_through_their_wide_form(teapot):
+    """The steps are those of a packet of equal rays through it."""
+    scene = wrt.Scene(teapot, wrt.KdTree(), device="cpu")
+    origins, directions = equal_rays(scene)
+    found = sample(scene, origins, directions)
+    assert found.share == 1 / SAMPLED_RAYS
+    work = scene.intersect(origins[:1], directions[:1], traversal="wide_packet", counters=True).counters
+    assert found.steps == int(work["nodes"][0]) + int(work["leaves"][0])
+
+
 def statue(teapot: wrt.TriangleMesh) -> wrt.TriangleMesh:
     """A small teapot of many triangles in a corner of a large box, which nearly all rays from the middle meet."""
     corners = np.array([[i, j, k] for i in (-20, 20) for j in (-20, 20) for k in (-20, 20)], dtype=np.float64)
@@ -98,15 +109,18 @@ def test_a_scan_of_a_room_with_a_fine_statue_goes_in_packets():
     assert wrt.Scene(fine, wrt.Bvh(), device="cpu").explain(view).traversal != "packet"
 
 
-def test_a_sample_serves_many_queries(monkeypatch):
-    """Its choice is kept, and made again now and then, since a camera moves."""
+@pytest.mark.parametrize("tree", [wrt.Bvh, wrt.KdTree])
+def test_a_sample_serves_many_queries(monkeypatch, tree):
+    """Its choice is kept, and made again now and then, since a camera moves; of a kd-tree once it has its wide form."""
     mesh = wrt.scenes.random_triangles(count=40_000, size=0.02)
-    scene = wrt.Scene(mesh, wrt.Bvh(), device="cpu")
+    scene = wrt.Scene(mesh, tree(), device="cpu")
+    if tree is wrt.KdTree:
+        wide_tree(scene.state)
     samples = []
     monkeypatch.setattr(planner, "measure_overlap", lambda *args: samples.append(args) or Overlap(1.0, 8.0))
     view = wrt.PinholeCamera.framing(mesh, 64, 64).rays()
     for _ in range(choices.CHOICE_USES + 1):
-        assert scene.explain(view).traversal != "packet"
+        assert "packet" not in scene.explain(view).traversal
     assert len(samples) == 1
     scene.explain(view)
     assert len(samples) == 2

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 from support.compiling import done
+from support.selection import slow
 
 from wrt.kernels.compilation import precompiled_header
 
@@ -108,7 +109,7 @@ assert None not in keys and len(keys) == 2 and keys[0] == keys[1], keys
     assert result.returncode == 0, result.stderr
 
 
-@pytest.mark.parametrize("damage", ["cut short", "a byte changed", "refused by Clang"])
+@pytest.mark.parametrize("damage", ["a byte changed", *slow("cut short", "refused by Clang")])
 def test_a_damaged_header_is_made_again(folder, tmp_path, damage):
     """One with a wrong checksum is not used; what has the right one, and Clang refuses, is removed with it."""
     header = fresh_cache(folder, tmp_path / "cache")
@@ -125,6 +126,7 @@ def test_a_damaged_header_is_made_again(folder, tmp_path, damage):
     assert len(header.read_bytes()) == len(content)
 
 
+@pytest.mark.slow
 def test_a_cache_that_takes_no_header(tmp_path):
     """Kernels are compiled as ever, in silence: on a full disk, say, or where a file has the folder's name."""
     place = tmp_path / "cache" / wp.config.version / precompiled_header.FOLDER

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from support.selection import slow
 
 import wrt
 from wrt import analysis
@@ -143,7 +144,7 @@ def summed(scene, surface, ways, weights, cosine):
     return found
 
 
-@pytest.mark.parametrize("cosine", [False, True])
+@pytest.mark.parametrize("cosine", [True, *slow(False)])
 def test_exposure_sums_what_single_rays_find(somewhere, scene, cosine):
     """Bit for bit, in one mesh and through instances, for points in any order, misses among them, by groups and alone."""
     rng = np.random.default_rng(5)

@@ -45,6 +45,7 @@ def test_noisy_pixels_get_more_samples():
         assert 0.3 * true < np.sqrt((made[0].noise ** 2).mean()) < 10.0 * true  # spread of even samples is an upper estimate
 
 
+@pytest.mark.slow
 def test_means_have_no_bias_without_it():
     """A small lamp that only scattered rays find: a pixel whose first samples miss it gets few, and stays too dark if these
     count. The mean over many pictures is compared with that of even samples."""

@@ -173,6 +173,7 @@ if os.path.exists("/dev/full"):
     STREAMS.append(("{wrt} --help >/dev/full", {1}, "error: [Errno 28] No space left on device"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="needs a shell")
 def test_streams_that_nobody_reads(tmp_path):
     """`wrt info >&-` ended in an AttributeError; all at once, because each is a process."""

@@ -49,6 +49,7 @@ def test_a_wheel_without_kernels_is_for_every_platform(source, tmp_path):
         assert "Root-Is-Purelib: true" in archive.read(f"wrt-{wrt.__version__}.dist-info/WHEEL").decode()
 
 
+@pytest.mark.slow
 def test_a_source_distribution_can_be_built(source, tmp_path):
     """It has what a wheel is made of."""
     archive = release.build_sdist(source, tmp_path)

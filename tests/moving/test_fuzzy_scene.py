@@ -77,6 +77,7 @@ def test_every_frame_as_a_fresh_tree(name, clusters):
     assert scene.tree.parts.bounds is tree  # built once
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["trembling", "stretched"])
 def test_every_frame_of_kdtrees(name):
     """The paper's trees, in every query. Crossings once came from the root of another cluster's tree, and were lost."""
@@ -223,6 +224,7 @@ def test_bad_input(case):
         call(two_bodies())
 
 
+@pytest.mark.slow
 def test_compiles_for_cuda(tmp_path):
     config = TraversalConfig("woop", 2, "closest", stack=StackConfig(24, CUDA_BLOCK))
     text = compile_to_ptx(make_fuzzy_kernel(config).module, tmp_path)

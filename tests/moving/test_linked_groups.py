@@ -151,6 +151,7 @@ def test_bad_input(case):
         call()
 
 
+@pytest.mark.slow
 def test_compiles_for_cuda(tmp_path):
     text = compile_to_ptx(make_linked_kernel(TraversalConfig("woop", 2, "closest", stack=StackConfig(72, 0))).module, tmp_path)
     assert ".entry" in text

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.hits import assert_same_hits, brute_force
+from support.selection import slow
 
 import wrt
 
@@ -40,7 +41,7 @@ def targets(mesh: wrt.TriangleMesh, rng: np.random.Generator, count: int) -> np.
     return (points + beside).reshape(-1, 3)
 
 
-@pytest.mark.parametrize("culling", ["interval", "vertex", "transient_frustum"])
+@pytest.mark.parametrize("culling", ["transient_frustum", *slow("interval", "vertex")])
 @pytest.mark.parametrize("cell", [1e-2, 3e-4, 2e-5])
 def test_no_hit_is_lost_on_an_edge(cell, culling, device):
     mesh, rng = patch(cell, 5), np.random.default_rng(6)

@@ -7,6 +7,7 @@ import pytest
 from support.hits import assert_same_hits
 from support.meshes import SCENES
 from support.packet_rays import beams, packet_plan
+from support.selection import slow
 
 import wrt
 import wrt.engine.memory
@@ -15,7 +16,7 @@ from wrt.engine.plan.plan import Plan
 
 
 @pytest.mark.width
-@pytest.mark.parametrize("vectors", [2, 4])
+@pytest.mark.parametrize("vectors", [4, *slow(2)])
 def test_hits(vectors, monkeypatch, device):
     """Whole lines in the middle, and what is left over; through pictures, whose tiles are no lines; with other queries."""
     monkeypatch.setattr(wrt.engine.memory, "MIN_BYTES", 1 << 12)  # smaller arrays do not begin with a cache line

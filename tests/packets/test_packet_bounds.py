@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 from support.packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
+from support.selection import slow
 
 from wrt.kernels.traversal.packet.core.packet_splitting import DONE, MAX_PARTS, SINGLE_RAY, activate_part, finish_part
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
@@ -43,7 +44,7 @@ def run(packets: Packets, stage: int) -> None:
     wp.launch(bounding_loops(), packets.count, [packets.loop, stage, packets.layout.rays], device=packets.device)
 
 
-@pytest.fixture(params=[SHARED, OWN], ids=["shared", "own"])
+@pytest.fixture(params=[OWN, *slow(SHARED)], ids=["own", "shared"])
 def packets(request, device) -> Packets:
     return make_packets(request.param, 200, device)
 

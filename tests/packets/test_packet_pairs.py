@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.hits import assert_same_hits, brute_force
+from support.selection import slow
 
 import wrt
 
@@ -45,7 +46,7 @@ def rays_to(mesh: wrt.TriangleMesh, kind: str) -> wrt.Rays:
 
 
 @pytest.mark.parametrize("kind", ["view", "light", "slant"])
-@pytest.mark.parametrize("vectors", [1, 4])
+@pytest.mark.parametrize("vectors", [4, *slow(1)])
 def test_all_triangles_of_a_ray_count(sheets, kind, vectors, device):
     scene, rays = wrt.Scene(sheets, "bvh", device=device), rays_to(sheets, kind)
     counts = scene.count(rays)

@@ -8,6 +8,7 @@ import warp as wp
 from support.hits import assert_same_hits
 from support.packet_loops import OPTIONS
 from support.packet_rays import packet_plan
+from support.selection import slow
 
 import wrt
 from wrt.kernels.traversal.packet.core.packet_splitting import MIN_WIDE, forget_extent, is_wide
@@ -69,7 +70,7 @@ def test_small_packets_are_not_wide():
     assert answers([0.0, 0.0, 2.0 * small, 2.0 * small]) == [0, 0, 0, 0]  # of rays from one point nothing is usual
 
 
-@pytest.mark.parametrize("culling", ["leaf_boxes", "transient_frustum"])
+@pytest.mark.parametrize("culling", ["leaf_boxes", *slow("transient_frustum")])
 @pytest.mark.parametrize("surfaces", [2, 5, 12])
 def test_hits(culling, surfaces, device):
     """Rays from floors far apart, in strips of a few pixels, to a lamp above triangles; more floors than a packet has

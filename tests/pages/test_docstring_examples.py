@@ -6,7 +6,7 @@ import ast
 import re
 import textwrap
 from collections.abc import Iterator
-from functools import reduce
+from functools import cached_property, reduce
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -55,32 +55,30 @@ def examples() -> dict[str, list[str]]:
 EXAMPLES = examples()
 
 
-def names() -> dict[str, Any]:
-    """What examples take as given."""
-    mesh = wrt.scenes.build("teapot", level=2)
-    scene, camera = wrt.Scene(mesh), wrt.PinholeCamera.framing(mesh, 16, 12)
-    origins = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32) * 5.0
-    return {
-        "SimpleNamespace": SimpleNamespace,
-        "np": np,
-        "trimesh": trimesh,
-        "wp": wp,
-        "wrt": wrt,
-        "mesh": mesh,
-        "scene": scene,
-        "camera": camera,
-        "origins": origins,
-        "directions": -origins,
-        "points": origins[:20],
-        "rays": wrt.Rays(origins, -origins),
-        "hits": scene.intersect(origins, -origins),
-        "up": (0.0, 0.0, 1.0),
-        "pose": trimesh.transformations.translation_matrix([0.0, -20.0, 8.0]),
-        "matrices": [np.eye(4), np.diag([2.0, 2.0, 2.0, 1.0])],
-        "lidar": wrt.sensors.Lidar.preset("velodyne_vlp16"),
-        "sensor": wrt.sensors.Camera.from_camera(camera)[0],
-        "lights": [wrt.lights.PointLight((0.0, -3.0, 8.0), 50.0)],
-    }
+class Given:
+    """What examples take as given, made when it is asked for."""
+
+    SimpleNamespace, np, trimesh, wp, wrt = SimpleNamespace, np, trimesh, wp, wrt
+    up = (0.0, 0.0, 1.0)
+    mesh = cached_property(lambda self: wrt.scenes.build("teapot", level=2))
+    scene = cached_property(lambda self: wrt.Scene(self.mesh))
+    camera = cached_property(lambda self: wrt.PinholeCamera.framing(self.mesh, 16, 12))
+    origins = cached_property(lambda self: np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32) * 5.0)
+    directions = cached_property(lambda self: -self.origins)
+    points = cached_property(lambda self: self.origins[:20])
+    rays = cached_property(lambda self: wrt.Rays(self.origins, self.directions))
+    hits = cached_property(lambda self: self.scene.intersect(self.rays))
+    pose = cached_property(lambda self: trimesh.transformations.translation_matrix([0.0, -20.0, 8.0]))
+    matrices = cached_property(lambda self: [np.eye(4), np.diag([2.0, 2.0, 2.0, 1.0])])
+    lidar = cached_property(lambda self: wrt.sensors.Lidar.preset("velodyne_vlp16"))
+    sensor = cached_property(lambda self: wrt.sensors.Camera.from_camera(self.camera)[0])
+    lights = cached_property(lambda self: [wrt.lights.PointLight((0.0, -3.0, 8.0), 50.0)])
+
+
+def names(code: str) -> dict[str, Any]:
+    """What examples take as given, as far as its names are in the code: half of them need no scene."""
+    given = Given()
+    return {name: getattr(given, name) for name in {*re.findall(r"[A-Za-z]\w*", code)} if hasattr(Given, name)}
 
 
 def run(code: str, path: Path, given: dict[str, Any]) -> None:
@@ -105,8 +103,9 @@ def test_example_runs(place, tmp_path, monkeypatch):
     for package, extra in NEEDS.get(place, {}).items():
         pytest.importorskip(package, reason=f"{package} is not installed: pip install {extra!r}")
     monkeypatch.chdir(tmp_path)
-    given = names()
-    run(SETUPS.get(place, ""), tmp_path / "setup.py", given)
+    setup = SETUPS.get(place, "")
+    given = names(f"{setup}\n{code}")
+    run(setup, tmp_path / "setup.py", given)
     for large, small in LARGE.get(place, {}).items():
         assert large in code
         code = code.replace(large, small)

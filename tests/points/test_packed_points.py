@@ -64,6 +64,7 @@ def test_one_triangle(device):
     assert (found["primitive_id"] == -1).sum() == 2
 
 
+@pytest.mark.slow
 def test_lists_and_counters_and_float64(device):
     """What else is searched: the same as through wide nodes."""
     mesh = SCENES["random_triangles"]()
@@ -82,6 +83,7 @@ def test_lists_and_counters_and_float64(device):
     assert all((counted[name] > 0).all() for name in ("nodes", "leaves", "triangles"))
 
 
+@pytest.mark.slow
 def test_instances(device):
     """Meshes in packed nodes below the boxes of instances; masks choose."""
     mesh = SCENES["random_triangles"]()

@@ -8,6 +8,7 @@ import warp as wp
 from support.hits import mixed_rays
 from support.meshes import degenerate_soup, snapped_soup
 from support.ptx import compile_to_ptx
+from support.selection import slow
 
 import wrt
 from wrt.engine.facts.query_kinds import EXACT
@@ -119,6 +120,6 @@ def test_geometries(device):
     assert np.isfinite(hits.spawn([0.0, 0.0, 1.0])).all()
 
 
-@pytest.mark.parametrize("tree", TREES)
+@pytest.mark.parametrize("tree", ["bvh", *slow("kdtree")])
 def test_cuda(tree, tmp_path):
     assert ".entry" in compile_to_ptx(make_exact_kernel(tree, TraversalConfig("woop", 2, EXACT)).module, tmp_path)

@@ -8,6 +8,7 @@ import warp as wp
 from support.hits import mixed_rays
 from support.meshes import degenerate_soup, snapped_soup
 from support.ptx import FUSIBLE, compile_to_ptx
+from support.selection import slow
 
 import wrt
 from wrt.engine.facts.query_kinds import ANY, CLOSEST
@@ -188,7 +189,7 @@ def test_bad_arguments(device):
         wrt.moving.FuzzyScene(TEAPOT.vertices[None], TEAPOT.faces, device=device).occluded(origins, directions, skip=hits)
 
 
-@pytest.mark.parametrize(("tree", "query"), [("bvh", ANY), ("kdtree", CLOSEST)])
+@pytest.mark.parametrize(("tree", "query"), [("bvh", ANY), *slow(("kdtree", CLOSEST))])
 def test_cuda(tree, query, tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "optimization_level", 1)  # what is asked is whether it compiles
     text = compile_to_ptx(

@@ -45,6 +45,18 @@ def test_pictures_are_recognised(width, height, dtype):
     assert_same_hits(scene.intersect(last, directions), scene.intersect(last, directions, traversal="single"))
 
 
+@pytest.mark.parametrize("shape", [(1, -1, 3), (-1, 1, 3), (1, 60, 80, 3), (60, 1, 80, 3)])
+def test_axes_of_one_element_do_not_count(shape):
+    """Rays of shape (1, N) were no list, and those of shape (1, rows, columns) no picture."""
+    mesh = wrt.scenes.build("teapot", level=3)
+    scene = wrt.Scene(mesh, device="cpu")
+    origins, directions = flat_rays(mesh, 80, 60)
+    hits = scene.intersect(origins[0], directions.reshape(shape))
+    assert hits.plan.reorder == "tiles"
+    assert hits.t.shape == directions.reshape(shape).shape[:-1]
+    np.testing.assert_array_equal(hits.t.ravel(), scene.intersect(origins, directions).t)
+
+
 def test_the_last_origin_counts():
     """Origins are compared to the end, whatever the sample says; NaN is equal to nothing."""
     origins = np.tile(np.float32([1.0, 2.0, 3.0]), (3 * (1 << 16), 1))

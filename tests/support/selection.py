@@ -65,6 +65,11 @@ def named(items: list[pytest.Item], ids: list[str]) -> list[pytest.Item]:
     return [item for item, by in found.items() if by]
 
 
+def slow(*cases: Any) -> list[Any]:
+    """Cases of a test with the marker `slow`; a tuple has a value for each of several parameters."""
+    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
+
+
 def is_alone(config: pytest.Config) -> bool:
     """Whether pytest was called in the checkout with nothing that chooses tests; processes of pytest-xdist are told."""
     if hasattr(config, "workerinput"):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from support.hits import assert_same_hits, mixed_rays
+from support.selection import slow
 
 import wrt
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH
@@ -45,7 +46,7 @@ def test_ray_counts(teapot, device, around, more):
     assert_equals_single(scene, *mixed_rays(teapot, count, seed=count))
 
 
-@pytest.mark.parametrize("width", [1, 2, 4, 8, 16])
+@pytest.mark.parametrize("width", [WIDTH, *slow(1, 2, 8, 16)])
 def test_lane_counts(teapot, width):
     scene = wrt.Scene(teapot, wrt.KdTree(width=width, block_cost=4.0), device="cpu")
     assert_equals_single(scene, *mixed_rays(teapot, 3000, seed=width))

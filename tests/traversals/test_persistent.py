@@ -16,6 +16,7 @@ from support.environment import DEVICES
 from support.hits import assert_same_hits, brute_force, mixed_rays
 from support.hostile_rays import KINDS, MESHES, HostileRays
 from support.meshes import SCENES
+from support.selection import slow
 
 import wrt
 from wrt.accelerators.cuda_trees import LEAF_TRIANGLES, for_device
@@ -117,7 +118,7 @@ def test_points_inside(rule, device):
     np.testing.assert_array_equal(scene.contains(points, traversal=NAME, rule=rule), inside)
 
 
-@pytest.mark.parametrize("placed", [False, True], ids=["one mesh", "instances"])
+@pytest.mark.parametrize("placed", [False, *slow(True)], ids=["one mesh", "instances"])
 def test_rays_skip_a_triangle(placed, device):
     """Closest hits, occlusion and counts, of rays that start on triangles, by the same plan on every device."""
     mesh = MESHES["hills"]()
@@ -166,7 +167,7 @@ def instances_of(count: int, device: str) -> tuple[wrt.Scene, wrt.Rays]:
     return scene, wrt.Rays(origins.astype(np.float32), directions.astype(np.float32), 0.0, ends)
 
 
-@pytest.mark.parametrize("count", [1, 2, 7, 60])
+@pytest.mark.parametrize("count", [7, *slow(1, 2, 60)])
 def test_through_instances(count, device):
     """The hits of single rays, with masks, environments and back faces left out."""
     scene, rays = instances_of(count, device)
@@ -192,7 +193,7 @@ def plan_of(find: Callable, traversal: str, scene: Any, rays: Any, query: Query)
     return find(scene, rays, query._replace(traversal=traversal))
 
 
-@pytest.mark.parametrize("name", [*MESHES, "instances"])
+@pytest.mark.parametrize("name", ["hills", *slow("instances", *(name for name in MESHES if name != "hills"))])
 def test_hits_in_float64(name, device, monkeypatch):
     """Those of single rays, to the bit."""
     if name == "instances":
@@ -315,6 +316,7 @@ def test_auto_chooses_it_on_cuda():
         "cull_backfaces": False,
         "is_cuda": True,
         "tree": "bvh",
+        "lanes": 2,
         "triangles": 1000,
         "instances": 0,
         "own_spaces": False,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.hits import mixed_rays
+from support.selection import slow
 
 import wrt
 from wrt.builders.triangle_fans import build_fans
@@ -19,7 +20,7 @@ MESHES = {
     "far away": lambda: replace_vertices(wrt.scenes.build("teapot", level=2), [1e3, -50.0, 20.0]),
 }
 
-CASES = [("bvh", form) for form in (NORMALS, PLANES)] + [("kdtree", NORMALS), ("bvh", "vertices")]
+CASES = [("bvh", NORMALS), *slow(("bvh", PLANES), ("kdtree", NORMALS), ("bvh", "vertices"))]
 
 
 def replace_vertices(mesh: wrt.TriangleMesh, shift: list[float]) -> wrt.TriangleMesh:

@@ -121,6 +121,7 @@ def test_no_ray_slips_through_a_spoke(device):
     assert (primitive >= 0).all()
 
 
+@pytest.mark.studies
 def test_comparison():
     """Rows with all that a table needs, and every way finds the same."""
     rows = compare(("teapot",), size=4, rounds=1)
@@ -131,6 +132,7 @@ def test_comparison():
     assert all(row["ratio"] > 0 and row["fans"] < row["triangles"] for row in rows)
 
 
+@pytest.mark.studies
 def test_comparison_of_trees_and_files(tmp_path):
     """Every way has a row; a file of fans is smaller, as it has fewer vertices."""
     rows = compare_trees(("teapot",), size=8, rounds=1)

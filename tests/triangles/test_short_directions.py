@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.algorithms import CLASSICS
 from support.hits import assert_same_hits, mixed_rays
 from support.meshes import SCENES
 
@@ -16,6 +17,7 @@ from wrt.engine.facts.query_kinds import ANY, CLOSEST
 from wrt.kernels.traversal import TRAVERSALS
 
 TREES = {"kdtree": wrt.KdTree(builder="in_place"), "bvh": wrt.Bvh()}
+WAYS = ("engine", pytest.param("classics", marks=pytest.mark.classics))
 MESH = SCENES["random_triangles"]()
 
 
@@ -29,10 +31,10 @@ def rays_at(mesh: wrt.TriangleMesh, count: int, seed: int = 0) -> tuple[np.ndarr
     return origins, np.ldexp(directions, 1 - exponent[:, None]).astype(np.float32)
 
 
-def closest_and_any(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray):
-    """What every traversal of a scene says: (its name, closest hits or None, occlusion or None)."""
+def closest_and_any(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray, ways: str):
+    """What every traversal of a scene says, classics or all others: (its name, closest hits or None, occlusion or None)."""
     for name, way in TRAVERSALS.items():
-        if way.needs_shared_origin or way.width not in (None, scene.state.width):
+        if (name in CLASSICS) != (ways == "classics") or way.needs_shared_origin or way.width not in (None, scene.state.width):
             continue
         if scene.accelerator.kind in way.trees or "none" in way.trees:
             kind = scene.accelerator.kind if scene.accelerator.kind in way.trees else "none"
@@ -55,8 +57,9 @@ def other_answers(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray)
     }
 
 
+@pytest.mark.parametrize("ways", WAYS)
 @pytest.mark.parametrize("kind", TREES)
-def test_short_directions_hit_or_miss_everywhere(kind):
+def test_short_directions_hit_or_miss_everywhere(kind, ways):
     """From 2^-126 on every length has the same hits, at t in proportion; below, every ray misses, whatever answers."""
     scene = wrt.Scene(MESH, TREES[kind], device="cpu")
     origins, directions = rays_at(MESH, 600)
@@ -70,22 +73,23 @@ def test_short_directions_hit_or_miss_everywhere(kind):
         assert same.any()
         np.testing.assert_array_equal(expected.primitive_id[same], whole.primitive_id[same])
         np.testing.assert_array_equal(expected.t[same], np.ldexp(whole.t[same], -power))
-        for name, hits, dark in closest_and_any(scene, origins, scaled):
+        for name, hits, dark in closest_and_any(scene, origins, scaled, ways):
             if hits is not None:
                 assert_same_hits(hits, expected)
             if dark is not None:
                 np.testing.assert_array_equal(dark, expected.is_hit, err_msg=name)
     short = np.ldexp(directions, -127).astype(np.float32)
     for scale in (0.99, 2.0**-10, 2.0**-20):
-        for name, hits, dark in closest_and_any(scene, origins, (short * np.float32(scale)).astype(np.float32)):
+        for name, hits, dark in closest_and_any(scene, origins, (short * np.float32(scale)).astype(np.float32), ways):
             assert hits is None or not hits.is_hit.any(), name
             assert dark is None or not dark.any(), name
         for name, is_hit in other_answers(scene, origins, (short * np.float32(scale)).astype(np.float32)).items():
             assert not is_hit.any(), name
 
 
+@pytest.mark.parametrize("ways", WAYS)
 @pytest.mark.parametrize("kind", TREES)
-def test_negligible_components_count_as_zero(kind):
+def test_negligible_components_count_as_zero(kind, ways):
     """A component below 2^-126, or 2^-100 of the largest, gives the bits of one of 0."""
     scene = wrt.Scene(MESH, TREES[kind], device="cpu")
     origins, directions = rays_at(MESH, 600, seed=2)
@@ -97,7 +101,7 @@ def test_negligible_components_count_as_zero(kind):
     zero[rows, least] = 0.0
     expected = scene.intersect(origins, zero, traversal="brute")
     assert expected.is_hit.mean() > 0.1
-    for name, hits, dark in closest_and_any(scene, origins, tiny):
+    for name, hits, dark in closest_and_any(scene, origins, tiny, ways):
         if hits is not None:
             assert_same_hits(hits, expected)
         if dark is not None:
@@ -107,8 +111,9 @@ def test_negligible_components_count_as_zero(kind):
     np.testing.assert_array_equal(scene.intersect_all(origins, tiny).count, counts)
 
 
+@pytest.mark.parametrize("ways", WAYS)
 @pytest.mark.parametrize("kind", TREES)
-def test_no_hit_at_infinity(kind):
+def test_no_hit_at_infinity(kind, ways):
     """A hit whose t is beyond float32 is none, and one within is one, whatever answers."""
     corners = MESH.vertices * np.float32(1e9)
     scene = wrt.Scene(wrt.TriangleMesh(corners, MESH.faces), TREES[kind], device="cpu")
@@ -121,7 +126,7 @@ def test_no_hit_at_infinity(kind):
     assert 0.05 < finite.mean() < unit.is_hit.mean() - 0.05
     np.testing.assert_array_equal(expected.is_hit, finite)
     assert np.isfinite(expected.t[finite]).all()
-    for name, hits, dark in closest_and_any(scene, origins, scaled):
+    for name, hits, dark in closest_and_any(scene, origins, scaled, ways):
         if hits is not None:
             assert_same_hits(hits, expected)
         if dark is not None:

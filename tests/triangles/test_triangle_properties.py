@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.algorithms import CLASSICS
 from support.triangle_pairs import all_pairs
 
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -51,9 +53,10 @@ def target(corners: np.ndarray, kind: str, numbers: tuple[float, float, float], 
     return point + np.array(numbers) * size if kind == "anywhere" else point
 
 
+@pytest.mark.parametrize("tests", ["engine", pytest.param("classics", marks=pytest.mark.classics)])
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.tuples(points, points, points), points, points, aims, exponents, exponents, st.integers(-5, 5))
-def test_hits_are_where_float64_has_them(triangle, place, eye, aims, distance, speed, scale):
+def test_hits_are_where_float64_has_them(tests, triangle, place, eye, aims, distance, speed, scale):
     """A triangle somewhere and rays from one point, for every test; lengths in ratios of 1e-10 .. 1e10."""
     size, far = 10.0**scale, 10.0 ** (scale + distance)
     corners = np.float32(np.array(triangle) * size + np.array(place) * far).astype(float)
@@ -69,6 +72,8 @@ def test_hits_are_where_float64_has_them(triangle, place, eye, aims, distance, s
         t, u, v, off_t, off_uv = exact(corners, origin, directions)
         clearance = np.minimum(np.minimum(u, v), 1 - (u + v))
     for name, test in TRIANGLE_TESTS.items():  # drawing an example takes ten times as long as one test
+        if (name in CLASSICS) != (tests == "classics"):
+            continue
         got = all_pairs(name, corners[None], origins, directions, 4, "scalar", "cpu")[:, 0].astype(float)
         hit = ~np.isnan(got[:, 0])
         ahead = t > off_t if test.needs_shared_origin else True

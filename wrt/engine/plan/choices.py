@@ -168,4 +168,4 @@ def find_contest(scene: SceneState, rays: RayFacts, query: Query, chosen: Chosen
 
 def is_changing(scene: SceneState, count: int) -> bool:
     """Whether the plan of this many rays depends on what came before."""
-    return scene.changes_plans and (scene.lazy_tree is not None or count > scene.few_rays)
+    return scene.changes_plans and (scene.lazy_tree is not None or (scene.cache.wide is None and count > scene.few_rays))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from wrt.engine.facts.wide_trees import wide_tree, wide_width
 from wrt.engine.memory import keep_alive
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.layout.instance_maps import Placement
@@ -33,7 +34,7 @@ def measure_overlap(scene: SceneState, rays: RayBatch, packet: int, query: str) 
     """Traces a sample of packets.
 
     Args:
-        scene: on the CPU, with complete BVHs.
+        scene: on the CPU, with complete BVHs, or a kd-tree that has a wide form or is to get it.
         rays: the rays, at least as many as a packet has; for pictures with `columns`.
         packet: rays of a packet.
         query: the rays end at any hit if it is "any", else at the closest hit.
@@ -49,7 +50,8 @@ def measure_overlap(scene: SceneState, rays: RayBatch, packet: int, query: str) 
 
 def sample_kernel(scene: SceneState) -> wp.Kernel:
     """The kernel for a scene's trees."""
-    return specialise(make_overlap_kernel, SampleConfig(scene.tree.width, bool(scene.instances)))
+    width = scene.tree.width if scene.facts.tree == "bvh" else wide_width(scene.width)
+    return specialise(make_overlap_kernel, SampleConfig(width, bool(scene.instances)))
 
 
 def sampled_scene(scene: SceneState) -> SampledScene:
@@ -69,9 +71,10 @@ def sampled_scene(scene: SceneState) -> SampledScene:
 
 
 def sampled_tree(scene: SceneState) -> SampledTree:
-    """The tree of one state, and its triangles if it has any itself."""
+    """The boxes of one state's tree, and its triangles if it has any itself."""
     sampled, mesh = SampledTree(), scene.device_mesh
-    sampled.tree, sampled.primitive = scene.tree.struct(), scene.tree.primitive
+    tree = scene.tree if scene.facts.tree == "bvh" else wide_tree(scene)
+    sampled.tree, sampled.primitive = tree.struct(), tree.primitive
     if not scene.instances:
         sampled.vertices, sampled.faces = mesh.vertices, mesh.faces
     return sampled

@@ -14,6 +14,7 @@ from wrt.engine.plan.plan import ChosenPlan, Plan, plan_for_query, traversal_of
 from wrt.engine.plan.plan_checks import can_answer, check_answer, check_origins, fits, longest_stream
 from wrt.kernels.answers import ANSWERS
 from wrt.kernels.compilation.cache_size import l3_bytes
+from wrt.kernels.query.ordering.packet_overlap import SAMPLED_RAYS
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS, Traversal
 from wrt.kernels.traversal.capabilities import Capabilities
@@ -82,7 +83,8 @@ def choose_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample 
     if given == AUTO:
         situation = situation_of(known, rays, kind, cull_backfaces, has_wide_form=wide_form_pays(scene, rays))
         if situation.needs_sample and sample is not None and not known.points:
-            situation = situation._replace(overlap=measure_overlap(scene, sample(), MIN_VECTORS * known.width, kind))
+            packet = max(MIN_VECTORS * known.width, SAMPLED_RAYS)
+            situation = situation._replace(overlap=measure_overlap(scene, sample(), packet, kind))
         name, reason = choose_traversal(known, situation, test.name)
         reason = "alpha masks decide hits one by one" if known.has_masks else reason
         reason = reason.partition(",")[0] if known.points else reason  # the rest is about triangles
@@ -197,6 +199,7 @@ def situation_of(
         cull_backfaces=cull_backfaces,
         is_cuda=scene.is_cuda,
         tree=scene.tree,
+        lanes=scene.width,
         triangles=MANY if scene.points else scene.triangles,
         instances=scene.instances,
         own_spaces=scene.own_spaces,

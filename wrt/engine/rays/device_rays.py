@@ -153,10 +153,11 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray, few: int = 0) -
 def examine(rays: DeviceRays, device: wp.Device) -> DeviceRays:
     """The rays, after a look whether they are coherent, and the pixels of an image."""
     count, shape, shared_origin, *_ = rays.facts
-    may_be_image = len(shape) == 1 and shared_origin and rays.layout.directions == 1
+    axes = shape if 1 not in shape else tuple(length for length in shape if length > 1)
+    may_be_image = len(axes) == 1 and shared_origin and rays.layout.directions == 1
     coherent, scattered, columns = detect_coherence(rays.origins, rays.directions, device, may_be_image)
-    if len(shape) == 2:
-        columns = columns_of_shape(shape)
+    if len(axes) == 2:
+        columns = columns_of_shape(axes)
     rays.facts = RayFacts(count, shape, shared_origin, coherent, scattered, columns)
     return rays
 
