@@ -93,7 +93,7 @@ def expect(modules: Iterable[wp.Module], device: wp.Device, block_dim: int) -> l
         for module in dict.fromkeys(modules):
             key = module, device.alias, block_dim
             if key not in _pending:
-                if is_compiled(module, device, block_dim) or shipped_kernels.find(module, device, block_dim):
+                if needs_no_compiling(module, device, block_dim):
                     continue
                 if not _compiles.get():
                     raise NotCompiledError(f"a module of kernels is not compiled: {module.name}")
@@ -105,6 +105,11 @@ def expect(modules: Iterable[wp.Module], device: wp.Device, block_dim: int) -> l
         for key in begun:
             _begin(key)
     return found
+
+
+def needs_no_compiling(module: wp.Module, device: wp.Device, block_dim: int) -> bool:
+    """Whether the kernel cache has a module, or it was shipped."""
+    return is_compiled(module, device, block_dim) or shipped_kernels.find(module, device, block_dim) is not None
 
 
 def expect_header(device: wp.Device) -> None:

@@ -331,6 +331,11 @@ def expect(kernels: Iterable[wp.Kernel], device: wp.Device) -> None:
         module_compiler.expect(wanted, device, 1 if device.is_cpu else CUDA_BLOCK)
 
 
+def needs_no_compiling(kernel: wp.Kernel, device: wp.Device) -> bool:
+    """Whether a kernel for the CPU is loaded, in the kernel cache, or shipped."""
+    return (kernel, device.alias) in _loaded or module_compiler.needs_no_compiling(kernel.module, device, 1)
+
+
 def specialise(factory: Callable[[Config], wp.Kernel], config: Config) -> wp.Kernel:
     """The kernel that a factory makes for a configuration; one thread at a time calls the factory.
 

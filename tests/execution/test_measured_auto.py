@@ -159,7 +159,7 @@ def test_another_guess_keeps_the_rivals(scene, mesh, monkeypatch):
     assert {"stream", "interleaved"} < before
     brought = executor.to_device(rays, scene.state.device, scene.state.center)
     single = choices.find_plan(scene.state, brought.facts, Query("closest", "single"))
-    known.renew(single)
+    known.renew(scene.state, single)
     assert known.ways()[0] == "single"
     assert set(known.ways()) == before | {"single"}
     assert known.learner.best == "single"

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from support.hits import assert_same_hits, mixed_rays
 from support.ptx import compile_to_ptx
+from support.selection import slow
 
 import wrt
 from wrt.builders.motion_clusters import assign_triangles, decompose, fit_maps, fuzzy_boxes
@@ -77,8 +78,7 @@ def test_every_frame_as_a_fresh_tree(name, clusters):
     assert scene.tree.parts.bounds is tree  # built once
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["trembling", "stretched"])
+@pytest.mark.parametrize("name", ["trembling", *slow("stretched")])
 def test_every_frame_of_kdtrees(name):
     """The paper's trees, in every query. Crossings once came from the root of another cluster's tree, and were lost."""
     scene = wrt.moving.FuzzyScene(ANIMATIONS[name](), TWO.faces, clusters=7, accelerator=wrt.KdTree(), device="cpu")

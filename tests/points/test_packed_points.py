@@ -64,19 +64,26 @@ def test_one_triangle(device):
     assert (found["primitive_id"] == -1).sum() == 2
 
 
-@pytest.mark.slow
-def test_lists_and_counters_and_float64(device):
-    """What else is searched: the same as through wide nodes."""
+def points_and_ways(device: str) -> tuple[np.ndarray, list[wrt.Scene]]:
+    """Points, and scenes of the same triangles in packed nodes and in wide ones."""
     mesh = SCENES["random_triangles"]()
-    points, ways = (
-        points_around(mesh, 300),
-        [wrt.Scene(mesh, TREE, device=device), wrt.Scene(mesh, wrt.Bvh(width=4), device="cpu")],
-    )
+    return points_around(mesh, 300), [wrt.Scene(mesh, TREE, device=device), wrt.Scene(mesh, wrt.Bvh(width=4), device="cpu")]
+
+
+def test_lists(device):
+    """The same as through wide nodes."""
+    points, ways = points_and_ways(device)
     some, expected = (answers(scene.closest_point(points, k=5)) for scene in ways)
     assert_same(some, expected)
     near, expected = (scene.within(points, 0.1) for scene in ways)
     np.testing.assert_array_equal(near.offsets, expected.offsets)
     np.testing.assert_array_equal(near.primitive_id, expected.primitive_id)
+
+
+@pytest.mark.slow
+def test_counters_and_float64(device):
+    """What else is searched: the same as through wide nodes."""
+    points, ways = points_and_ways(device)
     precise, expected = (scene.closest_point(points, precise=True) for scene in ways)
     np.testing.assert_array_equal(precise.distance, expected.distance)
     counted = ways[0].closest_point(points, counters=True).counters

@@ -21,6 +21,9 @@ compile as users do, unless they are given these flags."""
 os.environ.setdefault("WRT_SHOW_COMPILING", "0")
 """What processes that tests start say on stderr must not depend on what is in the kernel cache."""
 
+os.environ.setdefault("WRT_COMPILE_LATER", "0")
+"""Nor which plan "auto" chooses. Tests of stand-ins set it to 1."""
+
 wp.init()
 
 from wrt.kernels.compilation.cores import available_cores  # noqa: E402

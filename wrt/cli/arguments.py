@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -185,14 +186,23 @@ def check_name(argument: str, name: str) -> str:
     return name
 
 
-def start_warp(device: str | None) -> None:
-    """Initialises Warp without its log lines; checks the device, and begins what compiling for it waits for."""
+def start_warp(device: str | None, *, compiles_later: bool = True) -> None:
+    """Initialises Warp without its log lines; checks the device, and begins what compiling for it waits for.
+
+    Args:
+        device: the name of a device; None for Warp's default.
+        compiles_later: whether kernels may be compiled later (`wrt.kernels.compilation.compile_later`): not where "auto" is
+            measured, or all kernels are wanted.
+    """
     import warp
 
     import wrt.kernels.runtime.options  # noqa: F401 (chooses the target, for whose flags the header is)
+    from wrt.kernels.compilation import compile_later
     from wrt.kernels.compilation.kernel_cache import init_warp
     from wrt.kernels.compilation.module_compiler import expect_header
 
+    if not compiles_later:
+        os.environ[compile_later.VARIABLE] = "0"
     warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)
     init_warp()
     names = [known.alias for known in warp.get_devices()]

@@ -83,7 +83,7 @@ def warm(jobs: int | None, export: Path | None, first_hit: bool, features: tuple
         os.environ[module_compiler.VARIABLE] = str(jobs)
     if export is not None:
         os.environ[shipped_kernels.VARIABLE] = os.devnull  # they are compiled, not copied from where they were shipped to
-    start_warp("cpu")
+    start_warp("cpu", compiles_later=False)
     import warp as wp
 
     start = time.perf_counter()

@@ -209,7 +209,7 @@ def renew(scene: SceneState, contest: Contest, rays: DeviceRays, query: Query) -
     clock = call_clock()
     start = clock()
     plan = choose_plan(scene, rays.facts, query, rays.sample)
-    contest.renew(chosen_plan(scene, plan, rays.facts.count, query.kind))
+    contest.renew(scene, chosen_plan(scene, plan, rays.facts.count, query.kind))
     contest.learner.changed(clock() - start)
 
 

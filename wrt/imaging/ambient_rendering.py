@@ -170,9 +170,10 @@ def _kernels(scene: Any, camera: Camera, tile: int, settings: _Settings, smooth:
     """One kernel of each module that a picture needs."""
     shared = isinstance(camera, PinholeCamera)
     rays = picture_rays(tile, shared, settings.shadows)
-    rays += [max_rays(tile, settings.ambient_samples)] if settings.ambient_samples else []
-    shading = shading_kernels(smooth, settings.ambient_samples > 0)
-    return [*query_kernels(scene.state, rays, **settings.query), *shading]
+    ambient = [max_rays(tile, settings.ambient_samples)] if settings.ambient_samples else []
+    kernels = query_kernels(scene.state, ambient, **settings.query)  # first, as they take longest to compile
+    kernels += query_kernels(scene.state, rays, **settings.query, measured=True)
+    return [*kernels, *shading_kernels(smooth, settings.ambient_samples > 0)]
 
 
 def shading_kernels(smooth: bool, ambient_rays: bool) -> list[wp.Kernel]:

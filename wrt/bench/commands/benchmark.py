@@ -52,7 +52,7 @@ class BenchCommand(click.Command):
             module, attribute = COMPARISONS[args[0]]
             command = getattr(import_module(f"wrt.bench.commands.{module}"), attribute)
             context = command.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
-        start_warp(context.params.get("device"))
+        start_warp(context.params.get("device"), compiles_later=False)
         return context
 
     def invoke(self, ctx: click.Context) -> Any:

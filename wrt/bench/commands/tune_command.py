@@ -12,7 +12,7 @@ import click
 from wrt.bench.commands.command_options import load_model, progress, threads_option, usage_errors
 from wrt.bench.comparisons.auto_cases import KINDS, scene_of
 from wrt.bench.comparisons.auto_choices import Choice, compare_choices
-from wrt.cli.arguments import target_options
+from wrt.cli.arguments import start_warp, target_options
 from wrt.cli.number_types import Whole
 from wrt.engine.plan.tuned_choices import tuned_file, write
 from wrt.kernels.runtime.launch import get_num_threads
@@ -45,6 +45,7 @@ def tune(
     """
     if any(size % 4 for size in sizes):
         raise click.BadParameter("must be a multiple of 4", param_hint="--size")
+    start_warp("cpu", compiles_later=False)
     count, path = threads or get_num_threads(), output or tuned_file()
     seen: list[Choice] = []
     with progress() as on_turn, usage_errors():

@@ -16,6 +16,7 @@ from wrt.engine.facts.facts import RayFacts
 from wrt.engine.facts.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS_OF_MANY, Query
 from wrt.engine.facts.wide_trees import wide_form_pays
 from wrt.engine.launch.triangle_records import record_kernel
+from wrt.engine.plan.choices import current_plan
 from wrt.engine.plan.packet_sample import sample_kernel
 from wrt.engine.plan.plan import config_for_layout, kernel_factory, plan_for_query, traversal_config
 from wrt.engine.plan.planner import choose_plan, situation_of
@@ -90,7 +91,12 @@ _expected: set[Hashable] = set()
 
 
 def query_kernels(
-    scene: SceneState, rays: Iterable[ExpectedRays], traversal: str = AUTO, triangle_test: str = AUTO
+    scene: SceneState,
+    rays: Iterable[ExpectedRays],
+    traversal: str = AUTO,
+    triangle_test: str = AUTO,
+    *,
+    measured: bool = False,
 ) -> list[wp.Kernel]:
     """The kernels that trace rays through a scene of meshes with a complete tree; none for other scenes.
 
@@ -98,6 +104,7 @@ def query_kernels(
         scene: the state, with its tree.
         rays: what is known of them.
         traversal, triangle_test: as in `wrt.Scene.intersect`.
+        measured: whether the calls are measured, so that single rays stand in for a plan whose kernel is not compiled.
 
     Raises:
         ValueError: as in `wrt.Scene.intersect`.
@@ -107,7 +114,10 @@ def query_kernels(
     found = []
     for kind, facts in rays:
         query = Query(kind, traversal, triangle_test)
-        plan = plan_for_query(choose_plan(scene, facts, query), kind)
+        if measured:
+            plan = current_plan(scene, facts, query).carried_out
+        else:
+            plan = plan_for_query(choose_plan(scene, facts, query), kind)
         config = config_for_layout(traversal_config(plan, scene, kind, False), plan, scene)
         kernel = specialise(kernel_factory(plan, scene), config)
         found += [kernel, record_kernel(plan)]

@@ -16,6 +16,7 @@ from wrt.engine.plan.contest import Contest, learner_of
 from wrt.engine.plan.plan import ChosenPlan, Plan
 from wrt.engine.plan.plan_checks import check_plan
 from wrt.engine.plan.planner import choose_plan, chosen_plan
+from wrt.engine.plan.stand_ins import plan_for_now
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal.traversal_scores import MIN_SAMPLED
 from wrt.tables import one_of
@@ -109,7 +110,15 @@ def find_plan(scene: SceneState, rays: RayFacts, query: Query, sample: Sample | 
         sample: makes a batch of which some rays may be traced, if only that can tell how; None if there are no rays yet.
     """
     choice = find_choice(scene, rays, query, sample)
-    return choice.chosen if choice.contest is None else choice.contest.best(scene)
+    if choice.contest is None or choice.contest.missing is not None:  # who does not tell what calls take, waits for kernels
+        return choice.chosen
+    return choice.contest.best(scene)
+
+
+def current_plan(scene: SceneState, rays: RayFacts, query: Query) -> ChosenPlan:
+    """The plan of the next call of a query that is measured, if it can be; arguments and errors as in `find_plan`."""
+    chosen = chosen_plan(scene, choose_plan(scene, rays, query), rays.count, query.kind)
+    return plan_for_now(scene, rays, query, chosen).chosen if is_measured(scene, rays, query) else chosen
 
 
 def find_choice(scene: SceneState, rays: RayFacts, query: Query, sample: Sample | None = None) -> Choice:
@@ -158,12 +167,17 @@ def given_choice(scene: SceneState, rays: RayFacts, query: Query, given: Plan) -
 
 def find_contest(scene: SceneState, rays: RayFacts, query: Query, chosen: ChosenPlan, known: Contest | None) -> Contest | None:
     """What compares a plan with its rivals, told what the rules say now; None if nothing does."""
-    measured = scene.is_cpu and query.traversal == AUTO and rays.count >= MIN_SAMPLED and get_auto() == MEASURED
-    if not measured or scene.facts.tree != "bvh" or scene.area_trees is not None or scene.facts.has_masks:
+    if not is_measured(scene, rays, query):
         return None
     contest = known or Contest(rays, query, chosen, learner_of(scene, rays, query, chosen.name))
-    contest.renew(chosen)
+    contest.renew(scene, chosen)
     return contest
+
+
+def is_measured(scene: SceneState, rays: RayFacts, query: Query) -> bool:
+    """Whether calls of a query are measured."""
+    measured = scene.is_cpu and query.traversal == AUTO and rays.count >= MIN_SAMPLED and get_auto() == MEASURED
+    return measured and scene.facts.tree == "bvh" and scene.area_trees is None and not scene.facts.has_masks
 
 
 def is_changing(scene: SceneState, count: int) -> bool:

@@ -2,7 +2,8 @@
 
 What is learned belongs to a class of rays (`class_of`), and lies in the scene's cache; the plans of a contest, to a shape.
 
-A plan takes part once its kernels are loaded. A thread of the pool loads those that the kernel cache has, by tracing copies of
+A plan takes part once its kernels are loaded. While those of the rules' plan are not compiled, single rays stand in for it
+(`wrt.engine.plan.stand_ins`). A thread of the pool loads those that the kernel cache has, by tracing copies of
 a few rays, when the calls have taken `LOAD_SECONDS`, or at once if `wrt tune` has found another engine than the rules. Nothing
 is compiled for a contest; `wrt tune` and `wrt warm` compile.
 """
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from wrt.engine.plan.learner import Learner
 from wrt.engine.plan.planner import chosen_plan, rival_plans
+from wrt.engine.plan.stand_ins import plan_for_now
 from wrt.engine.plan.tuned_choices import tuned_engine
 from wrt.kernels.runtime.launch import get_num_threads
 
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from wrt.engine.facts.query_kinds import Query
     from wrt.engine.facts.scene_state import SceneState
     from wrt.engine.plan.plan import ChosenPlan, Plan
+    from wrt.kernels.compilation.compile_later import MissingKernel
 
 LOAD_SECONDS = 0.05
 """Seconds of calls before the kernels of rivals are loaded, which takes about as long for each of them."""
@@ -53,6 +56,7 @@ class Contest:
         has_asked: whether kernels of rivals were loaded, or will be.
         origin: where the first ray of coherent rays starts; None before the first call.
         reach: square of the distance from there at which rays are others; infinite for incoherent rays.
+        missing: the kernel that calls do without, while another plan stands in for that of the rules; None if none does.
     """
 
     __slots__ = (
@@ -60,6 +64,7 @@ class Contest:
         "_has_rivals",
         "_query",
         "_rays",
+        "_ruled",
         "_shown_for",
         "_untimed",
         "chosen",
@@ -67,14 +72,16 @@ class Contest:
         "has_asked",
         "learner",
         "left",
+        "missing",
         "origin",
         "reach",
         "shown",
     )
 
     def __init__(self, rays: RayFacts, query: Query, guess: ChosenPlan, learner: Learner) -> None:
-        self._rays, self._query, self._guess, self.learner = rays, query, guess, learner
+        self._rays, self._query, self._guess, self._ruled, self.learner = rays, query, guess, guess, learner
         self.chosen, self.current = {guess.name: guess}, guess
+        self.missing: MissingKernel | None = None
         self.left = self._untimed = 0
         self.has_asked = self._has_rivals = False
         self.origin: tuple[float, float, float] | None = None
@@ -108,6 +115,8 @@ class Contest:
         learner.tell(chosen.name, rays, seconds, 1 + self._untimed)
         expected = seconds if learner.usual is None else learner.usual * rays
         is_quick = expected < QUICK_SECONDS and not learner.is_trying and learner.best == chosen.name
+        if self.missing is not None and self.missing.spend((1 + self._untimed) * seconds):
+            self._follow(self._ruled, self._ruled, None)
         self.left = self._untimed = QUICK_CALLS if is_quick else 0
         self.show(chosen)
 
@@ -129,13 +138,19 @@ class Contest:
         self.reach = REACH * REACH * sum((float(high[k]) - float(low[k])) ** 2 for k in range(3))
         return known is not None
 
-    def renew(self, guess: ChosenPlan) -> None:
-        """Takes what the rules say now."""
-        if guess is not self._guess:
-            others = {name: one for name, one in self.chosen.items() if name != guess.name}
-            self._guess, self.chosen = guess, {guess.name: guess, **others}
-        self.learner.guessed(guess.name)
+    def renew(self, scene: SceneState, ruled: ChosenPlan) -> None:
+        """Takes what the rules say now, or what stands in for it."""
+        self._follow(ruled, *plan_for_now(scene, self._rays, self._query, ruled))
+        self.learner.guessed(ruled.name)
         self.left = 0
+
+    def _follow(self, ruled: ChosenPlan, guess: ChosenPlan, missing: MissingKernel | None) -> None:
+        """Takes a plan of the rules, and `guess` for the calls until others are ready."""
+        if guess is not self._guess:
+            ended = {guess.name} if self._guess is self._ruled else {guess.name, self._guess.name}
+            others = {name: one for name, one in self.chosen.items() if name not in ended}
+            self._guess, self.chosen = guess, {guess.name: guess, **others}
+        self._ruled, self.missing = ruled, missing
 
     def wants_loading(self) -> bool:
         """Whether the kernels of rivals are to be loaded now; True once."""
@@ -149,7 +164,7 @@ class Contest:
         """Adds the other plans to `chosen`; those that are not ready."""
         if not self._has_rivals:
             self._has_rivals = True
-            plans = rival_plans(scene, self._rays, self._query, self._guess.plan)
+            plans = rival_plans(scene, self._rays, self._query, self._ruled.plan)
             some = [chosen_plan(scene, plan, self._rays.count, self._query.kind) for plan in plans]
             self.chosen = {**{one.name: one for one in some}, **self.chosen}
             self.learner.keep_to(self.chosen)
