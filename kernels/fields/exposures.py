@@ -77,11 +77,33 @@ class LitRays:
 
 
 @exact_kernel
-def place_points(first: int, points: LitPoints):
-    """Writes where rays leave a point. Item: a point, in the order in which they are taken."""
+def find_near(first: int, points: LitPoints, near: wp.array(dtype=wp.vec3)):
+    """Writes about where a point is, relative to the mesh's centre, which is where a miss is. Item: a point."""
     i = first + wp.tid()
+    place = wp.vec3()
+    if points.primitive[i] >= 0:
+        corners = triangle_of(points.mesh, points.primitive[i])
+        uv = points.uv[i]
+        across = wp.float64(uv[0]) * (corners.b - corners.a) + wp.float64(uv[1]) * (corners.c - corners.a)
+        place = wp.vec3(corners.a + across)
+    near[i] = place
+
+
+@exact_kernel
+def place_points(first: int, points: LitPoints):
+    """Writes where rays leave a point. Item: a point, in the order in which they are taken; if triangles are stored, also a
+    lane of the last block without a point."""
+    i = first + wp.tid()
+    primitive = int(-1)
+    if i < points.order.shape[0]:
+        primitive = points.primitive[points.order[i]]
+    if primitive < 0 and points.own.shape[0] > 0:
+        slot = i / LANES * FLOATS + i % LANES
+        for k in range(9):
+            points.own[slot + k * LANES] = wp.nan
+    if i >= points.order.shape[0]:
+        return
     at = points.order[i]
-    primitive = points.primitive[at]
     normal = wp.vec3d()
     origin = wp.vec3d()
     if primitive >= 0:
@@ -121,6 +143,8 @@ class LitSums:
     """Whether weights are multiplied by the cosine with the point's normal."""
     sums: wp.array2d(dtype=wp.float64)
     """(G, P), in the order of points."""
+    is_first: bool
+    """Whether nothing has been added yet, and sums are undefined."""
 
 
 @wp.func
@@ -275,6 +299,10 @@ def add_lit(
     tile = first + wp.tid()
     begin = (rays.first_tile + tile) * TILE
     end = wp.min(begin + TILE, points.order.shape[0])
+    if lit.is_first:
+        for share in range(lit.sums.shape[0]):
+            for i in range(begin, end):
+                lit.sums[share, i] = wp.float64(0.0)
     for group in range(rays.groups):
         ways = directions_of(rays, group)
         ray = rays.begin[group * rays.tiles + tile]
@@ -282,3 +310,12 @@ def add_lit(
         if count > 0:
             full = count == (end - begin) * (ways[1] - ways[0])
             add_group(points, begin, end, rays, ways, full, ray, lit)
+
+
+@exact_kernel
+def spread_sums(first: int, points: LitPoints, lit: LitSums, found: wp.array2d(dtype=wp.float64)):
+    """Writes the sums of a point, (P, G), where the caller has it. Item: a point, in the order in which they are taken."""
+    i = first + wp.tid()
+    at = points.order[i]
+    for share in range(lit.sums.shape[0]):
+        found[at, share] = lit.sums[share, i]

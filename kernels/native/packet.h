@@ -79,6 +79,44 @@ inline CUDA_CALLABLE Interval ray_slab(const Packet<P, W, SHARED>& packet, const
     return meet_box(low, high, box_ray(packet, shared, k), t_min, t_max);
 }
 
+/// The band of DOWN rows of a picture in which a place is. Its whole tiles are packets, whatever the number of columns: the
+/// places before the band's first packet and those after its last tile are the columns to the right of the tiles, from the top
+/// down (wrt.kernels.traversal.packet.rays.ray_numbers).
+template <int P> struct PictureBand {
+    static constexpr int ACROSS = P < 8 ? P : 8, DOWN = P / ACROSS;
+    int begin, height, before, tiles, columns;  // its first place and ray; rows; places before its first tile; whole tiles
+
+    CUDA_CALLABLE PictureBand(int count, int all_columns, int place)
+        : columns(all_columns)
+    {
+        const int rays = DOWN * columns, band = place / rays, below = count / columns - band * DOWN;
+        begin = band * rays;
+        height = below < DOWN ? below : DOWN;
+        before = P % ACROSS == 0 && height == DOWN ? (P - begin % P) % P : 0;
+        const int rest = height * columns - before;
+        tiles = rest > 0 ? rest / (ACROSS * height) : 0;
+    }
+
+    /// The number of the ray at a place of the band.
+    inline CUDA_CALLABLE int ray_at(int place) const
+    {
+        const int area = ACROSS * height, offset = place - begin, own = offset - before;
+        if (own >= 0 && own < tiles * area) {
+            const int tile = own / area, within = own - tile * area;
+            return begin + within / ACROSS * columns + tile * ACROSS + within % ACROSS;
+        }
+        const int beside = own < 0 ? offset : offset - tiles * area;
+        return begin + beside % height * columns + tiles * ACROSS + beside / height;
+    }
+
+    /// The whole tile that is the packet from a place on; -1 for another packet.
+    inline CUDA_CALLABLE int tile_at(int place) const
+    {
+        const int own = place - begin - before;
+        return P % ACROSS == 0 && height == DOWN && own >= 0 && own % P == 0 && own / P < tiles ? own / P : -1;
+    }
+};
+
 /// Which rays of a batch form a packet: consecutive rays, or the pixels of a tile
 /// (wrt.kernels.traversal.packet.rays.ray_numbers). here: how many of them exist; whole: whether they are DOWN runs of ACROSS
 /// consecutive rays, from `begin` on, `apart` rays from each other; number: else the number of each.
@@ -97,26 +135,18 @@ template <int P> struct PacketRays {
         begin = first, apart = ACROSS;
         whole = here == P;
         if (picture) {
-            const int columns = rays.columns, rows = DOWN * columns, band = first / rows, within = first - band * rows;
-            const int left = within / P * ACROSS;  // if the band has all its rows
-            begin = band * rows + left;
-            apart = columns;
-            whole = whole && P % ACROSS == 0 && within % P == 0 && band * rows <= rays.count - rows && left + ACROSS <= columns;
-            if (!whole) number_pixels(rays.count, columns, rows);
+            const PictureBand<P> band(rays.count, rays.columns, first);
+            const int tile = band.tile_at(first);
+            begin = band.begin + tile * ACROSS;
+            apart = rays.columns;
+            whole = whole && tile >= 0;
+            if (!whole)
+                for (int k = 0; k < P; ++k) {
+                    const int place = first + (k < here ? k : 0);
+                    number[k] = PictureBand<P>(rays.count, rays.columns, place).ray_at(place);
+                }
         } else if (!whole)
             for (int k = 0; k < P; ++k) number[k] = first + (k < here ? k : 0);
-    }
-
-    inline CUDA_CALLABLE void number_pixels(int count, int columns, int rows)
-    {
-        for (int k = 0; k < P; ++k) {
-            const int place = first + (k < here ? k : 0), b = place / rows, below = count / columns - b * DOWN;
-            const int h = below < DOWN ? below : DOWN;
-            int offset = place - b * rows;
-            const int l = offset / (ACROSS * h) * ACROSS, w = columns - l < ACROSS ? columns - l : ACROSS;
-            offset -= l * h;
-            number[k] = (b * DOWN + offset / w) * columns + l + offset % w;
-        }
     }
 
     /// visit(k, n) for each ray k of the packet, n being its number in the batch.
@@ -181,14 +211,12 @@ template <int P, int W> struct PacketRow {
         packets = left_over / P < limit ? left_over / P : limit;
         rows = 1, begin = first, apart = 0;
         if (rays.columns > 0) {
-            const int columns = rays.columns, band_rays = DOWN * columns;
-            const int band = first / band_rays, within = first - band * band_rays;
-            const int left = within / P * ACROSS, fit = (columns - left) / ACROSS;
-            begin = band * band_rays + left;
-            apart = columns;
+            const PictureBand<P> band(rays.count, rays.columns, first);
+            const int tile = band.tile_at(first), fit = band.tiles - tile;
+            begin = band.begin + tile * ACROSS;
+            apart = rays.columns;
             rows = DOWN;
-            const bool tiles = P % ACROSS == 0 && within % P == 0 && band * band_rays <= rays.count - band_rays;
-            packets = tiles ? (packets < fit ? packets : fit) : 0;
+            packets = tile < 0 ? 0 : (packets < fit ? packets : fit);
             packets -= packets % STEP;
             length = packets * ACROSS;
         } else length = packets * P;

@@ -14,6 +14,9 @@ from wrt.kernels.runtime.options import exact_kernel, specialised_kernel
 
 SMALL = wp.constant(wp.float64(1e-14))
 
+UNEVEN = wp.constant(wp.float64(1e-6))
+"""How far the rows of a rotation may differ from length 1 and from right angles."""
+
 
 @wp.struct
 class PosePath:
@@ -138,6 +141,58 @@ def points_to_frame(
     i = first + wp.tid()
     pose = pose_at(path, time)
     moved[i] = wp.quat_rotate_inv(pose.rotation, points[i] - pose.position)
+
+
+@wp.func
+def quaternion_of(m: wp.mat33d):
+    """A rotation as a unit quaternion, the numbers of `wrt.sensors.trajectory.quaternions`."""
+    one = wp.float64(1.0)
+    trace = (m[0, 0] + m[1, 1]) + m[2, 2]
+    largest = int(0)
+    for row in range(1, 3):
+        if m[row, row] > m[largest, largest]:
+            largest = row
+    found = wp.quatd(m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], one + trace)
+    if m[largest, largest] >= trace:
+        i = largest
+        j = (i + 1) % 3
+        k = (i + 2) % 3
+        found[i] = ((one + m[i, i]) - m[j, j]) - m[k, k]
+        found[j] = m[j, i] + m[i, j]
+        found[k] = m[k, i] + m[i, k]
+        found[3] = m[k, j] - m[j, k]
+    length = wp.sqrt(((found[0] * found[0] + found[1] * found[1]) + found[2] * found[2]) + found[3] * found[3])
+    return wp.quatd(found[0] / length, found[1] / length, found[2] / length, found[3] / length)
+
+
+@wp.func
+def row_product(m: wp.mat44d, one: int, other: int):
+    """The scalar product of two rows of the linear part."""
+    return (m[one, 0] * m[other, 0] + m[one, 1] * m[other, 1]) + m[one, 2] * m[other, 2]
+
+
+@wp.func
+def is_rigid(m: wp.mat44d):
+    """Whether a finite matrix moves and turns only, up to rounding."""
+    rigid = m[3, 0] == wp.float64(0.0) and m[3, 1] == wp.float64(0.0) and m[3, 2] == wp.float64(0.0)
+    rigid = rigid and m[3, 3] == wp.float64(1.0)
+    for row in range(3):
+        rigid = rigid and wp.abs(row_product(m, row, row) - wp.float64(1.0)) <= UNEVEN
+        rigid = rigid and wp.abs(row_product(m, row, (row + 1) % 3)) <= UNEVEN
+    x = m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1])
+    y = m[0, 1] * (m[1, 2] * m[2, 0] - m[1, 0] * m[2, 2])
+    return rigid and (x + y) + m[0, 2] * (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0]) > wp.float64(0.0)
+
+
+@exact_kernel
+def take_matrices(first: int, given: wp.array(dtype=wp.mat44d), path: PosePath, rigid: wp.array(dtype=wp.bool)):
+    """Writes the pose of a sensor, and whether its matrix is one. Item: a sensor."""
+    i = first + wp.tid()
+    m = given[i]
+    path.positions[i] = wp.vec3d(m[0, 3], m[1, 3], m[2, 3])
+    linear = wp.mat33d(m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2])
+    path.rotations[i] = quaternion_of(linear)
+    rigid[i] = is_rigid(m)
 
 
 @cache

@@ -15,6 +15,7 @@ from wrt.bench.comparisons.point_comparison import POINT_PEERS, compare_points, 
 from wrt.cli import main
 
 
+@pytest.mark.slow
 def test_contenders_agree(tmp_path):
     command = ["bench", "points", "teapot", "--points", "1100", "--rounds", "1", "--peer", "kdtree", "--peer", "warp_mesh"]
     result = CliRunner().invoke(main, [*command, "--json", str(tmp_path / "figures.json")])

@@ -14,6 +14,7 @@ import warp as wp
 import wrt
 import wrt.device
 from wrt.engine.facts.query_kinds import CLOSEST, Query
+from wrt.engine.launch.expected_kernels import picture_rays, query_kernels
 from wrt.engine.plan import contest, stand_ins
 from wrt.engine.plan.choices import VARIABLE as AUTO_VARIABLE
 from wrt.engine.plan.choices import find_plan
@@ -99,6 +100,15 @@ def test_calls_that_nobody_times_wait_for_their_kernels(scene, monkeypatch):
     without_kernels(monkeypatch)
     rays = to_device(rays_of(scene), scene.state.device, scene.state.center)
     assert find_plan(scene.state, rays.facts, Query(CLOSEST), rays.sample).name != "single"
+
+
+def test_a_picture_expects_the_kernels_of_what_stands_in(scene, monkeypatch):
+    """And those of its rules where calls are not measured, as its ambient rays are not."""
+    without_kernels(monkeypatch)
+    rays = picture_rays(1 << 16, shared_origin=True, shadows=True)
+    measured, ruled = (query_kernels(scene.state, rays, measured=which) for which in (True, False))
+    assert [sum(name in kernel.key for kernel in measured) for name in ("single_ray", "packet_traversal")] == [2, 0]
+    assert [sum(name in kernel.key for kernel in ruled) for name in ("single_ray", "packet_traversal")] == [0, 2]
 
 
 @pytest.mark.parametrize("case", ["rules", "off", "named", "very many"])

@@ -5,6 +5,7 @@ their samples. Neither shows: generation by generation, all rays are traced to c
 import numpy as np
 import pytest
 import trimesh
+from support.selection import slow
 
 import wrt
 from wrt.imaging.integrators.wavefront import Wave
@@ -47,7 +48,7 @@ def scene(request):
     return bodies(*request.param)
 
 
-@pytest.mark.parametrize("depth", [2, 4])
+@pytest.mark.parametrize("depth", [4, *slow(2)])
 @pytest.mark.parametrize("light", LIGHTS)
 @pytest.mark.parametrize("sky", SKIES)
 def test_closest_hits_and_any_hit_make_the_same_picture(scene, sky, light, depth, monkeypatch):

@@ -87,6 +87,36 @@ def test_moves_on_the_device_equal_those_of_the_host(kind, worlds, keeps, device
     assert_same_hits(here.intersect(*rays, **seen), host.intersect(*rays, **seen))
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_many_matrices_of_numpy_are_moved_by_the_kernels(dtype, monkeypatch):
+    """On the CPU: as by NumPy, to the bit; also some of them, with one of them twice, and a few after many."""
+    first, rng = matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), np.random.default_rng(1)
+    here, host = scene_of(first, 4, "cpu"), scene_of(first, 4, "cpu")
+    rays, seen = mixed_rays(host.flattened(), 1000), {"environment": rng.integers(-1, 4, 1000)}
+    some, twice = rng.permutation(COUNT)[:40], np.r_[0:50, 3]
+    steps = (np.arange(COUNT), poses(1)), (some, poses(2)[:40]), (twice, poses(3)[: len(twice)]), ([7], poses(4)[:1])
+    for rows, values in (*steps, (np.arange(COUNT), poses(5, 20.0))):
+        matrices = matrices_of(wp.array(values, dtype=wp.transformf, device="cpu")).astype(dtype)
+        for scene, least in ((here, 33), (host, COUNT + 1)):
+            monkeypatch.setattr(device_moves, "MIN_BY_KERNELS", least)
+            scene.update(rows, transform=matrices)
+        assert host.state.device_moves is None
+        assert (here.state.device_moves is None) == (len(np.unique(rows)) != len(rows) or len(rows) < 33)
+        kept, known = here.state.on_host(), host.state
+        assert (kept.boxes.frame, kept.boxes.extremes) == (known.boxes.frame, known.boxes.extremes)
+        for name in ("to_scene", "to_object", "origin", "mask", "first"):
+            np.testing.assert_array_equal(kept.table[name], known.table[name])
+        np.testing.assert_array_equal(kept.tree.host, known.tree.host)
+        for one, other in zip(kept.tree.corners, known.tree.corners, strict=True):
+            np.testing.assert_array_equal(one, other)
+        assert_same_hits(here.intersect(*rays, **seen), host.intersect(*rays, **seen))
+    monkeypatch.setattr(device_moves, "MIN_BY_KERNELS", 33)
+    matrices[5, 0] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        here.update(range(COUNT), transform=matrices)
+    assert_same_hits(here.intersect(*rays, **seen), host.intersect(*rays, **seen))
+
+
 def test_kept_memory_is_not_that_of_results(keeps, device):
     """Memory of a state is used again only once nothing needs it: hits, moves and instances read what they were made for."""
     start = matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu"))

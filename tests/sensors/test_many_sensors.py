@@ -7,9 +7,12 @@ import pickle
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 
 import wrt
-from wrt.sensors import BrownConrady, Camera, Lidar, LidarPattern, Trajectory
+from wrt.meshes.instance import rotation_matrices
+from wrt.sensors import BrownConrady, Camera, Lidar, LidarPattern, Trajectory, trajectory
+from wrt.sensors.trajectory import StillPoses
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2, 0.5))
 GROUND = wrt.TriangleMesh([[-40, -40, -1], [40, -40, -1], [40, 40, -1], [-40, 40, -1]], [[0, 1, 2], [0, 2, 3]])
@@ -119,3 +122,33 @@ def test_wrong_sensors_are_refused(case):
     call, kind, message = WRONG[case]
     with pytest.raises(kind, match=message):
         call(worlds(1))
+
+
+def test_a_kernel_reads_poses_as_numpy_does(monkeypatch):
+    """Quaternions to the bit, whichever component is the largest, and which matrices are refused."""
+    turns = np.random.default_rng(0).normal(size=(500, 4))
+    turns[:16] = np.concatenate([np.eye(4), -np.eye(4), np.eye(4)[[1, 2, 3, 0]] + np.eye(4), 1e-9 + np.eye(4)])
+    poses = np.tile(np.eye(4), (500, 1, 1))
+    poses[:, :3, :3] = rotation_matrices(turns / np.linalg.norm(turns, axis=1, keepdims=True))
+    poses[:, :3, 3] = turns[:, 1:]
+    cpu, off = wp.get_device("cpu"), poses.copy()
+    path, known = (StillPoses(poses, device).path(cpu) for device in (cpu, None))
+    for name in ("rotations", "positions", "times"):
+        np.testing.assert_array_equal(getattr(path, name).numpy(), getattr(known, name).numpy())
+    for number in range(490):
+        row, column = number % 4, number // 4 % (3 if number % 4 < 3 else 4)
+        off[number, row, column] += (1e-9, 4e-7, 6e-7, 1e-5, 1.0)[number % 5]
+    off[490:, 2] *= -1.0
+    for number in range(1, 5):
+        off[490 + number, :3] *= number
+    rigid = trajectory.taken(off, cpu)[0]
+    np.testing.assert_array_equal(rigid, trajectory.are_rigid(off))
+    assert 100 < rigid.sum() < 300
+    scene, each = worlds(3), np.arange(500) % 4 * 10
+    scans = []
+    for least in (1, 501):
+        monkeypatch.setattr(trajectory, "MIN_BY_KERNEL", least)
+        scans.append(LIDAR.scan(scene, poses, environment=each).range)
+        with pytest.raises(ValueError, match=f"pose {int(rigid.argmin())} does more than move and turn"):
+            LIDAR.scan(scene, off)
+    np.testing.assert_array_equal(*scans)

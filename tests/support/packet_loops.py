@@ -213,12 +213,19 @@ def ranges(rng: np.random.Generator, packets: int, rays: int) -> tuple[np.ndarra
 
 
 def tile_order(columns: int, rows: int, packet: int) -> np.ndarray:
-    """Numbers of the pixels of a picture, tile by tile: bands of tiles, tiles from left to right, their pixels row by row."""
+    """Numbers of the pixels of a picture, tile by tile: bands of tiles, tiles from left to right, their pixels row by row. In a
+    band, pixels of the columns beside the whole tiles come first, until a packet begins; the others come last."""
     across = min(packet, 8)
     down = packet // across
-    pixels = np.arange(rows * columns).reshape(rows, columns)
-    tiles = [pixels[y : y + down, x : x + across] for y in range(0, rows, down) for x in range(0, columns, across)]
-    return np.concatenate([tile.ravel() for tile in tiles])
+    pixels, found = np.arange(columns * rows).reshape(rows, columns), []
+    for y in range(0, rows, down):
+        band = pixels[y : y + down]
+        before = -(y * columns) % packet if packet % across == 0 and len(band) == down else 0
+        tiled = max(band.size - before, 0) // (across * len(band)) * across
+        beside = band[:, tiled:].T.ravel()
+        tiles = [band[:, x : x + across].ravel() for x in range(0, tiled, across)]
+        found += [beside[:before], *tiles, beside[before:]]
+    return np.concatenate(found)
 
 
 def make_packets(layout: PacketLayout, count: int, device: str, columns: int = 0) -> Packets:

@@ -119,7 +119,10 @@ def as_shares(weights: Any, count: int) -> tuple[np.ndarray, bool]:
 
 def are_close(ways: np.ndarray) -> bool:
     """Whether unit vectors follow each other closely, as those to a sun do."""
-    return len(ways) > 1 and bool(np.median((ways[1:] * ways[:-1]).sum(axis=1)) >= CLOSE)
+    if len(ways) < 2:
+        return False
+    cosines = sorted((ways[1:] * ways[:-1]).sum(axis=1).tolist())  # `median` would take longer for so few
+    return (cosines[(len(cosines) - 1) // 2] + cosines[len(cosines) // 2]) / 2 >= CLOSE
 
 
 class LitSurface:
@@ -131,32 +134,33 @@ class LitSurface:
     """
 
     def __init__(self, scene: Scene, surface: Hits) -> None:
-        from wrt.kernels.fields.exposures import FLOATS, LANES, TILE, LitPoints, place_points
+        from wrt.kernels.fields.exposures import FLOATS, LANES, TILE, LitPoints, find_near, place_points
         from wrt.kernels.points.point_order import morton_order
 
         self._scene, self._tile, points = scene, int(TILE), LitPoints()
         points.mesh, points.primitive, points.uv = surface._surface
         self.device, self.count = points.primitive.device, surface.batch.count
-        near = np.nan_to_num(host(surface.position).reshape(-1, 3) - points.mesh.center, copy=False).astype(np.float32)
-        places = wp.array(near, dtype=wp.vec3, device=self.device)
+        places = empty(self.count, wp.vec3, self.device)
+        launch(find_near, self.count, [points, places], device=self.device, chunk=1024)
+        near = places.numpy()
         points.order = morton_order(places, wp.vec3(*near.min(axis=0)), wp.vec3(*near.max(axis=0)))
-        points.normal, points.origin = (wp.empty(self.count, dtype=wp.vec3d, device=self.device) for _ in range(2))
+        points.normal, points.origin = (empty(self.count, wp.vec3d, self.device) for _ in range(2))
         blocks = 0 if points.mesh.placements else -(-self.count // int(LANES))  # None without instances
-        points.own = wp.full(blocks * int(FLOATS), np.nan, dtype=float, device=self.device)
-        launch(place_points, self.count, [points], device=self.device, chunk=1024)
+        points.own = empty(blocks * int(FLOATS), wp.float32, self.device)
+        launch(place_points, max(self.count, blocks * int(LANES)), [points], device=self.device, chunk=1024)
         self._points = points
 
     def add(self, ways: np.ndarray, shares: np.ndarray, cosine: bool) -> np.ndarray:
         """(P, G) float64 sums of the weights (G, D) of those of the directions (D, 3) that points see."""
-        from wrt.kernels.fields.exposures import GROUP, LitSums, add_lit
+        from wrt.kernels.fields.exposures import GROUP, LitSums, add_lit, spread_sums
 
         groups, device, tiles = len(shares), self.device, -(-self.count // self._tile)
         lit = LitSums()
-        lit.sums, lit.cosine = wp.zeros((groups, self.count), dtype=wp.float64, device=device), cosine
+        lit.sums, lit.cosine = empty(groups * self.count, wp.float64, device).reshape((groups, self.count)), cosine
         step = max(GROUP, BLOCK // self.count // GROUP * GROUP)
         for begin in range(0, len(ways), step):
             rows = slice(begin, begin + step)
-            own = np.ascontiguousarray(shares[:, rows].T)
+            own, lit.is_first = np.ascontiguousarray(shares[:, rows].T), begin == 0
             lit.weights = wp.array(own, dtype=wp.float64, device=device)
             some = own != 0.0
             weighted = (
@@ -167,9 +171,9 @@ class LitSurface:
             for first in range(0, tiles, each):
                 rays, lit.dark = self._trace(ways[rows], first, min(each, tiles - first))
                 launch(add_lit, rays.tiles, [self._points, rays, lit], device=device, chunk=4)
-        found = np.empty((self.count, groups))
-        found[self._points.order.numpy()] = np.ascontiguousarray(lit.sums.numpy().T)
-        return found
+        found = empty(self.count * groups, wp.float64, device).reshape((self.count, groups))
+        launch(spread_sums, self.count, [self._points, lit, found], device=device, chunk=1024)
+        return found.numpy()
 
     def _trace(self, ways: np.ndarray, first: int, tiles: int) -> tuple[Any, wp.array]:
         """Rays to directions from some tiles, from the first one on, and whether each is hidden."""

@@ -19,7 +19,7 @@ import warp as wp
 from wrt.builders.bvh.instance_forest import cost_of
 from wrt.engine.free_list import FreeList
 from wrt.engine.memory import keep_alive
-from wrt.instances.instance_boxes import InstanceBoxes, UpperTree
+from wrt.instances.instance_boxes import InstanceBoxes, UpperTree, on_device
 from wrt.instances.instance_list import InstanceList, replaced
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.launch import kept, launch, specialise
@@ -43,6 +43,10 @@ from wrt.kernels.traversal.two_level.instance_updates import (
     span_instances,
     write_masks,
 )
+
+MIN_BY_KERNELS = 512
+"""Instances that move by a NumPy array from which a CPU moves them by these kernels, too: all threads work, where NumPy has one
+(notebooks/records/2026-11-28-whole-jobs.md)."""
 
 MATRICES = (wp.mat44f, wp.mat44d, wp.transformf, wp.transformd)
 """Types of arrays of transforms."""
@@ -85,7 +89,11 @@ NO_ROWS = np.zeros(0, dtype=np.int64)
 
 def transforms_on(device: wp.Device, transforms: Any, count: int) -> wp.array | None:
     """(count,) or (1,) matrices or `wp.transform` in an array on the device; None if the transforms are not such an array, or
-    must be checked on the host."""
+    must be checked on the host. Many matrices of a NumPy array count on the CPU."""
+    if type(transforms) is np.ndarray and device.is_cpu and not device.is_capturing:
+        if count < MIN_BY_KERNELS or transforms.shape != (count, 4, 4) or transforms.dtype not in (np.float32, np.float64):
+            return None
+        return on_device(np.ascontiguousarray(transforms, dtype=np.float64), wp.mat44d, device)
     if not isinstance(transforms, wp.array):
         kind = getattr(transforms, "__dlpack_device__", None)
         if isinstance(transforms, np.ndarray) or kind is None or not device.is_cuda or kind() != (CUDA_DLPACK, device.ordinal):
@@ -516,7 +524,7 @@ def refit_steps(
 def fetched(state: Any) -> dict[str, Any]:
     """What the host holds of a state after moves on its device: values of attributes."""
     boxes, tree = InstanceBoxes(state.boxes.origin, state.boxes.box, state.boxes.norms), twin(state.tree)
-    tree.corners, tree.extent = boxes.rounded(), None
-    tree = tree.with_boxes(*tree.corners)
+    tree.extent = None
+    tree = tree.around(*boxes.rounded(), tree.bounds.numpy().reshape(-1, 6, tree.width))
     table = state.device_mesh.placements.numpy().astype(Placement.numpy_dtype())  # type: ignore[attr-defined]
     return {"instances": state.instances.detached(), "boxes": boxes, "built_tree": tree, "table": table, "device_moves": None}

@@ -184,7 +184,7 @@ class Camera:
         check_scene(scene)
         if materials is not None and not albedo:
             raise ValueError("materials are those of the colours; pass albedo=True, or leave materials out")
-        path, time, slices = as_poses(pose), as_time(time), check_slices(slices)
+        path, time, slices = as_poses(pose, scene.device), as_time(time), check_slices(slices)
         miss, albedo = as_miss(miss), as_bool("albedo", albedo)
         to_warp = isinstance(path, DevicePoses) if to_warp is None else as_bool("to_warp", to_warp)
         refuse_captured_scan(scene.device, path, motions, to_warp)

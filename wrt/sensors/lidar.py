@@ -213,7 +213,7 @@ class Lidar:
         from wrt.query.api import Queries
 
         check_scene(scene)
-        path, chosen = as_poses(pose), as_layers(layers, MeasuredReturns.KINDS)
+        path, chosen = as_poses(pose, scene.device), as_layers(layers, MeasuredReturns.KINDS)
         to_warp = self.pattern.is_warp or isinstance(path, DevicePoses) if to_warp is None else as_bool("to_warp", to_warp)
         refuse_captured_scan(scene.device, path, motions, to_warp)
         time = as_time(time)

@@ -303,9 +303,11 @@ def for_each_ray(
             raise ValueError(
                 f"{name} has the shape {array.shape}; pass one number, or one for each sensor, in the shape {sensors}"
             ) from None
-        flat = np.repeat(flat.astype(np.uint32 if dtype is wp.uint32 else np.int32), beams)
-        flat = np.repeat(flat if order is None else flat[order], bundle)
-        found[name] = wp.array(flat, dtype=dtype, device=device)
+        flat = flat.astype(np.uint32 if dtype is wp.uint32 else np.int32)
+        if order is None:
+            found[name] = repeated(wp.array(flat, dtype=dtype, device=device), beams * bundle)
+        else:
+            found[name] = wp.array(np.repeat(np.repeat(flat, beams)[order], bundle), dtype=dtype, device=device)
     return found
 
 

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 IDENTITY = np.eye(3)
 IDENTITY.setflags(write=False)
 
+MIN_BY_KERNEL = 128
+"""Sensors in a scene on the CPU from which a kernel reads their matrices; NumPy has one thread."""
+
 Pose: TypeAlias = "ArrayLike | Trajectory"
 """Where a sensor is: at rest, many at rest, or over time."""
 
@@ -231,6 +234,10 @@ def _unpickled(times: np.ndarray, positions: np.ndarray, rotations: np.ndarray, 
 class StillPoses:
     """Poses of many sensors at rest, which measure in one call.
 
+    Args:
+        poses: (..., 4, 4) real numbers.
+        device: of the scene; None if it is not known.
+
     Attributes:
         poses: (..., 4, 4) float64, from each sensor's frame to the world.
         shape: their leading shape.
@@ -241,20 +248,18 @@ class StillPoses:
 
     is_still = True
 
-    def __init__(self, poses: Any) -> None:
+    def __init__(self, poses: Any, device: wp.Device | None = None) -> None:
         self.poses = check_real("pose", poses)
         if self.poses.ndim < 3 or self.poses.shape[-2:] != (4, 4) or not self.poses.size:
             raise ValueError(f"pose must be one matrix (4, 4) or many of them, (..., 4, 4), not of shape {self.poses.shape}")
-        rows = np.ascontiguousarray(self.poses.reshape(-1, 16).T).reshape(4, 4, -1)  # long rows are computed faster
-        x, y, z = rows[:3, :3]
-        rigid = (rows[3] == np.array([[0.0], [0.0], [0.0], [1.0]])).all(axis=0)
-        for one, other, wanted in ((x, x, 1.0), (y, y, 1.0), (z, z, 1.0), (x, y, 0.0), (x, z, 0.0), (y, z, 0.0)):
-            rigid &= np.abs((one * other).sum(axis=0) - wanted) <= 1e-6
-        rigid &= (x * np.cross(y, z, axis=0)).sum(axis=0) > 0.0
-        if not rigid.all():
-            raise ValueError(f"pose {int(rigid.argmin())} does more than move and turn; sensors have no scale")
         self.shape = self.poses.shape[:-2]
         self._paths: dict[str, PosePath] = {}
+        if device is None or not device.is_cpu or device.is_capturing or len(self) < MIN_BY_KERNEL:
+            rigid = are_rigid(self.poses)
+        else:
+            rigid, self._paths[device.alias] = taken(self.poses, device)
+        if not rigid.all():
+            raise ValueError(f"pose {int(rigid.argmin())} does more than move and turn; sensors have no scale")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return StillPoses, (self.poses,)  # without what is kept for a device
@@ -277,6 +282,27 @@ class StillPoses:
         if device.alias not in known:
             known[device.alias] = pose_path(np.zeros(1), flat[:, :3, 3], quaternions(flat[:, :3, :3]), device)
         return known[device.alias]
+
+
+def are_rigid(poses: np.ndarray) -> np.ndarray:
+    """(N,) whether each of (..., 4, 4) finite matrices moves and turns only, up to rounding."""
+    rows = np.ascontiguousarray(poses.reshape(-1, 16).T).reshape(4, 4, -1)  # long rows are computed faster
+    x, y, z = rows[:3, :3]
+    rigid = (rows[3] == np.array([[0.0], [0.0], [0.0], [1.0]])).all(axis=0)
+    for one, other, wanted in ((x, x, 1.0), (y, y, 1.0), (z, z, 1.0), (x, y, 0.0), (x, z, 0.0), (y, z, 0.0)):
+        rigid &= np.abs((one * other).sum(axis=0) - wanted) <= 1e-6
+    return rigid & ((x * np.cross(y, z, axis=0)).sum(axis=0) > 0.0)
+
+
+def taken(poses: np.ndarray, cpu: wp.Device) -> tuple[np.ndarray, PosePath]:
+    """`are_rigid` of (..., 4, 4) matrices, and the poses for kernels on the CPU: by a kernel, the same numbers."""
+    from wrt.kernels.sensors.pose_paths import PosePath, take_matrices
+
+    given, path = wp.array(poses.reshape(-1, 4, 4), dtype=wp.mat44d, device=cpu, copy=False), PosePath()
+    rigid, path.times = np.empty(len(given), dtype=bool), wp.zeros(1, dtype=wp.float64, device=cpu)
+    path.positions, path.rotations = (wp.empty(len(given), dtype=dtype, device=cpu) for dtype in (wp.vec3d, wp.quatd))
+    launch(take_matrices, len(given), [given, path, wp.array(rigid, dtype=wp.bool, device=cpu, copy=False)], device=cpu)
+    return rigid, path
 
 
 def pose_path(times: np.ndarray, positions: np.ndarray, rotations: np.ndarray, device: wp.Device) -> PosePath:

@@ -79,8 +79,8 @@ class DevicePoses(StillPoses):
         return StillPoses, (self.poses,)
 
 
-def as_poses(pose: Any) -> Trajectory | StillPoses:
-    """The poses of a sensor, or of many.
+def as_poses(pose: Any, device: wp.Device | None = None) -> Trajectory | StillPoses:
+    """The poses of a sensor, or of many, in a scene on a device (None if that is not known).
 
     Raises:
         TypeError, ValueError: as `as_trajectory` and `StillPoses`; an empty Warp array.
@@ -92,4 +92,4 @@ def as_poses(pose: Any) -> Trajectory | StillPoses:
     if isinstance(pose, DevicePoses):
         return pose
     pose = pose if isinstance(pose, Trajectory) else host_array("pose", pose)
-    return StillPoses(pose) if isinstance(pose, np.ndarray) and pose.ndim > 2 else as_trajectory(pose)
+    return StillPoses(pose, device) if isinstance(pose, np.ndarray) and pose.ndim > 2 else as_trajectory(pose)

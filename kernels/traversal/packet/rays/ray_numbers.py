@@ -1,9 +1,13 @@
 """Assignment of rays to packets: consecutive rays, or the pixels of a tile of a picture.
 
 Packets of 8 columns and P / 8 rows visit far fewer nodes than runs of P pixels, because the pixels of a tile see the same part
-of the scene (notebooks/records/2026-11-21-packets.md). Tiles are ordered from left to right, then down. Tiles at the border of
-the picture are smaller, and a packet may then contain rays of two tiles; this also happens if P is above 8 and not a multiple
-of 8. The rays of a packet are those at the places first .. first + P - 1 of this order.
+of the scene (notebooks/records/2026-11-21-packets.md). Tiles are ordered from left to right, then down. The rays of a packet
+are those at the places first .. first + P - 1 of this order.
+
+**Any width.** Whole tiles are packets in every band of P / 8 rows, whether or not the number of columns is a multiple of 8: a
+band whose first place is within a packet begins with rays of the columns to the right of its whole tiles, from the top down,
+and ends with the rest of them. Such packets have rays of the right border of two bands. Of a last band with fewer rows, tiles
+are smaller and packets have rays of several; so if P is above 8 and not a multiple of 8.
 """
 
 import warp as wp
@@ -21,11 +25,18 @@ def ray_at(rays: RayBatch, place: int, packet: int):
         return place
     across = wp.min(packet, TILE_COLUMNS)
     down = packet / across
-    rows = rays.count / rays.columns
-    band = place / (down * rays.columns)
-    height = wp.min(down, rows - band * down)
-    offset = place - band * down * rays.columns
-    left = offset / (across * height) * across
-    width = wp.min(across, rays.columns - left)
-    offset -= left * height
-    return (band * down + offset / width) * rays.columns + left + offset % width
+    begin = place / (down * rays.columns) * (down * rays.columns)
+    height = wp.min(down, rays.count / rays.columns - begin / rays.columns)
+    before = int(0)
+    if packet % across == 0 and height == down:
+        before = (packet - begin % packet) % packet
+    area = across * height
+    tiles = wp.max(height * rays.columns - before, 0) / area
+    offset = place - begin
+    own = offset - before
+    if own >= 0 and own < tiles * area:
+        within = own % area
+        return begin + within / across * rays.columns + own / area * across + within % across
+    if own >= 0:
+        offset -= tiles * area
+    return begin + offset % height * rays.columns + tiles * across + offset / height
