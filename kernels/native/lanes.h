@@ -69,6 +69,17 @@ template <class T, int N> inline CUDA_CALLABLE void copy(T* to, const T (&from)[
 #endif
 }
 
+/// The same object, at a place of which the compiler knows nothing else: it reads what is used where it is used.
+template <class T> inline CUDA_CALLABLE T& read_in_place(T& object)
+{
+#if WRT_VECTORS
+    T* volatile place = &object;
+    return *place;
+#else
+    return object;
+#endif
+}
+
 /// One bit for each of N flags that is not 0: one comparison; a loop that collects bits by |= becomes a chain of shuffles.
 template <int N> inline CUDA_CALLABLE unsigned bits(const int* flags)
 {

@@ -52,9 +52,11 @@ inline CUDA_CALLABLE float mixed_entry(const PlanePointers& planes, const MixedA
 }
 
 /// Writes the keys of the W children whose boxes are at `box`, by intervals over the rays; returns the smallest.
-template <int W, class Bounds> inline CUDA_CALLABLE int interval_keys(const float* box, const Bounds& bounds, int* key)
+template <int W, class Bounds> inline CUDA_CALLABLE int interval_keys(const float* box, const Bounds& all_bounds, int* key)
 {
     constexpr int BACK = 3 * W;
+    // a walk meets more leaves than nodes; after each, what is read here would be loaded, spread and put on the stack ahead
+    const Bounds& bounds = read_in_place(all_bounds);
     const BoxRays rays = box_rays(bounds);
     const PlanePointers planes
         = planes_at<W>(box, rays.large[0] < 0.0f ? BACK : 0, rays.large[1] < 0.0f ? BACK : 0, rays.large[2] < 0.0f ? BACK : 0);

@@ -11,12 +11,9 @@ constexpr int RAY_BITS = 16;
 /// Which child of a node comes first: any, the nearest, the farthest.
 enum class Order { NONE, NEAR, FAR };
 
-/// -1 for a number with a sign, else 0. Read as volatile where registers have 8 lanes: Clang would make a vector of the three
-/// signs of a ray, and take it apart again.
-template <int W> inline CUDA_CALLABLE int sign_of(const float& x)
-{
-    return W < 16 ? *(const volatile int*)&x >> 31 : __builtin_bit_cast(int, x) >> 31;
-}
+/// -1 for a number with a sign, else 0. Read as volatile: Clang would make a vector of the three signs of a ray, and take it
+/// apart again.
+inline CUDA_CALLABLE int sign_of(const float& x) { return *(const volatile int*)&x >> 31; }
 
 /// Filters a list of `count` rays by the W boxes of a node; see `wrt.kernels.traversal.stream.stream_lanes.filter_boxes`.
 template <int W, Order ORDER, class Ray>
@@ -35,11 +32,13 @@ inline CUDA_CALLABLE int filter_boxes(
     int kept = 0;
     for (int j = 0; j < count; ++j) {
         const int k = list[j] & ((1 << RAY_BITS) - 1);
-        const Ray& ray = rays[k];
+        // of AVX2's 16 registers none is left for `rays`: it would be loaded again for each number of the ray
+        const Ray& ray = W < 16 ? read_in_place(rays[k]) : rays[k];
         const float* const inverse = ray.slabs.inverse.c;
         const BoxRay slabs = box_ray(ray.slabs);
-        const PlanePointers planes
-            = planes_at<W>(box, sign_of<W>(inverse[0]) & BACK, sign_of<W>(inverse[1]) & BACK, sign_of<W>(inverse[2]) & BACK);
+        const int x = sign_of(inverse[0]), y = sign_of(inverse[1]), z = sign_of(inverse[2]);
+        const PlanePointers planes = {{box + (x & BACK), box + W + (y & BACK), box + 2 * W + (z & BACK)},
+            {box + (~x & BACK), box + W + (~y & BACK), box + 2 * W + (~z & BACK)}};
         const float t_min = ray.t_min, t_max = ray.best.t;
         int hit[L] = {};
         WRT_FOR_LANES (i) {

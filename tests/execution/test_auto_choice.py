@@ -330,7 +330,11 @@ def test_the_grid_has_all_kinds():
     [
         (16, "bvh", 799, True, 32),
         (16, "bvh", 800, True, 64),
+        (16, "bvh", 99, True, 32),
         (8, "bvh", 799, True, 32),
+        (8, "bvh", 100, False, 32),
+        (8, "bvh", 99, False, 16),
+        (4, "bvh", 99, True, 16),
         (8, "bvh", 800, True, 64),
         (4, "bvh", 800, False, 32),
         (2, "bvh", 800, False, 32),
@@ -339,7 +343,8 @@ def test_the_grid_has_all_kinds():
     ],
 )
 def test_rays_of_packets(width, tree, count, shared, expected):
-    """Packets on boxes have 32 rays, and 64 where rays from one point crowd (notebooks/records/2026-11-28-auto.md)."""
+    """Packets on boxes have 32 rays; 16 of 8 lanes if triangles are more than rays; 64 where rays from one point crowd
+    (notebooks/records/2026-11-28-auto.md, 2026-11-28-engines-by-name.md)."""
     scene, rays = SceneFacts(tree=tree, width=width, triangles=100), RayFacts(count, (count,), shared_origin=shared)
     assert packet_rays(scene, rays, TRAVERSALS["packet"], width) == expected
 

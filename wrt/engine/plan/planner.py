@@ -37,10 +37,11 @@ DEFAULT_TEST = "woop"
 
 PACKET = 32
 """Rays of a packet on boxes of one level: with 16 lanes best or within 5 % of the best of 16, 32, 64 and 128
-(notebooks/records/2026-11-21-plans.md), with 8 at least as fast as 16 and 64 (notebooks/records/2026-11-28-auto.md)."""
+(notebooks/records/2026-11-21-plans.md), with 8 at least as fast as 64."""
 
-CROWDED_PACKET = 64
-"""The same of crowded rays (notebooks/records/2026-11-28-auto.md)."""
+SPARSE_PACKET, CROWDED_PACKET = 16, 64
+"""The same of fewer rays than triangles, with 8 lanes, and of crowded rays (notebooks/records/2026-11-28-engines-by-name.md,
+2026-11-28-auto.md)."""
 
 MIN_VECTORS = 2
 """Vectors of a packet at least, through instances, and in the cells of a kd-tree."""
@@ -241,7 +242,8 @@ def packet_rays(scene: SceneFacts, rays: RayFacts, traversal: Traversal, width: 
     if Capabilities.ONE_VECTOR in traversal.capabilities:
         return width
     by_boxes = traversal.walks_boxes(scene.tree) and not (scene.is_cuda or scene.instances)
-    smallest = CROWDED_PACKET if is_crowded(scene, rays) else PACKET if by_boxes else 0
+    usual = PACKET if rays.count >= scene.triangles else SPARSE_PACKET
+    smallest = CROWDED_PACKET if is_crowded(scene, rays) else usual if by_boxes else 0
     return max(smallest // width, MIN_VECTORS) * width
 
 
