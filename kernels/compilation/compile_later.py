@@ -105,8 +105,7 @@ class MissingKernel:
 
 def missing_kernel(factory: Callable[[Any], wp.Kernel], config: Any, kernel: wp.Kernel) -> MissingKernel:
     """What is known of a kernel that is not compiled; arguments as in the class."""
-    with _lock:
-        return _missing.setdefault(kernel.module, MissingKernel(factory, config, kernel))
+    return _missing.setdefault(kernel.module, MissingKernel(factory, config, kernel))
 
 
 def is_possible() -> bool:
