@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import pickle
 
 import numpy as np
 import pytest
@@ -115,6 +116,18 @@ def test_many_matrices_of_numpy_are_moved_by_the_kernels(dtype, monkeypatch):
     with pytest.raises(ValueError, match="finite"):
         here.update(range(COUNT), transform=matrices)
     assert_same_hits(here.intersect(*rays, **seen), host.intersect(*rays, **seen))
+
+
+def test_pickles_after_moves_on_the_device(device):
+    """They hold what moved as on the host."""
+    scene = scene_of(matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), None, device)
+    scene.update(range(COUNT), transform=given(poses(0) + np.float32(0.01) * poses(2), wp.transformf, device)[0])
+    assert scene.state.device_moves is not None
+    again = pickle.loads(pickle.dumps(scene))
+    for one, other in zip(again.instances, scene.instances, strict=True):
+        np.testing.assert_array_equal(one.transform, other.transform)
+    rays = mixed_rays(scene.flattened(), 500)
+    assert_same_hits(again.intersect(*rays), scene.intersect(*rays))
 
 
 def test_kept_memory_is_not_that_of_results(keeps, device):

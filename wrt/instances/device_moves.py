@@ -10,6 +10,7 @@ While a CUDA graph is captured nothing can be read back. Then the centre stays, 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
+from copy import copy
 from functools import cached_property
 from typing import Any
 
@@ -144,6 +145,10 @@ class MovedInstances(InstanceList):
         matrices = self.moves.transforms.numpy()
         matrices.flags.writeable = False
         return matrices
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles hold instances on the host."""
+        return copy, (self.detached(),)
 
 
 class BoxesOnDevice(InstanceBoxes):
