@@ -1,8 +1,9 @@
 """Stand-ins: single rays in place of a plan whose kernel is not compiled.
 
-A kernel of packets takes 3 to 5 s of a core to compile, of single rays 0.6 s, and all have the same hits. So the first calls of
-a kind go by single rays. The kernel that they miss is compiled by another process once they have taken a while
-(`wrt.kernels.compilation.compile_later`), and takes over when it is there.
+Kernels of packets and streams take several times as long to compile as that of single rays
+(notebooks/records/2026-11-28-kernels-later.md), and all have the same hits. So the first calls of a kind go by single rays. The
+kernel that they miss is compiled by another process once they have taken a while (`wrt.kernels.compilation.compile_later`), and
+takes over when it is there.
 """
 
 from __future__ import annotations
