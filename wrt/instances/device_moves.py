@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
 from copy import copy
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,7 @@ from wrt.kernels.traversal.two_level.instance_updates import (
     mat34f,
     measure_nodes,
     refit_level,
+    send_report,
     span_instances,
     write_masks,
 )
@@ -125,6 +126,14 @@ def uneven_maps(table: np.ndarray) -> np.ndarray:
     return is_uneven & (table["mask"].reshape(-1) != 0)
 
 
+@lru_cache(maxsize=4)
+def every(count: int) -> np.ndarray:
+    """(count,) True, read-only."""
+    values = np.ones(count, dtype=bool)
+    values.flags.writeable = False
+    return values
+
+
 class MovedInstances(InstanceList):
     """Instances whose transforms are on a device until something asks for them.
 
@@ -136,7 +145,7 @@ class MovedInstances(InstanceList):
 
     def __init__(self, base: InstanceList, moves: DeviceMoves, rows: np.ndarray | None = None, mask: int | None = None) -> None:
         masks = replaced(base.masks, rows, mask)
-        super().__init__(base.latest()[0], np.ones(len(base), dtype=bool), None, masks, base.environments)
+        super().__init__(base.made, every(len(base)), None, masks, base.environments)
         self.moves = moves
 
     @cached_property
@@ -273,6 +282,8 @@ class KeptMove:
         ]
         shares = shares_of(lanes, device)
         self._measure = self._recorded(measure_nodes, shares, [shares, nodes, spanned])
+        self._send = self._recorded(send_report, REPORTED, [spanned, reports.sent])
+        self._views = view_of(self.table), view_of(nodes.bounds)
 
     def _recorded(self, kernel: wp.Kernel, items: int, inputs: Sequence[Any]) -> wp.Launch:
         made = record(kernel, inputs, self.device)
@@ -307,7 +318,12 @@ class KeptMove:
             launched.launch()
         if is_measured:
             self._measure.launch()
-        self.reports.request()
+        self._send.launch()
+
+    def leased(self, lease: Lease) -> tuple[wp.array, wp.array]:
+        """The placements and the boxes of nodes, each of which keeps a lease alive."""
+        table, bounds = map(twin, self._views)
+        return keep_alive(table, lease), keep_alive(bounds, lease)
 
 
 class Lease:
@@ -330,6 +346,7 @@ class Reports:
         self.spanned = new_spanned(device)
         self.read = wp.empty(REPORTED, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
         self.values = self.read.numpy()
+        self.sent = wp.array(ptr=self.read.ptr, dtype=wp.float64, shape=REPORTED, device=device)  # as kernels see it
 
     def request(self) -> None:
         """Lets the device copy `Spanned.report` when all kernels are done."""
@@ -459,13 +476,15 @@ def move_kept(state: Any, old: DeviceMoves, rows: np.ndarray | None, given: wp.a
     move.start(old.rows_on_device(rows), given, is_measured)
     made = twin(move.moves)
     made.chosen, made.lease, made.are_similar = old.chosen, Lease(move, old.kept, stream), old.knows_similar(rows, given)
-    table, bounds = (view_of(values, made.lease) for values in (move.table, move.nodes.bounds))
+    table, bounds = move.leased(made.lease)
     return StartedMove(made, table, moved_tree(state.tree, bounds), None, move.reports, is_measured)
 
 
-def view_of(values: wp.array, lease: Any) -> wp.array:
-    """The same flat array, which keeps a lease alive."""
-    return keep_alive(wp.array(ptr=values.ptr, dtype=values.dtype, shape=values.size, device=values.device), lease)
+def view_of(values: wp.array) -> wp.array:
+    """The same flat array, packed for kernels, which does not own its memory."""
+    view = wp.array(ptr=values.ptr, dtype=values.dtype, shape=values.size, device=values.device)
+    view.__ctype__()  # its copies share it
+    return view
 
 
 def twin(one: Any) -> Any:
