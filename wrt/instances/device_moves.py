@@ -25,6 +25,7 @@ from wrt.instances.instance_list import InstanceList, replaced
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.launch import kept, launch, specialise
 from wrt.kernels.runtime.recorded_launch import record
+from wrt.kernels.runtime.workspace import HostNumbers
 from wrt.kernels.traversal.two_level.instance_bounds import BoundedInstances, CoverPoints
 from wrt.kernels.traversal.two_level.instance_updates import (
     BLOCK,
@@ -282,7 +283,7 @@ class KeptMove:
         ]
         shares = shares_of(lanes, device)
         self._measure = self._recorded(measure_nodes, shares, [shares, nodes, spanned])
-        self._send = self._recorded(send_report, REPORTED, [spanned, reports.sent])
+        self._send = self._recorded(send_report, REPORTED, [spanned, reports.read.sent])
         self._views = view_of(self.table), view_of(nodes.bounds)
 
     def _recorded(self, kernel: wp.Kernel, items: int, inputs: Sequence[Any]) -> wp.Launch:
@@ -343,20 +344,15 @@ class Reports:
     """Memory of one caller for what an update computes on the way, and for what the host reads of it."""
 
     def __init__(self, device: wp.Device) -> None:
-        self.spanned = new_spanned(device)
-        self.read = wp.empty(REPORTED, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
-        self.values = self.read.numpy()
-        self.sent = wp.array(ptr=self.read.ptr, dtype=wp.float64, shape=REPORTED, device=device)  # as kernels see it
+        self.spanned, self.read = new_spanned(device), HostNumbers(REPORTED, wp.float64, device)
 
     def request(self) -> None:
         """Lets the device copy `Spanned.report` when all kernels are done."""
-        wp.copy(self.read, self.spanned.report)
+        wp.copy(self.read.own, self.spanned.report)
 
     def fetch(self) -> list[float]:
         """What was copied; waits for it."""
-        if self.spanned.report.device.is_cuda:
-            wp.synchronize_stream(self.spanned.report.device.stream)
-        return self.values.tolist()
+        return self.read.fetch().tolist()
 
 
 _reports: FreeList[Reports] = FreeList(MAX_FREE)
