@@ -233,7 +233,8 @@ class Court:
         points = floor.position.reshape(-1, 3)
         self.points = points[np.isfinite(points).all(axis=1)] + [0.0, 0.0, 1e-3]
         self.floor = self.scene.intersect(above[floor.is_hit], [0.0, 0.0, -1.0])
-        self.spawned = np.asarray(self.floor.spawn(np.broadcast_to(np.float32([0, 0, 1]), self.floor.position.shape)))
+        up = np.array([0.0, 0.0, 1.0], dtype=np.float32)
+        self.spawned = np.asarray(self.floor.spawn(np.broadcast_to(up, self.floor.position.shape)))
         turn = np.linspace(-1.2, 1.2, max(4, round(100 * size)))
         suns = np.stack([np.sin(turn), 0.4 * np.ones_like(turn), np.cos(turn)], axis=-1)
         self.suns = (suns / np.linalg.norm(suns, axis=1, keepdims=True)).astype(np.float32)
