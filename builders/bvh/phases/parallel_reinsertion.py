@@ -1,0 +1,123 @@
+"""Phase "reinsertion" of the build by clusters: nodes of a merged tree move to where they cost least, all at the same time.
+
+**Problem.** Merging decides by what is near. It does not see what a node will cost the nodes above it.
+
+**Idea.** A move takes a node away, so that its sibling replaces their parent, and makes that parent the one of the node and of
+a new sibling. The areas of all inner nodes together are what a tree costs by the surface area heuristic, but for a constant. A
+move changes those of the nodes between both places.
+
+**Steps** of a round (Meister and Bittner 2018), each a launch:
+
+1. `find_moves`: a node looks for the place with the greatest gain. From its parent up, it looks into the subtree beside each
+   node on its way, except where even a place that costs no more than the node's own area would gain less than the best so far.
+   It claims the four links to parents that the move replaces or moves.
+2. `choose_moves`: of moves that share a link, the one that gains most stays. Then moves can be made in any order. A move below
+   a node that moves too could make a circle; of these, too, the one that gains most stays.
+3. `move_nodes`.
+4. `refit_nodes`: boxes and sizes, from the triangles up.
+
+**What we changed.** Claims are maxima, and the number of a move holds its gain and its node, so the tree does not depend on the
+order of threads: it is the same for any number of them, and on CUDA and the CPU. The paper claims nodes; with links, siblings
+move at the same time. In a round, every `TURNS`-th node looks for a place, others in the next: two that want to
+come nearer to each other would else change places for good, and a search costs more than a move. Nodes can move up, beside a
+node that they are below.
+
+**Limits.** The gain of a move presumes that no other one changes the same areas, so not every round gains: where moves meet,
+the tree can become dearer by a little. Triangles move one by one; that two of them in one leaf cost less is not seen.
+
+References: meister-bittner-2018; bittner-2013.
+"""
+
+import warp as wp
+
+from wrt.builders.bvh.phases.cluster_merging import CHUNK, MergedTree
+from wrt.kernels.runtime import native
+from wrt.kernels.runtime.options import exact_kernel
+from wrt.kernels.runtime.workspace import Workspace
+
+SEARCH_CHUNK = 256
+"""Nodes whose search is worth a chunk of their own."""
+
+TURNS = 2
+"""Rounds until every node has looked for a place."""
+
+
+@wp.struct
+class Moves:
+    """The moves of the nodes of a merged tree of n triangles, by node."""
+
+    place: wp.array(dtype=wp.vec2i)
+    """(2 n,) the new sibling, -1 for no move; the lowest node above both places, -1 if that is none."""
+    key: wp.array(dtype=wp.uint64)
+    """(2 n,) number of the move: the bits of its gain, and the node."""
+    owner: wp.array(dtype=wp.uint64)
+    """(2 n,) number of the move that may change where a node is linked; 0 for none."""
+    arrived: wp.array(dtype=int)
+    """(n,) children of an inner node that have come to it, of all rounds."""
+
+
+@native.func_native("reinsertion.h", "wrt::find_move(tree, moves, node, count);")
+def find_move(tree: MergedTree, moves: Moves, node: int, count: int):
+    """Finds where a node is to move, and claims the links of the move."""
+
+
+@native.func_native("reinsertion.h", "wrt::choose_move(tree, moves, node, count);")
+def choose_move(tree: MergedTree, moves: Moves, node: int, count: int):
+    """Takes back a move that others forbid."""
+
+
+@native.func_native("reinsertion.h", "wrt::move_node(tree, moves, node, count);")
+def move_node(tree: MergedTree, moves: Moves, node: int, count: int):
+    """Moves a node."""
+
+
+@native.func_native("reinsertion.h", "wrt::refit_from(tree, moves, triangle, count);")
+def refit_from(tree: MergedTree, moves: Moves, triangle: int, count: int):
+    """Computes the boxes and sizes of nodes above a triangle that no other one computes."""
+
+
+@exact_kernel
+def find_moves(first: int, count: int, turn: int, step: int, tree: MergedTree, moves: Moves):
+    """Item: a node of every `step`."""
+    find_move(tree, moves, turn + step * (first + wp.tid()), count)
+
+
+@exact_kernel
+def choose_moves(first: int, count: int, turn: int, step: int, tree: MergedTree, moves: Moves):
+    """Item: likewise."""
+    choose_move(tree, moves, turn + step * (first + wp.tid()), count)
+
+
+@exact_kernel
+def move_nodes(first: int, count: int, turn: int, step: int, tree: MergedTree, moves: Moves):
+    """Item: likewise."""
+    move_node(tree, moves, turn + step * (first + wp.tid()), count)
+
+
+@exact_kernel
+def refit_nodes(first: int, count: int, tree: MergedTree, moves: Moves):
+    """Item: a triangle."""
+    refit_from(tree, moves, first + wp.tid(), count)
+
+
+def empty_moves(count: int, device: wp.Device) -> Moves:
+    """Allocates the moves of the nodes of a number of triangles."""
+    moves = Moves()
+    moves.place = wp.empty(2 * count, dtype=wp.vec2i, device=device)
+    moves.key, moves.owner = (wp.empty(2 * count, dtype=wp.uint64, device=device) for _ in range(2))
+    moves.arrived = wp.empty(count, dtype=int, device=device)
+    return moves
+
+
+def reinsert(work: Workspace, tree: MergedTree, count: int, rounds: int) -> Moves:
+    """Moves nodes of the tree of `count` triangles, at least two; on CUDA, the host does not wait."""
+    moves = work.make("moves", count, lambda size: empty_moves(size, work.device))
+    moves.owner.zero_()
+    moves.arrived.zero_()
+    for turn in range(rounds):
+        first = turn % TURNS
+        items = -(-(2 * count - first) // TURNS)
+        for kernel in (find_moves, choose_moves, move_nodes):
+            work.launch(kernel, items, [count, first, TURNS, tree, moves], chunk=SEARCH_CHUNK)
+        work.launch(refit_nodes, count, [count, tree, moves], chunk=CHUNK)
+    return moves
