@@ -1,6 +1,6 @@
-// Reinsertion of the nodes of a merged tree (wrt.builders.bvh.phases.parallel_reinsertion): the search for places, the
-// choice of moves that do not disturb each other, the moves, and the boxes after them. All of them are the same operations on the
-// CPU and on CUDA, so they make the same tree.
+// Reinsertion of the nodes of a merged tree (wrt.builders.bvh.phases.parallel_reinsertion): the search for places, the choice of
+// moves that can be made together, the moves, and the boxes after them. The CPU and CUDA do the same operations on the same
+// numbers, so they make the same tree.
 #pragma once
 #include "lanes.h"
 
@@ -40,8 +40,9 @@ inline CUDA_CALLABLE LinkedBox around(LinkedBox a, const LinkedBox& b)
     return a;
 }
 
-/// Nodes that a search leaves for later, at most: more are left out.
-constexpr int MAX_WAITING = 32;
+/// Pairs of nodes that a search looks at below one node, and those of them that it leaves for later, at most. More are left out:
+/// what a search can take is bounded, and trees of meshes do not show it.
+constexpr int MAX_STEPS = 64, MAX_WAITING = 16;
 
 /// Share of its parent's area that moving a node must gain: less may be rounding.
 constexpr float LEAST_GAIN = 0x1p-18f;
@@ -115,7 +116,7 @@ inline CUDA_CALLABLE void search_below(
     int lefts[MAX_WAITING], rights[MAX_WAITING];
     float gains[MAX_WAITING];
     int waiting = 0;
-    for (;;) {
+    for (int step = 0; step < MAX_STEPS; ++step) {
         const LinkedBox a = all.box(left), b = all.box(right);
         const float here_a = before - area_of(around(a, own)), here_b = before - area_of(around(b, own));
         best.consider(here_a, left, pivot);
@@ -203,9 +204,8 @@ inline CUDA_CALLABLE unsigned long long key_of(float gain, int node)
     return (unsigned long long)__builtin_bit_cast(unsigned, gain) << 32 | (unsigned)node;
 }
 
-/// Calls a function with the nodes whose link to the parent belongs to a move: the node, its parent, its sibling, the new one.
-template <class All, class Function>
-inline CUDA_CALLABLE void for_links(const All& all, int node, int beside, Function&& call)
+/// Calls a function with the nodes whose links to their parents belong to a move: the node, its parent, the siblings.
+template <class All, class Function> inline CUDA_CALLABLE void for_links(const All& all, int node, int beside, Function&& call)
 {
     const int parent = all.parent(node);
     call(node);

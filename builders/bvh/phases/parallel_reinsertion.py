@@ -6,7 +6,7 @@
 a new sibling. The areas of all inner nodes together are what a tree costs by the surface area heuristic, but for a constant. A
 move changes those of the nodes between both places.
 
-**Steps** of a round (Meister and Bittner 2018), each a launch:
+**Steps** (Meister and Bittner 2018), each a launch; a round takes them `TURNS` times:
 
 1. `find_moves`: a node looks for the place with the greatest gain. From its parent up, it looks into the subtree beside each
    node on its way, except where even a place that costs no more than the node's own area would gain less than the best so far.
@@ -18,9 +18,8 @@ move changes those of the nodes between both places.
 
 **What we changed.** Claims are maxima, and the number of a move holds its gain and its node, so the tree does not depend on the
 order of threads: it is the same for any number of them, and on CUDA and the CPU. The paper claims nodes; with links, siblings
-move at the same time. In a round, every `TURNS`-th node looks for a place, others in the next: two that want to
-come nearer to each other would else change places for good, and a search costs more than a move. Nodes can move up, beside a
-node that they are below.
+move at the same time. Every `TURNS`-th node looks for a place, and then the others: what has moved meanwhile is seen, and two
+that want to come nearer to each other do not both leave. Nodes can move up, beside a node that they are below.
 
 **Limits.** The gain of a move presumes that no other one changes the same areas, so not every round gains: where moves meet,
 the tree can become dearer by a little. Triangles move one by one; that two of them in one leaf cost less is not seen.
@@ -39,7 +38,7 @@ SEARCH_CHUNK = 256
 """Nodes whose search is worth a chunk of their own."""
 
 TURNS = 2
-"""Rounds until every node has looked for a place."""
+"""Turns of a round: in each, one of TURNS neighbouring nodes looks for a place."""
 
 
 @wp.struct
@@ -114,7 +113,7 @@ def reinsert(work: Workspace, tree: MergedTree, count: int, rounds: int) -> Move
     moves = work.make("moves", count, lambda size: empty_moves(size, work.device))
     moves.owner.zero_()
     moves.arrived.zero_()
-    for turn in range(rounds):
+    for turn in range(rounds * TURNS):
         first = turn % TURNS
         items = -(-(2 * count - first) // TURNS)
         for kernel in (find_moves, choose_moves, move_nodes):
