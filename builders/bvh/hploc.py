@@ -6,20 +6,22 @@ thread is slow and there are 100,000 of them, that takes longer than many frames
 **Algorithm** (H-PLOC). Triangles are sorted by the Morton codes of the middles of their boxes. Along the implicit hierarchy of
 the codes, from the bottom up, lists of up to 16 clusters are merged pairwise: two clusters that are each other's nearest, by
 the surface area of their joint box, among 8 neighbours on either side, become one (PLOC: Meister and Bittner 2018). All of it
-is one kernel without levels (`cluster_merging`). Then nodes are put into the order of the layout (`merged_layout`).
+is one kernel without levels (`cluster_merging`). If asked for, nodes then move to where they cost less
+(`parallel_reinsertion`). Last, they are put into the order of the layout (`merged_layout`).
 
-**Phases.** Codes: `write_codes` and a radix sort. Merging: `begin_clusters`, `merge_clusters`. Layout: nodes of two children
-with leaves of at most two triangles, as CUDA has them, by `binary_bvh`; others by the collapse (`collapse`), on the CPU.
+**Phases.** Codes: `write_codes` and a radix sort. Merging: `begin_clusters`, `merge_clusters`. Reinsertion: `reinsert`. Layout:
+nodes of two children with leaves of at most two triangles, as CUDA has them, by `binary_bvh`; others by the collapse
+(`collapse`), on the CPU.
 
 **Complexity.** O(N) after the sort.
 
 **What we changed.** Nodes are numbered without a shared counter, and pairs of equal area are ordered by where they differ in
 the lowest bits of their places: 1,000 equal triangles make a tree of depth 10 in place of 111. The tree is the same for any
 number of threads, and on CUDA and the CPU. Leaves are those of the surface area heuristic. A tree too deep for the layout is
-made again by neighbourhood alone.
+made again without reinsertion, then by neighbourhood alone.
 
-**Limits.** Codes have 10 bits for each axis: of triangles in one cell only their order in the mesh counts. Rays are slower than
-in trees of builders that search planes.
+**Limits.** Codes have 10 bits for each axis: of triangles in one cell only their order in the mesh counts. Without
+reinsertion, rays are slower than in trees of builders that search planes.
 
 References: benthin-2024; meister-bittner-2018-ploc; apetrei-2014; karras-2012; morton-1966.
 """

@@ -1,5 +1,5 @@
-// Reinsertion of the nodes of a merged tree (wrt.builders.bvh.phases.parallel_reinsertion): the search for places, the choice of
-// moves that can be made together, the moves, and the boxes after them. The CPU and CUDA do the same operations on the same
+// Reinsertion of the nodes of a merged tree (wrt.builders.bvh.phases.parallel_reinsertion): the search for places, the choice
+// of moves that can be made together, the moves, and the boxes after them. The CPU and CUDA do the same operations on the same
 // numbers, so they make the same tree.
 #pragma once
 #include "lanes.h"
@@ -40,8 +40,8 @@ inline CUDA_CALLABLE LinkedBox around(LinkedBox a, const LinkedBox& b)
     return a;
 }
 
-/// Pairs of nodes that a search looks at below one node, and those of them that it leaves for later, at most. More are left out:
-/// what a search can take is bounded, and trees of meshes do not show it.
+/// Pairs of nodes that a search looks at below one node, and those of them that it leaves for later, at most. More are left
+/// out: so no search takes long, and trees of meshes do not show it.
 constexpr int MAX_STEPS = 64, MAX_WAITING = 16;
 
 /// Share of its parent's area that moving a node must gain: less may be rounding.

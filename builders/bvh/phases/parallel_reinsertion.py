@@ -6,23 +6,26 @@
 a new sibling. The areas of all inner nodes together are what a tree costs by the surface area heuristic, but for a constant. A
 move changes those of the nodes between both places.
 
-**Steps** (Meister and Bittner 2018), each a launch; a round takes them `TURNS` times:
+**Steps** (Meister and Bittner 2018), each a launch. A round takes them `TURNS` times, for one of `TURNS` neighbouring nodes:
 
 1. `find_moves`: a node looks for the place with the greatest gain. From its parent up, it looks into the subtree beside each
    node on its way, except where even a place that costs no more than the node's own area would gain less than the best so far.
    It claims the four links to parents that the move replaces or moves.
 2. `choose_moves`: of moves that share a link, the one that gains most stays. Then moves can be made in any order. A move below
-   a node that moves too could make a circle; of these, too, the one that gains most stays.
+   a node that moves too could close a circle; of these, too, the one that gains most stays.
 3. `move_nodes`.
 4. `refit_nodes`: boxes and sizes, from the triangles up.
 
-**What we changed.** Claims are maxima, and the number of a move holds its gain and its node, so the tree does not depend on the
-order of threads: it is the same for any number of them, and on CUDA and the CPU. The paper claims nodes; with links, siblings
-move at the same time. Every `TURNS`-th node looks for a place, and then the others: what has moved meanwhile is seen, and two
-that want to come nearer to each other do not both leave. Nodes can move up, beside a node that they are below.
+**What we changed.** A claim is the maximum of numbers that hold a gain and a node, so the tree does not depend on the order of
+threads: it is the same for any number of them, and on CUDA and the CPU. Links are claimed, not nodes, so that both children of
+a node may change at the same time. Nodes can also move up, beside a node that they are below. A search looks at a limited
+number of nodes below each one that it passes.
 
-**Limits.** The gain of a move presumes that no other one changes the same areas, so not every round gains: where moves meet,
-the tree can become dearer by a little. Triangles move one by one; that two of them in one leaf cost less is not seen.
+**Why not the other reinsertion.** `wrt.builders.classics.bvh.reinsertion` moves nodes one after the other. There, every move
+gains, and the depth is known before each. That is quick on a CPU, and cannot be done by many threads.
+
+**Limits.** The gain of a move presumes that no other one changes the same areas, so not every turn gains: where moves meet, the
+tree can become dearer by a little. Triangles move one by one; that two of them in one leaf cost less is not seen.
 
 References: meister-bittner-2018; bittner-2013.
 """
