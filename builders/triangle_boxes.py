@@ -9,6 +9,7 @@ import warp as wp
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_kernel
+from wrt.kernels.runtime.workspace import HostNumbers, kept_workspace, part_of
 
 MAX_CORNER = 2.0**126
 """Largest absolute coordinate of a box. float32 ends at 2^128, and builders add and subtract two coordinates."""
@@ -39,6 +40,9 @@ def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array
     """Item: a triangle. Writes its box."""
     store_box(vertices, faces, boxes, first + wp.tid())
 
+
+ALIGNED = 64
+"""Numbers of which the lower and the upper corners have a multiple, so that both begin as an allocation does."""
 
 REDUCING = 1 << 14
 """Threads that find the bounds of triangles on CUDA."""
@@ -80,9 +84,14 @@ def corner_bounds(vertices: wp.array, faces: wp.array) -> tuple[np.ndarray, np.n
     """
     device = vertices.device
     items = REDUCING if device.is_cuda else 1
-    found = wp.clone(nothing_found(device.alias))
-    launch(find_corner_bounds, items, [vertices, faces, items, found], device=device)
-    bits = found.numpy()
+    stream = device.stream.cuda_stream if device.is_cuda else None
+    with kept_workspace((corner_bounds, device.alias, stream), device) as work:
+        found = work.empty("found", CORNERS + 1, int)
+        read = work.make("read", 1, lambda _: HostNumbers(CORNERS + 1, int, device))
+        wp.copy(found, nothing_found(device.alias), count=CORNERS + 1)
+        launch(find_corner_bounds, items, [vertices, faces, items, found], device=device)
+        wp.copy(read.own, found, count=CORNERS + 1)
+        bits = read.fetch().copy()
     if not np.isfinite(bits[CORNERS:].view(np.float32)).all():
         raise ValueError("vertices holds NaN or infinite numbers; repair or remove them")
     ends = (bits[:CORNERS] ^ ((bits[:CORNERS] >> 31) & 0x7FFFFFFF)).view(np.float32)
@@ -160,8 +169,9 @@ def triangle_boxes(
     """
     device, count = vertices.device, len(faces)
     boxes = Boxes()
-    boxes.low = wp.empty((3, count), dtype=float, device=device)
-    boxes.high = wp.empty((3, count), dtype=float, device=device)
+    size = -(-3 * count // ALIGNED) * ALIGNED
+    memory = wp.empty(2 * size, dtype=float, device=device)
+    boxes.low, boxes.high = (part_of(memory, begin, (3, count), float) for begin in (0, 4 * size))
     launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=CHUNK)
     if bounds is None and device.is_cuda:
         bounds = corner_bounds(vertices, faces)
