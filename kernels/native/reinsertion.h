@@ -70,6 +70,18 @@ template <class Tree, class Moves> struct MovingTree {
     CUDA_CALLABLE unsigned long long& key(int node) const { return ((unsigned long long*)moves.key.data)[node]; }
     CUDA_CALLABLE unsigned long long& owner(int node) const { return ((unsigned long long*)moves.owner.data)[node]; }
 
+    /// Links a node to a parent, or makes it the root.
+    CUDA_CALLABLE void put(int node, int at) const
+    {
+        link(node) = at;
+        if (at < 0) {
+            tree.root.data[0] = node;
+        } else {
+            LinkedBox& above = box(count + (at >> 1));
+            ((at & 1) ? above.right : above.left) = node;
+        }
+    }
+
     /// The box of a node that another thread may have computed just now.
     CUDA_CALLABLE LinkedBox made_box(int node) const
     {
@@ -254,18 +266,9 @@ inline CUDA_CALLABLE void move_node(const Tree& tree, const Moves& moves, int no
     if (beside < 0) return;
     const int link = all.link(node), parent = all.parent(node), sibling = all.sibling(node);
     const int from = all.link(parent), to = all.link(beside);
-    auto put = [&](int child, int at) {
-        all.link(child) = at;
-        if (at < 0) {
-            tree.root.data[0] = child;
-        } else {
-            LinkedBox& box = all.box(count + (at >> 1));
-            ((at & 1) ? box.right : box.left) = child;
-        }
-    };
-    put(sibling, from);
-    put(parent, to);
-    put(beside, link ^ 1);
+    all.put(sibling, from);
+    all.put(parent, to);
+    all.put(beside, link ^ 1);
 }
 
 /// Goes up from a triangle, and where it comes second, computes the box and the size of a node. All links become free.

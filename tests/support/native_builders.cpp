@@ -8,6 +8,7 @@
 #include "light_raster.h"
 #include "merging.h"
 #include "reinsertion.h"
+#include "top_levels.h"
 
 struct Vec2i {
     int c[2];
@@ -179,6 +180,7 @@ int clustered(const Boxes& boxes, int* ids, float* list, const Pair& pair, const
 void merged(const MergedTree& tree, const Moves& moves, const Mesh& mesh, int* found)
 {
     merge_from(tree, 0, 3, true);
+    rebuild_top(tree, moves, 3);
     find_move(tree, moves, 0, 3);
     choose_move(tree, moves, 0, 3);
     move_node(tree, moves, 0, 3);

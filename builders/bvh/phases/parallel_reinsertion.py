@@ -6,6 +6,11 @@
 a new sibling. The areas of all inner nodes together are what a tree costs by the surface area heuristic, but for a constant. A
 move changes those of the nodes between both places.
 
+**Upper levels.** Merging pairs is at its worst near the root, where rays of a view pay for every overlap, and moves of one node
+do not mend that. So the upper levels are made anew first: the larger half of the nodes is opened until there are 128 subtrees,
+which are divided from the root down by the best of all planes. The new levels are taken if they cost less. That is one launch
+of one block (`rebuild_tops`).
+
 **Steps** (Meister and Bittner 2018), each a launch. A round takes them `TURNS` times, for one of `TURNS` neighbouring nodes:
 
 1. `find_moves`: a node looks for the place with the greatest gain. From its parent up, it looks into the subtree beside each
@@ -34,7 +39,7 @@ import warp as wp
 
 from wrt.builders.bvh.phases.cluster_merging import CHUNK, MergedTree
 from wrt.kernels.runtime import native
-from wrt.kernels.runtime.options import exact_kernel
+from wrt.kernels.runtime.options import CUDA_BLOCK, exact_kernel
 from wrt.kernels.runtime.workspace import Workspace
 
 SEARCH_CHUNK = 256
@@ -78,6 +83,17 @@ def refit_from(tree: MergedTree, moves: Moves, triangle: int, count: int):
     """Computes the boxes and sizes of nodes above a triangle that no other one computes."""
 
 
+@native.func_native("top_levels.h", "wrt::rebuild_top(tree, moves, count);")
+def rebuild_top(tree: MergedTree, moves: Moves, count: int):
+    """Makes the upper levels anew, by all threads of a block."""
+
+
+@exact_kernel
+def rebuild_tops(first: int, count: int, tree: MergedTree, moves: Moves):
+    """Item: a thread of the one block; on the CPU, one."""
+    rebuild_top(tree, moves, count)
+
+
 @exact_kernel
 def find_moves(first: int, count: int, turn: int, step: int, tree: MergedTree, moves: Moves):
     """Item: a node of every `step`."""
@@ -112,10 +128,13 @@ def empty_moves(count: int, device: wp.Device) -> Moves:
 
 
 def reinsert(work: Workspace, tree: MergedTree, count: int, rounds: int) -> Moves:
-    """Moves nodes of the tree of `count` triangles, at least two; on CUDA, the host does not wait."""
+    """Makes the upper levels of the tree of `count` triangles, at least two, anew, then moves nodes. On CUDA, the host does not
+    wait."""
     moves = work.make("moves", count, lambda size: empty_moves(size, work.device))
     moves.owner.zero_()
     moves.arrived.zero_()
+    work.launch(rebuild_tops, 1 if work.device.is_cpu else CUDA_BLOCK, [count, tree, moves])
+    work.launch(refit_nodes, count, [count, tree, moves], chunk=CHUNK)
     for turn in range(rounds * TURNS):
         first = turn % TURNS
         items = -(-(2 * count - first) // TURNS)
