@@ -173,6 +173,7 @@ class InstancedState(SceneState):
         chosen = None if is_all(index, len(self.instances)) else self.chosen(index)
         chosen = None if chosen is not None and is_all(chosen, len(self.instances)) else chosen
         mask = None if mask is None else check_mask(mask)
+        environment = None if environment is None else self._other_environment(chosen, environment)
         if vertices is None and transform is not None and environment is None:
             moved = self._moved_on_device(chosen, transform, mask)
             if moved is not None:
@@ -182,7 +183,6 @@ class InstancedState(SceneState):
             return self.on_host().updated(index, vertices, transform, mask, policy, environment)
         count = len(self.instances) if chosen is None else len(chosen)
         matrices = None if transform is None else check_transforms(transform, count)
-        environment = None if environment is None else check_environment(environment)
         instances = self.instances.moved(chosen, matrices, mask, environment)
         with use_threads(self.num_threads):
             if vertices is not None:
@@ -190,6 +190,11 @@ class InstancedState(SceneState):
             if environment is not None:
                 return self.with_instances(instances[:], self.graph)
             return self._moved(instances, chosen if chosen is None or count == 1 else np.unique(chosen))
+
+    def _other_environment(self, rows: np.ndarray | None, environment: Any) -> int | None:
+        """The environment that instances get; None if all of them are in it already. rows: as in `_moved_on_device`."""
+        number, own = check_environment(environment), self.instances.environments
+        return None if ((own if rows is None else own[rows]) == number).all() else number
 
     def _moved_on_device(self, rows: np.ndarray | None, transform: Any, mask: int | None) -> InstancedState | None:
         """The state after instances have moved by transforms on its device; None if they go through the host.
