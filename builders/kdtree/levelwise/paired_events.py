@@ -1,0 +1,188 @@
+"""Events in pairs: each triangle has exactly two on each axis, one at which it begins and one at which it ends.
+
+A box that is flat along an axis has both at one position. With such pairs the events of a node are twice its triangles on every
+axis, so the place of a node's events follows from the triangles of the nodes before it, and of those before an event as many
+have ended as have not begun. Otherwise events are those of `wrt.builders.kdtree.events.event_sort`, in the same order: by
+position, then END, PLANAR_BEGIN, PLANAR_END, START, then triangle.
+
+The events of a level lie in one array: axis by axis, node by node, sorted.
+
+References: wald-havran-2006.
+"""
+
+import warp as wp
+
+from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_kernel
+
+END = wp.constant(0)
+PLANAR_BEGIN = wp.constant(1)
+PLANAR_END = wp.constant(2)
+START = wp.constant(3)
+"""Kinds of events; a triangle begins at those that are odd."""
+
+ITEM = wp.constant(8)
+"""Consecutive events of a thread."""
+
+ITEM_CHUNK = 2048
+"""On the CPU, items that are worth a chunk of their own."""
+
+
+def items_of(events: int) -> int:
+    """Threads that have so many events."""
+    return -(-events // int(ITEM))
+
+
+@wp.struct
+class Event:
+    """An event, as it is used; four words in memory."""
+
+    position: float
+    triangle: int
+    kind: int
+    node: int
+    """Its node on the level."""
+    axis: int
+    begun: int
+    """Triangles of its node that begin before it."""
+
+
+@wp.func
+def event_at(events: wp.array(dtype=wp.vec4i), i: int):
+    """Event i of a level."""
+    words = load_words(events, i)
+    event = Event()
+    event.position = wp.cast(words[0], wp.float32)
+    event.triangle = words[1] >> 2
+    event.kind = words[1] & 3
+    event.node = words[2] >> 2
+    event.axis = words[2] & 3
+    event.begun = words[3]
+    return event
+
+
+@wp.func
+def event_words(event: Event):
+    """The words of an event."""
+    return wp.vec4i(
+        wp.cast(event.position, wp.int32), (event.triangle << 2) | event.kind, (event.node << 2) | event.axis, event.begun
+    )
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const int4 words = ((const int4*)events.data)[i];
+    return wp::vec_t<4, wp::int32>(words.x, words.y, words.z, words.w);
+#else
+    return events.data[i];
+#endif
+""")
+def load_words(events: wp.array(dtype=wp.vec4i), i: int) -> wp.vec4i:
+    """events[i], by one access to memory."""
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    ((int4*)events.data)[i] = make_int4(words.c[0], words.c[1], words.c[2], words.c[3]);
+#else
+    events.data[i] = words;
+#endif
+""")
+def store_words(events: wp.array(dtype=wp.vec4i), i: int, words: wp.vec4i):
+    """events[i] = words, by one access to memory."""
+
+
+@exact_kernel
+def find_planar(first: int, triangles: int, boxes: Boxes, planar: wp.array(dtype=int)):
+    """Item: a triangle. planar: (3 triangles + 1,) 1 where it is flat, axis by axis, and a 0."""
+    i = first + wp.tid()
+    for axis in range(3):
+        planar[axis * triangles + i] = wp.where(boxes.low[axis, i] < boxes.high[axis, i], 0, 1)
+    if i == 0:
+        planar[3 * triangles] = 0
+
+
+@exact_kernel
+def emit_pairs(
+    first: int,
+    triangles: int,
+    boxes: Boxes,
+    planar: wp.array(dtype=int),
+    position: wp.array2d(dtype=float),
+    value: wp.array2d(dtype=int),
+):
+    """Item: a triangle. Writes its events where a stable sort by position needs them: kind by kind, by triangle.
+
+    planar: sums of what `find_planar` wrote, before each place. position, value: (3, >= 2 triangles) output; triangle << 2 |
+    kind."""
+    i = first + wp.tid()
+    for axis in range(3):
+        before = planar[axis * triangles + i] - planar[axis * triangles]
+        flat = planar[(axis + 1) * triangles] - planar[axis * triangles]
+        low = boxes.low[axis, i]
+        high = boxes.high[axis, i]
+        begin = triangles + flat + i - before
+        end = i - before
+        begin_kind = START
+        end_kind = END
+        if not (low < high):
+            high = low
+            begin = triangles - flat + before
+            end = triangles + before
+            begin_kind = PLANAR_BEGIN
+            end_kind = PLANAR_END
+        position[axis, begin] = low
+        value[axis, begin] = (i << 2) | begin_kind
+        position[axis, end] = high
+        value[axis, end] = (i << 2) | end_kind
+
+
+@exact_kernel
+def count_begun(first: int, triangles: int, value: wp.array2d(dtype=int), counts: wp.array(dtype=int)):
+    """Item: some events of the first level. Counts the triangles that begin there."""
+    item = first + wp.tid()
+    count = int(0)
+    for i in range(item * ITEM, wp.min((item + 1) * ITEM, 6 * triangles)):
+        axis = i / (2 * triangles)
+        count += value[axis, i - axis * 2 * triangles] & 1
+    counts[item] = count
+
+
+@exact_kernel
+def make_first_level(
+    first: int,
+    triangles: int,
+    position: wp.array2d(dtype=float),
+    value: wp.array2d(dtype=int),
+    before: wp.array(dtype=int),
+    events: wp.array(dtype=wp.vec4i),
+):
+    """Item: some events of the first level, whose only node has all of them. before: triangles that begin before each item."""
+    item = first + wp.tid()
+    begun = before[item]
+    for i in range(item * ITEM, wp.min((item + 1) * ITEM, 6 * triangles)):
+        axis = i / (2 * triangles)
+        at = i - axis * 2 * triangles
+        own = value[axis, at]
+        words = wp.vec4i(wp.cast(position[axis, at], wp.int32), own, axis, begun - axis * triangles)
+        store_words(events, i, words)
+        begun += own & 1
+
+
+def sorted_pairs(triangles: TriangleBoxes, events: wp.array) -> None:
+    """Writes the events of the first level: (6 triangles,) vec4i, as `event_words`."""
+    boxes, count, device = triangles.boxes, triangles.count, triangles.boxes.low.device
+    planar = wp.empty(3 * count + 1, dtype=int, device=device)
+    launch(find_planar, count, [count, boxes, planar], device=device, chunk=ITEM_CHUNK)
+    wp.utils.array_scan(planar, planar, inclusive=False)
+    position = wp.empty((3, 4 * count), dtype=float, device=device)
+    value = wp.empty((3, 4 * count), dtype=int, device=device)
+    launch(emit_pairs, count, [count, boxes, planar, position, value], device=device, chunk=ITEM_CHUNK)
+    for axis in range(3):
+        wp.utils.radix_sort_pairs(position[axis], value[axis], 2 * count)
+    items = items_of(6 * count)
+    before = wp.empty(items, dtype=int, device=device)
+    launch(count_begun, items, [count, value, before], device=device, chunk=ITEM_CHUNK)
+    wp.utils.array_scan(before, before, inclusive=False)
+    launch(make_first_level, items, [count, position, value, before, events], device=device, chunk=ITEM_CHUNK)
