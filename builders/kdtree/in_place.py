@@ -106,7 +106,7 @@ class TaskTarget(NamedTuple):
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the tree on the device that holds the boxes; on CUDA level by level to the leaves, unless triangles are clipped."""
+    """Builds the tree on the device that holds the boxes; on CUDA by levels alone, unless triangles are clipped."""
     if triangles.boxes.low.device.is_cuda and not config.tests_nodes:
         return levelwise_build.build(triangles, config)
     return build_in_place(triangles, config, event_method(config), task_target(triangles.count, triangles.boxes.low.device))

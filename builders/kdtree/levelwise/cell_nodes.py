@@ -15,8 +15,8 @@ References: choi-2010.
 
 import warp as wp
 
-from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, plane_cost
-from wrt.builders.kdtree.levelwise.paired_events import ITEM, PLANAR_END, Event, event_at
+from wrt.builders.cost import Split, SplitCost, axis_frame, no_split, plane_cost
+from wrt.builders.kdtree.levelwise.paired_events import PLANAR_END, Event, event_at
 from wrt.builders.tree import PathState, StopLimits, stop
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.struct_arrays import with_known_layout
@@ -36,7 +36,20 @@ planar triangles go to the left."""
 INNER, LEFT, RIGHT, LISTED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 """What is summed over the nodes of a level: those with children; triangles of left and of right children; those of leaves."""
 
-SUMS = 4
+SUMS = wp.constant(4)
+
+TILE_WORDS = 16
+"""Of a block of threads (grid_sums.h)."""
+
+
+@wp.struct
+class Tiles:
+    """What blocks of threads tell each other of their sums."""
+
+    word: wp.array(dtype=int)
+    """`TILE_WORDS` for each block, 0 at first."""
+    turn: int
+    """Above 0, another one for each launch, rising."""
 
 
 @with_known_layout
@@ -59,9 +72,19 @@ class CellNode:
     """Its left child's place on the next level, which the right one follows; of a leaf, where its triangles are listed."""
 
 
-@native.func_native("shared_words.h", "wrt::keep_least((long long*)keys.data + node, key);")
+@native.func_native("grid_sums.h", "wrt::keep_least((long long*)keys.data, node, key);")
 def keep_least(keys: wp.array(dtype=wp.int64), node: int, key: wp.int64):
-    """keys[node] becomes the least of it and the key."""
+    """keys[node] becomes the least of it and the key; -1 for none. On CUDA all threads of a warp come here."""
+
+
+@native.func_native(
+    "grid_sums.h",
+    "const wrt::Sums before = wrt::sums_before((wrt::Tile*)tiles.word.data, tiles.turn, thread == 0,\n"
+    "    {own.c[0], own.c[1], own.c[2], own.c[3]});\n"
+    "return {before.of[0], before.of[1], before.of[2], before.of[3]};",
+)
+def sums_before(tiles: Tiles, thread: int, own: wp.vec4i) -> wp.vec4i:
+    """The sums of what all threads before this one own. On CUDA all threads of all blocks come here."""
 
 
 @wp.func
@@ -102,38 +125,24 @@ def search_planes(
     nodes: wp.array(dtype=CellNode),
     keys: wp.array(dtype=wp.int64),
 ):
-    """Item: some events. keys: (nodes,) the least key of each node, `NO_PLANE` before."""
-    begin = (first + wp.tid()) * ITEM
-    end = wp.min(begin + ITEM, 6 * total)
-    if begin >= end:
-        return
-    here = int(-1)
-    axis = int(-1)
-    triangles = int(0)
-    origin = int(0)
-    along = AxisFrame()
-    least = no_key()
-    for i in range(begin, end):
+    """Item: an event. keys: (nodes,) the least key of each node, `NO_PLANE` before."""
+    i = first + wp.tid()
+    own = int(-1)
+    key = no_key()
+    if i < 6 * total:
         event = event_at(events, i)
-        if event.node != here or event.axis != axis:
-            if event.node != here and least < NO_PLANE:
-                keep_least(keys, here, least)
-                least = no_key()
-            here = event.node
-            axis = event.axis
-            node = nodes[here]
-            triangles = node.triangles
-            origin = first_event(node, axis, total)
-            along = axis_frame(cost, axis, node.low, node.high, triangles)
-        if event.position > along.low and event.position < along.high:
-            ends = (event.kind & 1) == 0
-            if not (ends and is_followed_by_same(events, i, origin + 2 * triangles, event)):
-                right = triangles - (i - origin - event.begun) - wp.where(ends, 1, 0)
-                candidate = plane_cost(cost, along, event.position, event.begun, right)
-                if candidate < INFINITY:
-                    least = wp.min(least, plane_key(candidate, axis, i - origin, event.kind >= PLANAR_END))
-    if least < NO_PLANE:
-        keep_least(keys, here, least)
+        own = event.node
+        node = nodes[own]
+        place = i - first_event(node, event.axis, total)
+        ends = (event.kind & 1) == 0
+        inside = event.position > node.low[event.axis] and event.position < node.high[event.axis]
+        if inside and not (ends and is_followed_by_same(events, i, i - place + 2 * node.triangles, event)):
+            along = axis_frame(cost, event.axis, node.low, node.high, node.triangles)
+            right = node.triangles - (place - event.begun) - wp.where(ends, 1, 0)
+            candidate = plane_cost(cost, along, event.position, event.begun, right)
+            if candidate < INFINITY:
+                key = plane_key(candidate, event.axis, place, event.kind >= PLANAR_END)
+    keep_least(keys, own, key)
 
 
 @wp.func
@@ -153,33 +162,18 @@ def split_of(key: wp.int64, node: CellNode, total: int, events: wp.array(dtype=w
     return split
 
 
-@exact_kernel
-def decide(
-    first: int,
-    cost: SplitCost,
-    limits: StopLimits,
-    depth: int,
-    total: int,
-    events: wp.array(dtype=wp.vec4i),
-    nodes: wp.array(dtype=CellNode),
-    keys: wp.array(dtype=wp.int64),
-    sums: wp.array(dtype=int),
-    count: int,
-):
-    """Item: a node. Splits it at its best plane, or makes it a leaf. sums: (SUMS * count + 1,) its numbers, and a 0."""
-    index = first + wp.tid()
-    node = nodes[index]
-    node.split = split_of(keys[index], node, total, events)
-    path = stop(limits, cost, depth, node.triangles, node.path, node.split, node.high - node.low)
-    node.is_leaf = path.bad_splits < 0
-    node.path = path
-    nodes[index] = node
-    sums[INNER * count + index] = wp.where(node.is_leaf, 0, 1)
-    sums[LEFT * count + index] = wp.where(node.is_leaf, 0, node.split.left)
-    sums[RIGHT * count + index] = wp.where(node.is_leaf, 0, node.split.right)
-    sums[LISTED * count + index] = wp.where(node.is_leaf, node.triangles, 0)
-    if index == 0:
-        sums[SUMS * count] = 0
+@wp.struct
+class Level:
+    """Numbers of a level."""
+
+    nodes: int
+    triangles: int
+    """Of all its nodes."""
+    depth: int
+    first: int
+    """Nodes of the levels above."""
+    listed: int
+    """Triangles of their leaves."""
 
 
 @wp.struct
@@ -200,45 +194,60 @@ class BuiltNodes:
 @exact_kernel
 def make_children(
     first: int,
-    count: int,
-    sums: wp.array(dtype=int),
-    begins: wp.vec3i,
-    nodes: wp.array(dtype=CellNode),
-    children: wp.array(dtype=CellNode),
+    cost: SplitCost,
+    limits: StopLimits,
+    level: Level,
+    events: wp.array(dtype=wp.vec4i),
     keys: wp.array(dtype=wp.int64),
+    nodes: wp.array(dtype=CellNode),
+    tiles: Tiles,
+    children: wp.array(dtype=CellNode),
+    child_keys: wp.array(dtype=wp.int64),
     built: BuiltNodes,
     totals: wp.array(dtype=int),
 ):
-    """Item: a node. Writes its children, and the node itself to the tree.
+    """Item: a node, in one chunk. Splits it at its best plane, or makes it a leaf; writes it to the tree, and its children.
 
-    sums: those before each place. begins: the level's first node and the next level's in the tree, and the triangles of leaves
-    listed before. children, keys: (2 INNER,) output. totals: (SUMS,) output."""
+    children, child_keys: (2 level.nodes,) output, of which twice the nodes with children are written. totals: (SUMS,) output,
+    the sums over all nodes."""
     index = first + wp.tid()
-    if index == 0:
-        for k in range(SUMS):
-            totals[k] = sums[(k + 1) * count] - sums[k * count]
-    node = nodes[index]
-    here = begins[0] + index
+    node = CellNode()
+    node.is_leaf = True
+    if index < level.nodes:
+        node = nodes[index]
+        node.split = split_of(keys[index], node, level.triangles, events)
+        node.path = stop(limits, cost, level.depth, node.triangles, node.path, node.split, node.high - node.low)
+        node.is_leaf = node.path.bad_splits < 0
+    own = wp.vec4i(1, node.split.left, node.split.right, 0)
     if node.is_leaf:
-        node.child = begins[2] + sums[LISTED * count + index] - sums[LISTED * count]
-        built.node[here] = kdtree.leaf_node(node.child, node.triangles)
-    else:
-        node.child = 2 * sums[index]
-        node.left_before = sums[LEFT * count + index] - sums[LEFT * count]
-        node.right_before = sums[RIGHT * count + index] - sums[RIGHT * count]
-        split = node.split
-        built.node[here] = kdtree.inner_node(split.axis, split.position, begins[1] + node.child)
-        child = node
-        child.triangles = split.left
-        child.before = node.left_before + node.right_before
-        child.high[split.axis] = split.position
-        children[node.child] = child
-        child.high[split.axis] = node.high[split.axis]
-        child.low[split.axis] = split.position
-        child.before += split.left
-        child.triangles = split.right
-        children[node.child + 1] = child
-        for side in range(2):
-            keys[node.child + side] = NO_PLANE
-            built.parent[begins[1] + node.child + side] = (here << 1) | side
-    nodes[index] = node
+        own = wp.vec4i(0, 0, 0, node.triangles)
+    before = sums_before(tiles, index, own)
+    if index < level.nodes:
+        here = level.first + index
+        below = level.first + level.nodes
+        if index == level.nodes - 1:
+            for k in range(SUMS):
+                totals[k] = before[k] + own[k]
+        if node.is_leaf:
+            node.child = level.listed + before[LISTED]
+            built.node[here] = kdtree.leaf_node(node.child, node.triangles)
+        else:
+            node.child = 2 * before[INNER]
+            node.left_before = before[LEFT]
+            node.right_before = before[RIGHT]
+            split = node.split
+            built.node[here] = kdtree.inner_node(split.axis, split.position, below + node.child)
+            child = node
+            child.triangles = split.left
+            child.before = node.left_before + node.right_before
+            child.high[split.axis] = split.position
+            children[node.child] = child
+            child.high[split.axis] = node.high[split.axis]
+            child.low[split.axis] = split.position
+            child.before += split.left
+            child.triangles = split.right
+            children[node.child + 1] = child
+            for side in range(2):
+                child_keys[node.child + side] = NO_PLANE
+                built.parent[below + node.child + side] = (here << 1) | side
+        nodes[index] = node

@@ -32,7 +32,8 @@ that of the in-place build, node for node.
 References: choi-2010; zagha-blelloch-1991.
 """
 
-from functools import partial
+from collections.abc import Sequence
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -46,24 +47,25 @@ from wrt.builders.kdtree.levelwise.cell_nodes import (
     NO_PLANE,
     RIGHT,
     SUMS,
+    TILE_WORDS,
     BuiltNodes,
     CellNode,
-    decide,
+    Level,
+    Tiles,
     make_children,
     search_planes,
 )
-from wrt.builders.kdtree.levelwise.event_moves import PARTS, count_sides, move_events
+from wrt.builders.kdtree.levelwise.event_moves import EVENTS_EACH, move_events
 from wrt.builders.kdtree.levelwise.numbering import number, sum_sizes
-from wrt.builders.kdtree.levelwise.paired_events import ITEM_CHUNK, emit_pairs, items_of, sorted_pairs
+from wrt.builders.kdtree.levelwise.paired_events import emit_pairs, sorted_pairs
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import launch, load
+from wrt.kernels.runtime.options import CUDA_BLOCK
+from wrt.kernels.runtime.workspace import give_back, read_ints, take
 
 KERNELS = (emit_pairs, search_planes, move_events, sum_sizes)
 """One kernel of each module."""
-
-NODE_CHUNK = 256
-"""On the CPU, nodes that are worth a chunk of their own."""
 
 GROWTH = 1.5
 """How much larger than asked for an array is made that will be asked for again."""
@@ -71,17 +73,17 @@ GROWTH = 1.5
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes. The config does not clip."""
-    device = triangles.boxes.low.device
+    device, count = triangles.boxes.low.device, triangles.count
     load(KERNELS, device)
     phase = Phases(device)
-    work = Room(device)
-    events = work.room("events0", 6 * triangles.count, wp.vec4i)
+    work = Room(device, count // 4)
     with phase("sort"):
-        sorted_pairs(triangles, events)
+        sorted_pairs(triangles, work.room("events0", 6 * count, wp.vec4i))
     with phase("levels"):
-        built, count = split_levels(triangles, config, work)
+        built, made = split_levels(triangles, config, work)
     with phase("assemble"):
-        nodes, primitive = number(built, count, config.cost.width)
+        built.size = work.zeros("size", made, wp.int64)
+        nodes, primitive = number(built, made, config.cost.width)
     phase.stats.reserve(triangles.boxes.low, triangles.boxes.high, *work.arrays.values(), nodes, primitive)
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, phase.stats)
 
@@ -91,66 +93,117 @@ class Room:
 
     Args:
         device: where they are.
+        least: elements of the smallest array.
     """
 
-    def __init__(self, device: wp.Device) -> None:
-        self.device = device
+    def __init__(self, device: wp.Device, least: int) -> None:
+        self.device, self.least = device, least
         self.arrays: dict[str, wp.array] = {}
 
     def room(self, name: str, count: int, dtype: Any, keep: int = 0) -> wp.array:
         """An array of at least `count` elements, of which the first `keep` are those that it had."""
         known = self.arrays.get(name)
-        if known is None or known.size < count:
-            made = self.arrays[name] = wp.empty(int(GROWTH * count) + 64, dtype=dtype, device=self.device)
-            if known is not None and keep:
-                wp.copy(made, known, count=keep)
-        return self.arrays[name]
+        if known is not None and known.size >= count:
+            return known
+        made = self.arrays[name] = wp.empty(max(int(GROWTH * count), self.least), dtype=dtype, device=self.device)
+        if known is not None and keep:
+            wp.copy(made, known, count=keep)
+        return made
+
+    def zeros(self, name: str, count: int, dtype: Any) -> wp.array:
+        """As `room`; a new array is of zeros."""
+        known = self.arrays.get(name)
+        made = self.room(name, count, dtype)
+        if made is not known:
+            made.zero_()
+        return made
+
+
+class Totals:
+    """What a level's nodes sum up to, on the device, and read by the host while the device goes on."""
+
+    def __init__(self, device: wp.Device) -> None:
+        self.found = wp.empty(SUMS, dtype=int, device=device)
+        self._read = wp.empty(SUMS, dtype=int, device="cpu", pinned=True) if device.is_cuda else self.found
+        self._is_read = wp.Event(device) if device.is_cuda else None
+        self._device = device
+
+    def begin(self) -> None:
+        """Begins to read them."""
+        if self._is_read is not None:
+            wp.copy(self._read, self.found)
+            self._device.stream.record_event(self._is_read)
+
+    def end(self) -> list[int]:
+        """Waits for them."""
+        if self._is_read is not None:
+            wp.synchronize_event(self._is_read)
+        return read_ints(self._read, SUMS)
 
 
 def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: Room) -> tuple[BuiltNodes, int]:
     """Splits level after level; returns all nodes, and how many they are."""
-    device, (cost, limits) = work.device, config.rules(triangles)
-    run = partial(launch, device=device)
-    count, total, depth, first, listed = 1, triangles.count, 0, 0, 0
+    device, (cost, limits), turns = work.device, config.rules(triangles), count(1)
+    kind = split_levels, device.alias
+    totals = take(kind) or Totals(device)
+    level = Level()
+    level.nodes, level.triangles, level.depth, level.first, level.listed = 1, triangles.count, 0, 0, 0
     root = np.zeros(1, dtype=CellNode.numpy_dtype())
-    root["low"], root["high"], root["triangles"] = triangles.low, triangles.high, total
+    root["low"], root["high"], root["triangles"] = triangles.low, triangles.high, triangles.count
     nodes = wp.array(root, dtype=CellNode, device=device)
     keys = wp.full(1, int(NO_PLANE), dtype=wp.int64, device=device)
-    totals = wp.empty(SUMS, dtype=int, device=device)
     built = BuiltNodes()
-    grow(built, work, (0, 0), (1 + total, total))
+    grow(built, work, level)
     built.parent[:1].fill_(-1)
-    while count:
-        events = work.arrays[f"events{depth & 1}"]
-        run(search_planes, items_of(6 * total), [cost, total, events, nodes, keys], chunk=ITEM_CHUNK)
-        sums = work.room("sums", SUMS * count + 1, int)[: SUMS * count + 1]
-        run(decide, count, [cost, limits, depth, total, events, nodes, keys, sums, count], chunk=NODE_CHUNK)
-        wp.utils.array_scan(sums, sums, inclusive=False)
-        grow(built, work, (first + count, listed), (first + 3 * count, listed + total))
-        children = work.room(f"nodes{depth & 1}", 2 * count, CellNode)
-        keys = work.room("keys", 2 * count, wp.int64)
-        inputs = [count, sums, wp.vec3i(first, first + count, listed), nodes, children, keys, built, totals]
-        run(make_children, count, inputs, chunk=NODE_CHUNK)
-        items = items_of(6 * total)
-        sides = work.room("sides", items, int)
-        counts = work.room("counts", PARTS * items, int)[: PARTS * items]
-        run(count_sides, items, [items, total, triangles.boxes, events, nodes, sides, counts], chunk=ITEM_CHUNK)
-        wp.utils.array_scan(counts, counts, inclusive=False)
-        found = totals.numpy()
-        moved = work.room(f"events{1 - (depth & 1)}", 6 * int(found[LEFT] + found[RIGHT]), wp.vec4i)
-        inputs = [items, total, events, nodes, totals, sides, counts, moved, built.listed]
-        run(move_events, items, inputs, chunk=ITEM_CHUNK)
-        first, listed, depth = first + count, listed + int(found[LISTED]), depth + 1
-        count, total, nodes = 2 * int(found[INNER]), int(found[LEFT] + found[RIGHT]), children
-    return built, first
+    tiles = Tiles()
+    while level.nodes:
+        here, there = level.depth & 1, 1 - (level.depth & 1)
+        events = work.arrays[f"events{here}"]
+        run(search_planes, 6 * level.triangles, [cost, level.triangles, events, nodes, keys], device)
+        grow(built, work, level)
+        children = work.room(f"nodes{there}", 2 * level.nodes, CellNode)
+        child_keys = work.room(f"keys{there}", 2 * level.nodes, wp.int64)
+        threads = -(-6 * level.triangles // EVENTS_EACH)
+        tiles.word = work.zeros("tiles", TILE_WORDS * blocks_of(max(threads, level.nodes)), int)
+        tiles.turn = next(turns)
+        inputs = [cost, limits, level, events, keys, nodes, tiles, children, child_keys, built, totals.found]
+        run(make_children, level.nodes, inputs, device)
+        totals.begin()
+        moved = work.room(f"events{there}", 6 * level.triangles, wp.vec4i)
+        while True:
+            tiles.turn = next(turns)
+            inputs = [level.triangles, triangles.boxes, events, nodes, totals.found, tiles, moved, built.listed]
+            run(move_events, threads, inputs, device)
+            found = totals.end()
+            below = found[LEFT] + found[RIGHT]
+            if 6 * below <= moved.size:
+                break
+            moved = work.room(f"events{there}", 6 * below, wp.vec4i)
+        level.first, level.listed, level.depth = level.first + level.nodes, level.listed + found[LISTED], level.depth + 1
+        level.nodes, level.triangles, nodes, keys = 2 * found[INNER], below, children, child_keys
+    give_back(kind, totals)
+    return built, level.first
 
 
-def grow(built: BuiltNodes, work: Room, used: tuple[int, int], wanted: tuple[int, int]) -> None:
-    """Makes room for so many nodes and listed triangles; used: those that there are."""
-    had = 0 if built.size is None else built.size.size
-    built.node = work.room("node", wanted[0], wp.vec2i, used[0])
-    built.parent = work.room("parent", wanted[0], int, used[0])
-    built.size = work.room("size", wanted[0], wp.int64)
-    built.listed = work.room("listed", wanted[1], int, used[1])
-    if built.size.size > had:
-        built.size.zero_()
+def blocks_of(threads: int) -> int:
+    """Blocks of so many threads."""
+    return -(-threads // CUDA_BLOCK)
+
+
+def run(kernel: wp.Kernel, threads: int, inputs: Sequence[Any], device: wp.Device) -> None:
+    """Launches whole blocks of threads, which work together; on the CPU one chunk, one thread after the other."""
+    threads = CUDA_BLOCK * blocks_of(threads) if device.is_cuda else threads
+    launch(kernel, threads, inputs, device=device, chunk=threads, longest=threads)
+
+
+def grow(built: BuiltNodes, work: Room, level: Level) -> None:
+    """Makes room for the nodes and the listed triangles of a level, and for the nodes of the next one."""
+    made, listed = level.first + level.nodes, level.listed + level.triangles
+    for name, wanted, dtype, keep in (
+        ("node", made, wp.vec2i, level.first),
+        ("parent", made + 2 * level.nodes, int, made),
+        ("listed", listed, int, level.listed),
+    ):
+        known = work.arrays.get(name)
+        if known is None or known.size < wanted:
+            setattr(built, name, work.room(name, wanted, dtype, keep))

@@ -24,7 +24,7 @@ NODE_CHUNK = 1024
 """On the CPU, nodes that are worth a chunk of their own."""
 
 
-@native.func_native("shared_words.h", "return wrt::add_to((long long*)words.data + i, value);")
+@native.func_native("grid_sums.h", "return wrt::add_to((long long*)words.data + i, value);")
 def add_to(words: wp.array(dtype=wp.int64), i: int, value: wp.int64) -> wp.int64:
     """words[i] += value; what it was."""
 

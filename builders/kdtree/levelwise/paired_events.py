@@ -13,6 +13,7 @@ References: wald-havran-2006.
 import warp as wp
 
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_kernel
 
@@ -70,25 +71,12 @@ def event_words(event: Event):
     )
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    const int4 words = ((const int4*)events.data)[i];
-    return wp::vec_t<4, wp::int32>(words.x, words.y, words.z, words.w);
-#else
-    return events.data[i];
-#endif
-""")
+@native.func_native("event_moves.h", "return wrt::load_four(events.data + i);")
 def load_words(events: wp.array(dtype=wp.vec4i), i: int) -> wp.vec4i:
     """events[i], by one access to memory."""
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    ((int4*)events.data)[i] = make_int4(words.c[0], words.c[1], words.c[2], words.c[3]);
-#else
-    events.data[i] = words;
-#endif
-""")
+@native.func_native("event_moves.h", "wrt::store_four(events.data + i, words);")
 def store_words(events: wp.array(dtype=wp.vec4i), i: int, words: wp.vec4i):
     """events[i] = words, by one access to memory."""
 
