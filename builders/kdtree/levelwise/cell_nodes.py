@@ -16,11 +16,11 @@ References: choi-2010.
 import warp as wp
 
 from wrt.builders.cost import Split, SplitCost, axis_frame, no_split, plane_cost
+from wrt.builders.kdtree.levelwise.grid_sums import Tiles, keep_least, sums_before
 from wrt.builders.kdtree.levelwise.paired_events import PLANAR_END, Event, event_at
 from wrt.builders.tree import PathState, StopLimits, stop
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.struct_arrays import with_known_layout
-from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.simd.boxes import INFINITY
 
@@ -37,19 +37,6 @@ INNER, LEFT, RIGHT, LISTED = wp.constant(0), wp.constant(1), wp.constant(2), wp.
 """What is summed over the nodes of a level: those with children; triangles of left and of right children; those of leaves."""
 
 SUMS = wp.constant(4)
-
-TILE_WORDS = 16
-"""Of a block of threads (grid_sums.h)."""
-
-
-@wp.struct
-class Tiles:
-    """What blocks of threads tell each other of their sums."""
-
-    word: wp.array(dtype=int)
-    """`TILE_WORDS` for each block, 0 at first."""
-    turn: int
-    """Above 0, another one for each launch, rising."""
 
 
 @with_known_layout
@@ -70,21 +57,6 @@ class CellNode:
     right_before: int
     child: int
     """Its left child's place on the next level, which the right one follows; of a leaf, where its triangles are listed."""
-
-
-@native.func_native("grid_sums.h", "wrt::keep_least((long long*)keys.data, node, key);")
-def keep_least(keys: wp.array(dtype=wp.int64), node: int, key: wp.int64):
-    """keys[node] becomes the least of it and the key; -1 for none. On CUDA all threads of a warp come here."""
-
-
-@native.func_native(
-    "grid_sums.h",
-    "const wrt::Sums before = wrt::sums_before((wrt::Tile*)tiles.word.data, tiles.turn, thread == 0,\n"
-    "    {own.c[0], own.c[1], own.c[2], own.c[3]});\n"
-    "return {before.of[0], before.of[1], before.of[2], before.of[3]};",
-)
-def sums_before(tiles: Tiles, thread: int, own: wp.vec4i) -> wp.vec4i:
-    """The sums of what all threads before this one own. On CUDA all threads of all blocks come here."""
 
 
 @wp.func

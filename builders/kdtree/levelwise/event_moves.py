@@ -10,7 +10,8 @@ References: choi-2010.
 
 import warp as wp
 
-from wrt.builders.kdtree.levelwise.cell_nodes import CellNode, Tiles
+from wrt.builders.kdtree.levelwise.cell_nodes import CellNode
+from wrt.builders.kdtree.levelwise.grid_sums import Tiles
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_kernel

@@ -32,8 +32,6 @@ that of the in-place build, node for node.
 References: choi-2010; zagha-blelloch-1991.
 """
 
-from collections.abc import Sequence
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -47,21 +45,19 @@ from wrt.builders.kdtree.levelwise.cell_nodes import (
     NO_PLANE,
     RIGHT,
     SUMS,
-    TILE_WORDS,
     BuiltNodes,
     CellNode,
     Level,
-    Tiles,
     make_children,
     search_planes,
 )
 from wrt.builders.kdtree.levelwise.event_moves import EVENTS_EACH, move_events
+from wrt.builders.kdtree.levelwise.grid_sums import Grid
 from wrt.builders.kdtree.levelwise.numbering import number, sum_sizes
 from wrt.builders.kdtree.levelwise.paired_events import emit_pairs, sorted_pairs
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.kernels.runtime.launch import launch, load
-from wrt.kernels.runtime.options import CUDA_BLOCK
+from wrt.kernels.runtime.launch import load
 from wrt.kernels.runtime.workspace import give_back, read_ints, take
 
 KERNELS = (emit_pairs, search_planes, move_events, sum_sizes)
@@ -76,11 +72,11 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     device, count = triangles.boxes.low.device, triangles.count
     load(KERNELS, device)
     phase = Phases(device)
-    work = Room(device, count // 4)
+    work, grid = Room(device, count // 4), Grid(device)
     with phase("sort"):
-        sorted_pairs(triangles, work.room("events0", 6 * count, wp.vec4i))
+        sorted_pairs(triangles, grid, work.room("events0", 6 * count, wp.vec4i))
     with phase("levels"):
-        built, made = split_levels(triangles, config, work)
+        built, made = split_levels(triangles, config, work, grid)
     with phase("assemble"):
         built.size = work.zeros("size", made, wp.int64)
         nodes, primitive = number(built, made, config.cost.width)
@@ -141,9 +137,9 @@ class Totals:
         return read_ints(self._read, SUMS)
 
 
-def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: Room) -> tuple[BuiltNodes, int]:
+def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: Room, grid: Grid) -> tuple[BuiltNodes, int]:
     """Splits level after level; returns all nodes, and how many they are."""
-    device, (cost, limits), turns = work.device, config.rules(triangles), count(1)
+    device, (cost, limits) = work.device, config.rules(triangles)
     kind = split_levels, device.alias
     totals = take(kind) or Totals(device)
     level = Level()
@@ -155,25 +151,21 @@ def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: Room) -> 
     built = BuiltNodes()
     grow(built, work, level)
     built.parent[:1].fill_(-1)
-    tiles = Tiles()
     while level.nodes:
         here, there = level.depth & 1, 1 - (level.depth & 1)
         events = work.arrays[f"events{here}"]
-        run(search_planes, 6 * level.triangles, [cost, level.triangles, events, nodes, keys], device)
+        grid.run(search_planes, 6 * level.triangles, [cost, level.triangles, events, nodes, keys])
         grow(built, work, level)
         children = work.room(f"nodes{there}", 2 * level.nodes, CellNode)
         child_keys = work.room(f"keys{there}", 2 * level.nodes, wp.int64)
         threads = -(-6 * level.triangles // EVENTS_EACH)
-        tiles.word = work.zeros("tiles", TILE_WORDS * blocks_of(max(threads, level.nodes)), int)
-        tiles.turn = next(turns)
-        inputs = [cost, limits, level, events, keys, nodes, tiles, children, child_keys, built, totals.found]
-        run(make_children, level.nodes, inputs, device)
+        inputs = [cost, limits, level, events, keys, nodes, grid.tiles(level.nodes), children, child_keys, built, totals.found]
+        grid.run(make_children, level.nodes, inputs)
         totals.begin()
         moved = work.room(f"events{there}", 6 * level.triangles, wp.vec4i)
         while True:
-            tiles.turn = next(turns)
-            inputs = [level.triangles, triangles.boxes, events, nodes, totals.found, tiles, moved, built.listed]
-            run(move_events, threads, inputs, device)
+            inputs = [level.triangles, triangles.boxes, events, nodes, totals.found, grid.tiles(threads), moved, built.listed]
+            grid.run(move_events, threads, inputs)
             found = totals.end()
             below = found[LEFT] + found[RIGHT]
             if 6 * below <= moved.size:
@@ -183,17 +175,6 @@ def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: Room) -> 
         level.nodes, level.triangles, nodes, keys = 2 * found[INNER], below, children, child_keys
     give_back(kind, totals)
     return built, level.first
-
-
-def blocks_of(threads: int) -> int:
-    """Blocks of so many threads."""
-    return -(-threads // CUDA_BLOCK)
-
-
-def run(kernel: wp.Kernel, threads: int, inputs: Sequence[Any], device: wp.Device) -> None:
-    """Launches whole blocks of threads, which work together; on the CPU one chunk, one thread after the other."""
-    threads = CUDA_BLOCK * blocks_of(threads) if device.is_cuda else threads
-    launch(kernel, threads, inputs, device=device, chunk=threads, longest=threads)
 
 
 def grow(built: BuiltNodes, work: Room, level: Level) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.kdtree.levelwise.cell_nodes import BuiltNodes
+from wrt.builders.kdtree.levelwise.grid_sums import add_to
 from wrt.kernels.layout import kdtree_nodes as kdtree
-from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_kernel
 
@@ -22,11 +22,6 @@ NODES = wp.constant(wp.int64((1 << 30) - 1))
 
 NODE_CHUNK = 1024
 """On the CPU, nodes that are worth a chunk of their own."""
-
-
-@native.func_native("grid_sums.h", "return wrt::add_to((long long*)words.data + i, value);")
-def add_to(words: wp.array(dtype=wp.int64), i: int, value: wp.int64) -> wp.int64:
-    """words[i] += value; what it was."""
 
 
 @wp.func

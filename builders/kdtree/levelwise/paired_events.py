@@ -12,6 +12,7 @@ References: wald-havran-2006.
 
 import warp as wp
 
+from wrt.builders.kdtree.levelwise.grid_sums import Grid, Tiles, sums_before
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
@@ -23,16 +24,8 @@ PLANAR_END = wp.constant(2)
 START = wp.constant(3)
 """Kinds of events; a triangle begins at those that are odd."""
 
-ITEM = wp.constant(8)
-"""Consecutive events of a thread."""
-
-ITEM_CHUNK = 2048
-"""On the CPU, items that are worth a chunk of their own."""
-
-
-def items_of(events: int) -> int:
-    """Threads that have so many events."""
-    return -(-events // int(ITEM))
+CHUNK = 2048
+"""On the CPU, triangles that are worth a chunk of their own."""
 
 
 @wp.struct
@@ -61,14 +54,6 @@ def event_at(events: wp.array(dtype=wp.vec4i), i: int):
     event.axis = words[2] & 3
     event.begun = words[3]
     return event
-
-
-@wp.func
-def event_words(event: Event):
-    """The words of an event."""
-    return wp.vec4i(
-        wp.cast(event.position, wp.int32), (event.triangle << 2) | event.kind, (event.node << 2) | event.axis, event.begun
-    )
 
 
 @native.func_native("event_moves.h", "return wrt::load_four(events.data + i);")
@@ -127,50 +112,36 @@ def emit_pairs(
 
 
 @exact_kernel
-def count_begun(first: int, triangles: int, value: wp.array2d(dtype=int), counts: wp.array(dtype=int)):
-    """Item: some events of the first level. Counts the triangles that begin there."""
-    item = first + wp.tid()
-    count = int(0)
-    for i in range(item * ITEM, wp.min((item + 1) * ITEM, 6 * triangles)):
-        axis = i / (2 * triangles)
-        count += value[axis, i - axis * 2 * triangles] & 1
-    counts[item] = count
-
-
-@exact_kernel
 def make_first_level(
     first: int,
     triangles: int,
     position: wp.array2d(dtype=float),
     value: wp.array2d(dtype=int),
-    before: wp.array(dtype=int),
+    tiles: Tiles,
     events: wp.array(dtype=wp.vec4i),
 ):
-    """Item: some events of the first level, whose only node has all of them. before: triangles that begin before each item."""
-    item = first + wp.tid()
-    begun = before[item]
-    for i in range(item * ITEM, wp.min((item + 1) * ITEM, 6 * triangles)):
-        axis = i / (2 * triangles)
-        at = i - axis * 2 * triangles
+    """Item: an event, in one chunk. Writes it to the first level, whose only node has all of them."""
+    i = first + wp.tid()
+    axis = i / (2 * triangles)
+    at = i - axis * 2 * triangles
+    own = int(0)
+    if axis < 3:
         own = value[axis, at]
-        words = wp.vec4i(wp.cast(position[axis, at], wp.int32), own, axis, begun - axis * triangles)
+    before = sums_before(tiles, i, wp.vec4i(own & 1, 0, 0, 0))
+    if axis < 3:
+        words = wp.vec4i(wp.cast(position[axis, at], wp.int32), own, axis, before[0] - axis * triangles)
         store_words(events, i, words)
-        begun += own & 1
 
 
-def sorted_pairs(triangles: TriangleBoxes, events: wp.array) -> None:
-    """Writes the events of the first level: (6 triangles,) vec4i, as `event_words`."""
-    boxes, count, device = triangles.boxes, triangles.count, triangles.boxes.low.device
+def sorted_pairs(triangles: TriangleBoxes, grid: Grid, events: wp.array) -> None:
+    """Writes the events of the first level: (6 triangles,) vec4i, as `event_at` reads them."""
+    boxes, count, device = triangles.boxes, triangles.count, grid.device
     planar = wp.empty(3 * count + 1, dtype=int, device=device)
-    launch(find_planar, count, [count, boxes, planar], device=device, chunk=ITEM_CHUNK)
+    launch(find_planar, count, [count, boxes, planar], device=device, chunk=CHUNK)
     wp.utils.array_scan(planar, planar, inclusive=False)
     position = wp.empty((3, 4 * count), dtype=float, device=device)
     value = wp.empty((3, 4 * count), dtype=int, device=device)
-    launch(emit_pairs, count, [count, boxes, planar, position, value], device=device, chunk=ITEM_CHUNK)
+    launch(emit_pairs, count, [count, boxes, planar, position, value], device=device, chunk=CHUNK)
     for axis in range(3):
         wp.utils.radix_sort_pairs(position[axis], value[axis], 2 * count)
-    items = items_of(6 * count)
-    before = wp.empty(items, dtype=int, device=device)
-    launch(count_begun, items, [count, value, before], device=device, chunk=ITEM_CHUNK)
-    wp.utils.array_scan(before, before, inclusive=False)
-    launch(make_first_level, items, [count, position, value, before, events], device=device, chunk=ITEM_CHUNK)
+    grid.run(make_first_level, 6 * count, [count, position, value, grid.tiles(6 * count), events])
