@@ -40,8 +40,8 @@ template <class Split> inline CUDA_CALLABLE int side_of(const Split& split, floa
 /// Moves the events of a thread. boxes: low and high of triangles, axis by axis; totals: the level's sums of left and of right
 /// triangles are its second and third.
 template <class Words, class Node>
-inline CUDA_CALLABLE void move_events(int thread, int count, const float* low, const float* high, size_t row, const Words* events,
-    const Node* nodes, const int* totals, Tile* tiles, int turn, Words* moved, int room, int* listed)
+inline CUDA_CALLABLE void move_events(int thread, int count, const float* low, const float* high, size_t row,
+    const Words* events, const Node* nodes, const int* totals, Tile* tiles, int turn, Words* moved, int room, int* listed)
 {
     const int lanes = warp_lanes(), first = (thread - warp_lane()) * EVENTS_EACH + warp_lane();
     unsigned sides = 0;
@@ -57,8 +57,7 @@ inline CUDA_CALLABLE void move_events(int thread, int count, const float* low, c
             if (!node.is_leaf) {
                 const size_t at = node.split.axis * row + triangle;
                 side = side_of(node.split, low[at], high[at]);
-            } else if (begins && (words.c[2] & 3) == 0)
-                listed[node.child + words.c[3]] = triangle;
+            } else if (begins && (words.c[2] & 3) == 0) listed[node.child + words.c[3]] = triangle;
         }
         sides |= (unsigned)side << 2 * k;
         own.of[0] += count_votes(vote(side & 1));
@@ -66,7 +65,7 @@ inline CUDA_CALLABLE void move_events(int thread, int count, const float* low, c
         own.of[2] += count_votes(vote(side & begins));
         own.of[3] += count_votes(vote(side >> 1 & begins));
     }
-    Sums before = sums_of_warps_before(tiles, turn, thread == 0, own);
+    Sums before = sums_of_warps_before(tiles, turn, own);
     const int lefts = totals[1], rights = totals[2];
     for (int k = 0; k < EVENTS_EACH; ++k) {
         const int i = first + k * lanes, side = sides >> 2 * k & 3;
@@ -82,10 +81,10 @@ inline CUDA_CALLABLE void move_events(int thread, int count, const float* low, c
             const int right = 2 * (left_first + node.split.left) + before.of[1] + votes_before(to_right);
             words.c[2] = node.child << 2 | axis;
             words.c[3] = before.of[2] + votes_before(left_begun) - left_first;
-            if (side & 1 && left < room) store_four(moved + left, words);
+            if (side & 1 && (unsigned)left < (unsigned)room) store_four(moved + left, words);
             words.c[2] = (node.child + 1) << 2 | axis;
             words.c[3] = before.of[3] + votes_before(right_begun) - right_first;
-            if (side & 2 && right < room) store_four(moved + right, words);
+            if (side & 2 && (unsigned)right < (unsigned)room) store_four(moved + right, words);
         }
         before.of[0] += count_votes(to_left);
         before.of[1] += count_votes(to_right);

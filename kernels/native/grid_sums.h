@@ -96,8 +96,8 @@ inline __device__ Sums look_back(Tile* tiles, int turn, const Sums& own)
         for (int last = block - 1;; last -= 32) {
             const int at = last - lane;
             int told = 2 * turn + 1;
-            if (at >= 0)
-                do told = *(volatile int*)&tiles[at].told;
+            if (at >= 0) do
+                    told = *(volatile int*)&tiles[at].told;
                 while (told < 2 * turn);
             __syncwarp();
             __threadfence();
@@ -123,7 +123,7 @@ inline __device__ Sums look_back(Tile* tiles, int turn, const Sums& own)
 
 /// The sums of all warps before this one; own: the same in all threads of a warp. tiles: one for each block, as they were left
 /// by the turn before; turn: above 0, rises with each launch. On the CPU, the launch is one chunk.
-inline CUDA_CALLABLE Sums sums_of_warps_before(Tile* tiles, int turn, bool is_first, const Sums& own)
+inline CUDA_CALLABLE Sums sums_of_warps_before(Tile* tiles, int turn, const Sums& own)
 {
 #if defined(__CUDA_ARCH__)
     __shared__ Sums of_warp[32];
@@ -143,14 +143,16 @@ inline CUDA_CALLABLE Sums sums_of_warps_before(Tile* tiles, int turn, bool is_fi
     return before;
 #else
     Sums so_far = {};
-    if (!is_first) for (int k = 0; k < 4; ++k) so_far.of[k] = tiles->upto[k];
+    if (tiles->told == turn)
+        for (int k = 0; k < 4; ++k) so_far.of[k] = tiles->upto[k];
     for (int k = 0; k < 4; ++k) tiles->upto[k] = so_far.of[k] + own.of[k];
+    tiles->told = turn;
     return so_far;
 #endif
 }
 
 /// The sums of all threads before this one; own: its own.
-inline CUDA_CALLABLE Sums sums_before(Tile* tiles, int turn, bool is_first, const Sums& own)
+inline CUDA_CALLABLE Sums sums_before(Tile* tiles, int turn, const Sums& own)
 {
 #if defined(__CUDA_ARCH__)
     const int lane = threadIdx.x & 31;
@@ -162,11 +164,11 @@ inline CUDA_CALLABLE Sums sums_before(Tile* tiles, int turn, bool is_first, cons
         }
         all.of[k] = __shfl_sync(ALL_LANES, upto.of[k], 31);
     }
-    Sums before = sums_of_warps_before(tiles, turn, is_first, all);
+    Sums before = sums_of_warps_before(tiles, turn, all);
     for (int k = 0; k < 4; ++k) before.of[k] += upto.of[k] - own.of[k];
     return before;
 #else
-    return sums_of_warps_before(tiles, turn, is_first, own);
+    return sums_of_warps_before(tiles, turn, own);
 #endif
 }
 
@@ -194,7 +196,7 @@ inline CUDA_CALLABLE int votes_before(unsigned votes)
 #if defined(__CUDA_ARCH__)
     return __popc(votes & ((1u << (threadIdx.x & 31)) - 1u));
 #else
-    return 0;
+    return (int)votes >> 1;
 #endif
 }
 

@@ -193,7 +193,7 @@ def make_children(
     own = wp.vec4i(1, node.split.left, node.split.right, 0)
     if node.is_leaf:
         own = wp.vec4i(0, 0, 0, node.triangles)
-    before = sums_before(tiles, index, own)
+    before = sums_before(tiles, own)
     if index < level.nodes:
         here = level.first + index
         below = level.first + level.nodes

@@ -20,11 +20,21 @@ EVENTS_EACH = 8
 """Events of a thread (event_moves.h)."""
 
 
+@wp.struct
+class Below:
+    """Where events go."""
+
+    event: wp.array(dtype=wp.vec4i)
+    """Those of the next level."""
+    listed: wp.array(dtype=int)
+    """Triangles of leaves."""
+
+
 @native.func_native(
     "event_moves.h",
     f"static_assert(wrt::EVENTS_EACH == {EVENTS_EACH});\n"
     "wrt::move_events(thread, 6 * total, boxes.low.data, boxes.high.data, boxes.low.shape[1], events.data, nodes.data,\n"
-    "    totals.data, (wrt::Tile*)tiles.word.data, tiles.turn, moved.data, moved.shape[0], listed.data);",
+    "    totals.data, (wrt::Tile*)tiles.word.data, tiles.turn, to.event.data, to.event.shape[0], to.listed.data);",
 )
 def move_own(
     thread: int,
@@ -34,8 +44,7 @@ def move_own(
     nodes: wp.array(dtype=CellNode),
     totals: wp.array(dtype=int),
     tiles: Tiles,
-    moved: wp.array(dtype=wp.vec4i),
-    listed: wp.array(dtype=int),
+    to: Below,
 ):
     """Moves the events of a thread."""
 
@@ -49,11 +58,8 @@ def move_events(
     nodes: wp.array(dtype=CellNode),
     totals: wp.array(dtype=int),
     tiles: Tiles,
-    moved: wp.array(dtype=wp.vec4i),
-    listed: wp.array(dtype=int),
+    to: Below,
 ):
     """Item: `EVENTS_EACH` events, in one chunk. Writes them to the next level, as far as there is room, and the triangles of
-    leaves.
-
-    totals: of `make_children`. moved: the next level's events. listed: as in `BuiltNodes`."""
-    move_own(first + wp.tid(), total, boxes, events, nodes, totals, tiles, moved, listed)
+    leaves. totals: of `make_children`."""
+    move_own(first + wp.tid(), total, boxes, events, nodes, totals, tiles, to)

@@ -40,11 +40,11 @@ def keep_least(keys: wp.array(dtype=wp.int64), node: int, key: wp.int64):
 
 @native.func_native(
     "grid_sums.h",
-    "const wrt::Sums before = wrt::sums_before((wrt::Tile*)tiles.word.data, tiles.turn, thread == 0,\n"
-    "    {own.c[0], own.c[1], own.c[2], own.c[3]});\n"
+    "const wrt::Sums own_sums = {{own.c[0], own.c[1], own.c[2], own.c[3]}};\n"
+    "const wrt::Sums before = wrt::sums_before((wrt::Tile*)tiles.word.data, tiles.turn, own_sums);\n"
     "return {before.of[0], before.of[1], before.of[2], before.of[3]};",
 )
-def sums_before(tiles: Tiles, thread: int, own: wp.vec4i) -> wp.vec4i:
+def sums_before(tiles: Tiles, own: wp.vec4i) -> wp.vec4i:
     """The sums of what all threads before this one own. On CUDA all threads of all blocks come here."""
 
 

@@ -51,7 +51,7 @@ from wrt.builders.kdtree.levelwise.cell_nodes import (
     make_children,
     search_planes,
 )
-from wrt.builders.kdtree.levelwise.event_moves import EVENTS_EACH, move_events
+from wrt.builders.kdtree.levelwise.event_moves import EVENTS_EACH, Below, move_events
 from wrt.builders.kdtree.levelwise.grid_sums import Grid
 from wrt.builders.kdtree.levelwise.numbering import number, sum_sizes
 from wrt.builders.kdtree.levelwise.paired_events import emit_pairs, sorted_pairs
@@ -66,13 +66,19 @@ KERNELS = (emit_pairs, search_planes, move_events, sum_sizes)
 GROWTH = 1.5
 """How much larger than asked for an array is made that will be asked for again."""
 
+LEAST_SHARE = 4
+"""Triangles of the mesh for each element that an array has at least."""
+
+MAX_EVENTS = (1 << 31) - 1
+"""Of a level: kernels number them by 32 bits."""
+
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes. The config does not clip."""
     device, count = triangles.boxes.low.device, triangles.count
     load(KERNELS, device)
     phase = Phases(device)
-    work, grid = Room(device, count // 4), Grid(device)
+    work, grid = Room(device, count // LEAST_SHARE), Grid(device)
     with phase("sort"):
         sorted_pairs(triangles, grid, work.room("events0", 6 * count, wp.vec4i))
     with phase("levels"):
@@ -151,6 +157,7 @@ def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: Room, gri
     built = BuiltNodes()
     grow(built, work, level)
     built.parent[:1].fill_(-1)
+    to = Below()
     while level.nodes:
         here, there = level.depth & 1, 1 - (level.depth & 1)
         events = work.arrays[f"events{here}"]
@@ -162,15 +169,19 @@ def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: Room, gri
         inputs = [cost, limits, level, events, keys, nodes, grid.tiles(level.nodes), children, child_keys, built, totals.found]
         grid.run(make_children, level.nodes, inputs)
         totals.begin()
-        moved = work.room(f"events{there}", 6 * level.triangles, wp.vec4i)
+        to.event, to.listed = work.room(f"events{there}", 6 * level.triangles, wp.vec4i), built.listed
         while True:
-            inputs = [level.triangles, triangles.boxes, events, nodes, totals.found, grid.tiles(threads), moved, built.listed]
+            inputs = [level.triangles, triangles.boxes, events, nodes, totals.found, grid.tiles(threads), to]
             grid.run(move_events, threads, inputs)
             found = totals.end()
             below = found[LEFT] + found[RIGHT]
-            if 6 * below <= moved.size:
+            if 6 * below <= to.event.size:
                 break
-            moved = work.room(f"events{there}", 6 * below, wp.vec4i)
+            if 6 * below > MAX_EVENTS:
+                raise ValueError(
+                    f"a level of the tree has {below:,} references to triangles; kernels number {MAX_EVENTS // 6:,}"
+                )
+            to.event = work.room(f"events{there}", 6 * below, wp.vec4i)
         level.first, level.listed, level.depth = level.first + level.nodes, level.listed + found[LISTED], level.depth + 1
         level.nodes, level.triangles, nodes, keys = 2 * found[INNER], below, children, child_keys
     give_back(kind, totals)

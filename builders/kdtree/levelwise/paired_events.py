@@ -127,7 +127,7 @@ def make_first_level(
     own = int(0)
     if axis < 3:
         own = value[axis, at]
-    before = sums_before(tiles, i, wp.vec4i(own & 1, 0, 0, 0))
+    before = sums_before(tiles, wp.vec4i(own & 1, 0, 0, 0))
     if axis < 3:
         words = wp.vec4i(wp.cast(position[axis, at], wp.int32), own, axis, before[0] - axis * triangles)
         store_words(events, i, words)
