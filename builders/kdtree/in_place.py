@@ -23,6 +23,9 @@ instead of from a shared counter. The split of a node does not depend on the pha
 for any number of threads, chunks and tasks, also if triangles are clipped, in the levels (`clipped_levels`) and in the tasks
 (`clipped_events`).
 
+On CUDA the same tree is built by levels alone (`wrt.builders.kdtree.levelwise.levelwise_build`); only builds that clip have
+levels and tasks there too, each of which is one thread's.
+
 References: choi-2010; rahikainen-2013 (section 4.2, algorithm 4.2.2).
 """
 

@@ -1,35 +1,36 @@
 """In-place parallel build of an SAH kd-tree (Choi et al. 2010) for a GPU: breadth first down to the leaves.
 
 **Problem.** The in-place build (`wrt.builders.kdtree.in_place`) is made for tens of threads: each of them passes some thousand
-events for all nodes of a level, and later builds a subtree alone. A GPU has 100,000 threads. A subtree by a thread alone takes
-longer than the rest, and passing a few events for all nodes is work of events times nodes.
+events for all nodes of a level, and later builds a subtree alone. A GPU has 100,000 threads. A subtree by one of them takes
+longer than all the rest, and passing a few events for all nodes is work of events times nodes.
 
 **Algorithm.** That of the paper, level by level, but to the last level, and with the data in the order of the nodes: an event
-knows its node and how many triangles of it have begun, a thread takes a few events, and a level is a fixed number of launches
-whatever its nodes are.
+knows its node and how many triangles of it begin before, so it is one thread's, and a level is three launches whatever its
+nodes are.
 
-**Data.** Two events of each triangle on each axis (`paired_events`), 16 bytes each, on every level in one array by axis, node
-and position. So events are not found by their triangles' nodes, as in the paper, but next to each other; and no list of a
+**Data.** Two events of each triangle on each axis (`paired_events`), 16 bytes each, in one array of a level by axis, node and
+position. The paper finds the nodes of an event by its triangle; here the events of a node lie together, and no list of a
 triangle's nodes is needed.
 
 **Phases.**
 
     sort        `sorted_pairs`
-    levels      FindBestPlane: `search_planes`. NewGen: `decide`, a scan over nodes, `make_children`. ClassifyTriangles:
-                `count_sides`. Fill: a scan over items, `move_events`
+    levels      FindBestPlane: `search_planes`. NewGen: `make_children`. ClassifyTriangles and Fill: `move_events`
     assemble    `number`
 
-The host reads four numbers of each level: they say how large the next one is.
+The host reads four numbers of each level, which say how large the next one is, while the device moves its events.
 
-**Complexity.** O(N log N) work: the sort, and O(1) for each event of a level. A level is O(log N) steps, by its scans.
+**Complexity.** O(N log N) work: the sort, and O(1) for each event of a level.
 
 **What we changed.** Events move, in order, because sums over the events of a node then are sums over neighbours. There are no
 tasks. Counts, sums and minima do not depend on the order of threads, and costs are those of the same functions, so the tree is
 that of the in-place build, node for node.
 
-**Limits.** Triangles are not clipped. Two levels are in memory at a time, 192 bytes for each triangle of each.
+**Limits.** Triangles are not clipped. Two levels are in memory at a time, 96 bytes for each reference to a triangle in each.
+What bounds a build of 200,000 triangles is half the host, which issues three launches a level, and half the passes over events
+(notebooks/records/2026-11-28-gpu-graphs.md).
 
-References: choi-2010; zagha-blelloch-1991.
+References: choi-2010; rahikainen-2013 (section 4.2, algorithm 4.2.2); merrill-garland-2016.
 """
 
 from typing import Any
