@@ -1,7 +1,7 @@
 """Bounding boxes of triangles: the input of every builder."""
 
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 import warp as wp
@@ -9,6 +9,7 @@ import warp as wp
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_kernel
+from wrt.kernels.runtime.workspace import HostNumbers, Workspace, give_back, part_of, take
 
 MAX_CORNER = 2.0**126
 """Largest absolute coordinate of a box. float32 ends at 2^128, and builders add and subtract two coordinates."""
@@ -39,6 +40,9 @@ def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array
     """Item: a triangle. Writes its box."""
     store_box(vertices, faces, boxes, first + wp.tid())
 
+
+ALIGNED = 64
+"""Numbers of which the lower and the upper corners have a multiple, so that both begin as an allocation does."""
 
 REDUCING = 1 << 14
 """Threads that find the bounds of triangles on CUDA."""
@@ -78,15 +82,40 @@ def corner_bounds(vertices: wp.array, faces: wp.array) -> tuple[np.ndarray, np.n
     Raises:
         ValueError: a vertex of a triangle is NaN or infinite.
     """
-    device = vertices.device
-    items = REDUCING if device.is_cuda else 1
-    found = wp.clone(nothing_found(device.alias))
-    launch(find_corner_bounds, items, [vertices, faces, items, found], device=device)
-    bits = found.numpy()
-    if not np.isfinite(bits[CORNERS:].view(np.float32)).all():
-        raise ValueError("vertices holds NaN or infinite numbers; repair or remove them")
-    ends = (bits[:CORNERS] ^ ((bits[:CORNERS] >> 31) & 0x7FFFFFFF)).view(np.float32)
-    return ends[:3] + np.float32(0.0), np.float32(0.0) - ends[3:]
+    return CornerSearch(vertices, faces).bounds()
+
+
+class CornerSearch:
+    """`corner_bounds` under way: the host need not wait for it before it gives the device more to do.
+
+    Attributes:
+        found: (`CORNERS` + 1,) what `reduce_corners` found, on the device.
+    """
+
+    def __init__(self, vertices: wp.array, faces: wp.array) -> None:
+        device = vertices.device
+        items = REDUCING if device.is_cuda else 1
+        self._kind = CornerSearch, device.alias, device.stream.cuda_stream if device.is_cuda else None
+        self._work = take(self._kind) or Workspace(device, is_kept=True)
+        self._read = self._work.make("read", 1, lambda _: HostNumbers(CORNERS + 1, int, device))
+        self._is_read = self._work.make("is read", 1, lambda _: wp.Event(device)) if device.is_cuda else None
+        self.found = self._work.empty("found", CORNERS + 1, int)
+        wp.copy(self.found, nothing_found(device.alias), count=CORNERS + 1)
+        launch(find_corner_bounds, items, [vertices, faces, items, self.found], device=device)
+        wp.copy(self._read.own, self.found, count=CORNERS + 1)
+        if self._is_read is not None:
+            device.stream.record_event(self._is_read)
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """The two corners; called once. Errors as those of `corner_bounds`."""
+        if self._is_read is not None:
+            wp.synchronize_event(self._is_read)
+        bits = self._read.values.copy()
+        give_back(self._kind, self._work)
+        if not np.isfinite(bits[CORNERS:].view(np.float32)).all():
+            raise ValueError("vertices holds NaN or infinite numbers; repair or remove them")
+        ends = (bits[:CORNERS] ^ ((bits[:CORNERS] >> 31) & 0x7FFFFFFF)).view(np.float32)
+        return ends[:3] + np.float32(0.0), np.float32(0.0) - ends[3:]
 
 
 @dataclass
@@ -117,6 +146,10 @@ class TriangleBoxes:
     of_size: float | None = None
 
     def __post_init__(self) -> None:
+        self.check()
+
+    def check(self) -> None:
+        """Raises what the class does."""
         largest = np.abs([self.low, self.high]).max()
         if not largest <= MAX_CORNER:
             raise ValueError(f"boxes extend to {largest:.3g}; trees can be built for coordinates up to {MAX_CORNER:.3g}")
@@ -144,6 +177,33 @@ class TriangleBoxes:
         return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).mean()) if self.count else 0.0
 
 
+class AwaitedBoxes(TriangleBoxes):
+    """Boxes whose corners are being searched for on their device: `low` and `high` wait for it.
+
+    Args:
+        boxes, count, center, vertices, faces: as in the class.
+        search: the search.
+    """
+
+    def __init__(
+        self, boxes: Boxes, count: int, center: np.ndarray, vertices: wp.array, faces: wp.array, search: CornerSearch
+    ) -> None:
+        known = {"boxes": boxes, "count": count, "center": center, "vertices": vertices, "faces": faces}
+        self.__dict__.update(known, of_size=None, search=search)
+
+    @cached_property
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.search.bounds()  # type: ignore[attr-defined]
+
+    @property
+    def low(self) -> np.ndarray:  # type: ignore[override]  # in place of the constructor's
+        return self._bounds[0]
+
+    @property
+    def high(self) -> np.ndarray:  # type: ignore[override]
+        return self._bounds[1]
+
+
 def triangle_boxes(
     vertices: wp.array,
     faces: wp.array,
@@ -160,13 +220,20 @@ def triangle_boxes(
     """
     device, count = vertices.device, len(faces)
     boxes = Boxes()
-    boxes.low = wp.empty((3, count), dtype=float, device=device)
-    boxes.high = wp.empty((3, count), dtype=float, device=device)
+    size = -(-3 * count // ALIGNED) * ALIGNED
+    memory = wp.empty(2 * size, dtype=float, device=device)
+    boxes.low, boxes.high = (part_of(memory, begin, (3, count), float) for begin in (0, 4 * size))
     launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=CHUNK)
-    if bounds is None and device.is_cuda:
-        bounds = corner_bounds(vertices, faces)
+    center = np.zeros(3) if center is None else center
+    if bounds is None and searches_bounds(device):
+        return AwaitedBoxes(boxes, count, center, vertices, faces, CornerSearch(vertices, faces))
     low, high = bounds or (boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1))
-    return TriangleBoxes(boxes, count, low, high, np.zeros(3) if center is None else center, vertices, faces)
+    return TriangleBoxes(boxes, count, low, high, center, vertices, faces)
+
+
+def searches_bounds(device: wp.Device) -> bool:
+    """Whether the device looks for the box around all triangles: where the host would have to fetch their boxes."""
+    return device.is_cuda
 
 
 def boxes_of(low: np.ndarray, high: np.ndarray) -> TriangleBoxes:

@@ -27,6 +27,7 @@ from functools import cached_property
 import numpy as np
 
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
+from wrt.kernels.layout.instance_maps import LIST_BITS, MAX_LISTED
 
 EVERY = -1
 """Environment of instances that rays of all environments see, and of rays that see all instances."""
@@ -36,6 +37,8 @@ MAX_PACKED = 256
 
 MORTON_CELLS = 1 << 10
 """Cells per axis of the curve."""
+
+MAX_WORD = np.iinfo(np.int32).max
 
 TINY = float(np.finfo(np.float64).tiny)
 
@@ -55,6 +58,9 @@ class InstanceForest:
         shared_root: of the instances of all environments; -1 if there are none.
         environments: (E,) int32, ascending: those with instances of their own.
         roots: (E,) int32, root of each, from which its own and the shared instances are reached.
+        lists: (E + 1,) int32 of each environment, and last of the shared instances: the first of the nodes, one after the
+            other, that hold its own instances and nothing else, times 2^`LIST_BITS`, and their number; 0 if there are more than
+            `MAX_LISTED` instances, or none. (0,) if too many are shared.
         layered: (N,) bool, the instances in trees of several nodes, whose quality depends on where they are.
         layered_count: their number.
     """
@@ -65,6 +71,7 @@ class InstanceForest:
     shared_root: int
     environments: np.ndarray
     roots: np.ndarray
+    lists: np.ndarray
     layered: np.ndarray
 
     def __post_init__(self) -> None:
@@ -180,8 +187,11 @@ def build_forest(low: np.ndarray, high: np.ndarray, environment: np.ndarray, wid
     """
     numbers, group, counts = np.unique(environment, return_inverse=True, return_counts=True)
     leaf = (~(np.arange(len(low)) << 6 | 1)).astype(np.int32)
-    alone = (counts > MAX_PACKED) | ((numbers == EVERY) & (counts > width))
+    most_shared = max(width, MAX_LISTED) if len(numbers) > 1 else width
+    alone = counts > np.where(numbers == EVERY, most_shared, MAX_PACKED)
     roots, layered = np.full(len(numbers), -1), counts[group] > width
+    nodes = np.where(alone, 0, -(-counts // width))  # of leaves, group by group
+    lists = np.cumsum(nodes) - nodes, np.where(counts <= MAX_LISTED, nodes, 0)
     packed = np.flatnonzero(~alone[group])
     parts, filled = [], 0
     if len(packed):
@@ -206,9 +216,13 @@ def build_forest(low: np.ndarray, high: np.ndarray, environment: np.ndarray, wid
         filled, root = filled + sum(map(len, above)), found[0]
     child, is_shared = np.concatenate(parts), len(numbers) > 0 and numbers[0] == EVERY
     own, shared = (roots[1:], int(roots[0])) if is_shared else (roots, -1)
+    if is_shared and not lists[1][0]:
+        lists = lists[0][:0], lists[1][:0]
+    else:
+        lists = tuple(np.append(values[int(is_shared) :], values[0] if is_shared else 0) for values in lists)
     if is_shared and len(own):
         child, own = np.concatenate([child, with_shared(child, own, shared)]), filled + np.arange(len(own))
-    return by_height(child, int(root), shared, numbers[numbers != EVERY], own, layered)
+    return by_height(child, int(root), shared, numbers[numbers != EVERY], own, lists, layered)
 
 
 def pack(
@@ -279,9 +293,15 @@ def with_shared(child: np.ndarray, roots: np.ndarray, shared: int) -> np.ndarray
 
 
 def by_height(
-    child: np.ndarray, root: int, shared: int, environments: np.ndarray, roots: np.ndarray, layered: np.ndarray
+    child: np.ndarray,
+    root: int,
+    shared: int,
+    environments: np.ndarray,
+    roots: np.ndarray,
+    lists: tuple[np.ndarray, np.ndarray],
+    layered: np.ndarray,
 ) -> InstanceForest:
-    """The forest with its nodes in the order of their heights."""
+    """The forest with its nodes in the order of their heights; lists: first nodes, and numbers of nodes."""
     nodes, lanes = np.nonzero(child >= 0)
     below, height = child[nodes, lanes], np.zeros(len(child), dtype=np.int64)
     while len(nodes):
@@ -299,6 +319,16 @@ def by_height(
     sizes = np.bincount(height)[::-1]
     level_first = (0, *np.cumsum(sizes).tolist())
     shared = int(place[shared]) if shared >= 0 else -1
+    firsts, sizes = lists
+    firsts = place[firsts].astype(np.int64) << LIST_BITS
+    words = np.where((sizes > 0) & (firsts <= MAX_WORD), firsts | sizes, 0).astype(np.int32)
     return InstanceForest(
-        child, level_first, int(place[root]), shared, environments.astype(np.int32), place[roots].astype(np.int32), layered
+        child,
+        level_first,
+        int(place[root]),
+        shared,
+        environments.astype(np.int32),
+        place[roots].astype(np.int32),
+        words,
+        layered,
     )

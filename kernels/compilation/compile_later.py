@@ -4,6 +4,9 @@ A thread that runs Clang cannot be stopped, and the interpreter would wait for i
 another process, of the lowest priority, into the same kernel cache. It goes on when this process ends, and the next one finds
 the kernel. Warp renames a finished folder into place: a process that is killed leaves nothing that another would use.
 
+It is a process group of its own, so that Ctrl-C is not for it, but in the session of the caller: where Linux shares cores out
+among sessions ("autogroup"), a process of another session gets as much time as all of this one, whatever its priority.
+
 That process makes the kernel by the same factory and compiles it if its module has the same hash, so nothing is compiled for a
 program whose flags or files it does not have.
 
@@ -42,7 +45,13 @@ busy, a process of the lowest priority may have no time at all."""
 
 LOWEST_PRIORITY = 19
 
-PROGRAM = "import sys; sys.path[:] = {path!r}; from wrt.kernels.compilation.compile_later import serve; serve()"
+PROGRAM = """import os, sys
+if hasattr(os, "nice"): os.setpgid(0, 0), os.nice({priority})
+sys.path[:] = {path!r}
+from wrt.kernels.compilation.compile_later import serve
+serve()
+"""
+"""What the processes run: it takes its priority before its imports, which take a second."""
 
 _lock = threading.Lock()
 _missing: dict[wp.Module, MissingKernel] = {}
@@ -127,8 +136,8 @@ def _start(told: bytes) -> subprocess.Popen[bytes]:
     Raises:
         OSError: it cannot be started.
     """
-    program = PROGRAM.format(path=[os.path.abspath(place) for place in sys.path])
-    options: dict[str, Any] = {"start_new_session": True}  # so that Ctrl-C is not for it
+    program = PROGRAM.format(path=[os.path.abspath(place) for place in sys.path], priority=LOWEST_PRIORITY)
+    options: dict[str, Any] = {}
     if sys.platform == "win32":
         options = {"creationflags": subprocess.IDLE_PRIORITY_CLASS | subprocess.CREATE_NO_WINDOW}
     process = subprocess.Popen(
@@ -163,8 +172,6 @@ def stop() -> None:
 
 def serve() -> None:
     """Compiles a kernel, as told on stdin: what the processes do."""
-    if hasattr(os, "nice"):
-        os.nice(LOWEST_PRIORITY)
     compile_progress.show_compiling(False)
     folder, flags, identifier, kernel = pickle.load(sys.stdin.buffer)
     wp.config.log_level, wp.config.cpu_compiler_flags = wp.LOG_ERROR, flags

@@ -21,6 +21,14 @@ ALL_BITS = wp.constant(wp.uint32(0xFFFFFFFF))
 """The mask of a geometry that is visible to every ray."""
 
 
+MAX_LISTED = 16
+"""Largest number of instances of an environment, and of shared ones, whose boxes a thread of a GPU tests one after the other,
+rather than walking their tree (notebooks/records/2026-11-28-gpu-graphs.md)."""
+
+LIST_BITS = 5
+"""Bits of the word of a list that hold the number of its nodes."""
+
+
 @wp.struct
 class Geometry:
     """Triangles shared by instances."""

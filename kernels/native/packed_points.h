@@ -24,6 +24,7 @@ inline CUDA_CALLABLE PointWalks<PLACES, Tree, Triangles, Points, Found> point_wa
 
 /// The walk of one point; its stack is apart, as that of a ray's `Walk`.
 template <class All> struct PointWalk : PackedPlace {
+    static constexpr bool MOVES = false;
     int number = -1;
     SearchPoint point = {};
     NearestTriangle kept {0.0f};

@@ -173,16 +173,47 @@ struct PackedHit {
     int id;
 };
 
+/// Whether a line surely misses a triangle of these areas, as most do: areas that are so large have the sign of the exact ones.
+inline CUDA_CALLABLE bool surely_misses(const Areas<float>& w)
+{
+    return min_of(w.a, min_of(w.b, w.c)) < -SMALL_AREA && max_of(w.a, max_of(w.b, w.c)) > SMALL_AREA;
+}
+
 /// The areas of a triangle that the ray's line meets, precise where needed (`woop_block`); false if it misses.
 template <class Rule> inline CUDA_CALLABLE bool meet_line(const Sheared<float>& s, Areas<float>& w)
 {
     w = areas_of(s);
-    // most misses; areas that are so large have the sign of the exact ones
-    if (min_of(w.a, min_of(w.b, w.c)) < -SMALL_AREA && max_of(w.a, max_of(w.b, w.c)) > SMALL_AREA) return false;
+    if (surely_misses(w)) return false;
     if (Rule::unsure(w)) return Rule::decide(s, w);
     if (!on_one_side(w)) return false;
     if (is_thin(w, size_of(s))) w = precise_areas(s, w);
     return true;
+}
+
+/// The words of a triangle, and its vertices in the frame of a ray.
+struct LoadedTriangle {
+    Quad a, b, c;
+    Sheared<float> s;
+};
+
+inline CUDA_CALLABLE LoadedTriangle load_triangle(const float* triangles, int slot, const TurnedRay& ray)
+{
+    const float* const at = triangles + TRIANGLE_WORDS * (size_t)slot;
+    const Quad a = load_quad(at), b = load_quad(at + 4), c = load_quad(at + 8);
+    float vertex[3][3];
+    turn(ray.main, a.x, a.y, a.z, vertex[0]);
+    turn(ray.main, b.x, b.y, b.z, vertex[1]);
+    turn(ray.main, c.x, c.y, c.z, vertex[2]);
+    return {a, b, c, sheared<float>(ray.shear[0], ray.shear[1], [&](int corner, int along) {
+                return vertex[corner][along] - ray.origin[along];
+            })};
+}
+
+/// The first slot from `slot` to `end` whose triangle the ray does not surely miss; `end` if there is none.
+inline CUDA_CALLABLE int next_slot(const float* triangles, int slot, int end, const TurnedRay& ray)
+{
+    while (slot < end && surely_misses(areas_of(load_triangle(triangles, slot, ray).s))) ++slot;
+    return slot;
 }
 
 /// Tests a triangle; returns whether its hit, from t_min to t_max, is taken: take(hit, given) -> bool. CULLING: only from its
@@ -191,14 +222,7 @@ template <class Rule, bool CULLING, class Given, class Take>
 inline CUDA_CALLABLE bool meet_triangle(
     const float* triangles, int slot, const TurnedRay& ray, float t_min, float t_max, const Given& given, const Take& take)
 {
-    const float* const at = triangles + TRIANGLE_WORDS * (size_t)slot;
-    const Quad a = load_quad(at), b = load_quad(at + 4), c = load_quad(at + 8);
-    float vertex[3][3];
-    turn(ray.main, a.x, a.y, a.z, vertex[0]);
-    turn(ray.main, b.x, b.y, b.z, vertex[1]);
-    turn(ray.main, c.x, c.y, c.z, vertex[2]);
-    const Sheared<float> s = sheared<float>(
-        ray.shear[0], ray.shear[1], [&](int corner, int along) { return vertex[corner][along] - ray.origin[along]; });
+    const auto [a, b, c, s] = load_triangle(triangles, slot, ray);
     Areas<float> w;
     if (!meet_line<Rule>(s, w)) return false;
     const TriangleHit<float> hit = weighed(w, s.depth[0], s.depth[1], s.depth[2], ray.shear[2]);

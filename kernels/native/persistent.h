@@ -92,8 +92,12 @@ inline CUDA_CALLABLE Walks<LEVELS, Answer, CULLING, SKIPPING, COUNTING, Space, R
 
 /// The walk of one ray. Its stack, LEVELS words, is apart: of a struct with an array that is indexed by a variable, nothing
 /// would be in registers. FROM_ZERO: whether t_min is 0 for all rays, as in most calls; that saves two registers. instance: in
-/// which the ray is, -1 for none; nodes: of its tree; of scenes without instances, neither is used.
+/// which the ray is, or was last, -1 for none; nodes: of its tree; of scenes without instances, neither is used.
+///
+/// Where an environment has few instances, `begin` tests the boxes of all (`list_instances`), and those that the ray meets wait
+/// on the stack, the nearest last: for each the bits of its child's word and of the t of entry.
 template <class All, bool FROM_ZERO> struct Walk {
+    static constexpr bool MOVES = All::NESTED;
     int top, node, number, instance;
     const float* nodes;
     float own_t_min;
@@ -105,9 +109,12 @@ template <class All, bool FROM_ZERO> struct Walk {
 
     CUDA_CALLABLE float t_min() const { return FROM_ZERO ? 0.0f : own_t_min; }
 
-    CUDA_CALLABLE bool is_inner() const { return (unsigned)node < (unsigned)BACK; }
+    CUDA_CALLABLE bool is_inner() const { return (unsigned)node < (unsigned)NEXT; }
 
-    CUDA_CALLABLE bool is_leaf() const { return node < 0 || (All::NESTED && node == BACK); }
+    CUDA_CALLABLE bool is_leaf() const { return node < 0 || (All::NESTED && (node == BACK || node == NEXT)); }
+
+    /// Whether the ray goes into or out of an instance next; else, at a leaf, it tests triangles.
+    CUDA_CALLABLE bool moves() const { return All::NESTED && (node == BACK || node == NEXT || (node < 0 && instance < 0)); }
 
     /// Makes the filter for the ray from which boxes are tested; scale: of its reach.
     CUDA_CALLABLE void aim(const GivenRay& ray, float scale)
@@ -138,19 +145,49 @@ template <class All, bool FROM_ZERO> struct Walk {
         number = i, instance = -1, top = 1, stack[0] = DONE;
         work = {0, 0, 0};
         if constexpr (All::Answer::WIDE) wide = {end_of(all.rays, i), 0.0, 0.0};
-        int root = 0;
         if constexpr (All::NESTED) {
             const auto& upper = all.space.top;
             const GivenRay given = aim_above(all, i);
-            root = root_of(upper, environment_of(all.rays, i));
+            const int environment = environment_of(all.rays, i), at = environment_at(upper, environment);
+            const int root = root_of(upper, environment, at);
             node = root >= 0 && is_valid(given, t_min(), best.t) ? root : DONE;
+            const ListedNodes listed = listed_nodes(upper, at);
+            if (node != DONE && listed.count > 0) list_instances(all, listed, stack);
         } else {
             const GivenRay given = given_ray(all.space.tree, all.rays, i);
             turned_ray = turned(given);
             aim(given, 1.0f);
-            node = is_valid(given, t_min(), best.t) ? root : DONE;
+            node = is_valid(given, t_min(), best.t) ? 0 : DONE;
         }
     }
+
+    /// Lets the instances wait whose boxes, in the nodes of a list, the ray meets.
+    CUDA_CALLABLE void list_instances(const All& all, const ListedNodes& listed, int* stack)
+    {
+        const auto& upper = all.space.top.tree;
+        for (int k = 0; k < listed.count; ++k) {
+            const TwoBoxes at = load_wide_boxes((const float*)upper.bounds.data, upper.child.data, listed.node(k));
+            const Quad &p = at.first, &q = at.second, &r = at.both;
+            if (All::COUNTING) ++work.nodes;
+            wait(filtered<FROM_ZERO>(filter, p.x, p.y, p.z, p.w, r.x, r.y), at.left, stack);
+            wait(filtered<FROM_ZERO>(filter, q.x, q.y, q.z, q.w, r.z, r.w), at.right, stack);
+        }
+        node = NEXT;
+    }
+
+    /// Puts an instance among those that wait, if its box is met and its lane is used.
+    CUDA_CALLABLE void wait(const Bits& met, int word, int* stack)
+    {
+        if (met.enter > met.leave || !holds_instance(~word)) return;
+        int place = top;
+        for (; place > 1 && stack[place - 1] < met.enter; place -= 2)
+            stack[place + 1] = stack[place - 1], stack[place] = stack[place - 2];
+        stack[place] = word, stack[place + 1] = met.enter;
+        top += 2;
+    }
+
+    /// Of an unused lane, whose box is met, too, it is not.
+    static CUDA_CALLABLE bool holds_instance(int word) { return (word & ((1 << LEAF_BITS) - 1)) != 0; }
 
     CUDA_CALLABLE TwoBoxes boxes(const All& all) const
     {
@@ -173,11 +210,26 @@ template <class All, bool FROM_ZERO> struct Walk {
         if (!met.any) node = stack[--top];
     }
 
-    /// From a leaf of the instances' tree, `word`, to the root of a mesh's tree, if the ray sees the instance.
-    CUDA_CALLABLE void go_in(const All& all, int word, int* stack)
+    /// From a leaf of the instances' tree, or the next instance of a list, to the root of a mesh's tree, if the ray sees the
+    /// instance; else to what waits.
+    CUDA_CALLABLE void go_in(const All& all, int* stack)
     {
-        if (!(word & ((1 << LEAF_BITS) - 1))) return;  // an unused lane, whose box is met, too
         const auto& upper = all.space.top;
+        const bool is_listed = node == NEXT;
+        int word = ~node;
+        if (is_listed) {
+            node = DONE;
+            if (top == 1) return;
+            const GivenRay given = given_ray(extent_of(upper), all.rays, number);
+            const int enter = stack[--top];
+            word = ~stack[--top];
+            const float scale = scale_of(given.direction[0], given.direction[1], given.direction[2]);
+            if (enter > bound_of(best.t, scale)) return;  // as all that still wait
+            node = NEXT;
+        } else {
+            node = stack[--top];
+            if (!holds_instance(word)) return;
+        }
         const int found = upper.order.data[2 * (size_t)(word >> LEAF_BITS)];
         const auto& place = upper.placements.data[found];
         if (!(place.mask & mask_of(all.rays, number))) return;
@@ -188,8 +240,8 @@ template <class All, bool FROM_ZERO> struct Walk {
         nodes = (const float*)part.tree.nodes.data;
         turned_ray = turned(given);
         aim(given, 1.0f);
-        stack[top++] = node;
-        stack[top++] = BACK;
+        if (!is_listed) stack[top++] = node;
+        if (!is_listed || top > 1) stack[top++] = is_listed ? NEXT : BACK;
         node = 0;
     }
 
@@ -197,15 +249,15 @@ template <class All, bool FROM_ZERO> struct Walk {
     CUDA_CALLABLE void leaf(const All& all, int* stack)
     {
         const int word = ~node;
-        const bool comes_back = All::NESTED && node == BACK;
-        node = stack[--top];
         if constexpr (All::NESTED) {
-            if (comes_back) {
+            if (node == BACK) {
+                node = stack[--top];
                 instance = -1;
                 aim_above(all, number);
-            } else if (instance < 0) {
-                go_in(all, word, stack);
+            } else if (moves()) {
+                go_in(all, stack);
             } else {
+                node = stack[--top];
                 const auto& place = all.space.top.placements.data[instance];
                 const auto& part = all.space.parts.data[place.geometry];
                 const auto given = [&]() { return given_within(part.tree, place, all.rays, number); };
@@ -218,6 +270,7 @@ template <class All, bool FROM_ZERO> struct Walk {
                 }
             }
         } else {
+            node = stack[--top];
             const auto given = [&]() { return given_ray(all.space.tree, all.rays, number); };
             if constexpr (All::Answer::WIDE)
                 test_wide(all, word, all.space.triangles, 0, given(), wide_ray(all.rays, number), all.space.mesh);
@@ -230,9 +283,14 @@ template <class All, bool FROM_ZERO> struct Walk {
     CUDA_CALLABLE void test(const All& all, int word, const Triangles& triangles, int first, const Given& given)
     {
         using Answer = typename All::Answer;
-        const int count = word & ((1 << LEAF_BITS) - 1), begin = 2 * (word >> LEAF_BITS);
+        const int count = word & ((1 << LEAF_BITS) - 1), begin = 2 * (word >> LEAF_BITS), end = begin + count;
+        const float* const corners = (const float*)triangles.corners.data;
         if (All::COUNTING) ++work.leaves, work.triangles += count;
-        for (int slot = begin; slot < begin + count; ++slot) {
+        for (int slot = begin; slot < end; ++slot) {
+            if constexpr (All::NESTED) {  // its hits take the given ray again: threads of a warp come there together
+                slot = next_slot(corners, slot, end, turned_ray);
+                if (slot == end) break;
+            }
             const auto take = [&](PackedHit hit, const GivenRay& ray) {
                 hit.id += first;
                 if constexpr (All::SKIPPING) {
@@ -243,8 +301,8 @@ template <class All, bool FROM_ZERO> struct Walk {
                     filter.t_max = bound_of(best.t, scale_of(ray.direction[0], ray.direction[1], ray.direction[2]));
                 return true;
             };
-            const bool taken = meet_triangle<typename Answer::Rule, All::CULLING>(
-                (const float*)triangles.corners.data, slot, turned_ray, t_min(), best.t, given, take);
+            const bool taken
+                = meet_triangle<typename Answer::Rule, All::CULLING>(corners, slot, turned_ray, t_min(), best.t, given, take);
             if (Answer::ENDS && taken) {
                 node = DONE;
                 break;

@@ -3,12 +3,6 @@
 #include "loops.h"
 #include "square_root.h"
 
-#if defined(__CUDA_ARCH__)
-#define WRT_MATH(name) name
-#else
-#define WRT_MATH(name) __builtin_##name
-#endif
-
 namespace wrt {
 namespace {
 
@@ -37,7 +31,44 @@ inline CUDA_CALLABLE PhiloxWords philox(PhiloxWords counter, unsigned key_0, uns
 /// A word as a number in (0, 1).
 inline CUDA_CALLABLE double unit_number(unsigned word) { return (double(word) + 0.5) * 0x1p-32; }
 
-constexpr double TWO_PI = 6.283185307179586;
+/// Logarithm of that number, 2^exponent m with m from sqrt(1/2) to sqrt(2): log m = 2 artanh s by its series, where
+/// s = (m - 1) / (m + 1). Loops vectorise it, and it has the same bits wherever it is compiled, unlike a library function.
+inline CUDA_CALLABLE double log_of_unit(unsigned word)
+{
+    constexpr double LOG_2 = 0.6931471805599453;
+    constexpr int SQRT_HALF = 0x3FE6A09E;  // the high word of its bits
+    const long long bits = __builtin_bit_cast(long long, unit_number(word));
+    const int exponent = (int(bits >> 32) - SQRT_HALF) >> 20;
+    const double m = __builtin_bit_cast(double, bits - exponent * 0x10000000000000ll);
+    const double s = (m - 1.0) / (m + 1.0), z = s * s;
+    double series = 1.0 / 21.0;
+    WRT_UNROLLED
+    for (int odd = 19; odd > 1; odd -= 2) series = 1.0 / odd + z * series;
+    return exponent * LOG_2 + (2.0 * s + 2.0 * s * (z * series));
+}
+
+/// Cosine and sine of an angle.
+struct CosineSine {
+    double cosine, sine;
+};
+
+/// Those of that number of turns: by the series within an eighth of a turn of the nearest quarter.
+inline CUDA_CALLABLE CosineSine turn_by_unit(unsigned word)
+{
+    constexpr double ANGLE = 6.283185307179586 * 0x1p-32;
+    const unsigned quarter = (word + 0x20000000u) >> 30;
+    const double x = (double(int(word - (quarter << 30))) + 0.5) * ANGLE, z = x * x;
+    double cosine = 1.0, sine = 1.0;
+    WRT_UNROLLED
+    for (int n = 16; n > 0; n -= 2) {
+        cosine = 1.0 - z * cosine * (1.0 / (n * (n - 1)));
+        sine = 1.0 - z * sine * (1.0 / (n * (n + 1)));
+    }
+    sine *= x;
+    const bool across = quarter & 1u;
+    const double c = across ? sine : cosine, s = across ? cosine : sine;
+    return {(quarter + 1u) & 2u ? -c : c, quarter & 2u ? -s : s};
+}
 
 /// Largest number of returns of a block.
 #if defined(__CUDA_ARCH__)
@@ -84,20 +115,15 @@ inline CUDA_CALLABLE void write_ranges(
         return;
     }
     NoiseWords words;
-    double logarithm[NOISY], cosine[NOISY];
     for (int first = begin; first < end; first += NOISY) {
         const int n = end - first < NOISY ? end - first : NOISY;
         words.draw(first, n, 0u, noise.key.c[0], noise.key.c[1]);
-        for (int i = 0; i < n; ++i) {  // calls, which are not vectorised, apart from what is
-            const bool drawn = noise.range != 0.0 && range[first + i] < none;
-            logarithm[i] = drawn ? WRT_MATH(log)(unit_number(words.c[0][i])) : 0.0;
-            cosine[i] = drawn ? WRT_MATH(cos)(TWO_PI * unit_number(words.c[1][i])) : 0.0;
-        }
         const auto is_seen = [&](int i) { return range[first + i] < none && unit_number(words.c[2][i]) >= noise.dropout; };
         if (intensity)
             WRT_FOR (n, i) intensity[first + i] = is_seen(i) ? intensity[first + i] : 0.0f;
         WRT_FOR (n, i) {
-            const double moved = double(range[first + i]) + noise.range * (square_root(-2.0 * logarithm[i]) * cosine[i]);
+            const double radius = square_root(-2.0 * log_of_unit(words.c[0][i]));
+            const double moved = double(range[first + i]) + noise.range * (radius * turn_by_unit(words.c[1][i]).cosine);
             const double far = is_seen(i) ? (moved < 0.0 ? 0.0 : moved) : double(none);
             distance[first + i] = far;
             range[first + i] = float(far);

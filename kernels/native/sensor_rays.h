@@ -268,27 +268,21 @@ template <class Noise, class Vec3, class Vec3d, class Quat>
 inline CUDA_CALLABLE void write_points(const Noise& noise, const Vec3* axes, const float* range, const double* distance,
     const PointFrame<Vec3d, Quat>& frame, int begin, int end)
 {
-    if (!is_noisy(noise)) {
-        points_of_block<false>(axes, range, nullptr, nullptr, frame, begin, end - begin);
+    if (noise.angle == 0.0) {
+        if (is_noisy(noise)) points_of_block<false>(axes, distance, nullptr, nullptr, frame, begin, end - begin);
+        else points_of_block<false>(axes, range, nullptr, nullptr, frame, begin, end - begin);
         return;
     }
-    double turn_0[NOISY], turn_1[NOISY], logarithm[NOISY];
+    double turn_0[NOISY], turn_1[NOISY];
     NoiseWords words;
     for (int first = begin; first < end; first += NOISY) {
         const int n = end - first < NOISY ? end - first : NOISY;
-        if (noise.angle > 0.0) words.draw(first, n, 1u, noise.key.c[0], noise.key.c[1]);
-        for (int i = 0; i < n; ++i) {  // calls, which are not vectorised, apart from what is
-            logarithm[i] = turn_0[i] = turn_1[i] = 0.0;
-            if (noise.angle == 0.0 || !(distance[first + i] < WRT_INFINITY)) continue;
-            const double turn = TWO_PI * unit_number(words.c[1][i]);
-            logarithm[i] = WRT_MATH(log)(unit_number(words.c[0][i]));
-            turn_0[i] = WRT_MATH(cos)(turn);
-            turn_1[i] = WRT_MATH(sin)(turn);
-        }
+        words.draw(first, n, 1u, noise.key.c[0], noise.key.c[1]);
         WRT_FOR (n, i) {
-            const double radius = square_root(-2.0 * logarithm[i]);
-            turn_0[i] = noise.angle * (radius * turn_0[i]);
-            turn_1[i] = noise.angle * (radius * turn_1[i]);
+            const double radius = square_root(-2.0 * log_of_unit(words.c[0][i]));
+            const CosineSine turn = turn_by_unit(words.c[1][i]);
+            turn_0[i] = noise.angle * (radius * turn.cosine);
+            turn_1[i] = noise.angle * (radius * turn.sine);
         }
         points_of_block<true>(axes + (first - begin), distance, turn_0, turn_1, frame, first, n);
     }

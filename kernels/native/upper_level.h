@@ -6,17 +6,49 @@
 namespace wrt {
 namespace {
 
-/// The node above the instances that an environment sees, -1 if there are none. `top`: an `InstanceTree`.
-template <class Top> inline CUDA_CALLABLE int root_of(const Top& top, int environment)
+/// The place of an environment among those with instances of their own; -1 for others. `top`: an `InstanceTree`.
+template <class Top> inline CUDA_CALLABLE int environment_at(const Top& top, int environment)
 {
-    if (environment < 0) return top.root;
     int low = 0, high = top.environments.shape[0];
-    if (environment < high && top.environments.data[environment] == environment) return top.roots.data[environment];
+    if (environment < 0 || high == 0) return -1;
+    if (environment < high && top.environments.data[environment] == environment) return environment;
     while (high - low > 1) {
         const int middle = (low + high) / 2;
         (top.environments.data[middle] <= environment ? low : high) = middle;
     }
-    return high > low && top.environments.data[low] == environment ? top.roots.data[low] : top.shared_root;
+    return top.environments.data[low] == environment ? low : -1;
+}
+
+/// The node above the instances that an environment sees, -1 if there are none; at: its place among the others.
+template <class Top> inline CUDA_CALLABLE int root_of(const Top& top, int environment, int at)
+{
+    return environment < 0 ? top.root : at < 0 ? top.shared_root : top.roots.data[at];
+}
+
+template <class Top> inline CUDA_CALLABLE int root_of(const Top& top, int environment)
+{
+    return root_of(top, environment, environment_at(top, environment));
+}
+
+/// Bits of the word of a list that hold the number of its nodes (`InstanceForest.lists`).
+constexpr int LIST_BITS = 5;
+
+/// The nodes that hold the instances which an environment sees, in two runs: its own and the shared ones. None if they are too
+/// many for a list.
+struct ListedNodes {
+    int own, shared, own_count, count;
+
+    CUDA_CALLABLE int node(int k) const { return k < own_count ? own + k : shared + (k - own_count); }
+};
+
+/// Those of the environment at a place.
+template <class Top> inline CUDA_CALLABLE ListedNodes listed_nodes(const Top& top, int at)
+{
+    const int number = top.lists.shape[0] - 1;
+    if (at < 0 || number < 0) return {0, 0, 0, 0};
+    const int own = top.lists.data[at], shared = top.lists.data[number], bits = (1 << LIST_BITS) - 1;
+    if (own == 0) return {0, 0, 0, 0};
+    return {own >> LIST_BITS, shared >> LIST_BITS, own & bits, (own & bits) + (shared & bits)};
 }
 
 struct Corner {

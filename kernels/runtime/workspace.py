@@ -87,6 +87,40 @@ class Workspace:
             used.forget(made)
 
 
+class HostNumbers:
+    """Numbers that kernels write, or that are copied, and that the host reads: in memory of the host that a CUDA device sees.
+
+    Attributes:
+        own: as an array of the host.
+        sent: the same, as kernels of the device see it.
+        values: the same in NumPy.
+    """
+
+    def __init__(self, count: int, dtype: Any, device: wp.Device) -> None:
+        self.device = device
+        self.own = wp.empty(count, dtype=dtype, device="cpu", pinned=device.is_cuda)
+        self.sent = part_of(self.own, 0, count, dtype, device)
+        self.values = self.own.numpy()
+
+    def fetch(self) -> np.ndarray:
+        """The numbers, when the work of the device's current stream is done."""
+        if self.device.is_cuda:
+            wp.synchronize_stream(self.device.stream)
+        return self.values
+
+
+def part_of(
+    memory: wp.array, begin: int, shape: int | tuple[int, ...], dtype: Any, device: wp.Device | None = None
+) -> wp.array:
+    """An array from a byte of other memory on, which it keeps alive: an allocation on CUDA takes far longer.
+
+    device: None for that of the memory.
+    """
+    part = wp.array(ptr=(memory.ptr or 0) + begin, dtype=dtype, shape=shape, device=device or memory.device)
+    part.used = memory  # type: ignore[attr-defined]
+    return part
+
+
 def write(array: wp.array, values: np.ndarray) -> None:
     """Copies values, of the layout of the array's elements, to its beginning."""
     if array.device.is_cpu:

@@ -259,11 +259,6 @@ def keyed(given: Noise):
     return noise
 
 
-@native.func_native("sensor_noise.h", "return wrt::is_noisy(noise);")
-def is_noisy(noise: Noise) -> bool:
-    """Whether a sensor has any noise."""
-
-
 @native.func_native(
     "sensor_noise.h",
     """wrt::write_ranges(

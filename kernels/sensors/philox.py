@@ -14,9 +14,6 @@ import warp as wp
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_kernel
 
-UNIT = wp.constant(wp.float64(2.0**-32))
-TWO_PI = wp.constant(wp.float64(6.283185307179586))
-
 
 @native.func_native(
     "sensor_noise.h",
@@ -28,18 +25,14 @@ def philox(counter: wp.vec4ui, key: wp.vec2ui) -> wp.vec4ui:
     """Four random words of 32 bits for a counter of four words and a key of two."""
 
 
-@wp.func
-def uniform(word: wp.uint32):
-    """A random word as a number in (0, 1), never 0 or 1."""
-    return (wp.float64(word) + wp.float64(0.5)) * UNIT
-
-
-@wp.func
-def normal_pair(first: wp.uint32, second: wp.uint32):
+@native.func_native(
+    "sensor_noise.h",
+    """const double radius = wrt::square_root(-2.0 * wrt::log_of_unit(first));
+    const wrt::CosineSine turn = wrt::turn_by_unit(second);
+    return {radius * turn.cosine, radius * turn.sine};""",
+)
+def normal_pair(first: wp.uint32, second: wp.uint32) -> wp.vec2d:
     """Two independent numbers of the standard normal distribution from two random words (Box and Muller 1958)."""
-    radius = wp.sqrt(wp.float64(-2.0) * wp.log(uniform(first)))
-    angle = TWO_PI * uniform(second)
-    return wp.vec2d(radius * wp.cos(angle), radius * wp.sin(angle))
 
 
 @exact_kernel

@@ -9,7 +9,7 @@ from wrt.kernels.query.hit_attributes import SceneMesh, hit_normal
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import exact_kernel
 from wrt.kernels.sensors.lidar_beams import Beams, across, beam_at, beam_offset, place_of
-from wrt.kernels.sensors.lidar_returns import Detector, Motions, Noise, Returns, Traced, is_noisy, keyed, measure_rays
+from wrt.kernels.sensors.lidar_returns import Detector, Motions, Noise, Returns, Traced, keyed, measure_rays
 from wrt.kernels.sensors.philox import normal_pair, philox
 from wrt.kernels.sensors.pose_paths import Pose, PosePath, pose_of
 from wrt.kernels.sensors.surface_ids import SurfaceIds, label_of, surface_ids
@@ -104,7 +104,7 @@ def points_of_returns(
                 number = at / kept
             place = place_of(beams, number)
             shown = wp.normalize(wp.vec3d(beams.directions[place.beam]))
-            if is_noisy(noise):
+            if noise.angle > wp.float64(0.0):
                 others = philox(wp.vec4ui(wp.uint32(at), wp.uint32(1), wp.uint32(0), wp.uint32(0)), noise.key)
                 turns = noise.angle * normal_pair(others[0], others[1])
                 side = across(shown)

@@ -11,47 +11,34 @@ import click
 import numpy as np
 
 from studies.moving.animation_comparison import ANIMATIONS, REFERENCE, WAYS, Stage, WayFigures, compare_ways
-from wrt.bench.commands.command_options import json_option, progress, table_console, threads_option, usage_errors, write_json
-from wrt.cli.arguments import target_options
-from wrt.cli.number_types import Whole
+from studies.study_options import number, several, show, study
+from wrt.bench.commands.command_options import progress, table_console, usage_errors, write_json
+from wrt.bench.core.benchmark_report import new_table, times
 from wrt.imaging.cameras import PinholeCamera
-from wrt.kernels.runtime.launch import get_num_threads
 from wrt.scenes.colonnade import atrium
 
 
-@click.command("animation")
+@study("animation")
 @click.argument("name", default="figure", type=click.Choice([*ANIMATIONS]))
-@target_options
-@click.option("--way", "ways", multiple=True, type=click.Choice([*WAYS]), help="Repeat. [all]")
-@click.option("--frames", default=24, show_default=True, type=Whole(1), help="Frames of a period.")
-@click.option("--detail", default=24, show_default=True, type=Whole(3), help="Triangles grow with its square.")
-@click.option("--size", default=256, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Rounds per way.")
-@threads_option
-@json_option
+@several("--way", "ways", WAYS)
+@number("--frames", 24, "Frames of a period.")
+@number("--detail", 24, "Triangles grow with its square.", 3)
+@number("--size", 256, "Trace SIZE x SIZE rays.", 4)
+@number("--rounds", 3, "Rounds per way.")
 def animation_command(
-    name: str,
-    ways: tuple[str, ...],
-    frames: int,
-    detail: int,
-    size: int,
-    rounds: int,
-    threads: int | None,
-    json_file: Path | None,
+    name: str, ways: tuple[str, ...], frames: int, detail: int, size: int, rounds: int, threads: int, json_file: Path | None
 ) -> None:
     """Follows a cloth or a figure that moves in the atrium in every way that scenes offer: frames a second, and same hits."""
-    stage, count = Stage(atrium(), ANIMATIONS[name](frames, detail)), threads or get_num_threads()
+    stage = Stage(atrium(), ANIMATIONS[name](frames, detail))
     camera = PinholeCamera(size, size, fov=60, position=(-6.0, -3.5, 2.0), look_at=(0.0, 0.0, 1.6), up=(0.0, 0.0, 1.0))
     with progress() as on_turn, usage_errors():
-        figures = compare_ways(stage, camera, ways or tuple(WAYS), rounds=rounds, threads=count, on_turn=on_turn)
-    print_ways(figures, stage, count, table_console(140))
-    write_json(json_file, {"animation": name, "threads": count, "ways": [asdict(row) for row in figures]})
+        figures = compare_ways(stage, camera, ways or tuple(WAYS), rounds=rounds, threads=threads, on_turn=on_turn)
+    print_ways(figures, stage, threads, table_console(140))
+    write_json(json_file, {"animation": name, "threads": threads, "ways": [asdict(row) for row in figures]})
 
 
 def print_ways(figures: Sequence[WayFigures], stage: Stage, threads: int, console: Any) -> None:
     """The table of ways."""
-    from wrt.bench.core.benchmark_report import new_table, times
-
     table = new_table(("way",), ("frames/s", "as fast", "update ms", "trace ms", "start ms", "same triangle", "same t"))
     speeds = {row.way: row.frames_per_second for row in figures}
     for row in figures:
@@ -64,5 +51,4 @@ def print_ways(figures: Sequence[WayFigures], stage: Stage, threads: int, consol
     moving, still = len(stage.animation.faces), stage.static.triangle_count
     sizes = f"{moving:,} triangles in {still:,} that stay"
     label = f"{stage.animation.name}: {len(stage.animation)} frames, {sizes}, {threads} threads"
-    console.print(f"[bold]{label}[/bold]", highlight=False)
-    console.print(table)
+    show(console, label, table)

@@ -14,19 +14,11 @@ from studies.light.bounce_claims import Verdict, judge
 from studies.light.bounce_comparison import WAYS, BounceFigures, compare_bounces
 from studies.light.bounce_rays import BOUNCES
 from studies.light.shading_streams_comparison import STREAM, StreamFigures, compare_shading, scene_of_materials
-from wrt.bench.commands.command_options import (
-    json_option,
-    load_model,
-    progress,
-    table_console,
-    threads_option,
-    usage_errors,
-    write_json,
-)
-from wrt.cli.arguments import target_options
-from wrt.cli.number_types import Whole
+from studies.study_options import number, show, study
+from wrt.bench.commands.command_options import load_model, progress, table_console, usage_errors, write_json
+from wrt.bench.core.benchmark_report import new_table
 from wrt.imaging.cameras import PinholeCamera
-from wrt.kernels.runtime.launch import get_num_threads, use_threads
+from wrt.kernels.runtime.launch import use_threads
 
 VALUES = {"megarays": "million rays/s", "boxes": "box tests a ray", "triangles": "triangle tests a ray", "usage": "places used"}
 """Tables that are printed, by field of the figures."""
@@ -38,35 +30,30 @@ MOST_BALLS = 255
 """More would be as many materials as the study can number."""
 
 
-@click.command("bounces")
+@study("bounces")
 @click.argument("models", nargs=-1)
-@target_options
-@click.option("--size", default=256, show_default=True, type=Whole(8, 512), help="One path from SIZE x SIZE pixels.")
-@click.option("--bounces", default=BOUNCES, show_default=True, type=Whole(1, 60), help="Number of the last bounce.")
-@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Rounds per way.")
-@threads_option
-@json_option
+@number("--size", 256, "One path from SIZE x SIZE pixels.", 8, 512)
+@number("--bounces", BOUNCES, "Number of the last bounce.", 1, 60)
+@number("--rounds", 3, "Rounds per way.")
 def bounces_command(
-    models: tuple[str, ...], size: int, bounces: int, rounds: int, threads: int | None, json_file: Path | None
+    models: tuple[str, ...], size: int, bounces: int, rounds: int, threads: int, json_file: Path | None
 ) -> None:
     """Orders of packets, repacking, omnidirectional packets and two-plane frusta, bounce by bounce, on MODELS [atrium]."""
-    count, figures = threads or get_num_threads(), []
+    figures = []
     with progress() as on_turn, usage_errors():
         for model in models or ("atrium",):
-            options = {"size": size, "bounces": bounces, "rounds": rounds, "threads": count}
+            options = {"size": size, "bounces": bounces, "rounds": rounds, "threads": threads}
             figures += compare_bounces(load_model(model), Path(model).stem, **options, on_turn=on_turn)
     verdicts = judge(figures)
     console = table_console(160)
     print_bounces(figures, console)
     print_verdicts(verdicts, console)
-    rows = {"threads": count, "bounces": [asdict(row) for row in figures], "verdicts": [asdict(row) for row in verdicts]}
+    rows = {"threads": threads, "bounces": [asdict(row) for row in figures], "verdicts": [asdict(row) for row in verdicts]}
     write_json(json_file, rows)
 
 
 def print_bounces(figures: Sequence[BounceFigures], console: Any) -> None:
     """A table for each model and value: a line a way, a column a bounce."""
-    from wrt.bench.core.benchmark_report import new_table
-
     bounces = sorted({row.bounce for row in figures})
     for model in dict.fromkeys(row.model for row in figures):
         for field, what in VALUES.items():
@@ -74,48 +61,39 @@ def print_bounces(figures: Sequence[BounceFigures], console: Any) -> None:
             for way in WAYS:
                 cells = {row.bounce: getattr(row, field) for row in figures if (row.model, row.way) == (model, way)}
                 table.add_row(way, *(f"{cells[bounce]:.2f}" if bounce in cells else "" for bounce in bounces))
-            console.print(f"[bold]{what} by bounce[/bold]", highlight=False)
-            console.print(table)
+            show(console, f"{what} by bounce", table)
     if not all(row.same for row in figures):
         raise click.ClickException("some hits differ from those of single rays")
 
 
 def print_verdicts(verdicts: Sequence[Verdict], console: Any) -> None:
     """A line a claim."""
-    from wrt.bench.core.benchmark_report import new_table
-
     table = new_table(("claim",), ("paper", "here: median (least to most)", "holds"))
     for row in verdicts:
         table.add_row(row.claim, row.paper, row.found, "yes" if row.holds else "no")
     console.print(table)
 
 
-@click.command("shading")
-@target_options
-@click.option("--size", default=448, show_default=True, type=Whole(8, 2048), help="SIZE x SIZE pixels.")
-@click.option("--balls", default=12, show_default=True, type=Whole(1, MOST_BALLS), help="BALLS x BALLS materials.")
-@click.option("--depth", default=5, show_default=True, type=Whole(1, 60), help="Generations of rays.")
-@click.option("--stream", default=STREAM, show_default=True, type=Whole(1), help="Rays of a stream.")
-@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Rounds per way.")
-@threads_option
-@json_option
-def shading_command(
-    size: int, balls: int, depth: int, stream: int, rounds: int, threads: int | None, json_file: Path | None
-) -> None:
+@study("shading")
+@number("--size", 448, "SIZE x SIZE pixels.", 8, 2048)
+@number("--balls", 12, "BALLS x BALLS materials.", 1, MOST_BALLS)
+@number("--depth", 5, "Generations of rays.", 1, 60)
+@number("--stream", STREAM, "Rays of a stream.")
+@number("--rounds", 3, "Rounds per way.")
+def shading_command(size: int, balls: int, depth: int, stream: int, rounds: int, threads: int, json_file: Path | None) -> None:
     """Ways to shade hits of many materials: filter stacks, sorting and branches, one by one and in lanes.
 
     The scene has a ball for each material, matte, mirrors, glass and glossy ones at random, over a floor.
     """
-    count = threads or get_num_threads()
     middle = 0.5 * (balls - 1)
     camera = PinholeCamera(
         size, size, fov=50, position=(middle, -0.42 * balls, 0.5 * balls), look_at=(middle, middle - 1.0, 0), up=(0, 0, 1)
     )
-    with progress() as on_turn, usage_errors(), use_threads(count):
+    with progress() as on_turn, usage_errors(), use_threads(threads):
         options = {"depth": depth, "stream": stream, "rounds": rounds, "on_turn": on_turn}
         figures = compare_shading(scene_of_materials(balls), camera, **options)
     print_shading(figures, table_console(120))
-    write_json(json_file, {"threads": count, "stream": stream, "shading": [asdict(row) for row in figures]})
+    write_json(json_file, {"threads": threads, "stream": stream, "shading": [asdict(row) for row in figures]})
 
 
 def print_shading(figures: Sequence[StreamFigures], console: Any) -> None:
@@ -124,8 +102,6 @@ def print_shading(figures: Sequence[StreamFigures], console: Any) -> None:
     Raises:
         click.ClickException: some answers differ.
     """
-    from wrt.bench.core.benchmark_report import new_table
-
     for generation in dict.fromkeys(row.generation for row in figures):
         rows = [row for row in figures if row.generation == generation]
         shares = ", ".join(f"{share:.0%} {kind}" for kind, share in zip(KINDS, rows[0].shares, strict=True))

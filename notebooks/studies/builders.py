@@ -12,48 +12,26 @@ import click
 from studies.kdtrees import layout_comparison
 from studies.kdtrees.kdtree_comparison import RAYS, REFERENCE, BuilderFigures, compare_builders
 from studies.kdtrees.kdtree_growth import Growth, growth_sizes, growth_turns, measure_growth
-from studies.kdtrees.layout_comparison import (
-    LayoutFigures,
-    compare_allocations,
-    compare_compact,
-    compare_layouts,
-)
-from wrt.bench.commands.command_options import (
-    json_option,
-    load_model,
-    progress,
-    progress_bar,
-    table_console,
-    threads_option,
-    usage_errors,
-    write_json,
-)
+from studies.kdtrees.layout_comparison import LayoutFigures, compare_allocations, compare_compact, compare_layouts
+from studies.study_options import described, model_argument, number, several, show, study, threads_option
+from wrt.bench.commands.command_options import load_model, progress, progress_bar, table_console, usage_errors, write_json
 from wrt.bench.comparisons.build_comparison import kdtree_descriptions
+from wrt.bench.core.benchmark_report import new_table, times
 from wrt.builders.classics.kdtree.streaming import EXACT
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.cli.arguments import target_options
 from wrt.cli.number_types import Whole
-from wrt.kernels.runtime.launch import get_num_threads
 from wrt.meshes.mesh import TriangleMesh
 
 
-@click.command("builders")
-@click.argument("model", default="teapot")
-@target_options
-@click.option("--builder", "builders", multiple=True, type=click.Choice([*KDTREE_BUILDERS]), help="Repeat. [all]")
-@click.option("--size", default=512, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per builder.")
-@threads_option
+@study("builders")
+@model_argument("teapot")
+@several("--builder", "builders", KDTREE_BUILDERS)
+@number("--size", 512, "Trace SIZE x SIZE rays.", 4)
+@number("--rounds", 5, "Rounds per builder.")
 @click.option("--growth", type=Whole(1000), metavar="N", help="Show growth too, from 10^3 to N triangles.")
-@json_option
 def builders_command(
-    model: str,
-    builders: tuple[str, ...],
-    size: int,
-    rounds: int,
-    threads: int | None,
-    growth: int | None,
-    json_file: Path | None,
+    model: str, builders: tuple[str, ...], size: int, rounds: int, growth: int | None, threads: int, json_file: Path | None
 ) -> None:
     """Compares kd-tree builders on MODEL, a mesh file or a built-in scene: time to build, cost, memory, time to trace.
 
@@ -61,19 +39,18 @@ def builders_command(
     """
     mesh = load_model(model)
     chosen = builders or tuple(description.builder for description in kdtree_descriptions(mesh.triangle_count))
-    count = threads or get_num_threads()
     grown: list[Growth] = []
     with progress() as on_turn, usage_errors():
-        figures = compare_builders(mesh, chosen, rounds=rounds, threads=count, size=size, on_turn=on_turn)
+        figures = compare_builders(mesh, chosen, rounds=rounds, threads=threads, size=size, on_turn=on_turn)
     if growth is not None:
         sizes = growth_sizes(growth)
         with progress_bar(growth_turns(chosen, sizes, rounds)) as on_turn:
-            grown = measure_growth(chosen, sizes, rounds=rounds, threads=count, on_turn=on_turn)
+            grown = measure_growth(chosen, sizes, rounds=rounds, threads=threads, on_turn=on_turn)
     console = table_console()
-    print_figures(figures, mesh, count, console)
+    print_figures(figures, mesh, threads, console)
     if grown:
         print_growth(grown, console)
-    found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": count}
+    found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": threads}
     found["builders"] = [asdict(row) for row in figures]
     found["growth"] = [asdict(row) | {"per_n_log_n": row.per_n_log_n} for row in grown]
     write_json(json_file, found)
@@ -81,8 +58,6 @@ def builders_command(
 
 def print_figures(figures: Sequence[BuilderFigures], mesh: TriangleMesh, threads: int, console: Any) -> None:
     """The table of builders."""
-    from wrt.bench.core.benchmark_report import new_table, times
-
     table = new_table(
         ("builder",), ("build", "ms", "SAH cost", "of sweep's", "tree B", "peak B", *(f"trace {rays}" for rays in RAYS))
     )
@@ -97,19 +72,14 @@ def print_figures(figures: Sequence[BuilderFigures], mesh: TriangleMesh, threads
             f"{row.peak_bytes:.0f}",
             *(times(row.trace_ratios[rays]) for rays in RAYS),
         )
-    label = f"kd-tree builders: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {threads} threads"
-    console.print(f"[bold]{label}[/bold]", highlight=False)
-    console.print(table)
     note = f"Times are ratios to {REFERENCE}'s; bytes are per triangle."
     if mesh.triangle_count <= EXACT and any(row.builder == "streaming" for row in figures):
         note += f" Of up to {EXACT:,} triangles, streaming samples none: its tree is the exact one."
-    console.print(note, style="dim", highlight=False)
+    show(console, f"kd-tree builders: {described(mesh, threads)}", table, note)
 
 
 def print_growth(grown: Sequence[Growth], console: Any) -> None:
     """The table of growth."""
-    from wrt.bench.core.benchmark_report import new_table
-
     sizes = max((growth.triangles for growth in grown), key=len)
     table = new_table(("builder",), [*(f"{size:,}" for size in sizes), "tree B", "peak B"])
     for growth in grown:
@@ -119,50 +89,42 @@ def print_growth(grown: Sequence[Growth], console: Any) -> None:
         ]
         missing = [""] * (len(sizes) - len(cells))
         table.add_row(growth.builder, *cells, *missing, f"{growth.tree_bytes[-1]:.0f}", f"{growth.peak_bytes[-1]:.0f}")
-    console.print("\n[bold]Growth: time to build, and time / (n log n) as a multiple of the first[/bold]", highlight=False)
-    console.print(table)
-    console.print("Bytes are per triangle, at the last size of each.", style="dim", highlight=False)
+    console.print()
+    title = "Growth: time to build, and time / (n log n) as a multiple of the first"
+    show(console, title, table, "Bytes are per triangle, at the last size of each.")
 
 
 @click.command("layouts")
-@click.argument("model", default="teapot")
+@model_argument("teapot")
 @target_options
 @click.option(
     "--builder", default="in_place", show_default=True, type=click.Choice([*KDTREE_BUILDERS]), help="Builder of the tree."
 )
 @click.option("--width", type=click.Choice([1, 2, 4, 8, 16]), help="Triangles a block; 1 for deep trees. [what suits the CPU]")
-@click.option("--size", default=512, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per layout.")
+@number("--size", 512, "Trace SIZE x SIZE rays.", 4)
+@number("--rounds", 5, "Rounds per layout.")
 @threads_option
 @click.option("--allocations", is_flag=True, help="Compare general with fixed-size allocation of nodes instead.")
 @click.option("--compact", is_flag=True, help="Compare nodes with and without indices of their children instead.")
 def layouts_command(
-    model: str, builder: str, width: int | None, size: int, rounds: int, threads: int | None, allocations: bool, compact: bool
+    model: str, builder: str, width: int | None, size: int, rounds: int, threads: int, allocations: bool, compact: bool
 ) -> None:
     """Compares orders of a kd-tree's nodes in memory on MODEL, a mesh file or a built-in scene: nanoseconds a step."""
     if allocations and compact:
         raise click.UsageError("--allocations and --compact are different comparisons; give one of them")
-    mesh, count = load_model(model), threads or get_num_threads()
+    mesh = load_model(model)
     compare = compare_allocations if allocations else compare_compact if compact else compare_layouts
     with progress() as on_turn, usage_errors():
-        figures = compare(mesh, builder=builder, width=width, rounds=rounds, threads=count, size=size, on_turn=on_turn)
-    print_layouts(figures, mesh, count, table_console())
+        figures = compare(mesh, builder=builder, width=width, rounds=rounds, threads=threads, size=size, on_turn=on_turn)
+    print_layouts(figures, mesh, threads, table_console())
 
 
 def print_layouts(figures: list[LayoutFigures], mesh: TriangleMesh, threads: int, console: Any) -> None:
     """The table of layouts; speeds refer to the first."""
-    from wrt.bench.core.benchmark_report import new_table, times
-
     columns = [text for rays in layout_comparison.RAYS for text in (f"{rays}, ns a step", "speed")]
     table = new_table(("layout",), ("node kB", "B a node", *columns))
     for row in figures:
         cells = [text for rays in layout_comparison.RAYS for text in (f"{row.step_ns[rays]:.1f}", times(row.ratios[rays]))]
         table.add_row(row.layout, f"{row.node_bytes / 1e3:.0f}", f"{row.node_bytes / row.nodes:.1f}", *cells)
-    label = f"kd-tree layouts: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {threads} threads"
-    console.print(f"[bold]{label}[/bold]", highlight=False)
-    console.print(table)
-    console.print(
-        f"Speed is a ratio to that of {figures[0].layout}; a step is a node or a leaf with its tests.",
-        style="dim",
-        highlight=False,
-    )
+    note = f"Speed is a ratio to that of {figures[0].layout}; a step is a node or a leaf with its tests."
+    show(console, f"kd-tree layouts: {described(mesh, threads)}", table, note)

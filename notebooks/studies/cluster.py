@@ -10,6 +10,7 @@ import click
 from studies.clusters.cluster_scaling import EXECUTORS, measure
 from studies.clusters.cluster_simulation import ClusterModel, simulate
 from studies.clusters.town import town
+from studies.study_options import number, several
 from wrt.bench.commands.command_options import json_option, progress, table_console, usage_errors, write_json
 from wrt.bench.core.benchmark_results import machine
 from wrt.cli.number_types import Whole
@@ -19,14 +20,14 @@ SIMULATED = (1, 2, 4, 8, 16, 64, 256, 1000)
 
 
 @click.command("cluster")
-@click.option("--triangles", default=1_000_000, show_default=True, type=Whole(1000), help="Number of triangles of the town.")
-@click.option("--points", default=10_000, show_default=True, type=Whole(1), help="Places whose sun hours are wanted.")
-@click.option("--suns", default=400, show_default=True, type=Whole(1), help="Directions to the sun.")
-@click.option("--task-rays", default=200_000, show_default=True, type=Whole(1), help="Rays of a task.")
+@number("--triangles", 1_000_000, "Number of triangles of the town.", 1000)
+@number("--points", 10_000, "Places whose sun hours are wanted.")
+@number("--suns", 400, "Directions to the sun.")
+@number("--task-rays", 200_000, "Rays of a task.")
 @click.option("--workers", "counts", multiple=True, type=Whole(1), help="Processes; may be repeated. [1, 2]")
 @click.option("--device", "devices", multiple=True, help="A GPU for each process, such as cuda:0; repeat for each GPU.")
-@click.option("--executor", "names", multiple=True, type=click.Choice([*EXECUTORS]), help="May be repeated. [processes]")
-@click.option("--rounds", default=3, show_default=True, type=Whole(1), help="Rounds per number of processes.")
+@several("--executor", "names", EXECUTORS, "May be repeated. [processes]")
+@number("--rounds", 3, "Rounds per number of processes.")
 @json_option
 def cluster_command(
     triangles: int,

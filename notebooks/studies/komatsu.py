@@ -9,8 +9,10 @@ from typing import Any
 
 import click
 
+from studies.study_options import number, several, show
 from studies.triangles import komatsu_packets, komatsu_tables, pichler_tables, pichler_variants
 from wrt.bench.commands.command_options import json_option, load_model, progress, table_console, usage_errors, write_json
+from wrt.bench.core.benchmark_report import new_table
 from wrt.bench.core.benchmark_results import machine
 from wrt.cli.arguments import target_options
 from wrt.cli.number_types import Whole
@@ -91,8 +93,6 @@ def cell(value: Any) -> str:
 
 def print_rows(console: Any, title: str, rows: Rows) -> None:
     """A table with the columns of its rows."""
-    from wrt.bench.core.benchmark_report import new_table
-
     names = [*dict.fromkeys(name for row in rows for name in row)]
     words = [name for name in names if any(isinstance(row.get(name), str) for row in rows)]
     last = [name for name in names if any(isinstance(row.get(name), Mapping) for row in rows)]
@@ -100,8 +100,8 @@ def print_rows(console: Any, title: str, rows: Rows) -> None:
     table = new_table(words, numbers, last)
     for row in rows:
         table.add_row(*(cell(row.get(name)) for name in (*words, *numbers, *last)))
-    console.print(f"\n[bold]{title}[/bold]", highlight=False)
-    console.print(table)
+    console.print()
+    show(console, title, table)
 
 
 def report(tables: Mapping[str, str], chosen: Sequence[str], make: Callable[[str], Rows], json_file: Path | None) -> None:
@@ -115,17 +115,12 @@ def report(tables: Mapping[str, str], chosen: Sequence[str], make: Callable[[str
     write_json(json_file, {"machine": machine("cpu"), "tables": found})
 
 
-rounds_option = click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per contender.")
-
-
 @click.command("pichler")
 @target_options
-@click.option("--table", "tables", multiple=True, type=click.Choice([*PICHLER]), help="Tables; may be repeated. [all]")
-@click.option(
-    "--scene", "scenes", multiple=True, type=click.Choice([*pichler_tables.SCENES]), help="Scenes; may be repeated. [all]"
-)
+@several("--table", "tables", PICHLER, "Tables; may be repeated. [all]")
+@several("--scene", "scenes", pichler_tables.SCENES, "Scenes; may be repeated. [all]")
 @click.option("--size", type=Whole(4), help="Views have SIZE x SIZE pixels, a multiple of 4. [each table's own]")
-@rounds_option
+@number("--rounds", 5, "Rounds per contender.")
 @json_option
 def pichler_command(
     tables: tuple[str, ...], scenes: tuple[str, ...], size: int | None, rounds: int, json_file: Path | None
@@ -137,12 +132,12 @@ def pichler_command(
 @click.command("komatsu")
 @click.argument("models", nargs=-1)
 @target_options
-@click.option("--table", "tables", multiple=True, type=click.Choice([*KOMATSU]), help="Tables; may be repeated. [all]")
+@several("--table", "tables", KOMATSU, "Tables; may be repeated. [all]")
 @click.option(
     "--models", "folder", type=click.Path(file_okay=False, exists=True, path_type=Path), help="Folder of the Stanford models."
 )
-@click.option("--tests", default=1 << 23, show_default=True, type=Whole(1 << 10), help="Tests of a call.")
-@rounds_option
+@number("--tests", 1 << 23, "Tests of a call.", 1 << 10)
+@number("--rounds", 5, "Rounds per contender.")
 @json_option
 def komatsu_command(
     models: tuple[str, ...], tables: tuple[str, ...], folder: Path | None, tests: int, rounds: int, json_file: Path | None

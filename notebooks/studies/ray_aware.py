@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import click
-
 from studies.known_rays.affinity import compare_affinity
 from studies.known_rays.ray_aware_comparison import (
     GIVEN,
@@ -20,19 +18,10 @@ from studies.known_rays.ray_aware_comparison import (
     compare_searches,
     compare_traces,
 )
-from wrt.bench.commands.command_options import (
-    json_option,
-    load_model,
-    progress,
-    table_console,
-    threads_option,
-    usage_errors,
-    write_json,
-)
+from studies.study_options import described, model_argument, number, several, show, study
+from wrt.bench.commands.command_options import load_model, progress, table_console, usage_errors, write_json
+from wrt.bench.core.benchmark_report import new_table, times
 from wrt.bench.core.benchmark_results import machine
-from wrt.cli.arguments import target_options
-from wrt.cli.number_types import Whole
-from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS as WALKS
 
 TITLES = {
@@ -47,45 +36,40 @@ by the build's cost model. ProjectedBvh: one tree for the rays; RayAwareBvh: the
 same, told the area."""
 
 
-@click.command("ray-aware")
-@click.argument("model", default="atrium")
-@target_options
-@click.option("--size", default=1024, show_default=True, type=Whole(4), help="Trace SIZE x SIZE rays.")
-@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds per tree.")
-@threads_option
-@click.option("--traversal", "traversals", multiple=True, type=click.Choice(["auto", *WALKS]), help="Repeat. [auto, single]")
-@json_option
+@study("ray-aware")
+@model_argument("atrium")
+@number("--size", 1024, "Trace SIZE x SIZE rays.", 4)
+@number("--rounds", 5, "Rounds per tree.")
+@several("--traversal", "traversals", ("auto", *WALKS), "Repeat. [auto, single]")
 def ray_aware_command(
-    model: str, size: int, rounds: int, threads: int | None, traversals: tuple[str, ...], json_file: Path | None
+    model: str, size: int, rounds: int, traversals: tuple[str, ...], threads: int, json_file: Path | None
 ) -> None:
     """Compares trees for rays of known directions with the default tree on MODEL, a mesh file or a built-in scene.
 
     Time to search a node, to build, and to trace shadow rays of a sun and a lamp, a camera's rays, and those of ray casters.
     """
-    mesh, count = load_model(model), threads or get_num_threads()
+    mesh = load_model(model)
     with progress() as on_turn, usage_errors():
         figures: list[Figure] = []
         areas = areas_of(mesh)
         for name, area in areas.items():
             figures += compare_searches(mesh, area, name, rounds=rounds)
-        turns = Turns(rounds, count, on_turn)
+        turns = Turns(rounds, threads, on_turn)
         figures += compare_builds(mesh, areas, turns)
         figures += compare_traces(mesh, turns, size=size, traversals=traversals or TRAVERSALS)
         figures += compare_affinity(mesh, turns, size=size)
     console = table_console()
-    console.print(f"{mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {count} threads", highlight=False)
+    console.print(described(mesh, threads), highlight=False)
     for question, title in TITLES.items():
-        console.print(f"\n[bold]{title}[/bold]", highlight=False)
-        console.print(table_of([figure for figure in figures if figure.question == question]))
+        console.print()
+        show(console, title, table_of([figure for figure in figures if figure.question == question]))
     console.print(FOOTNOTE, style="dim", highlight=False)
-    found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": count, "machine": machine("cpu")}
+    found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": threads, "machine": machine("cpu")}
     write_json(json_file, found | {"figures": [asdict(figure) for figure in figures]})
 
 
 def table_of(figures: Sequence[Figure]):
     """A row a subject and tree; the reference's own ratio is left out."""
-    from wrt.bench.core.benchmark_report import new_table, times
-
     table = new_table(("of", "traversal", "tree"), (f"time / {REFERENCE}", "least - greatest", "work", "ns an item"))
     for figure in figures:
         is_reference = figure.contender == REFERENCE

@@ -7,23 +7,22 @@ from pathlib import Path
 
 import click
 
-from wrt.bench.commands.command_options import json_option, load_model, progress, threads_option, usage_errors, write_json
+from studies.study_options import described, model_argument, number, threads_option
+from wrt.bench.commands.command_options import json_option, load_model, progress, usage_errors, write_json
 from wrt.bench.commands.scaling_command import print_figures
 from wrt.bench.comparisons.thread_scaling import measure_schedules
 from wrt.bench.core.benchmark_results import machine
-from wrt.cli.number_types import Whole
-from wrt.kernels.runtime.launch import get_num_threads
 
 
 @click.command("scheduling")
-@click.argument("model", default="teapot")
-@click.option("--rounds", default=7, show_default=True, type=Whole(1), help="Rounds per schedule.")
+@model_argument("teapot")
+@number("--rounds", 7, "Rounds per schedule.")
 @threads_option
 @json_option
-def scheduling_command(model: str, rounds: int, threads: int | None, json_file: Path | None) -> None:
+def scheduling_command(model: str, rounds: int, threads: int, json_file: Path | None) -> None:
     """Compares ways to divide work among threads on MODEL, a mesh file or a built-in scene."""
-    mesh, count = load_model(model), threads or get_num_threads()
+    mesh = load_model(model)
     with progress() as on_turn, usage_errors():
-        figures = measure_schedules(mesh, count, rounds, on_turn)
-    print_figures(f"schedules: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {count} threads", figures)
+        figures = measure_schedules(mesh, threads, rounds, on_turn)
+    print_figures(f"schedules: {described(mesh, threads)}", figures)
     write_json(json_file, {"machine": machine("cpu"), "jobs": [asdict(row) for row in figures]})

@@ -6,22 +6,22 @@ from pathlib import Path
 
 import click
 
+from studies.study_options import model_argument, number, several
 from studies.triangles.triangle_test_comparison import SITUATIONS, run_triangle_tests
 from wrt.bench.commands.command_options import json_option, load_model, progress, table_console, usage_errors, write_json
 from wrt.cli.arguments import target_options
-from wrt.cli.number_types import Whole
 from wrt.kernels.runtime.launch import MAX_THREADS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 
 @click.command("triangle-tests")
-@click.argument("model", default="teapot")
+@model_argument("teapot")
 @target_options
-@click.option("--test", "tests", multiple=True, type=click.Choice([*TRIANGLE_TESTS]), help="Tests; may be repeated. [all]")
-@click.option("--situation", "situations", multiple=True, type=click.Choice([*SITUATIONS]), help="What to time. [all]")
-@click.option("--size", default=512, show_default=True, type=Whole(16), help="Views have SIZE x SIZE pixels.")
-@click.option("--rounds", default=9, show_default=True, type=Whole(1), help="Rounds per test.")
-@click.option("--threads", default=1, show_default=True, type=Whole(1, MAX_THREADS), help="CPU threads.")
+@several("--test", "tests", TRIANGLE_TESTS, "Tests; may be repeated. [all]")
+@several("--situation", "situations", SITUATIONS, "What to time. [all]")
+@number("--size", 512, "Views have SIZE x SIZE pixels.", 16)
+@number("--rounds", 9, "Rounds per test.")
+@number("--threads", 1, "CPU threads.", 1, MAX_THREADS)
 @click.option("--precision/--no-precision", default=True, show_default=True, help="Measure errors and leaks.")
 @json_option
 @click.option("--plot", "plot_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write a picture.")

@@ -11,6 +11,7 @@ from support.built_bvhs import arrays_of, assert_same_tree, build, check, mesh_o
 from support.meshes import SCENES
 
 import wrt
+from wrt.builders import triangle_boxes as boxes_module
 from wrt.builders.bvh import BVH_BUILDERS, hploc
 from wrt.builders.bvh import binned_bvh as binned
 from wrt.builders.bvh.bvh_config import BvhConfig
@@ -18,7 +19,7 @@ from wrt.builders.bvh.bvh_statistics import bvh_statistics, unpack
 from wrt.builders.bvh.phases import collapse as collapse_phase
 from wrt.builders.bvh.update.bvh_update import refit, refit_upward, upward_links
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.triangle_boxes import corner_bounds
+from wrt.builders.triangle_boxes import corner_bounds, triangle_boxes
 from wrt.kernels.layout.bvh_nodes import MAX_BLOCKS, MAX_WIDE_DEPTH, check_blocks
 from wrt.kernels.runtime.launch import launch, use_threads
 
@@ -234,6 +235,25 @@ def test_corner_bounds():
         vertices[8, 1] = bad
         with pytest.raises(ValueError, match="NaN or infinite"):
             corner_bounds(*(wp.array(a, dtype=t, device="cpu") for a, t in ((vertices, wp.vec3), (faces, wp.vec3i))))
+
+
+def test_hploc_within_corners_that_are_searched_for_meanwhile(monkeypatch):
+    """As where they are known, also of a plane; NaN, and boxes that are too large, are refused before anything is merged."""
+    config = BvhConfig(cost=SurfaceAreaCost(width=2), max_leaf_triangles=2)
+    for mesh in (SCENES["teapot"](), wrt.scenes.shapes.plane((-5.0, -5.0), (5.0, 5.0), z=-1.0)):
+        vertices, faces = (wp.array(a, dtype=t, device="cpu") for a, t in ((mesh.vertices, wp.vec3), (mesh.faces, wp.vec3i)))
+        known = hploc.build(triangle_boxes(vertices, faces), config)
+        with monkeypatch.context() as patch:
+            patch.setattr(boxes_module, "searches_bounds", lambda device: True)
+            found = hploc.build(triangle_boxes(vertices, faces), config)
+            for name in ("bounds", "child", "primitive"):
+                np.testing.assert_array_equal(getattr(found, name).numpy(), getattr(known, name).numpy())
+            assert (found.low, found.high) == (known.low, known.high)
+            for bad, message in ((np.nan, "NaN"), (1e38, "trees can be built")):
+                broken = mesh.vertices.astype(np.float32)
+                broken[mesh.faces[0, 0]] = bad
+                with pytest.raises(ValueError, match=message):
+                    hploc.build(triangle_boxes(wp.array(broken, dtype=wp.vec3, device="cpu"), faces), config)
 
 
 @pytest.mark.parametrize("builder", BVH_BUILDERS)

@@ -15,7 +15,6 @@ from studies.kdtrees.layout_comparison import (
     compare_allocations,
     compare_compact,
     compare_layouts,
-    trace_pairs,
     trace_placed,
 )
 from wrt.builders.classics.kdtree.compact_subtrees import to_compact
@@ -62,7 +61,8 @@ def test_every_layout_is_the_same_tree(scene, layout):
     rng = np.random.default_rng(3)
     low, high = scene.bounds
     origins, targets = low + (high - low) * rng.random((2, 500, 3))
-    hits = trace_pairs(scene, tree, to_device(Rays(origins, targets - origins), scene.device, scene.center))
+    rays = to_device(Rays(origins, targets - origins), scene.device, scene.center)
+    hits = trace_placed(scene, tree, rays, SingleConfig(pair_words=1))
     expected = scene.intersect(origins, targets - origins, traversal="single")
     np.testing.assert_array_equal(hits.t.numpy(), expected.t)
     np.testing.assert_array_equal(hits.primitive.numpy(), expected.primitive_id)
@@ -186,7 +186,10 @@ def test_cost_of_allocations(scene):
     assert figures[0].ratios == {"near": 1.0, "random": 1.0}
     rays = to_device(Rays(np.zeros((64, 3)), np.random.default_rng(2).normal(size=(64, 3))), scene.device, scene.center)
     tree = lay_out(scene.tree, "random")
-    found = [trace_pairs(scene, in_records(tree, words), rays, words).t.numpy() for words in ALLOCATIONS.values()]
+    found = [
+        trace_placed(scene, in_records(tree, words), rays, SingleConfig(pair_words=words)).t.numpy()
+        for words in ALLOCATIONS.values()
+    ]
     np.testing.assert_array_equal(found[0], found[2])
     np.testing.assert_array_equal(found[1], found[2])
 

@@ -162,6 +162,18 @@ def test_another_process_compiles_into_the_same_cache(tmp_path, monkeypatch):
     assert all(path.exists() for path in files)
 
 
+@pytest.mark.skipif(not hasattr(os, "getsid"), reason="sessions and groups of processes are POSIX")
+def test_a_process_gives_way_within_the_session():
+    """Linux may share cores out among sessions, whatever the priorities of their processes."""
+    process = compile_later._start(b"")
+    try:
+        wait_for(lambda: os.getpriority(os.PRIO_PROCESS, process.pid) == compile_later.LOWEST_PRIORITY)
+        assert os.getpgid(process.pid) == process.pid, "Ctrl-C is not for it"
+        assert os.getsid(process.pid) == os.getsid(0)
+    finally:
+        compile_later.end(process)
+
+
 def test_a_kernel_that_is_missed_too_long_is_waited_for(monkeypatch):
     monkeypatch.setattr(compile_later, "PROGRAM", "import time; time.sleep(600)")
     missing = shift_kernel()
@@ -198,6 +210,7 @@ import warp as wp
 from wrt.kernels.compilation import compile_later
 from wrt.kernels.compilation.kernel_cache import init_warp
 from wrt.kernels.layout.mesh_placement import make_shift
+wp.config.log_level = wp.LOG_ERROR  # Warp warns of an old Python
 init_warp()
 compile_later.PROGRAM = {waits!r}
 assert not compile_later.MissingKernel(make_shift, wp.vec3, make_shift(wp.vec3)).spend(1.0)

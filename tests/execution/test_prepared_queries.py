@@ -151,6 +151,26 @@ def test_after_an_update(kind, device):
     assert (after.t.numpy() != before.t.numpy()).any()
 
 
+def test_packets_through_instances():
+    """A query is prepared for rays from one point and one for others, and serves where instances have moved, too, and where
+    their tree was built again."""
+    scene = scene_of("instances", "cpu")
+    own, toward = device_rays(scene, 500)
+    eye = on_device(scene.center[None] + 3.0)
+    for scale, rebuild in ((1.0, "auto"), (2.0, "auto"), (0.5, "always")):
+        scene.update(0, transform=np.diag([scale, scale, scale, 1.0]), rebuild=rebuild)
+        for origins in (own, eye, own):
+            packets, alone = (scene.intersect(origins, toward, traversal=name) for name in ("packet", "single"))
+            assert_same(packets, alone)
+            np.testing.assert_array_equal(
+                scene.occluded(origins, toward, traversal="packet").numpy(), alone.is_hit.numpy(), err_msg=str(scale)
+            )
+        in_packets = [chosen for chosen in scene.state.cache.plans if chosen.plan.traversal == "packet"]
+        assert sum(len(chosen.prepared.items()) for chosen in in_packets) == 4
+    few = scene.intersect(own[:5], toward[:5], traversal="packet")
+    assert_same(few, scene.intersect(own[:5], toward[:5], traversal="single"))
+
+
 def test_nothing_stale():
     """What was recorded for a tree is not used for another."""
     mesh = teapot()

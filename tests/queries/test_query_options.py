@@ -89,8 +89,8 @@ def test_type_checkers_and_help_see_the_same_options(method, options):
 @pytest.mark.parametrize("name", [*OPTIONS, "points_on", "contains", "visible", "verify"])
 def test_help_explains_every_argument(name):
     method = getattr(wrt.Scene, name)
-    listed = re.search(r"\n {8}Args:\n(.*?)\n\n", method.__doc__, re.DOTALL)
-    explained = {word for line in re.findall(r"^ {12}(\w[\w, ]*): ", listed[1], re.MULTILINE) for word in line.split(", ")}
+    listed = re.search(r"\nArgs:\n(.*?)\n\n", inspect.getdoc(method), re.DOTALL)
+    explained = {word for line in re.findall(r"^ {4}(\w[\w, ]*): ", listed[1], re.MULTILINE) for word in line.split(", ")}
     assert explained == set(inspect.signature(method).parameters) - {"self"}
 
 

@@ -188,6 +188,21 @@ def test_masks_beside_transforms(keeps, device):
         scene.update(range(COUNT), transform=values, mask=-1)
 
 
+def test_environments_beside_transforms(keeps, device):
+    """One that the instances have already changes nothing; another one puts them into another tree, as on the host."""
+    first = matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu"))
+    scene, host = scene_of(first, 1, device), scene_of(first, 1, device)
+    rays, rows = mixed_rays(host.flattened(), 1000), np.flatnonzero(np.arange(COUNT) % 10)  # but those of all worlds
+    for environment, stays in ((0, True), (2, False), (2, True)):
+        values = wp.array((poses(0) + np.float32(0.01 * environment))[rows], dtype=wp.transformf, device=device)
+        scene.update(rows, transform=values, environment=environment)
+        host.update(rows, transform=matrices_of(values), environment=environment)
+        assert (scene.state.table is None) == stays
+        for world in range(3):
+            assert_same_hits(scene.intersect(*rays, environment=world), host.intersect(*rays, environment=world))
+    assert {scene.instances[row].environment for row in rows} == {2}
+
+
 def test_a_small_motion_stays_on_the_device(device):
     """Neither transforms nor boxes are copied to the host, and the nodes stay."""
     scene = scene_of(matrices_of(wp.array(poses(0), dtype=wp.transformf, device="cpu")), None, device)

@@ -54,7 +54,7 @@ struct Wide {
 };
 struct Top {
     Wide tree;
-    Array<int> order, environments, roots;
+    Array<int> order, environments, roots, lists;
     Array<Place> placements;
     float slack_scale;
     Array<float> extent;

@@ -1,4 +1,4 @@
-"""The lane loops over child boxes against their twin in plain Warp, bit for bit."""
+"""The lane loop of one ray over child boxes against its twin in plain Warp, bit for bit; packets: test_packet_cullings.py."""
 
 from __future__ import annotations
 
@@ -6,17 +6,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-import wrt
-from wrt.engine.rays.device_rays import to_device
-from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT, intersected_boxes, nearest_child, ray_boxes
 from wrt.kernels.simd.boxes import ray_slabs, slab_interval
 from wrt.kernels.simd.lanes import lanes
-from wrt.kernels.traversal.packet.core.packet_cells import enter_box
-from wrt.kernels.traversal.packet.culling.interval_culling import cull_boxes
-from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
-from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-from wrt.kernels.traversal.packet.rays.packet_load import load_packet
 
 pytestmark = pytest.mark.width
 
@@ -96,73 +88,3 @@ def test_lanes_equal_the_twin(width, device):
     expected = np.where(met, (entry.view(np.int32) & -width) | lane, NO_CHILD_CONSTANT)
     np.testing.assert_array_equal(keys, expected)
     np.testing.assert_array_equal(least.numpy(), expected.reshape(RAYS, NODES, width).min(axis=2))
-
-
-PACKET = 32
-
-
-def make_packet_kernel(width: int, shared_origin: bool) -> wp.Kernel:
-    layout = PacketLayout(PACKET, width, shared_origin, "woop")
-    load, keys_of, size = load_packet(layout), cull_boxes(layout), layout.size
-
-    def compare(
-        rays: RayBatch,
-        bounds: wp.array(dtype=float),
-        nodes: int,
-        twin: wp.array2d(dtype=wp.vec2),
-        keys: wp.array2d(dtype=int),
-        mixed: wp.array(dtype=int),
-    ):
-        i = wp.tid()
-        packet = wp.zeros(shape=(size,), dtype=float)
-        row = wp.zeros(shape=(wp.static(width),), dtype=int)
-        around = PacketBounds()
-        load(rays, i * PACKET, wp.vec3(-1.0, -1.0, -1.0), wp.vec3(1.0, 1.0, 1.0), packet, around)
-        mixed[i] = around.mixed_axes
-        for node in range(nodes):
-            keys_of(bounds, node, packet, around, row, 0)
-            for lane in range(wp.static(width)):
-                first = node * 6 * wp.static(width) + lane
-                low = wp.vec3(bounds[first], bounds[first + wp.static(width)], bounds[first + 2 * wp.static(width)])
-                high = wp.vec3(
-                    bounds[first + 3 * wp.static(width)],
-                    bounds[first + 4 * wp.static(width)],
-                    bounds[first + 5 * wp.static(width)],
-                )
-                twin[i, node * wp.static(width) + lane] = enter_box(around, low, high)
-                keys[i, node * wp.static(width) + lane] = row[lane]
-
-    return wp.kernel(compare, module="unique", enable_backward=False, module_options={"fuse_fp": False})
-
-
-@pytest.mark.parametrize("shared_origin", [False, True])
-@pytest.mark.parametrize("width", [4, 16])
-def test_packet_lanes_equal_the_twin(width, shared_origin, device):
-    """Interval culling of W boxes against one box in plain Warp: beams of one sign, of both, along axes, in planes of faces."""
-    rng = np.random.default_rng(width)
-    packets = 200
-    bounds = random_nodes(rng, width)
-    eyes = (rng.integers(-12, 13, (packets, 1, 3)) / 8.0).repeat(PACKET, axis=1)
-    if shared_origin:
-        eyes[:] = eyes[0, 0]
-    else:
-        eyes += rng.normal(size=eyes.shape) * rng.choice([0.0, 0.01, 0.2], (packets, 1, 1))
-    directions = rng.normal(size=(packets, 1, 3)) + rng.normal(size=(packets, PACKET, 3)) * rng.choice(
-        [0.05, 0.5], (packets, 1, 1)
-    )
-    directions[rng.random(packets) < 0.2, :, 0] = 0.0
-    origins = eyes[0, 0] if shared_origin else eyes.reshape(-1, 3)
-    rays = wrt.Rays(origins.astype(np.float32), directions.reshape(-1, 3).astype(np.float32), 0.25, 3.0)
-    batch = to_device(rays, wp.get_device(device), np.zeros(3)).batch
-    twin = wp.zeros((packets, NODES * width), dtype=wp.vec2, device=device)
-    keys = wp.zeros((packets, NODES * width), dtype=int, device=device)
-    mixed = wp.zeros(packets, dtype=int, device=device)
-    inputs = [batch, wp.array(bounds, dtype=float, device=device), NODES, twin, keys, mixed]
-    wp.launch(make_packet_kernel(width, shared_origin), packets, inputs, device=device)
-    enter, leave = np.moveaxis(twin.numpy(), -1, 0)
-    met = enter <= leave
-    expected = np.where(met, (enter.copy().view(np.int32) & -width) | np.arange(NODES * width) % width, NO_CHILD_CONSTANT)
-    np.testing.assert_array_equal(keys.numpy(), expected)
-    assert 0.005 < met.mean() < 0.95
-    assert (mixed.numpy() == 0).any()
-    assert (mixed.numpy() > 0).any()

@@ -79,19 +79,25 @@ def test_a_nan_anywhere_is_a_miss(name, form, device):
     rng = np.random.default_rng(4)
     corners = np.concatenate([rng.normal(size=(20, 3, 3)), rng.integers(-2, 3, (40, 3, 3))])
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    for triangle in corners[np.linalg.norm(normals, axis=1) > 0.1]:
-        origin = triangle.mean(axis=0) + np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
-        triangles = np.concatenate([triangle[None], with_nan(triangle.ravel()).reshape(9, 3, 3)])
-        directions = np.concatenate([[triangle.mean(axis=0) - origin], with_nan(triangle.mean(axis=0) - origin)])
-        got = all_pairs(name, triangles, np.broadcast_to(origin, (4, 3)), directions, 4, form, device)[..., 0]
-        assert np.argwhere(~np.isnan(got)).tolist() == [[0, 0]]
-        for bad in with_nan(origin):
-            assert np.isnan(all_pairs(name, triangles, bad[None], directions[:1], 4, form, device)[..., 0]).all()
+    is_large = np.linalg.norm(normals, axis=1) > 0.1
+    corners, origins = corners[is_large], (corners.mean(axis=1) + normals)[is_large]
+    towards = corners.mean(axis=1) - origins
+    triangles = np.concatenate([corners[:, None], with_nan(corners.reshape(-1, 9)).reshape(-1, 9, 3, 3)], axis=1)
+    directions = np.concatenate([towards[:, None], with_nan(towards)], axis=1)
+    is_shared = TRIANGLE_TESTS[name].needs_shared_origin  # then records are made for one origin
+    for chosen in np.split(np.arange(len(corners)), len(corners) if is_shared else 1):
+        tried, own = triangles[chosen].reshape(-1, 3, 3), np.arange(len(chosen))
+        rays = np.repeat(origins[chosen], 4, axis=0), directions[chosen].reshape(-1, 3)
+        got = all_pairs(name, tried, *rays, 4, form, device)[..., 0].reshape(len(chosen), 4, len(chosen), 10)
+        assert np.argwhere(~np.isnan(got[own, :, own])).tolist() == [[one, 0, 0] for one in own]
+        bad, straight = with_nan(origins[chosen]).reshape(-1, 3), np.repeat(towards[chosen], 3, axis=0)
+        for some in np.split(np.arange(len(bad)), len(bad) if is_shared else 1):
+            assert np.isnan(all_pairs(name, tried, bad[some], straight[some], 4, form, device)[..., 0]).all()
 
 
 def with_nan(numbers: np.ndarray) -> np.ndarray:
-    """(N, N) each row the N numbers, one of them a NaN."""
-    return np.where(np.eye(len(numbers), dtype=bool), np.nan, numbers)
+    """(..., N, N) rows of the last N numbers, in each of which another is a NaN."""
+    return np.where(np.eye(numbers.shape[-1], dtype=bool), np.nan, numbers[..., None, :])
 
 
 @pytest.mark.parametrize("name", TRIANGLE_TESTS)

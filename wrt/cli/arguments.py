@@ -157,7 +157,7 @@ def expect_build(given: Mapping[str, Any]) -> None:
 
     with use_threads(given["threads"]), suppress(ValueError):  # `make_scene` says what is wrong with a name
         accelerator, device = resolve_accelerator(given["accelerator"]), wp.get_device(given["device"])
-        expect(build_kernels(accelerator, device, np.float32, 2 * MANY_TRIANGLES), wp.get_device("cpu"))
+        expect(build_kernels(accelerator, device, np.float64, 2 * MANY_TRIANGLES), wp.get_device("cpu"))
 
 
 def make_scene(geometry: Any, given: Mapping[str, Any], triangle_test: str = "auto") -> Scene:

@@ -115,6 +115,8 @@ def render(output: Path, ground: bool, **given: Any) -> None:
         if given["radius"] is not None:
             raise click.UsageError("--radius is that of points, and this model has triangles; leave it out")
         expect_build(given)
+        if given["integrator"] == "ambient":
+            _expect_shading(given)
         model, builtin = load_mesh(given, materials=given["integrator"] != "ambient")
         up = given["up"] or (builtin.up if builtin else default_up(model))
         if ground and builtin:
@@ -137,6 +139,16 @@ def render(output: Path, ground: bool, **given: Any) -> None:
         made = _make_or_keep(picture, output, model.name, given["resume"])
     seconds = time.perf_counter() - start
     click.echo(f"{output}: {camera.width} x {camera.height}, {contents}, {made}{seconds:.1f} s")
+
+
+def _expect_shading(given: Mapping[str, Any]) -> None:
+    """Begins to compile what makes a picture of hits after what builds the scene, on which none of it depends."""
+    import warp as wp
+
+    from wrt.imaging.ambient_rendering import shading_kernels
+    from wrt.kernels.runtime.launch import expect
+
+    expect(shading_kernels(given["smooth"], given["ambient_samples"] > 0), wp.get_device(given["device"]))
 
 
 def _picture(

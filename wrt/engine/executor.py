@@ -2,7 +2,7 @@
 
 A prepared query is looked up by its plan and the layout of its rays. Queries that cannot be prepared are traced as a batch:
 those that sort rays, count work, or have masks or environments; those on lazily built trees or influence areas; those with
-triangle tests whose records depend on the origin of the rays; many rays through instances; and calls inside a graph capture,
+triangle tests whose records depend on the origin of the rays; streams through instances; and calls inside a graph capture,
 whose launches Warp must see with all their arrays.
 """
 

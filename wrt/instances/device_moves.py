@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
 from copy import copy
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from wrt.instances.instance_list import InstanceList, replaced
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.launch import kept, launch, specialise
 from wrt.kernels.runtime.recorded_launch import record
+from wrt.kernels.runtime.workspace import HostNumbers
 from wrt.kernels.traversal.two_level.instance_bounds import BoundedInstances, CoverPoints
 from wrt.kernels.traversal.two_level.instance_updates import (
     BLOCK,
@@ -41,6 +42,7 @@ from wrt.kernels.traversal.two_level.instance_updates import (
     mat34f,
     measure_nodes,
     refit_level,
+    send_report,
     span_instances,
     write_masks,
 )
@@ -125,6 +127,14 @@ def uneven_maps(table: np.ndarray) -> np.ndarray:
     return is_uneven & (table["mask"].reshape(-1) != 0)
 
 
+@lru_cache(maxsize=4)
+def every(count: int) -> np.ndarray:
+    """(count,) True, read-only."""
+    values = np.ones(count, dtype=bool)
+    values.flags.writeable = False
+    return values
+
+
 class MovedInstances(InstanceList):
     """Instances whose transforms are on a device until something asks for them.
 
@@ -136,7 +146,7 @@ class MovedInstances(InstanceList):
 
     def __init__(self, base: InstanceList, moves: DeviceMoves, rows: np.ndarray | None = None, mask: int | None = None) -> None:
         masks = replaced(base.masks, rows, mask)
-        super().__init__(base.latest()[0], np.ones(len(base), dtype=bool), None, masks, base.environments)
+        super().__init__(base.made, every(len(base)), None, masks, base.environments)
         self.moves = moves
 
     @cached_property
@@ -273,6 +283,8 @@ class KeptMove:
         ]
         shares = shares_of(lanes, device)
         self._measure = self._recorded(measure_nodes, shares, [shares, nodes, spanned])
+        self._send = self._recorded(send_report, REPORTED, [spanned, reports.read.sent])
+        self._views = view_of(self.table), view_of(nodes.bounds)
 
     def _recorded(self, kernel: wp.Kernel, items: int, inputs: Sequence[Any]) -> wp.Launch:
         made = record(kernel, inputs, self.device)
@@ -307,7 +319,12 @@ class KeptMove:
             launched.launch()
         if is_measured:
             self._measure.launch()
-        self.reports.request()
+        self._send.launch()
+
+    def leased(self, lease: Lease) -> tuple[wp.array, wp.array]:
+        """The placements and the boxes of nodes, each of which keeps a lease alive."""
+        table, bounds = map(twin, self._views)
+        return keep_alive(table, lease), keep_alive(bounds, lease)
 
 
 class Lease:
@@ -327,19 +344,15 @@ class Reports:
     """Memory of one caller for what an update computes on the way, and for what the host reads of it."""
 
     def __init__(self, device: wp.Device) -> None:
-        self.spanned = new_spanned(device)
-        self.read = wp.empty(REPORTED, dtype=wp.float64, device="cpu", pinned=device.is_cuda)
-        self.values = self.read.numpy()
+        self.spanned, self.read = new_spanned(device), HostNumbers(REPORTED, wp.float64, device)
 
     def request(self) -> None:
         """Lets the device copy `Spanned.report` when all kernels are done."""
-        wp.copy(self.read, self.spanned.report)
+        wp.copy(self.read.own, self.spanned.report)
 
     def fetch(self) -> list[float]:
         """What was copied; waits for it."""
-        if self.spanned.report.device.is_cuda:
-            wp.synchronize_stream(self.spanned.report.device.stream)
-        return self.values.tolist()
+        return self.read.fetch().tolist()
 
 
 _reports: FreeList[Reports] = FreeList(MAX_FREE)
@@ -459,13 +472,15 @@ def move_kept(state: Any, old: DeviceMoves, rows: np.ndarray | None, given: wp.a
     move.start(old.rows_on_device(rows), given, is_measured)
     made = twin(move.moves)
     made.chosen, made.lease, made.are_similar = old.chosen, Lease(move, old.kept, stream), old.knows_similar(rows, given)
-    table, bounds = (view_of(values, made.lease) for values in (move.table, move.nodes.bounds))
+    table, bounds = move.leased(made.lease)
     return StartedMove(made, table, moved_tree(state.tree, bounds), None, move.reports, is_measured)
 
 
-def view_of(values: wp.array, lease: Any) -> wp.array:
-    """The same flat array, which keeps a lease alive."""
-    return keep_alive(wp.array(ptr=values.ptr, dtype=values.dtype, shape=values.size, device=values.device), lease)
+def view_of(values: wp.array) -> wp.array:
+    """The same flat array, packed for kernels, which does not own its memory."""
+    view = wp.array(ptr=values.ptr, dtype=values.dtype, shape=values.size, device=values.device)
+    view.__ctype__()  # its copies share it
+    return view
 
 
 def twin(one: Any) -> Any:

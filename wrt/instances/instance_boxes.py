@@ -152,7 +152,7 @@ class UpperTree(common.Bvh):
     Attributes:
         parts_depth: the greatest depth of the trees of meshes, for traversals whose stacks serve both levels.
         forest: its nodes on the host.
-        environments, roots: on the device, as in the forest.
+        environments, roots, lists: on the device, as in the forest.
         corners: the boxes of the instances, (N, 3) float32 each; None, as `host`, after a move on the device.
         host: (nodes, 6, W) `bounds` on the host.
         extent: as in `InstanceTree`, in the memory of a graph that moves instances; else None.
@@ -164,6 +164,7 @@ class UpperTree(common.Bvh):
     forest: InstanceForest | None = None
     environments: wp.array | None = None
     roots: wp.array | None = None
+    lists: wp.array | None = None
     corners: tuple[np.ndarray, np.ndarray] | None = None
     host: np.ndarray | None = None
     extent: wp.array | None = None
@@ -244,11 +245,11 @@ def build_upper(
 
     forest = build_forest(*corners, environments, width, build)
     order = np.repeat(np.arange(len(environments)) if placed is None else placed, width).astype(np.int32)
-    arrays = (forest.child.reshape(-1), order, forest.environments, forest.roots)
-    child, places, numbers, roots = (wp.array(values, dtype=int, device=device) for values in arrays)
+    arrays = (forest.child.reshape(-1), order, forest.environments, forest.roots, forest.lists)
+    child, places, numbers, roots, lists = (wp.array(values, dtype=int, device=device) for values in arrays)
     zero = wp.vec3()
     tree = UpperTree(None, child, places, zero, zero, width, forest.level_first, common.BuildStats(), parts_depth=parts_depth)
-    tree.forest, tree.environments, tree.roots = forest, numbers, roots
+    tree.forest, tree.environments, tree.roots, tree.lists = forest, numbers, roots, lists
     tree = tree.with_boxes(*corners)
     tree.built_cost = forest.cost(tree.host)
     return tree

@@ -102,6 +102,11 @@ class InstanceList(Sequence[Instance]):
         fields = (self.transforms, transforms), (self.masks, mask), (self.environments, environment)
         return InstanceList(known, changed, *(replaced(old, rows, new) for old, new in fields))
 
+    @property
+    def made(self) -> tuple[Instance, ...]:
+        """The objects that were made last, some of which may be out of date."""
+        return self.__dict__.get("objects", self._known)
+
     def latest(self) -> tuple[tuple[Instance, ...], np.ndarray]:
         """The objects that were made last, and (N,) bool, to be written to: which of them are out of date."""
         if "objects" in self.__dict__:

@@ -48,7 +48,7 @@ def upper_struct(tree: UpperTree, mesh: SceneMesh, slack_scale: float) -> Instan
     top = InstanceTree()
     top.tree, top.order = tree.struct(), tree.primitive
     top.placements, top.slack_scale = mesh.placements, slack_scale
-    top.environments, top.roots = tree.environments, tree.roots
+    top.environments, top.roots, top.lists = tree.environments, tree.roots, tree.lists
     if tree.extent is not None:
         top.extent = tree.extent
     top.root, top.shared_root = tree.forest.root, tree.forest.shared_root

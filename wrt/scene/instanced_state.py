@@ -173,6 +173,7 @@ class InstancedState(SceneState):
         chosen = None if is_all(index, len(self.instances)) else self.chosen(index)
         chosen = None if chosen is not None and is_all(chosen, len(self.instances)) else chosen
         mask = None if mask is None else check_mask(mask)
+        environment = None if environment is None else self._other_environment(chosen, environment)
         if vertices is None and transform is not None and environment is None:
             moved = self._moved_on_device(chosen, transform, mask)
             if moved is not None:
@@ -182,7 +183,6 @@ class InstancedState(SceneState):
             return self.on_host().updated(index, vertices, transform, mask, policy, environment)
         count = len(self.instances) if chosen is None else len(chosen)
         matrices = None if transform is None else check_transforms(transform, count)
-        environment = None if environment is None else check_environment(environment)
         instances = self.instances.moved(chosen, matrices, mask, environment)
         with use_threads(self.num_threads):
             if vertices is not None:
@@ -190,6 +190,11 @@ class InstancedState(SceneState):
             if environment is not None:
                 return self.with_instances(instances[:], self.graph)
             return self._moved(instances, chosen if chosen is None or count == 1 else np.unique(chosen))
+
+    def _other_environment(self, rows: np.ndarray | None, environment: Any) -> int | None:
+        """The environment that instances get; None if all of them are in it already. rows: as in `_moved_on_device`."""
+        number, own = check_environment(environment), self.instances.environments
+        return None if ((own if rows is None else own[rows]) == number).all() else number
 
     def _moved_on_device(self, rows: np.ndarray | None, transform: Any, mask: int | None) -> InstancedState | None:
         """The state after instances have moved by transforms on its device; None if they go through the host.
@@ -210,10 +215,11 @@ class InstancedState(SceneState):
             started = move_on_device(self, rows, given, is_due, mask)
             instances, mesh = MovedInstances(self.instances, started.moves, rows, mask), copied(self.device_mesh)
             mesh.placements = started.table
+            state = successor(self, instances, None, started.tree, 0 if is_due else moved, mesh, started.moves)
             boxes = started.finish()  # the device was at work until here
             if boxes is None or not (device.is_capturing or boxes.are_resolved):
                 return None
-            state = assemble(self, instances, boxes, None, started.tree, 0 if is_due else moved, mesh, started.moves)
+            settle(state, boxes)
             if is_due and state.tree.is_degraded:
                 state = state.on_host()
                 return place(state, state.instances, state.boxes, state.table, None, 0)
@@ -438,28 +444,42 @@ def assemble(
     table: np.ndarray | None,
     tree: UpperTree,
     moved: int,
+) -> InstancedState:
+    """As `place`; the table has origins, and the tree is around the boxes."""
+    return settle(successor(old, instances, table, tree, moved), boxes)
+
+
+def settle(state: InstancedState, boxes: InstanceBoxes) -> InstancedState:
+    """Gives a state that nobody has yet the boxes of its instances; returns it."""
+    mesh, tree = state.device_mesh, state.tree
+    mesh.center, mesh.low, mesh.high = wp.vec3d(*boxes.center), tree.low, tree.high
+    state.__dict__.update(boxes=boxes, center=np.array(boxes.center))
+    return state
+
+
+def successor(
+    old: InstancedState,
+    instances: InstanceList,
+    table: np.ndarray | None,
+    tree: UpperTree,
+    moved: int,
     mesh: SceneMesh | None = None,
     device_moves: DeviceMoves | None = None,
 ) -> InstancedState:
-    """As `place`; the table has origins, and the tree is around the boxes. Without a table, a mesh has the placements."""
-    center = boxes.center
+    """The state after a motion, but for `boxes` and the centre. Without a table, a mesh has the placements."""
     if mesh is None:
         mesh = SceneMesh()
         mesh.geometry_first, mesh.geometries = old.device_mesh.geometry_first, old.device_mesh.geometries
         mesh.placements = on_device(table, Placement, old.settings.device)
-    mesh.center, mesh.low, mesh.high = wp.vec3d(*center), tree.low, tree.high
     if old.built_tree is not None and old.tree.forest is tree.forest:
         cache = old.cache.of_moved()
     else:
         cache = QueryCache()
         cache.tables.update(old.cache.tables)  # of the meshes alone
-    return replace(
-        old,
-        center=np.array(center),
+    return old.changed(
         built_tree=tree,
         device_mesh=mesh,
         instances=instances,
-        boxes=boxes,
         table=table,
         moved=moved,
         cache=cache,

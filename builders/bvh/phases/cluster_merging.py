@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.builders.triangle_boxes import AwaitedBoxes, Boxes, TriangleBoxes
 from wrt.kernels.layout.unchecked import store_float
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
@@ -85,10 +85,9 @@ def spread(cell: int):
     return (bits | (bits << 2)) & 0x09249249
 
 
-@exact_kernel
-def write_codes(first: int, boxes: Boxes, low: wp.vec3, scale: wp.vec3, tree: MergedTree):
-    """Item: a triangle. Writes the code of the middle of its box."""
-    i = first + wp.tid()
+@wp.func
+def write_code(i: int, boxes: Boxes, low: wp.vec3, scale: wp.vec3, tree: MergedTree):
+    """Writes the code of the middle of a triangle's box."""
     code = int(0)
     for axis in range(3):
         middle = 0.5 * boxes.low[axis, i] + 0.5 * boxes.high[axis, i]
@@ -96,6 +95,32 @@ def write_codes(first: int, boxes: Boxes, low: wp.vec3, scale: wp.vec3, tree: Me
         code = code | (spread(cell) << (2 - axis))
     tree.code[i] = code
     tree.triangle[i] = i
+
+
+@exact_kernel
+def write_codes(first: int, boxes: Boxes, low: wp.vec3, scale: wp.vec3, tree: MergedTree):
+    """Item: a triangle."""
+    write_code(first + wp.tid(), boxes, low, scale, tree)
+
+
+@wp.func
+def found_corner(found: wp.array(dtype=int), k: int):
+    """A number of `wrt.builders.triangle_boxes.CornerSearch.found`."""
+    bits = found[k]
+    return wp.cast(bits ^ ((bits >> 31) & 0x7FFFFFFF), wp.float32)
+
+
+@exact_kernel
+def write_codes_within(first: int, boxes: Boxes, found: wp.array(dtype=int), tree: MergedTree):
+    """The same within corners that were found on the device."""
+    low = wp.vec3()
+    scale = wp.vec3()
+    for axis in range(3):
+        low[axis] = found_corner(found, axis)
+        side = -found_corner(found, axis + 3) - low[axis]
+        if side > wp.static(MIN_SIDE):
+            scale[axis] = 1024.0 / side
+    write_code(first + wp.tid(), boxes, low, scale, tree)
 
 
 @exact_kernel
@@ -130,6 +155,11 @@ def make_merge_clusters() -> wp.Kernel:
 def sort_by_codes(triangles: TriangleBoxes, tree: MergedTree) -> None:
     """Sorts the triangles by their codes; of equal codes, by their ids."""
     device, count = triangles.boxes.low.device, triangles.count
+    if isinstance(triangles, AwaitedBoxes):
+        launch(write_codes_within, count, [triangles.boxes, triangles.search.found, tree], device=device, chunk=CHUNK)
+        wp.utils.radix_sort_pairs(tree.code, tree.triangle, count, 0, CODE_BITS)
+        triangles.check()  # waits for the corners while the device sorts; clusters of NaN would not be merged
+        return
     sides = (triangles.high - triangles.low).astype(np.float32)
     scale = np.where(sides > MIN_SIDE, np.float32(1024.0) / np.maximum(sides, np.float32(MIN_SIDE)), np.float32(0.0))
     corner = wp.vec3(*map(float, triangles.low))

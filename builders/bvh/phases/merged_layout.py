@@ -23,7 +23,7 @@ from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH, check_blocks, leaf_chil
 from wrt.kernels.layout.unchecked import load_float, store_float
 from wrt.kernels.runtime.launch import get_num_threads, launch
 from wrt.kernels.runtime.options import exact_kernel
-from wrt.kernels.runtime.workspace import Workspace
+from wrt.kernels.runtime.workspace import HostNumbers, Workspace, part_of
 
 DEEPEST = wp.constant(126)
 """Depth that stands for itself and all greater ones."""
@@ -146,7 +146,7 @@ class OrderedNodes:
     block: wp.array(dtype=int)
     """(n,) first block of a node, by its place."""
     level: wp.array(dtype=int)
-    """(128,) first node of each depth; -1 if there is none."""
+    """(128,) first node of each depth, -1 if there is none; in memory of the host."""
 
 
 @wp.func
@@ -257,7 +257,6 @@ def empty_order(count: int, device: wp.Device) -> OrderedNodes:
     nodes = OrderedNodes()
     nodes.depth, nodes.inner = (wp.empty(2 * count, dtype=int, device=device) for _ in range(2))
     nodes.rank, nodes.leaves, nodes.block = (wp.empty(count, dtype=int, device=device) for _ in range(3))
-    nodes.level = wp.empty(NO_NODE + 1, dtype=int, device=device)
     return nodes
 
 
@@ -272,7 +271,9 @@ def binary_bvh(
     """
     device, count = work.device, triangles.count
     nodes = work.make("order", count, lambda size: empty_order(size, device))
-    nodes.level.fill_(-1)
+    levels = work.make("levels", 1, lambda _: HostNumbers(NO_NODE + 1, int, device))
+    nodes.level = levels.sent
+    levels.values.fill(-1)
 
     def run(kernel: wp.Kernel, items: int, *inputs: object) -> None:
         work.launch(kernel, items, [count, *inputs], chunk=CHUNK)
@@ -280,16 +281,17 @@ def binary_bvh(
     run(place_nodes, count, work.make("rules", 1, lambda _: config.struct()), merged, nodes)
     wp.utils.radix_sort_pairs(nodes.depth, nodes.inner, count - 1, 0, DEPTH_BITS)
     run(rank_nodes, count - 1, merged, nodes)
-    wp.utils.array_scan(nodes.leaves[: count - 1], nodes.block[: count - 1], inclusive=False)
-    level = nodes.level.numpy()  # the only round trip to the host
+    leaves, block = (part_of(values, 0, count - 1, int) for values in (nodes.leaves, nodes.block))
+    wp.utils.array_scan(leaves, block, inclusive=False)
+    level = levels.fetch()  # the only round trip to the host
     depth = int(np.count_nonzero(level[:NO_NODE] >= 0))
     if depth > MAX_WIDE_DEPTH:
         return None
     end = int(level[NO_NODE]) if level[NO_NODE] >= 0 else count - 1
     check_blocks(end + 1, 2)
-    bounds = wp.empty(12 * end, dtype=float, device=device)
-    child = wp.empty(2 * end, dtype=int, device=device)
-    primitive = wp.empty(2 * (end + 1), dtype=int, device=device)  # of the 2 `end` children, all that are not nodes are leaves
+    memory = wp.empty(16 * end + 2, dtype=int, device=device)
+    bounds, child = part_of(memory, 0, 12 * end, float), part_of(memory, 48 * end, 2 * end, int)
+    primitive = part_of(memory, 56 * end, 2 * (end + 1), int)  # of the 2 `end` children, all that are not nodes are leaves
     run(write_binary, end, merged, nodes, bounds, child, primitive)
     stats.reserve(triangles.boxes.low, triangles.boxes.high, *arrays_of(merged), *arrays_of(nodes), bounds, child, primitive)
     low, high = wp.vec3(*map(float, triangles.low)), wp.vec3(*map(float, triangles.high))

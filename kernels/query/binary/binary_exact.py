@@ -13,7 +13,7 @@ from wrt.kernels.query.instance_exact import ExactGeometry
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.persistent.next_ray import NextRay
-from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK, FETCH, KEEP, STEPS
+from wrt.kernels.traversal.persistent.persistent_bvh import BLOCK, FETCH, KEEP, STEPS, upper_places
 from wrt.kernels.traversal.two_level.instance_single import InstanceTree
 
 BLOCKS = 10
@@ -40,7 +40,7 @@ def make_binary_exact_kernel(levels: int) -> wp.Kernel:
 def make_binary_exact_instance_kernel(levels: int) -> wp.Kernel:
     """The same through instances; levels: of both levels."""
     space = "wrt::wide_instances(tree, triangles, exact.geometries)"
-    return make_exact_kernel((InstanceTree, wp.array(dtype=BinaryPart), ExactInstances), space, 2 * levels + 2)
+    return make_exact_kernel((InstanceTree, wp.array(dtype=BinaryPart), ExactInstances), space, levels + upper_places(levels))
 
 
 def make_exact_kernel(types: tuple[Any, Any, type], space: str, places: int) -> wp.Kernel:

@@ -15,7 +15,7 @@ from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.query.device_functions import SEARCHES, add_seeing, register_handle
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime import native
-from wrt.kernels.traversal.persistent.persistent_bvh import ANSWER_CLASSES
+from wrt.kernels.traversal.persistent.persistent_bvh import ANSWER_CLASSES, upper_places
 from wrt.kernels.traversal.two_level.instance_single import InstanceTree
 
 
@@ -48,7 +48,7 @@ def binary_instances_handle_type(levels: int) -> type:
     BinaryInstancesHandle.__qualname__ = f"BinaryInstancesHandle_{levels}"
     handle = register_handle(BinaryInstancesHandle)
     space = "wrt::instance_trees(scene.top, scene.parts)"
-    add_searches(handle, space, 2 * levels + 2, "scene.mask, scene.environment")
+    add_searches(handle, space, levels + upper_places(levels), "scene.mask, scene.environment")
     add_seeing(handle)
     return handle
 

@@ -19,7 +19,12 @@ are counted, the counts are summed up on the device, and a second walk writes ea
 **Instances.** At a leaf of the tree of instances the ray is mapped to the geometry's space as in
 `wrt.kernels.traversal.two_level.instance_single`, and goes on at the root of its tree. A mark on the stack says where it goes
 back. Threads of a warp may be on different levels: the step of a node is the same. The ray is read and mapped again at each
-hit.
+hit. Going into an instance costs as much as several nodes, and so does a hit, so the threads of a warp that go in or out and
+those that test triangles take turns, the more numerous ones first.
+
+**Lists.** In an environment of few instances (`wrt.kernels.layout.instance_maps.MAX_LISTED`) a ray tests the boxes of all when
+it begins, as the other threads do, and goes to those that it meets in the order of their t. The upper tree is not walked, and
+nothing is prepared again for it on the way back.
 
 **Limits.** The watertight test, and trees whose leaves share no triangle. Alpha masks take `wrt.kernels.traversal.single`.
 
@@ -35,6 +40,7 @@ import warp as wp
 
 from wrt.kernels.answers import SKIPPING, all_crossings, any_hit, closest_hit, crossing_count, next_crossing, winding_number
 from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTriangles
+from wrt.kernels.layout.instance_maps import MAX_LISTED
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import specialised_kernel
@@ -56,6 +62,9 @@ STEPS = 3
 BLOCK, BLOCKS = 64, 16
 """Threads of a block and blocks of a multiprocessor. They bound a thread to 64 registers: with more, fewer threads hide the
 latency of memory, and with fewer, registers spill."""
+
+LISTED_PLACES = 2 * 2 * MAX_LISTED + 1
+"""Places of the stack below those of a mesh's tree where the instances of a list wait."""
 
 INSTANCE_BLOCKS = 12
 """The same through instances, whose walks need more registers: 80 a thread."""
@@ -95,8 +104,16 @@ def make_persistent_instance_kernel(config: TraversalConfig, levels: int) -> wp.
         config: the specialisation.
         levels: greatest number of inner nodes on a path of the upper tree, whose nodes have two children.
     """
-    space, places = "wrt::instance_trees(tree, triangles)", config.stack.levels + levels + 2
+    space, places = "wrt::instance_trees(tree, triangles)", config.stack.levels + upper_places(levels)
     return make_walk_kernel(config, (InstanceTree, wp.array(dtype=BinaryPart)), space, places, INSTANCE_BLOCKS)
+
+
+def upper_places(levels: int) -> int:
+    """Places of the stack of a walk through instances besides those of a mesh's tree.
+
+    levels: greatest number of inner nodes on a path of the upper tree.
+    """
+    return max(levels + 2, LISTED_PLACES + 1)
 
 
 def make_walk_kernel(

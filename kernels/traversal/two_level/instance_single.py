@@ -59,6 +59,8 @@ class InstanceTree:
     """(E,) numbers of the environments with instances of their own, ascending."""
     roots: wp.array(dtype=int)
     """(E,) node above the instances that rays of each environment see."""
+    lists: wp.array(dtype=int)
+    """(E + 1,) `InstanceForest.lists`; empty if there are none."""
 
 
 @wp.struct

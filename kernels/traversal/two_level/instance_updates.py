@@ -471,6 +471,13 @@ def make_refit_levels(block: int) -> wp.Kernel:
 
 
 @exact_kernel
+def send_report(first: int, spanned: Spanned, sent: wp.array(dtype=wp.float64)):
+    """Writes `Spanned.report` where the host reads it, in memory of the host: a copy would begin later. Item: a number."""
+    i = first + wp.tid()
+    sent[i] = spanned.report[i]
+
+
+@exact_kernel
 def measure_nodes(first: int, items: int, nodes: UpperNodes, spanned: Spanned):
     """Writes the surfaces in `Spanned.report`. Item: one of `items` shares of the lanes; on CUDA a multiple of a warp."""
     share = first + wp.tid()

@@ -11,16 +11,16 @@ from typing import Any
 import click
 
 from studies.evidence.single_runs import STUDIES, Effort
+from studies.study_options import number
 from wrt.bench.commands.command_options import usage_errors
-from wrt.cli.number_types import Whole
 
 
 @click.command("measure")
 @click.argument("name", type=click.Choice([*STUDIES]))
 @click.option("--models", type=click.Path(file_okay=False, exists=True, path_type=Path), help="Folder of the Stanford models.")
-@click.option("--rounds", default=5, show_default=True, type=Whole(1), help="Rounds in which contenders take turns.")
-@click.option("--size", default=256, show_default=True, type=Whole(64), help="Views have SIZE x SIZE pixels, a multiple of 64.")
-@click.option("--tests", default=1 << 21, show_default=True, type=Whole(1 << 10), help="Tests of a call.")
+@number("--rounds", 5, "Rounds in which contenders take turns.")
+@number("--size", 256, "Views have SIZE x SIZE pixels, a multiple of 64.", 64)
+@number("--tests", 1 << 21, "Tests of a call.", 1 << 10)
 @click.option(
     "--json", "json_file", required=True, type=click.Path(dir_okay=False, path_type=Path), help="File that is written."
 )

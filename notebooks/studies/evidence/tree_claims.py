@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from studies.evidence.claims import Found, Held, claim, pairs, quotient
 from studies.evidence.papers import FALCONE_PRECISION
 from studies.evidence.verdicts import all_of, counted, judge, not_comparable, span
@@ -139,31 +141,24 @@ def two_threads(held: Held) -> Found:
     return not_comparable("other divisions of the work"), f"with 2 threads {here}"
 
 
-@claim(
-    "threads-streaming", "rahikainen", "4.1", "The streaming build is up to 2.43 times as fast with 4 threads", "thread_growth"
-)
-def streaming_threads(held: Held) -> Found:
-    return with_threads(held, "streaming", 4, at_least=2.43)
+def with_threads(held: Held, what: str, threads: int, at_least: float) -> Found:
+    """The claim on a build or an update with some threads; the figures are also those of 16."""
+    take = held["thread_growth"].take
+    gains = take("threads", "speed", what=what, threads=str(threads))
+    shown = {count: take("threads", "speed", what=what, threads=str(count))[0].value for count in sorted({threads, 16})}
+    here = ", ".join(f"{value:.1f} times with {count}" for count, value in shown.items())
+    return judge(gains, at_least=at_least), f"{here} threads"
 
 
-@claim("threads-binned", "rahikainen", "4.1", "The build by bins is 3.9 times as fast with 4 threads", "thread_growth")
-def binned_threads(held: Held) -> Found:
-    return with_threads(held, "binned", 4, at_least=3.9)
-
-
-@claim("threads-nested", "rahikainen", "4.1", "The nested build is 5 to 8 times as fast with 20 threads", "thread_growth")
-def nested_threads(held: Held) -> Found:
-    return with_threads(held, "nested", 16, at_least=5.0)
-
-
-@claim("threads-in-place", "rahikainen", "4.1", "The build in place is up to 7 times as fast with 24 threads", "thread_growth")
-def in_place_threads(held: Held) -> Found:
-    return with_threads(held, "in_place", 16, at_least=7.0)
-
-
-@claim("threads-groups", "rahikainen", "4.2", "Updates of groups are 3.5 to 5 times as fast with 6 threads", "thread_growth")
-def group_threads(held: Held) -> Found:
-    return with_threads(held, "groups", 6, at_least=3.5)
+for name, place, says, what, threads, at_least in (
+    ("threads-streaming", "4.1", "The streaming build is up to 2.43 times as fast with 4 threads", "streaming", 4, 2.43),
+    ("threads-binned", "4.1", "The build by bins is 3.9 times as fast with 4 threads", "binned", 4, 3.9),
+    ("threads-nested", "4.1", "The nested build is 5 to 8 times as fast with 20 threads", "nested", 16, 5.0),
+    ("threads-in-place", "4.1", "The build in place is up to 7 times as fast with 24 threads", "in_place", 16, 7.0),
+    ("threads-groups", "4.2", "Updates of groups are 3.5 to 5 times as fast with 6 threads", "groups", 6, 3.5),
+):
+    growth = partial(with_threads, what=what, threads=threads, at_least=at_least)
+    claim(name, "rahikainen", place, says, "thread_growth")(growth)
 
 
 @claim("threads-rays", "rahikainen", "5", "Rays gain nearly linearly from threads, to 128", "thread_growth")
@@ -172,15 +167,6 @@ def ray_threads(held: Held) -> Found:
     gains = held["thread_growth"].take("threads", "speed", what=("view", "random"), threads="16")
     each = ", ".join(f"{one.value:.1f} times ({one.case.split(', ')[0]})" for one in gains)
     return judge(gains, at_least=0.8 * 16), f"with 16 threads {each}, where linear is 16 and at least 12.8 is asked"
-
-
-def with_threads(held: Held, what: str, threads: int, at_least: float) -> Found:
-    """The claim on a build or an update with some threads; the figures are also those of 16."""
-    take = held["thread_growth"].take
-    gains = take("threads", "speed", what=what, threads=str(threads))
-    shown = {count: take("threads", "speed", what=what, threads=str(count))[0].value for count in sorted({threads, 16})}
-    here = ", ".join(f"{value:.1f} times with {count}" for count, value in shown.items())
-    return judge(gains, at_least=at_least), f"{here} threads"
 
 
 @claim("two-trees", "rahikainen", "4.2", "Two trees slow rays down, for each ray goes through both", "dynamic")

@@ -96,11 +96,6 @@ class LayoutFigures:
     ratios: dict[str, float | None]
 
 
-def trace_pairs(scene: Scene, tree: common.KdTree, rays: DeviceRays, words: int = 1) -> DeviceHits:
-    """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs, in records of this many words."""
-    return trace_placed(scene, tree, rays, SingleConfig(pair_words=words))
-
-
 def trace_placed(scene: Scene, tree: common.KdTree, rays: DeviceRays, walk: SingleConfig, query: str = CLOSEST) -> DeviceHits:
     """Closest or any hits of the rays, by a walk of the scene's tree in another form."""
     from wrt.engine.device_hits import DeviceHits

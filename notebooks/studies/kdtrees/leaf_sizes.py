@@ -94,21 +94,3 @@ def compare_leaf_sizes(
         row = (nodes[most], met / max(work["leaves"], 1.0), work["culled"] / max(met, 1.0), speed, same)
         figures.append(LeafFigures(most, name, *row))
     return figures
-
-
-def judge_leaves(figures: Sequence[LeafFigures]) -> dict[str, bool]:
-    """The parts of the claim, with vertex culling: whether some size of leaves has each.
-
-    The last part is whether one that has all of them is no slower than the first size.
-    """
-    rows = [row for row in figures if row.culling == "vertex"]
-    first = rows[0]
-    fewer = [row for row in rows if first.nodes >= 10 * row.nodes]
-    large = [row for row in fewer if row.mean_leaf >= 100.0]
-    culled = [row for row in large if row.culled > 0.9]
-    return {
-        "a tenth of the nodes": bool(fewer),
-        "and hundreds of triangles in a leaf": bool(large),
-        "and more than 90 % of tests avoided": bool(culled),
-        "and no slower": any(row.megarays >= first.megarays for row in culled),
-    }

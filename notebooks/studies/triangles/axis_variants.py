@@ -40,13 +40,6 @@ def flag_in_table() -> Iterator[None]:
         del TRIANGLE_TESTS[FLAGGED.name]
 
 
-def aligned_share(mesh: TriangleMesh) -> float:
-    """Share of the triangles that are parallel to a coordinate plane."""
-    corners = mesh.vertices[mesh.faces]
-    flat = np.ptp(corners.astype(np.float32), axis=1) == 0.0
-    return float((flat.sum(axis=1) == 1).mean())
-
-
 def compare_flag(
     mesh: TriangleMesh, rays: Rays | None = None, *, size: int = 512, triangles: int = 2048, rounds: int = 15
 ) -> list[dict[str, Any]]:

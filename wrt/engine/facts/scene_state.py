@@ -80,6 +80,15 @@ class SceneState:
     mark: str = field(default_factory=new_mark)
     cache: QueryCache = field(default_factory=QueryCache)
 
+    def changed(self, **values: Any) -> Any:
+        """The state with other values of some fields: `dataclasses.replace` in a fifth of the time, for updates of moving
+        instances."""
+        made = object.__new__(type(self))
+        made.__dict__.update(
+            {name: self.__dict__[name] for name in self.__dataclass_fields__ if name in self.__dict__}, **values
+        )
+        return made
+
     if TYPE_CHECKING:  # of some kinds of scenes, whose callers know which they have
 
         @property

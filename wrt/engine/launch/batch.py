@@ -67,8 +67,9 @@ def run(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: 
     if scene.instances and not traversal_of(plan).walks_single_rays:
         if counters:
             raise ValueError("work on two levels is counted ray by ray; pass traversal='single' with counters=True")
-        trace_rounds(scene, plan, rays, hits, query)
-        return
+        if Capabilities.PACKETS not in traversal_of(plan).capabilities:
+            trace_rounds(scene, plan, rays, hits, query)
+            return
     if Capabilities.QUEUED in traversal_of(plan).capabilities:
         from wrt.engine.launch.queued_tracing import trace_queued
 

@@ -1,14 +1,12 @@
-"""Many rays through a scene of instances: in packets (`wrt.kernels.traversal.two_level.instance_packets`), or in streams, round
-by round (`wrt.kernels.traversal.two_level.instance_streams`).
+"""Many rays through a scene of instances in streams, round by round (`wrt.kernels.traversal.two_level.instance_streams`).
 
-A stream round lists the next instances of each ray, sorts the rays by instance, traces each group through its mesh, and
-merges the hits. notebooks/records/2026-11-21-instances.md compares both with single rays and with flattened scenes.
+A round lists the next instances of each ray, sorts the rays by instance, traces each group through its mesh, and merges the
+hits. notebooks/records/2026-11-21-instances.md compares that with packets, with single rays and with flattened scenes.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,10 +15,9 @@ import warp as wp
 from wrt.engine.device_hits import DeviceHits
 from wrt.engine.launch.traversal_launch import counter_rows, no_work, run_kernel
 from wrt.engine.memory import empty, new_rays
-from wrt.engine.plan.plan import Plan, stack_levels, traversal_config, traversal_of
+from wrt.engine.plan.plan import Plan, traversal_config, traversal_of
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import get_num_threads, launch, specialise
-from wrt.kernels.traversal.capabilities import Capabilities
 
 if TYPE_CHECKING:
     from wrt.engine.facts.scene_state import SceneState
@@ -46,34 +43,17 @@ def trace_rounds(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits
 
     Args:
         scene: a scene of instances with BVHs.
-        plan: a plan for packets or streams.
+        plan: a plan for streams.
         rays: the batch.
         hits: receives the answers.
         query: the query.
     """
-    if Capabilities.PACKETS in traversal_of(plan).capabilities:
-        trace_packets(scene, plan, rays, hits, query)
-        return
     hits.clear(query)
     for begin in range(0, rays.count, BLOCK):
         rounds = Rounds(scene, plan, rays, query, begin)
         rounds.list_instances(again=False)
         while rounds.trace_lists(hits):
             rounds.list_instances(again=True)
-
-
-def trace_packets(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str) -> None:
-    """The same in packets that traverse both levels."""
-    from wrt.kernels.traversal.packet.core.packet_kernel import rays_per_item
-    from wrt.kernels.traversal.two_level.instance_packets import make_instance_packet_kernel
-
-    config = traversal_config(plan, scene, query, False)
-    # rays from one point have one origin in each instance, too
-    config = replace(config, packet=replace(config.packet, shared_origin=rays.origin_stride == 0))
-    kernel = specialise(partial(make_instance_packet_kernel, levels=stack_levels(scene.tree.depth)), config)
-    grain = rays_per_item(config)
-    inputs = [scene.upper(), scene.lower(plan, rays), rays, hits.struct()]
-    launch(kernel, -(-rays.count // grain), inputs, device=scene.device, chunk=max(1, 1024 // grain))
 
 
 class Rounds:

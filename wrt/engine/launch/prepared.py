@@ -28,10 +28,20 @@ from wrt.engine.device_hits import DeviceHits
 from wrt.engine.facts.query_kinds import FEW_RAYS
 from wrt.engine.free_list import FreeList
 from wrt.engine.host_arrays import point_at
-from wrt.engine.launch.traversal_launch import HITS, NEXT, RAYS, RECORDS, TREE, divide, kernel_and_inputs, no_work
+from wrt.engine.launch.traversal_launch import (
+    HITS,
+    NEXT,
+    RAYS,
+    RECORDS,
+    TREE,
+    config_for_rays,
+    divide,
+    kernel_and_inputs,
+    no_work,
+)
 from wrt.engine.launch.triangle_records import records_of
 from wrt.engine.memory import new_rays
-from wrt.engine.plan.plan import config_for_layout, stack_levels, traversal_config, traversal_of
+from wrt.engine.plan.plan import stack_levels, traversal_of
 from wrt.engine.rays.device_rays import empty_batch, prepare_arguments
 from wrt.engine.rays.staged_rays import STAGED, STAGED_CENTERED
 from wrt.kernels.answers import ANSWERS
@@ -64,7 +74,7 @@ class PreparedQuery:
     def __init__(self, scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> None:
         self.kind, self._plan, self._mesh = kind, plan, scene.device_mesh
         self._walks_single_rays = traversal_of(plan).walks_single_rays
-        self._config = config_for_layout(traversal_config(self._plan, scene, kind, False), self._plan, scene)
+        self._config = config_for_rays(plan, scene, kind, layout not in (STAGED, STAGED_CENTERED) and layout.origins == 0)
         device = scene.device
         self._takes_next = device.is_cuda and Capabilities.PERSISTENT in traversal_of(plan).capabilities
         if self._takes_next and layout.from_zero:  # type: ignore[union-attr]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
@@ -52,11 +52,20 @@ TREE, RECORDS, RAYS, HITS, NEXT = 1, 2, 3, 4, 6
 def run_kernel(
     scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str, work: wp.array, counters: bool
 ) -> None:
-    """Traces rays through a scene's tree, or ray by ray through its two levels; `work` as in `counter_rows`."""
-    config = config_for_layout(traversal_config(plan, scene, query, counters), plan, scene)
+    """Traces rays through a scene's tree or, ray by ray or in packets, its two levels; `work` as in `counter_rows`."""
+    config = config_for_rays(plan, scene, query, rays.origin_stride == 0, counters)
     kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits.struct(), work)
     rays.run, items, chunks = divide(scene, plan, config, rays.count)
     launch(kernel, items, inputs, device=scene.device, **asdict(chunks))
+
+
+def config_for_rays(plan: Plan, scene: SceneState, query: str, shared_origin: bool, counters: bool = False) -> TraversalConfig:
+    """The specialisation for rays that share their origin or not. In packets through instances, of which plans do not say so,
+    those that do have one origin in each instance, too."""
+    config = config_for_layout(traversal_config(plan, scene, query, counters), plan, scene)
+    if scene.instances and Capabilities.PACKETS in traversal_of(plan).capabilities:
+        return replace(config, packet=replace(config.packet, shared_origin=shared_origin))
+    return config
 
 
 def kernel_and_inputs(
@@ -64,7 +73,7 @@ def kernel_and_inputs(
 ) -> tuple[wp.Kernel, list[Any]]:
     """The kernel that carries out a plan on the tree as it stands, and what it gets after the number of the first item.
 
-    On two levels that is the one for rays that go one by one.
+    On two levels that is the one for rays that go one by one, or in packets.
     """
     counters, given = counter_rows(work), [] if scene.alpha_masks is None else [scene.alpha_masks]
     if Capabilities.PERSISTENT in traversal_of(plan).capabilities:
@@ -73,10 +82,14 @@ def kernel_and_inputs(
         kernel, trees = kernel_and_trees(scene, config)
         return kernel, [*trees, rays, hits, counters, next_ray(scene.device, rays.count)]
     if scene.instances:
+        levels, given = stack_levels(scene.tree.depth), [scene.upper(), scene.lower(plan, rays), rays, hits, counters, *given]
+        if Capabilities.PACKETS in traversal_of(plan).capabilities:
+            from wrt.kernels.traversal.two_level.instance_packets import make_instance_packet_kernel
+
+            return specialise(partial(make_instance_packet_kernel, levels=levels), config), given[:HITS]
         from wrt.kernels.traversal.two_level.instance_single import make_instance_kernel
 
-        factory = partial(make_instance_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
-        return specialise(factory, config), [scene.upper(), scene.lower(plan, rays), rays, hits, counters, *given]
+        return specialise(partial(make_instance_kernel, kind=plan.accelerator, levels=levels), config), given
     if plan.accelerator == "none":
         from wrt.kernels.traversal.brute_force import AllTriangles
 
@@ -98,9 +111,11 @@ def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -
         from wrt.kernels.traversal.persistent.persistent_bvh import launch_threads
 
         return 1, launch_threads(scene.device, count), Chunks()
-    if scene.instances:
+    if scene.instances and traversal.walks_single_rays:
         return 1, count, Chunks(1024)
     grain = traversal.rays_per_item(config)
+    if scene.instances:
+        return grain, -(-count // grain), Chunks(max(1, 1024 // grain))
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
     if Capabilities.LONG_ITEMS in traversal.capabilities and scene.device.is_cpu:
         grain *= groups_per_item(count, grain)

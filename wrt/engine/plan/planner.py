@@ -129,11 +129,13 @@ def chosen_plan(scene: SceneState, plan: Plan, count: int, kind: str) -> ChosenP
 def choose_for(scene: SceneState, plan: Plan, few: bool, kind: str) -> ChosenPlan:
     """A plan for a kind of query, and whether such queries can be prepared: see `wrt.engine.executor`."""
     carried_out = plan_for_query(plan, kind)
-    through_instances = bool(scene.instances) and not traversal_of(carried_out).walks_single_rays
+    traversal = traversal_of(carried_out)
+    in_packets = scene.is_cpu and Capabilities.PACKETS in traversal.capabilities
+    in_rounds = bool(scene.instances) and not (traversal.walks_single_rays or in_packets)
     by_area = scene.area_trees is not None and not (few and scene.is_cpu)
     by_origin = TRIANGLE_TESTS[carried_out.triangle_test].record.per_origin
-    by_steps = carried_out.reorder == "cells" or Capabilities.QUEUED in traversal_of(carried_out).capabilities
-    prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or by_steps)
+    by_steps = carried_out.reorder == "cells" or Capabilities.QUEUED in traversal.capabilities
+    prepares = not (scene.lazy_tree is not None or in_rounds or by_area or by_origin or by_steps)
     prepares = prepares and not scene.facts.has_masks
     no_savings = carried_out.is_wide or not scene.facts.can_be_wide
     missed_savings = 0.0 if no_savings else wide_form_savings(1, carried_out.coherent)
