@@ -82,6 +82,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     work, grid = Room(device, count // LEAST_SHARE), Grid(device)
     with phase("sort"):
         sorted_pairs(triangles, grid, work.room("events0", 6 * count, wp.vec4i))
+        triangles.check()  # waits for the corners while the device sorts
     with phase("levels"):
         built, made = split_levels(triangles, config, work, grid)
     with phase("assemble"):

@@ -2,8 +2,8 @@
 
 A box that is flat along an axis has both at one position. With such pairs the events of a node are twice its triangles on every
 axis, so the place of a node's events follows from the triangles of the nodes before it, and the number of triangles that end
-before an event from its place and the number of those that begin. Otherwise events are those of
-`wrt.builders.kdtree.events.event_sort`, in the same order: by position, then END, PLANAR_BEGIN, PLANAR_END, START, then triangle.
+before an event from its place and the number of those that begin. Otherwise events are those of `event_sort`, in the same
+order: by position, then END, PLANAR_BEGIN, PLANAR_END, START, then triangle.
 
 The events of a level lie in one array: axis by axis, node by node, sorted.
 
