@@ -3,6 +3,7 @@
 #include "clip.h"
 #include "clusters.h"
 #include "corner_bounds.h"
+#include "event_moves.h"
 #include "events.h"
 #include "instance_updates.h"
 #include "light_raster.h"
@@ -105,6 +106,19 @@ struct Grid {
     Vec3i cells;
 };
 
+struct Words {
+    int c[4];
+};
+struct CellNode {
+    struct {
+        int axis, left;
+        float position;
+        bool planar_left;
+    } split;
+    bool is_leaf;
+    int left_before, right_before, child;
+};
+
 using namespace wrt;
 
 void binned(const Cost& cost, const Binning& binning, float* boxes, int* counts, Plane& plane, const Vec2i* ranges)
@@ -203,4 +217,12 @@ void lit(const Vec3d& a, const Vec3d& b, const Vec3d& c, int* words, unsigned lo
     rasterise<RasterStage::COUNT, true, false, true>(a, b, c, 1, 64, 1e-6, words, entries);
     rasterise<RasterStage::FILL, false, false, false>(a, b, c, 1, 64, 1e-6, words, entries);
     sort_entries(entries, 20);
+}
+
+void levelled(const float* boxes, Words* events, const CellNode* nodes, int* numbers, long long* keys)
+{
+    Tile tile = {};
+    keep_least(keys, 1, add_to(keys, 2));
+    numbers[0] = sums_before(&tile, 1, {{1, 2, 3, 4}}).of[3];
+    move_events(1, 8, boxes, boxes, 3, events, nodes, numbers, &tile, 2, events, 8, numbers);
 }
