@@ -341,6 +341,10 @@ REFERENCES = {
         "Transactions on Visualization and Computer Graphics 24(3), 2018."
     ),
     "meisters-1975": "G. H. Meisters: Polygons have ears. The American Mathematical Monthly 82(6), 1975.",
+    "merrill-garland-2016": (
+        "D. Merrill, M. Garland: Single-pass parallel prefix scan with decoupled look-back. NVIDIA technical report "
+        "NVR-2016-002, 2016."
+    ),
     "moeller-trumbore-1997": (
         "T. Moeller, B. Trumbore: Fast, minimum storage ray/triangle intersection. Journal of Graphics Tools 2(1), 1997."
     ),

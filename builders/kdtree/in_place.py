@@ -23,6 +23,9 @@ instead of from a shared counter. The split of a node does not depend on the pha
 for any number of threads, chunks and tasks, also if triangles are clipped, in the levels (`clipped_levels`) and in the tasks
 (`clipped_events`).
 
+On CUDA the same tree is built by levels alone (`wrt.builders.kdtree.levelwise.levelwise_build`); only builds that clip have
+levels and tasks there too, each of which is one thread's.
+
 References: choi-2010; rahikainen-2013 (section 4.2, algorithm 4.2.2).
 """
 
@@ -46,6 +49,7 @@ from wrt.builders.kdtree.events.event_method import event_method
 from wrt.builders.kdtree.events.event_sort import Events, emit_events, item_sizes, sorted_events
 from wrt.builders.kdtree.events.sweep_planes import Sweep
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.levelwise import levelwise_build
 from wrt.builders.kdtree.phases import in_place_levels as level_phase
 from wrt.builders.kdtree.phases import task_fill as fill_phase
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
@@ -105,7 +109,9 @@ class TaskTarget(NamedTuple):
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the tree on the device that holds the boxes."""
+    """Builds the tree on the device that holds the boxes; on CUDA by levels alone, unless triangles are clipped."""
+    if triangles.boxes.low.device.is_cuda and not config.tests_nodes:
+        return levelwise_build.build(triangles, config)
     return build_in_place(triangles, config, event_method(config), task_target(triangles.count, triangles.boxes.low.device))
 
 

@@ -3,10 +3,13 @@
 #include "clip.h"
 #include "clusters.h"
 #include "corner_bounds.h"
+#include "event_moves.h"
 #include "events.h"
 #include "instance_updates.h"
 #include "light_raster.h"
 #include "merging.h"
+#include "reinsertion.h"
+#include "top_levels.h"
 
 struct Vec2i {
     int c[2];
@@ -50,8 +53,12 @@ struct Leaves {
 };
 struct MergedTree {
     Rows<float> box;
-    Rows<Vec2i> child;
     Rows<int> parent, size, code, cluster, waiting, root;
+};
+struct Moves {
+    Rows<Vec2i> place;
+    Rows<unsigned long long> key, owner;
+    Rows<int> arrived;
 };
 struct Cost {
     float block, empty_factor;
@@ -97,6 +104,19 @@ struct Pair {
 struct Grid {
     Vec3 low, scale;
     Vec3i cells;
+};
+
+struct Words {
+    int c[4];
+};
+struct CellNode {
+    struct {
+        int axis, left;
+        float position;
+        bool planar_left;
+    } split;
+    bool is_leaf;
+    int left_before, right_before, child;
 };
 
 using namespace wrt;
@@ -171,9 +191,14 @@ int clustered(const Boxes& boxes, int* ids, float* list, const Pair& pair, const
     return choose_triangles(boxes, ids, pair, true, ids);
 }
 
-void merged(const MergedTree& tree, const Mesh& mesh, int* found)
+void merged(const MergedTree& tree, const Moves& moves, const Mesh& mesh, int* found)
 {
     merge_from(tree, 0, 3, true);
+    rebuild_top(tree, moves, 3);
+    find_move(tree, moves, 0, 3);
+    choose_move(tree, moves, 0, 3);
+    move_node(tree, moves, 0, 3);
+    refit_from(tree, moves, 0, 3);
     reduce_corners(mesh.vertices.data, mesh.faces.data, 3, 1, 0, found);
 }
 
@@ -192,4 +217,12 @@ void lit(const Vec3d& a, const Vec3d& b, const Vec3d& c, int* words, unsigned lo
     rasterise<RasterStage::COUNT, true, false, true>(a, b, c, 1, 64, 1e-6, words, entries);
     rasterise<RasterStage::FILL, false, false, false>(a, b, c, 1, 64, 1e-6, words, entries);
     sort_entries(entries, 20);
+}
+
+void levelled(const float* boxes, Words* events, const CellNode* nodes, int* numbers, long long* keys)
+{
+    Tile tile = {};
+    keep_least(keys, 1, add_to(keys, 2));
+    numbers[0] = sums_before(&tile, 1, {{1, 2, 3, 4}}).of[3];
+    move_events(1, 8, boxes, boxes, 3, events, nodes, numbers, &tile, 2, events, 8, numbers);
 }

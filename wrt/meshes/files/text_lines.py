@@ -6,13 +6,16 @@ Line ends of all systems, tabs, a byte order mark, comments from "#" on, and lin
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 
 import numpy as np
 
 __all__ = ["TextLines", "as_utf_8", "parse_numbers", "plain_text", "ranges", "without", "words_of", "words_per_line"]
 
 BLANKS = bytes.maketrans(b"\t\v\f", b"   ")
+IS_OLD_NUMPY = np.lib.NumpyVersion(np.__version__) < "2.3.0"
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
@@ -145,12 +148,23 @@ def parse_numbers(text: bytes, dtype: type, what: str) -> np.ndarray:
     if not text.strip():
         return np.zeros(0, dtype=dtype)
     try:
-        found = np.fromstring(text, dtype=dtype, sep=" ")
+        with all_or_error():
+            found = np.fromstring(text, dtype=dtype, sep=" ")
         if dtype is np.float64 or len(found) == int(words_per_line(text if text.endswith(b"\n") else text + b"\n").sum()):
             return found
-    except ValueError:
+    except (ValueError, DeprecationWarning):
         pass
     raise no_number(text, dtype, what)
+
+
+@contextmanager
+def all_or_error() -> Iterator[None]:
+    """Inside the `with` block, NumPy raises where a word is no number, as it does from 2.3 on; before, it warned and gave what
+    stands in front of the word."""
+    with warnings.catch_warnings() if IS_OLD_NUMPY else nullcontext():
+        if IS_OLD_NUMPY:
+            warnings.simplefilter("error", DeprecationWarning)
+        yield
 
 
 def no_number(text: bytes, dtype: type, what: str) -> ValueError:
