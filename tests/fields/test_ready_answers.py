@@ -180,15 +180,6 @@ def test_exposure_to_suns_that_follow_each_other():
         assert 0.1 < (found < weights.sum()).mean() < 0.9
 
 
-def test_bounds_of_points():
-    from wrt.analysis.sky_exposure import ROWS, bounds_of
-
-    points = np.random.default_rng(8).normal(size=(3 * ROWS + 5, 3)).astype(np.float32)
-    for count in (1, ROWS - 1, ROWS, ROWS + 1, len(points)):
-        some = points[:count]
-        np.testing.assert_array_equal(bounds_of(some), [some.min(axis=0), some.max(axis=0)])
-
-
 def test_exposure_in_blocks(somewhere, scene, monkeypatch):
     """Blocks of directions and of points change nothing."""
     ways, weights = analysis.sky_directions(19), np.random.default_rng(6).random((2, 19))

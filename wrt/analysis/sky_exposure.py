@@ -20,6 +20,7 @@ from wrt.kernels.runtime.argument_packing import copied
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.shading.surface import Surface
 from wrt.kernels.validation import as_bool, as_direction, as_float, as_int, as_numbers, first_bad
+from wrt.meshes.mesh_measures import extremes
 
 if TYPE_CHECKING:
     from wrt.array_types import ArrayLike, Numbers
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
 
 POINTS = 1 << 16
 """Points whose ambient rays are traced at a time."""
-
-ROWS = 64
-"""Points of a row of `bounds_of`."""
 
 CLOSE = float(np.cos(np.radians(4.0)))
 """Cosine of the angle between such directions."""
@@ -146,7 +144,7 @@ class LitSurface:
         self.device, self.count = points.primitive.device, surface.batch.count
         places = empty(self.count, wp.vec3, self.device)
         launch(find_near, self.count, [points, places], device=self.device, chunk=1024)
-        low, high = bounds_of(places.numpy())
+        low, high = extremes(places.numpy())
         points.order = morton_order(places, wp.vec3(*low), wp.vec3(*high))
         points.normal, points.origin = (empty(self.count, wp.vec3d, self.device) for _ in range(2))
         blocks = 0 if points.mesh.placements else -(-self.count // int(LANES))  # None without instances
@@ -214,15 +212,6 @@ def weights_on(device: wp.Device, shares: np.ndarray) -> tuple[wp.array, wp.arra
     ends = np.stack([some.argmax(axis=1), groups - some[:, ::-1].argmax(axis=1)], axis=1) * some.any(axis=1)[:, None]
     weighted = wp.array(ends.astype(np.int32), dtype=wp.vec2i, device=device)
     return wp.array(own, dtype=wp.float64, device=device), weighted
-
-
-def bounds_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the greatest coordinates of (N, 3) points; many rows at a time, which NumPy does several times as fast."""
-    whole = len(points) // ROWS * ROWS
-    parts = [points[:whole].reshape(-1, 3 * ROWS), points[whole:]] if whole else [points]
-    low = np.concatenate([part.min(axis=0).reshape(-1, 3) for part in parts if len(part)])
-    high = np.concatenate([part.max(axis=0).reshape(-1, 3) for part in parts if len(part)])
-    return low.min(axis=0), high.max(axis=0)
 
 
 def ambient_occlusion(
