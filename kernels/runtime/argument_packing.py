@@ -63,7 +63,7 @@ def pack_argument(value: Any, packer: Packer) -> Any:
         if type(declared) is not wp.array or value.dtype is not declared.dtype or value.ndim != declared.ndim:
             return None
         return value.__ctype__()
-    if (type(value) is int and kind in INTEGERS) or (type(value) is float and kind is ctypes.c_float):
+    if (type(value) is int and kind in INTEGERS) or NUMBERS.get(type(value)) is kind:
         return kind(value)
     return value if type(value) is kind else None
 
@@ -88,6 +88,9 @@ def blank(kind: Any) -> Any:
 
 INTEGERS = (ctypes.c_int32, ctypes.c_int64)
 """Packed types for which a Python int is accepted."""
+
+NUMBERS = {float: ctypes.c_float, bool: ctypes.c_bool}
+"""Those of other numbers of Python."""
 
 _compiled: WeakKeyDictionary[wp.Kernel, Compiled] = WeakKeyDictionary()
 

@@ -37,6 +37,11 @@ def count_visits(first: int, visits: wp.array(dtype=int)):
     visits[i] = visits[i] + 1
 
 
+@wp.kernel(enable_backward=False)
+def write_whether(first: int, whether: bool, visits: wp.array(dtype=int)):
+    visits[first + wp.tid()] = wp.where(whether, 1, 2)
+
+
 @pytest.mark.parametrize("count", [0, 1, 255, 256, 257, 4095, 100_003, 3_000_001])
 @pytest.mark.parametrize("threads", [1, 2, 7])
 def test_every_item_once(count, threads, device):
@@ -366,3 +371,15 @@ def test_a_launch_is_repeated_with_other_arguments(device):
             np.testing.assert_array_equal(out.numpy(), factor * np.arange(count, dtype=np.float32))
     with pytest.raises(RuntimeError):
         launch_again(write_scaled, 7, [0, first, wp.zeros(7, dtype=int, device=device)], device, block)
+
+
+def test_a_bool_is_packed_too(monkeypatch, device):
+    """As numbers are: Warp's own launch, which takes far longer, is not asked again."""
+    device = wp.get_device(device)
+    block, out = CUDA_BLOCK if device.is_cuda else 1, wp.zeros(5, dtype=int, device=device)
+    launch(write_whether, 5, [True, out], device=device)  # loads it
+    launch_again(write_whether, 5, [0, True, out], device, block)
+    monkeypatch.setattr(wp, "launch", None)
+    for whether in (False, True):
+        launch_again(write_whether, 5, [0, whether, out], device, block)
+        assert (out.numpy() == (1 if whether else 2)).all()
