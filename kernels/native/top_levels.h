@@ -55,6 +55,7 @@ struct TopLevels {
     int end[2][MAX_SUBTREES], link[2][MAX_SUBTREES];  // by the first place of a range: its end, and where its node is linked
     unsigned long long best[MAX_SUBTREES];  // likewise, the best plane
     int count, opened, ranges;
+    bool is_cheaper;
 };
 
 /// A link that has been made.
@@ -217,9 +218,9 @@ template <class Tree, class Moves> inline CUDA_CALLABLE void rebuild_top(const T
             before += top.area_before[k];
             after += top.area_after[k];
         }
-        top.ranges = after < before ? 1 : 0;
+        top.is_cheaper = after < before;
     });
-    if (top.ranges == 0) return;
+    if (!top.is_cheaper) return;
     for_all(top.count, [&](int i) { all.put(top.node[i], top.subtree_link[i]); });
     for_all(top.count - 1, [&](int k) { all.put(top.inner[k], top.inner_link[k]); });
 }

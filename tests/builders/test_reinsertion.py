@@ -212,7 +212,7 @@ def test_hits_are_the_same():
 @pytest.mark.parametrize(
     ("rounds", "error", "words"),
     [(-1, ValueError, "from 0 to 1000"), (1001, ValueError, "from 0 to 1000")]
-    + [(rounds, TypeError, "must be an int") for rounds in (2.0, True, None)],
+    + [(rounds, TypeError, "must be an int") for rounds in (2.0, True)],
 )
 def test_rounds_must_be_a_number_in_range(rounds, error, words):
     with pytest.raises(error, match=f"reinsertion .*{words}"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -332,7 +333,7 @@ def test_functions_are_part_of_a_job(monkeypatch):
     assert options_text(Least(1.0)) == options_text(Least(1.0))
     assert options_text(functools.partial(above, 1.0)) != options_text(functools.partial(above, 2.0))
     assert options_text(Least(1.0)) != options_text(Greatest(1.0))
-    assert options_text(np.sum) == '["numpy", "sum"]'
+    assert json.loads(options_text(np.sum))[-2:] == ["numpy", "sum"]  # old NumPy has it in Python
     assert " at 0x" not in options_text([np.sum, nested, Least(1.0), object(), functools.partial(np.max, axis=1)])
     monkeypatch.setitem(reads.__globals__, "LIMIT", 4)
     assert options_text(reads) != before

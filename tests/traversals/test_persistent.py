@@ -19,7 +19,7 @@ from support.meshes import SCENES
 from support.selection import slow
 
 import wrt
-from wrt.accelerators.cuda_trees import LEAF_TRIANGLES, for_device
+from wrt.accelerators.cuda_trees import LEAF_TRIANGLES, ROUNDS, for_device
 from wrt.engine.executor import on_device
 from wrt.engine.facts.query_kinds import Query
 from wrt.engine.plan.choices import find_plan
@@ -331,7 +331,7 @@ def test_auto_chooses_it_on_cuda():
         assert score(Situation(**usual | change)) is None
 
 
-def test_leaves_are_smaller_on_cuda():
+def test_what_descriptions_leave_open_on_cuda():
     cuda, cpu = SimpleNamespace(is_cuda=True), SimpleNamespace(is_cuda=False)
     assert for_device(wrt.Bvh(), cuda) == wrt.Bvh(max_leaf_triangles=LEAF_TRIANGLES)
     for given, device in (
@@ -339,8 +339,12 @@ def test_leaves_are_smaller_on_cuda():
         (wrt.Bvh(max_leaf_triangles=5), cuda),
         (wrt.Bvh(width=8), cuda),
         (wrt.KdTree(), cuda),
+        (wrt.Bvh(builder="hploc"), cpu),
+        (wrt.Bvh(builder="hploc", reinsertion=0, max_leaf_triangles=5), cuda),
     ):
         assert for_device(given, device) is given
+    built = [for_device(wrt.Bvh(builder="hploc"), cuda, moves=moves) for moves in (False, True)]
+    assert [one.reinsertion for one in built] == [ROUNDS, None]
 
 
 @pytest.mark.cuda

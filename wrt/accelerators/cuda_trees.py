@@ -22,17 +22,25 @@ WIDTH = 2
 """Children of a node on CUDA, unless the description says otherwise (`wrt.kernels.simd.lanes.native_width`)."""
 
 
-def for_device(accelerator: Accelerator, device: wp.Device) -> Accelerator:
-    """The description by which a tree for a device is built: smaller leaves on CUDA, where the description leaves them open."""
+ROUNDS = 6
+"""Rounds of reinsertion with which "hploc" builds on CUDA, unless the description says otherwise: trees then cost no more than
+those of the CPU's default builder, for one to five milliseconds (notebooks/records/2026-11-28-gpu-graphs.md)."""
+
+
+def for_device(accelerator: Accelerator, device: wp.Device, moves: bool = False) -> Accelerator:
+    """The description by which a tree for a device is built: on CUDA, smaller leaves, and reinsertion, where the description
+    leaves them open. moves: whether the tree is built for geometry that moves, which is not worth reinsertion."""
     if device.is_cuda and type(accelerator) is Bvh:
-        return _for_cuda(accelerator)
+        return _for_cuda(accelerator, moves)
     if device.is_cuda and isinstance(accelerator, RayAwareBvh):
-        return replace(accelerator, whole=_for_cuda(accelerator.whole))
+        return replace(accelerator, whole=_for_cuda(accelerator.whole, moves))
     return accelerator
 
 
 @cache
-def _for_cuda(accelerator: Bvh) -> Bvh:
+def _for_cuda(accelerator: Bvh, moves: bool) -> Bvh:
+    if accelerator.builder == "hploc" and accelerator.reinsertion is None and not moves:
+        accelerator = replace(accelerator, reinsertion=ROUNDS)
     if accelerator.max_leaf_triangles is not None or accelerator.width not in (None, WIDTH):
         return accelerator
     return replace(accelerator, max_leaf_triangles=LEAF_TRIANGLES)

@@ -212,7 +212,8 @@ class Bvh:
         max_leaf_triangles: largest number of triangles in a leaf, 1 to 63; None for a default by width, and for 2 on CUDA.
         reinsertion: rounds of reinsertion, 0 to 1000, each of which moves subtrees to where they cost less; three reach
             most of the gain. Since "binned" divides by size, rays seldom become faster, and builds take several times as
-            long. Scanned meshes keep the builder's tree.
+            long. Scanned meshes keep the builder's tree. With "hploc" rays do become faster, in any mesh. None for 0, and for
+            6 with "hploc" on CUDA, but not for builds by `update`.
         subset: share of the triangles, in (0, 1], drawn at random, over which the builder "binned" makes the upper levels; the
             others are then inserted (Tessari et al. 2023). 1 for all triangles.
 
@@ -228,7 +229,7 @@ class Bvh:
     block_cost: float | None = None
     bins: int = 16
     max_leaf_triangles: int | None = None
-    reinsertion: int = 0
+    reinsertion: int | None = None
     subset: float = 1.0
 
     def __post_init__(self) -> None:
@@ -248,7 +249,7 @@ class Bvh:
         width = width if self.width is None else self.width
         block_cost = (0.5 if width >= 8 else 1.5) if self.block_cost is None else self.block_cost
         cost = SurfaceAreaCost(traversal=self.traversal_cost, block=block_cost, width=width)
-        return BvhConfig(cost, self.bins, self.max_leaf_triangles, self.reinsertion, self.subset)
+        return BvhConfig(cost, self.bins, self.max_leaf_triangles, self.reinsertion or 0, self.subset)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.Bvh:
         """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""

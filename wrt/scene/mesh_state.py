@@ -111,7 +111,7 @@ class MeshState(SceneState):
         (notebooks/records/2026-11-27-gpu-builds.md)."""
         if self.device.is_cpu or len(self.meshes) != 1 or type(self.accelerator) is not Bvh:
             return None
-        recipe = recipe_of(self.settings)
+        recipe = recipe_of(self.settings, moves=True)
         tree = recipe.accelerator
         if policy.when == NEVER or recipe.build_device.is_cuda:
             return recipe
@@ -149,7 +149,8 @@ class MeshState(SceneState):
             with memory_for_tree(meshes):
                 placed = place_meshes(meshes, self.device)
                 shift = self.center - placed.center + typical_motion(self.meshes, meshes)
-                tree, report = move_tree(recipe_of(self.settings), self.tree, MovedTriangles.of(placed, shift), policy)
+                recipe = recipe_of(self.settings, moves=True)
+                tree, report = move_tree(recipe, self.tree, MovedTriangles.of(placed, shift), policy)
         return replace(
             self,
             meshes=meshes,
@@ -250,7 +251,7 @@ def memory_for_tree(meshes: tuple[TriangleMesh, ...]) -> Any:
     return memory_for(triangles, sum(mesh.vertices.nbytes + mesh.faces.nbytes for mesh in meshes))
 
 
-def recipe_of(settings: Settings) -> TreeRecipe:
-    """How the tree of a scene is made."""
+def recipe_of(settings: Settings, moves: bool = False) -> TreeRecipe:
+    """How the tree of a scene is made; moves: by an update."""
     device = settings.device
-    return TreeRecipe(for_device(settings.accelerator, device), native_width(device), device)
+    return TreeRecipe(for_device(settings.accelerator, device, moves), native_width(device), device)

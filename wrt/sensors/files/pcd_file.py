@@ -139,7 +139,11 @@ def _from_text(data: bytes, kind: np.dtype, count: int) -> np.ndarray:
 
 def _integers(words: list[list[bytes]], kind: np.dtype) -> np.ndarray:
     """Whole numbers of text, each within its type."""
-    return np.array([[int(word) for word in row] for row in words], dtype=kind)
+    numbers, limits = [[int(word) for word in row] for row in words], np.iinfo(kind)
+    wrong = next((number for row in numbers for number in row if not limits.min <= number <= limits.max), None)
+    if wrong is not None:
+        raise OverflowError(f"{wrong} is not from {limits.min} to {limits.max}")
+    return np.array(numbers, dtype=kind)
 
 
 def _from_columns(data: bytes, kind: np.dtype, count: int) -> np.ndarray:
