@@ -22,9 +22,9 @@ WIDTH = 2
 """Children of a node on CUDA, unless the description says otherwise (`wrt.kernels.simd.lanes.native_width`)."""
 
 
-ROUNDS = 6
+ROUNDS = 8
 """Rounds of reinsertion with which "hploc" builds on CUDA, unless the description says otherwise: trees then cost no more than
-those of the CPU's default builder, for one to five milliseconds (notebooks/records/2026-11-28-gpu-graphs.md)."""
+those of the CPU's default builder, for two to seven milliseconds (notebooks/records/2026-11-28-gpu-graphs.md)."""
 
 
 def for_device(accelerator: Accelerator, device: wp.Device, moves: bool = False) -> Accelerator:

@@ -213,7 +213,7 @@ class Bvh:
         reinsertion: rounds of reinsertion, 0 to 1000, each of which moves subtrees to where they cost less; three reach
             most of the gain. Since "binned" divides by size, rays seldom become faster, and builds take several times as
             long. Scanned meshes keep the builder's tree. With "hploc" rays do become faster, in any mesh. None for 0, and for
-            6 with "hploc" on CUDA, but not for builds by `update`.
+            8 with "hploc" on CUDA, but not for builds by `update`.
         subset: share of the triangles, in (0, 1], drawn at random, over which the builder "binned" makes the upper levels; the
             others are then inserted (Tessari et al. 2023). 1 for all triangles.
 
