@@ -16,7 +16,7 @@ References: choi-2010.
 import warp as wp
 
 from wrt.builders.cost import Split, SplitCost, axis_frame, no_split, plane_cost
-from wrt.builders.kdtree.levelwise.grid_sums import Tiles, keep_least, sums_before
+from wrt.builders.kdtree.levelwise.grid_sums import SUMS, Tiles, keep_least, sums_before
 from wrt.builders.kdtree.levelwise.paired_events import PLANAR_END, Event, event_at
 from wrt.builders.tree import PathState, StopLimits, stop
 from wrt.kernels.layout import kdtree_nodes as kdtree
@@ -35,8 +35,6 @@ planar triangles go to the left."""
 
 INNER, LEFT, RIGHT, LISTED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 """What is summed over the nodes of a level: those with children; triangles of left and of right children; those of leaves."""
-
-SUMS = wp.constant(4)
 
 
 @with_known_layout

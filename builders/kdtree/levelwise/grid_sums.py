@@ -19,6 +19,9 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import CUDA_BLOCK
 
+SUMS = wp.constant(4)
+"""Sums side by side."""
+
 TILE_WORDS = 16
 """Of a block of threads (grid_sums.h)."""
 

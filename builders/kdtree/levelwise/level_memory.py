@@ -1,0 +1,61 @@
+"""What a build by levels works with, kept from one build to the next.
+
+Fresh memory takes a GPU longer than a level, and a build of many triangles needs as much of it as ten levels write.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from wrt.builders.kdtree.levelwise.grid_sums import SUMS, Grid
+from wrt.kernels.runtime.workspace import read_ints
+
+GROWTH = 1.5
+"""How much larger an array becomes, at least."""
+
+
+class LevelMemory:
+    """Arrays by name, made anew where they are too small, and what launches share.
+
+    Args:
+        device: where.
+        least: elements of the smallest array.
+    """
+
+    def __init__(self, device: wp.Device, least: int) -> None:
+        self.device, self.least = device, least
+        self.grid, self.totals = Grid(device), Totals(device)
+        self.arrays: dict[str, wp.array] = {}
+
+    def room(self, name: str, count: int, dtype: Any, keep: int = 0) -> wp.array:
+        """An array of at least `count` elements, of which the first `keep` are those that it had."""
+        known = self.arrays.get(name)
+        if known is not None and known.size >= count:
+            return known
+        grown = self.least if known is None else int(GROWTH * known.size)
+        made = self.arrays[name] = wp.empty(max(count, grown), dtype=dtype, device=self.device)
+        if known is not None and keep:
+            wp.copy(made, known, count=keep)
+        return made
+
+
+class Totals:
+    """What a level's nodes sum up to, on the device, and read by the host while the device goes on."""
+
+    def __init__(self, device: wp.Device) -> None:
+        self.found = wp.empty(SUMS, dtype=int, device=device)
+        self._read = wp.empty(SUMS, dtype=int, device="cpu", pinned=True) if device.is_cuda else self.found
+        self._is_read = wp.Event(device) if device.is_cuda else None
+        self._device = device
+
+    def begin(self) -> None:
+        """Begins to read them."""
+        if self._is_read is not None:
+            wp.copy(self._read, self.found)
+            self._device.stream.record_event(self._is_read)
+
+    def end(self) -> list[int]:
+        """Waits for them."""
+        if self._is_read is not None:
+            wp.synchronize_event(self._is_read)
+        return read_ints(self._read, SUMS)
