@@ -30,19 +30,39 @@ inline CUDA_CALLABLE int warp_lane()
 #endif
 }
 
-/// keys[node] becomes the least of it and the keys of all threads of a warp with this node, which are next to each other.
+#if defined(__CUDA_ARCH__)
+/// A look before is cheaper than to change a word for nothing.
+inline __device__ void keep_less(long long* found, long long key)
+{
+    if (key < *(volatile long long*)found) atomicMin(found, key);
+}
+#endif
+
+/// keys[node] becomes the least of it and the keys of all threads of a block with this node, which are neighbours; -1 for
+/// none.
 inline CUDA_CALLABLE void keep_least(long long* keys, int node, long long key)
 {
 #if defined(__CUDA_ARCH__)
-    const int lane = threadIdx.x & 31;
+    __shared__ long long least_of[32];
+    __shared__ int node_of[32];
+    const int lane = threadIdx.x & 31, warp = threadIdx.x >> 5, warps = blockDim.x >> 5;
     for (int step = 1; step < 32; step <<= 1) {
         const long long other = __shfl_down_sync(ALL_LANES, key, step);
         const int other_node = __shfl_down_sync(ALL_LANES, node, step);
         if (lane + step < 32 && other_node == node && other < key) key = other;
     }
-    const int node_before = __shfl_up_sync(ALL_LANES, node, 1);
-    const bool is_first = lane == 0 || node_before != node;
-    if (is_first && node >= 0 && key < *(volatile long long*)(keys + node)) atomicMin(keys + node, key);
+    const int node_before = __shfl_up_sync(ALL_LANES, node, 1), last_node = __shfl_sync(ALL_LANES, node, 31);
+    if (lane == 0) {
+        least_of[warp] = key;
+        node_of[warp] = node == last_node ? node : -2 - warp;
+    }
+    __syncthreads();
+    bool is_one = true;  // node's is the whole block
+    for (int w = 1; w < warps; ++w) is_one &= node_of[w] == node_of[0];
+    if (is_one) {
+        for (int w = 0; w < warps; ++w) key = least_of[w] < key ? least_of[w] : key;
+        if (threadIdx.x == 0 && node >= 0) keep_less(keys + node, key);
+    } else if (node >= 0 && (lane == 0 || node_before != node)) keep_less(keys + node, key);
 #else
     if (node < 0) return;
     long long known = __atomic_load_n(keys + node, __ATOMIC_RELAXED);

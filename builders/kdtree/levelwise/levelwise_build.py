@@ -68,8 +68,8 @@ LEAST_SHARE = 4
 """Triangles of the mesh for each element that an array has at least."""
 
 EXPECTED = 1.25
-"""Triangles of the next level for each of a level, for which there is room before their number is known. If they are more, events
-are moved again."""
+"""Triangles of the next level for each of a level, for which there is room before their number is known. If they are more,
+events are moved again."""
 
 MAX_EVENTS = (1 << 31) - 1
 """Of a level: kernels number them by 32 bits."""
