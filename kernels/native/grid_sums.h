@@ -30,13 +30,16 @@ inline CUDA_CALLABLE int warp_lane()
 #endif
 }
 
-#if defined(__CUDA_ARCH__)
-/// A look before is cheaper than to change a word for nothing.
-inline __device__ void keep_less(long long* found, long long key)
+/// A word becomes the least of it and the key. On CUDA, a look before is cheaper than to change it for nothing.
+inline CUDA_CALLABLE void keep_less(long long* found, long long key)
 {
+#if defined(__CUDA_ARCH__)
     if (key < *(volatile long long*)found) atomicMin(found, key);
-}
+#else
+    long long known = __atomic_load_n(found, __ATOMIC_RELAXED);
+    while (key < known && !__atomic_compare_exchange_n(found, &known, key, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) { }
 #endif
+}
 
 /// keys[node] becomes the least of it and the keys of all threads of a block with this node, which are neighbours; -1 for
 /// none.
@@ -64,9 +67,7 @@ inline CUDA_CALLABLE void keep_least(long long* keys, int node, long long key)
         if (threadIdx.x == 0 && node >= 0) keep_less(keys + node, key);
     } else if (node >= 0 && (lane == 0 || node_before != node)) keep_less(keys + node, key);
 #else
-    if (node < 0) return;
-    long long known = __atomic_load_n(keys + node, __ATOMIC_RELAXED);
-    while (key < known && !__atomic_compare_exchange_n(keys + node, &known, key, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) { }
+    if (node >= 0) keep_less(keys + node, key);
 #endif
 }
 

@@ -41,6 +41,11 @@ def keep_least(keys: wp.array(dtype=wp.int64), node: int, key: wp.int64):
     """keys[node] becomes the least of it and the key; -1 for none. On CUDA all threads of a block come here."""
 
 
+@native.func_native("grid_sums.h", "wrt::keep_less((long long*)keys.data + node, key);")
+def keep_less(keys: wp.array(dtype=wp.int64), node: int, key: wp.int64):
+    """keys[node] becomes the least of it and the key, by this thread alone."""
+
+
 @native.func_native(
     "grid_sums.h",
     "const wrt::Sums own_sums = {{own.c[0], own.c[1], own.c[2], own.c[3]}};\n"

@@ -8,7 +8,7 @@ from typing import Any
 import warp as wp
 
 from wrt.builders.kdtree.levelwise.grid_sums import SUMS, Grid
-from wrt.kernels.runtime.workspace import read_ints
+from wrt.kernels.runtime.workspace import HostNumbers
 
 GROWTH = 1.5
 """How much larger an array becomes, at least."""
@@ -40,22 +40,24 @@ class LevelMemory:
 
 
 class Totals:
-    """What a level's nodes sum up to, on the device, and read by the host while the device goes on."""
+    """What a level's nodes sum up to, for kernels and for the host, which reads it while the device goes on.
+
+    Args:
+        device: where.
+    """
 
     def __init__(self, device: wp.Device) -> None:
-        self.found = wp.empty(SUMS, dtype=int, device=device)
-        self._read = wp.empty(SUMS, dtype=int, device="cpu", pinned=True) if device.is_cuda else self.found
-        self._is_read = wp.Event(device) if device.is_cuda else None
-        self._device = device
+        self._device, self._told = device, HostNumbers(SUMS, int, device)
+        self._is_told = wp.Event(device) if device.is_cuda else None
+        self.found, self.told = wp.empty(SUMS, dtype=int, device=device), self._told.sent
 
-    def begin(self) -> None:
-        """Begins to read them."""
-        if self._is_read is not None:
-            wp.copy(self._read, self.found)
-            self._device.stream.record_event(self._is_read)
+    def mark(self) -> None:
+        """After the launch that writes both."""
+        if self._is_told is not None:
+            self._device.stream.record_event(self._is_told)
 
-    def end(self) -> list[int]:
-        """Waits for them."""
-        if self._is_read is not None:
-            wp.synchronize_event(self._is_read)
-        return read_ints(self._read, SUMS)
+    def read(self) -> list[int]:
+        """Waits for that launch."""
+        if self._is_told is not None:
+            wp.synchronize_event(self._is_told)
+        return self._told.values.tolist()

@@ -43,6 +43,7 @@ from wrt.builders.kdtree.levelwise.cell_nodes import (
     LISTED,
     NO_PLANE,
     RIGHT,
+    SEARCHED_EACH,
     BuiltNodes,
     CellNode,
     Level,
@@ -113,20 +114,33 @@ def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: LevelMemo
     while level.nodes:
         here, there = level.depth & 1, 1 - (level.depth & 1)
         events = work.arrays[f"events{here}"]
-        grid.run(search_planes, 6 * level.triangles, [cost, level.triangles, events, nodes, keys])
+        grid.run(search_planes, -(-6 * level.triangles // SEARCHED_EACH), [cost, level.triangles, events, nodes, keys])
         grow(built, work, level)
         children = work.room(f"nodes{there}", 2 * level.nodes, CellNode)
         child_keys = work.room(f"keys{there}", 2 * level.nodes, wp.int64)
         expected = int(EXPECTED * level.triangles)
         threads = -(-6 * level.triangles // EVENTS_EACH)
-        inputs = [cost, limits, level, events, keys, nodes, grid.tiles(level.nodes), children, child_keys, built, totals.found]
+        inputs = [
+            cost,
+            limits,
+            level,
+            events,
+            keys,
+            nodes,
+            grid.tiles(level.nodes),
+            children,
+            child_keys,
+            built,
+            totals.found,
+            totals.told,
+        ]
         grid.run(make_children, level.nodes, inputs)
-        totals.begin()
+        totals.mark()
         to.event, to.listed = work.room(f"events{there}", 6 * expected, wp.vec4i), built.listed
         while True:
             inputs = [level.triangles, triangles.boxes, events, nodes, totals.found, grid.tiles(threads), to]
             grid.run(move_events, threads, inputs)
-            found = totals.end()
+            found = totals.read()
             below = found[LEFT] + found[RIGHT]
             if 6 * below <= to.event.size:
                 break
