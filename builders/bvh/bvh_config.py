@@ -53,7 +53,7 @@ class BvhConfig:
         bins: bins along an axis, 2 to 40, for builders that bin.
         max_leaf_triangles: most triangles in a leaf, 1 to 63; None for three blocks, but at least 8 triangles.
         reinsertion: most rounds of `wrt.builders.classics.bvh.reinsertion`, 0 to 1000. With at least one, leaves of the binary
-            tree hold half a block.
+            tree hold half a block. The builder "hploc" takes `wrt.builders.bvh.phases.parallel_reinsertion`.
         subset: share of the triangles, above 0 and at most 1, that decides the upper levels of a builder that bins
             (`wrt.builders.classics.bvh.subset_levels`).
         large: share of the root's surface area above which a box is large (`wrt.builders.bvh.phases.large_boxes`), at least 0;

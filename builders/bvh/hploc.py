@@ -6,20 +6,22 @@ thread is slow and there are 100,000 of them, that takes longer than many frames
 **Algorithm** (H-PLOC). Triangles are sorted by the Morton codes of the middles of their boxes. Along the implicit hierarchy of
 the codes, from the bottom up, lists of up to 16 clusters are merged pairwise: two clusters that are each other's nearest, by
 the surface area of their joint box, among 8 neighbours on either side, become one (PLOC: Meister and Bittner 2018). All of it
-is one kernel without levels (`cluster_merging`). Then nodes are put into the order of the layout (`merged_layout`).
+is one kernel without levels (`cluster_merging`). If asked for, nodes then move to where they cost less
+(`parallel_reinsertion`). Last, they are put into the order of the layout (`merged_layout`).
 
-**Phases.** Codes: `write_codes` and a radix sort. Merging: `begin_clusters`, `merge_clusters`. Layout: nodes of two children
-with leaves of at most two triangles, as CUDA has them, by `binary_bvh`; others by the collapse (`collapse`), on the CPU.
+**Phases.** Codes: `write_codes` and a radix sort. Merging: `begin_clusters`, `merge_clusters`. Reinsertion: `reinsert`. Layout:
+nodes of two children with leaves of at most two triangles, as CUDA has them, by `binary_bvh`; others by the collapse
+(`collapse`), on the CPU.
 
 **Complexity.** O(N) after the sort.
 
 **What we changed.** Nodes are numbered without a shared counter, and pairs of equal area are ordered by where they differ in
 the lowest bits of their places: 1,000 equal triangles make a tree of depth 10 in place of 111. The tree is the same for any
 number of threads, and on CUDA and the CPU. Leaves are those of the surface area heuristic. A tree too deep for the layout is
-made again by neighbourhood alone.
+made again without reinsertion, then by neighbourhood alone.
 
-**Limits.** Codes have 10 bits for each axis: of triangles in one cell only their order in the mesh counts. Rays are slower than
-in trees of builders that search planes.
+**Limits.** Codes have 10 bits for each axis: of triangles in one cell only their order in the mesh counts. Without
+reinsertion, rays are slower than in trees of builders that search planes.
 
 References: benthin-2024; meister-bittner-2018-ploc; apetrei-2014; karras-2012; morton-1966.
 """
@@ -31,10 +33,10 @@ import warp as wp
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE
 from wrt.builders.bvh.phases.cluster_merging import empty_merged_tree, make_merge_clusters, merge, sort_by_codes, write_codes
-from wrt.builders.bvh.phases.collapse import collapse_kernels, improved
-from wrt.builders.bvh.phases.merged_layout import KERNELS, binary_build, binary_bvh, single_triangle
-from wrt.builders.core.late_import import classic_module
-from wrt.builders.tree import Bvh, Phases
+from wrt.builders.bvh.phases.collapse import collapse, collapse_kernels
+from wrt.builders.bvh.phases.merged_layout import KERNELS, arrays_of, binary_build, binary_bvh, single_triangle
+from wrt.builders.bvh.phases.parallel_reinsertion import find_moves, reinsert
+from wrt.builders.tree import BuildStats, Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH, check_blocks
 from wrt.kernels.runtime.launch import load
@@ -64,16 +66,13 @@ def check_count(count: int, width: int) -> None:
 
 def needs_no_collapse(config: BvhConfig) -> bool:
     """Whether nodes are those of the binary tree: then they are made on the device that holds the boxes."""
-    return config.cost.width == 2 and config.leaf_limit <= 2 and not config.reinsertion
+    return config.cost.width == 2 and config.leaf_limit <= 2
 
 
 def kernels(config: BvhConfig, triangles: int) -> list[wp.Kernel]:
     """One kernel of each module that a build of the given number of triangles needs."""
-    needed = [write_codes, make_merge_clusters(), *KERNELS]
-    if triangles > 1 and needs_no_collapse(config):
-        return needed
-    moving = [classic_module("bvh.reinsertion").find_insertion_positions] if config.reinsertion else []
-    return [*needed, *moving, *collapse_kernels(SURFACE)]
+    needed = [write_codes, make_merge_clusters(), *([find_moves] if config.reinsertion else []), *KERNELS]
+    return needed if triangles > 1 and needs_no_collapse(config) else [*needed, *collapse_kernels(SURFACE)]
 
 
 def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
@@ -82,7 +81,7 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     check_count(count, config.cost.width)
     load(kernels(config, count), device)  # compilation is not a phase of the build
     if count == 1:
-        return improved(single_triangle(triangles), triangles, config, Phases(device))
+        return collapse(single_triangle(triangles), triangles, config, BuildStats())
     if count > MAX_KEPT:
         return build_in(Workspace(device), triangles, config)
     stream = device.stream.cuda_stream if device.is_cuda else None  # on another one, kernels may still use the arrays
@@ -98,9 +97,13 @@ def build_in(work: Workspace, triangles: TriangleBoxes, config: BvhConfig) -> Bv
         merged = work.make("merged", triangles.count, lambda size: empty_merged_tree(size, work.device))
         with step("codes"):
             sort_by_codes(triangles, merged)
-        for by_area in (True, False):
+        for by_area, rounds in dict.fromkeys([(True, config.reinsertion), (True, 0), (False, 0)]):
             with step("merging"):
                 merge(triangles, merged, by_area)
+            if rounds:
+                with step("reinsertion"):
+                    moves = reinsert(work, merged, triangles.count, rounds)
+                    phase.stats.reserve(triangles.boxes.low, triangles.boxes.high, *arrays_of(merged), *arrays_of(moves))
             if needs_no_collapse(config):
                 with step("layout"):
                     tree = binary_bvh(work, triangles, merged, config, phase.stats)
@@ -110,5 +113,6 @@ def build_in(work: Workspace, triangles: TriangleBoxes, config: BvhConfig) -> Bv
                 with step("layout"):
                     binary, depth = binary_build(triangles, merged)
                 if depth <= MAX_WIDE_DEPTH:
-                    return improved(binary, triangles, config, phase)
+                    with step("collapse"):
+                        return collapse(binary, triangles, config, phase.stats)
     raise AssertionError("a tree of neighbours is not deep")

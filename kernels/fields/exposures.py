@@ -29,7 +29,7 @@ TILE = wp.constant(256)
 GROUP = 8
 """Largest number of directions of a group, as in lit_points.h."""
 
-LANES = wp.constant(8)
+LANES = wp.constant(16)
 """Points that are tested at a time with their own triangles."""
 
 FLOATS = wp.constant(int(LANES) * VERTEX_COMPONENTS)

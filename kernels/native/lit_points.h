@@ -2,6 +2,7 @@
 //
 // Rays go point by point. Vectors are three numbers each.
 #pragma once
+#include "loops.h"
 
 namespace wrt {
 namespace {
@@ -31,17 +32,33 @@ template <int W> inline CUDA_CALLABLE bool some_ahead(unsigned mask, const float
     return met != 0;
 }
 
-/// Writes all rays from some points to `group` directions; origins become relative to `center`.
-inline CUDA_CALLABLE void write_rays(
-    const double* points, int count, const float* ways, int group, const double* center, float* origins, float* directions)
+/// `write_rays`, of a number of directions that may be known when this is compiled.
+template <class Group>
+inline CUDA_CALLABLE void write_group(
+    const double* points, int count, const float* ways, Group group, const double* center, float* origins, float* directions)
 {
-    for (int i = 0; i < count; ++i, points += 3) {
-        const float x = (float)(points[0] - center[0]), y = (float)(points[1] - center[1]), z = (float)(points[2] - center[2]);
-        for (int d = 0; d < group; ++d, origins += 3, directions += 3) {
-            origins[0] = x, origins[1] = y, origins[2] = z;
-            directions[0] = ways[3 * d], directions[1] = ways[3 * d + 1], directions[2] = ways[3 * d + 2];
-        }
+    for (int i = 0; i < count; ++i, points += 3, origins += 3 * group, directions += 3 * group) {
+        const float from[3] = {(float)(points[0] - center[0]), (float)(points[1] - center[1]), (float)(points[2] - center[2])};
+        WRT_UNROLLED
+        for (int k = 0; k < 3 * group; ++k) origins[k] = from[k % 3];
+        WRT_UNROLLED
+        for (int k = 0; k < 3 * group; ++k) directions[k] = ways[k];
     }
+}
+
+/// A number that is known when this is compiled.
+template <int N> struct Number {
+    CUDA_CALLABLE operator int() const { return N; }
+};
+
+/// Writes all rays from some points to `group` directions; origins become relative to `center`.
+inline CUDA_CALLABLE void write_rays(const double* points, int count, const float* __restrict ways, int group,
+    const double* center, float* __restrict origins, float* __restrict directions)
+{
+    if (group != LIT_GROUP) return write_group(points, count, ways, group, center, origins, directions);
+    float own[3 * LIT_GROUP];
+    for (int k = 0; k < 3 * LIT_GROUP; ++k) own[k] = ways[k];
+    write_group(points, count, own, Number<LIT_GROUP>(), center, origins, directions);
 }
 
 /// Whether each point of a tile sees each direction: seen[d * LIT_TILE + i]. full: whether each has a ray to each;
@@ -49,6 +66,11 @@ inline CUDA_CALLABLE void write_rays(
 inline CUDA_CALLABLE void sort_seen(
     const double* normals, int count, const float* ways, int group, bool full, const bool* dark, unsigned char* seen)
 {
+    if (full && group == LIT_GROUP) {
+        for (int d = 0; d < LIT_GROUP; ++d)
+            WRT_FOR (count, i) seen[d * LIT_TILE + i] = !dark[LIT_GROUP * i + d];
+        return;
+    }
     for (int i = 0; i < count; ++i)
         for (int d = 0; d < group; ++d) {
             const bool has_ray = full || is_in_front(normals + 3 * i, ways + 3 * d);

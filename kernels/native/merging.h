@@ -96,10 +96,9 @@ template <class Tree> struct Merging {
     CUDA_CALLABLE float* box(int node) const { return tree.box.data + 8 * (size_t)node; }
     CUDA_CALLABLE Cluster* list(int place) const { return (Cluster*)tree.cluster.data + place; }
 
-    /// Writes what a new node is, but for its box.
+    /// Writes what a new node is, but for its box and its children.
     CUDA_CALLABLE void link(int node, int left, int right, int size) const
     {
-        tree.child.data[node - count] = {left, right};
         tree.size.data[node - count] = size;
         tree.parent.data[left] = 2 * (node - count);
         tree.parent.data[right] = 2 * (node - count) + 1;
@@ -167,8 +166,8 @@ inline __device__ void merge_range(const Merging<Tree>& all, int left, int split
                   size = __shfl_sync(ALL_THREADS, c.size, partner);
         const float4 other_low = of_thread(low, partner), other_high = of_thread(high, partner);
         if (merges) {
-            low = joined(low, other_low, 0);
-            high = joined(high, other_high, 0);
+            low = joined(low, other_low, c.node);
+            high = joined(high, other_high, node);
             const int made = all.count + first;
             __stcg((float4*)all.box(made), low);
             __stcg((float4*)all.box(made) + 1, high);
@@ -287,6 +286,8 @@ struct ClusterLanes {
                     box[k] = joint[k];
                     box[4 + k] = joint[3 + k];
                 }
+                box[3] = __builtin_bit_cast(float, c.node);
+                box[7] = __builtin_bit_cast(float, other.node);
                 all.link(made, c.node, other.node, c.size + other.size);
                 c.node = made;
                 c.size += other.size;

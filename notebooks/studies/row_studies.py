@@ -6,13 +6,12 @@ from dataclasses import asdict, is_dataclass
 from importlib import import_module
 from inspect import getdoc, signature
 from pathlib import Path
-from typing import Any
 
 import click
 
+from studies.study_options import number
 from wrt.bench.commands.command_options import json_option, load_model, progress, table_console, usage_errors, write_json
 from wrt.bench.core.benchmark_results import machine
-from wrt.cli.number_types import Whole
 
 ROW_STUDIES = {
     "area-axes": ("known_rays.area_tables", "axes_tried"),
@@ -66,12 +65,9 @@ def row_command(name: str) -> click.Command:
         print_rows(table_console(200), name, rows)
         write_json(json_file, {"machine": machine("cpu"), "rows": rows})
 
-    parameters: list[Any] = [click.Argument(["model"], default="teapot")] if "mesh" in taken else []
+    arguments = [click.Argument(["model"], default="teapot")] if "mesh" in taken else []
+    command = click.Command(name, callback=run, params=arguments, help=getdoc(study).split("\n\n")[0])
     for key, parameter in taken.items():
         if type(parameter.default) is int:
-            option = click.Option(
-                [f"--{key}"], default=parameter.default, show_default=True, type=Whole(0 if key == "seed" else 1)
-            )
-            parameters.append(option)
-    command = json_option(click.Command(name, callback=run, params=parameters, help=getdoc(study).split("\n\n")[0]))
-    return command
+            command = number(f"--{key}", parameter.default, "", 0 if key == "seed" else 1)(command)
+    return json_option(command)

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from wrt.bench.commands.jobs_command import print_jobs
 from wrt.bench.comparisons import whole_jobs
+from wrt.bench.core.paired_timing import Timing
 from wrt.cli import main
 
 
@@ -62,6 +64,30 @@ def test_sums_are_those_of_the_rays():
     assert np.abs(months.sum(axis=1) - lit).mean() < 0.05 * lit.mean()  # other origins, and suns behind the floor
     np.testing.assert_array_equal(folder, shade)
     assert court.rays("sun") == rays.size
+    from_floor = whole_jobs.sun_contenders(court)[5].run()
+    assert from_floor.shape == rays.shape
+    assert (from_floor != rays).mean() < 0.01
+
+
+def test_contenders_that_are_missing_are_named(capsys):
+    """Once each, with what installs them; other failures in full."""
+    absent = {
+        "Mitsuba": "No module named 'mitsuba'",
+        "Embree": "No module named 'trimesh.ray'",
+        "Other": "No module named 'mitsuba'",
+    }
+    timings = {"rays alone": Timing(1, [0.001])} | {
+        name: Timing(1, error=f"ModuleNotFoundError: {text}") for name, text in absent.items()
+    }
+    timings["broken"] = Timing(1, error="RuntimeError: no [such] card")
+    print_jobs([whole_jobs.JobTimes("picture", 9, timings, None)])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.count("not installed") for line in lines if "picture" in line] == [0, 1, 1, 1, 0]
+    assert lines[-3:] == [
+        "mitsuba is not installed: pip install mitsuba",
+        "trimesh is not installed: pip install trimesh",
+        "RuntimeError: no [such] card",
+    ]
 
 
 def test_checks_of_a_print_are_those_of_trimesh():

@@ -72,9 +72,10 @@ def assert_same_tree(found: Bvh | KdTree, expected: Bvh | KdTree) -> None:
 @on_cuda
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("leaf", [1, 2])
-def test_hploc_gives_the_tree_of_the_cpu(name, leaf):
+@pytest.mark.parametrize("rounds", [0, 1, 6])
+def test_hploc_gives_the_tree_of_the_cpu(name, rounds, leaf):
     mesh = MESHES[name]()
-    config = BvhConfig(cost=SurfaceAreaCost(width=2, block=1.5), max_leaf_triangles=leaf)
+    config = BvhConfig(cost=SurfaceAreaCost(width=2, block=1.5), max_leaf_triangles=leaf, reinsertion=rounds)
     build = BVH_BUILDERS["hploc"].build
     expected = build(boxes_on("cpu", mesh), config)
     for _ in range(3):
@@ -82,9 +83,10 @@ def test_hploc_gives_the_tree_of_the_cpu(name, leaf):
 
 
 @on_cuda
-def test_hploc_gives_the_tree_of_the_cpu_for_many_triangles():
+@pytest.mark.parametrize("rounds", [0, 4])
+def test_hploc_gives_the_tree_of_the_cpu_for_many_triangles(rounds):
     mesh = soup(300_000)
-    config = BvhConfig(cost=SurfaceAreaCost(width=2, block=1.5), max_leaf_triangles=2)
+    config = BvhConfig(cost=SurfaceAreaCost(width=2, block=1.5), max_leaf_triangles=2, reinsertion=rounds)
     build = BVH_BUILDERS["hploc"].build
     expected = build(boxes_on("cpu", mesh), config)
     for _ in range(5):
@@ -135,10 +137,11 @@ def test_a_build_by_levels_of_many_triangles_gives_the_tree_of_the_cpu():
 
 
 @on_cuda
+@pytest.mark.parametrize("rounds", [0, 2])
 @pytest.mark.parametrize("name", MESHES)
-def test_hits_are_those_of_brute_force(name):
+def test_hits_are_those_of_brute_force(name, rounds):
     """Of scenes whose trees are built on the device: they hold the CPU's tree."""
-    mesh, tree = MESHES[name](), wrt.Bvh(builder="hploc")
+    mesh, tree = MESHES[name](), wrt.Bvh(builder="hploc", reinsertion=rounds)
     scene = wrt.Scene(mesh, tree, device=CUDA[0])
     assert scene.state.tree.child.device == scene.device
     rays = wrt.Rays(*mixed_rays(mesh, 3000, seed=2))

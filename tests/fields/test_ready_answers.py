@@ -166,6 +166,20 @@ def test_exposure_sums_what_single_rays_find(somewhere, scene, cosine):
     assert (found > 0.0).any()
 
 
+def test_exposure_to_suns_that_follow_each_other():
+    """Bit for bit, where all points of a tile face all directions of a group of eight, and of smaller groups."""
+    floor = trimesh.Trimesh([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]])
+    scene = wrt.Scene([floor, trimesh.creation.box((0.2, 18, 2)).apply_translation([2.0, 0.0, 1.0])], device="cpu")
+    x, y = np.random.default_rng(7).uniform(-8.5, 8.5, (2, 600))
+    places = scene.intersect(np.stack([x, y, np.full(600, 1.0)], axis=1), [0.0, 0.0, -1.0])
+    for count in (16, 21):
+        angles = np.radians(20 + 2.0 * np.arange(count))
+        sun, weights = np.stack([np.cos(angles), 0.1 * np.ones(count), np.sin(angles)], axis=1), np.linspace(0.1, 1.0, count)
+        found = analysis.exposure(scene, places, sun, weights=weights)
+        np.testing.assert_array_equal(found, summed(scene, places, sun, weights, False))
+        assert 0.1 < (found < weights.sum()).mean() < 0.9
+
+
 def test_exposure_in_blocks(somewhere, scene, monkeypatch):
     """Blocks of directions and of points change nothing."""
     ways, weights = analysis.sky_directions(19), np.random.default_rng(6).random((2, 19))

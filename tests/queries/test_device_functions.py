@@ -183,14 +183,14 @@ def test_cuda(tmp_path):
     assert not re.search(r"\.shared.*words", text)
 
 
-@pytest.mark.parametrize("make", [binary_handle_type, binary_instances_handle_type])
-def test_binary_nodes_on_cuda(make, tmp_path):
-    """Nothing but the boxes of nodes fuses."""
+@pytest.mark.parametrize(("make", "steps"), [(binary_handle_type, 1), (binary_instances_handle_type, 2)])
+def test_binary_nodes_on_cuda(make, steps, tmp_path):
+    """Nothing but the boxes of nodes fuses, in five walks; of instances, also those of an environment's list."""
     kernel = wrt.device.kernel(ask_everything.func)
     kernel.add_overload(kernel.infer_argument_types([0, make(24)(), *outputs(0, "cpu").values()]))
     text = compile_to_ptx(kernel.module, tmp_path)
     assert ".entry" in text
-    assert_fuses_boxes_alone(text, walks=5)
+    assert_fuses_boxes_alone(text, walks=5 * steps)
 
 
 @wrt.device.kernel

@@ -8,6 +8,8 @@
 #include "instance_updates.h"
 #include "light_raster.h"
 #include "merging.h"
+#include "reinsertion.h"
+#include "top_levels.h"
 
 struct Vec2i {
     int c[2];
@@ -51,8 +53,12 @@ struct Leaves {
 };
 struct MergedTree {
     Rows<float> box;
-    Rows<Vec2i> child;
     Rows<int> parent, size, code, cluster, waiting, root;
+};
+struct Moves {
+    Rows<Vec2i> place;
+    Rows<unsigned long long> key, owner;
+    Rows<int> arrived;
 };
 struct Cost {
     float block, empty_factor;
@@ -185,9 +191,14 @@ int clustered(const Boxes& boxes, int* ids, float* list, const Pair& pair, const
     return choose_triangles(boxes, ids, pair, true, ids);
 }
 
-void merged(const MergedTree& tree, const Mesh& mesh, int* found)
+void merged(const MergedTree& tree, const Moves& moves, const Mesh& mesh, int* found)
 {
     merge_from(tree, 0, 3, true);
+    rebuild_top(tree, moves, 3);
+    find_move(tree, moves, 0, 3);
+    choose_move(tree, moves, 0, 3);
+    move_node(tree, moves, 0, 3);
+    refit_from(tree, moves, 0, 3);
     reduce_corners(mesh.vertices.data, mesh.faces.data, 3, 1, 0, found);
 }
 

@@ -16,18 +16,20 @@ from wrt.engine.executor import answer_relative
 from wrt.engine.facts.query_kinds import ANY, AUTO, QUERIES
 from wrt.engine.memory import empty
 from wrt.engine.rays.device_rays import relative_rays
+from wrt.kernels.runtime.argument_packing import copied
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.shading.surface import Surface
 from wrt.kernels.validation import as_bool, as_direction, as_float, as_int, as_numbers, first_bad
+from wrt.meshes.mesh_measures import extremes
 
 if TYPE_CHECKING:
     from wrt.array_types import ArrayLike, Numbers
+    from wrt.kernels.fields.exposures import LitRays
     from wrt.query.hits import Hits
     from wrt.scene.scene import Scene
 
 POINTS = 1 << 16
 """Points whose ambient rays are traced at a time."""
-
 
 CLOSE = float(np.cos(np.radians(4.0)))
 """Cosine of the angle between such directions."""
@@ -142,8 +144,8 @@ class LitSurface:
         self.device, self.count = points.primitive.device, surface.batch.count
         places = empty(self.count, wp.vec3, self.device)
         launch(find_near, self.count, [points, places], device=self.device, chunk=1024)
-        near = places.numpy()
-        points.order = morton_order(places, wp.vec3(*near.min(axis=0)), wp.vec3(*near.max(axis=0)))
+        low, high = extremes(places.numpy())
+        points.order = morton_order(places, wp.vec3(*low), wp.vec3(*high))
         points.normal, points.origin = (empty(self.count, wp.vec3d, self.device) for _ in range(2))
         blocks = 0 if points.mesh.placements else -(-self.count // int(LANES))  # None without instances
         points.own = empty(blocks * int(FLOATS), wp.float32, self.device)
@@ -154,52 +156,62 @@ class LitSurface:
         """(P, G) float64 sums of the weights (G, D) of those of the directions (D, 3) that points see."""
         from wrt.kernels.fields.exposures import GROUP, LitSums, add_lit, spread_sums
 
-        groups, device, tiles = len(shares), self.device, -(-self.count // self._tile)
-        lit = LitSums()
+        groups, device, tiles, rays = len(shares), self.device, -(-self.count // self._tile), self._rays_to(ways)
+        lit, weights, weighted = LitSums(), *weights_on(device, shares)
         lit.sums, lit.cosine = empty(groups * self.count, wp.float64, device).reshape((groups, self.count)), cosine
-        step = max(GROUP, BLOCK // self.count // GROUP * GROUP)
+        step, close = max(GROUP, BLOCK // self.count // GROUP * GROUP), are_close(ways)
         for begin in range(0, len(ways), step):
-            rows = slice(begin, begin + step)
-            own, lit.is_first = np.ascontiguousarray(shares[:, rows].T), begin == 0
-            lit.weights = wp.array(own, dtype=wp.float64, device=device)
-            some = own != 0.0
-            weighted = (
-                np.stack([some.argmax(axis=1), groups - some[:, ::-1].argmax(axis=1)], axis=1) * some.any(axis=1)[:, None]
-            )
-            lit.weighted = wp.array(weighted.astype(np.int32), dtype=wp.vec2i, device=device)
-            each = max(1, BLOCK // (self._tile * step))
+            rows = slice(begin, min(begin + step, len(ways)))
+            lit.weights, lit.weighted, lit.is_first = weights[rows], weighted[rows], begin == 0
+            own, each = copied(rays), max(1, BLOCK // (self._tile * step))
+            own.direction, own.prepared = rays.direction[rows], rays.prepared[rows]
+            own.groups = -(-len(own.direction) // GROUP) if close else len(own.direction)
             for first in range(0, tiles, each):
-                rays, lit.dark = self._trace(ways[rows], first, min(each, tiles - first))
-                launch(add_lit, rays.tiles, [self._points, rays, lit], device=device, chunk=4)
+                own.first_tile, own.tiles = first, min(each, tiles - first)
+                lit.dark = self._trace(own)
+                launch(add_lit, own.tiles, [self._points, own, lit], device=device, chunk=4)
         found = empty(self.count * groups, wp.float64, device).reshape((self.count, groups))
         launch(spread_sums, self.count, [self._points, lit, found], device=device, chunk=1024)
         return found.numpy()
 
-    def _trace(self, ways: np.ndarray, first: int, tiles: int) -> tuple[Any, wp.array]:
-        """Rays to directions from some tiles, from the first one on, and whether each is hidden."""
-        from wrt.kernels.fields.exposures import GROUP, LitRays, count_lit, prepare_ways, write_lit
+    def _rays_to(self, ways: np.ndarray) -> LitRays:
+        """Rays to directions, as kernels see them, without a range of tiles."""
+        from wrt.kernels.fields.exposures import LitRays, prepare_ways
         from wrt.kernels.triangle.watertight.woop import ShearedRay
 
-        rays, device, state = LitRays(), self.device, self._scene.state
-        rays.direction, rays.center = wp.array(ways, dtype=wp.vec3, device=device), wp.vec3d(*state.center.tolist())
-        rays.first_tile, rays.tiles = first, tiles
-        rays.groups = -(-len(ways) // GROUP) if are_close(ways) else len(ways)
+        rays, device = LitRays(), self.device
+        rays.direction, rays.center = wp.array(ways, dtype=wp.vec3, device=device), wp.vec3d(*self._scene.state.center.tolist())
         rays.prepared = wp.empty(len(ways), dtype=ShearedRay, device=device)
         launch(prepare_ways, len(ways), [rays.direction, rays.prepared], device=device)
-        items = rays.groups * rays.tiles
+        return rays
+
+    def _trace(self, rays: LitRays) -> wp.array:
+        """Whether each of the rays from a range of tiles to directions is hidden; gives `rays` their numbers."""
+        from wrt.kernels.fields.exposures import count_lit, write_lit
+
+        device, state, items = self.device, self._scene.state, rays.groups * rays.tiles
         counted = wp.empty(items, dtype=int, device=device)
         launch(count_lit, items, [self._points, rays, counted], device=device, chunk=64)
         begins = np.zeros(items + 1, dtype=np.int32)
         np.cumsum(counted.numpy(), out=begins[1:])
         rays.begin, count = wp.array(begins, dtype=int, device=device), int(begins[-1])
         if not count:
-            return rays, wp.empty(0, dtype=wp.bool, device=device)
+            return wp.empty(0, dtype=wp.bool, device=device)
         origins, directions = empty(count, wp.vec3, device), empty(count, wp.vec3, device)
         launch(write_lit, items, [self._points, rays, origins, directions], device=device, chunk=16)
         given = relative_rays(
             origins.to(state.device), directions.to(state.device), np.inf, (count,), state.device, state.center
         )
-        return rays, answer_relative(state, given, QUERIES[ANY]).occluded.to(device)
+        return answer_relative(state, given, QUERIES[ANY]).occluded.to(device)
+
+
+def weights_on(device: wp.Device, shares: np.ndarray) -> tuple[wp.array, wp.array]:
+    """Weights (G, D) of directions as `LitSums` has them, and in which groups each has some."""
+    own, groups = np.ascontiguousarray(shares.T), len(shares)
+    some = own != 0.0
+    ends = np.stack([some.argmax(axis=1), groups - some[:, ::-1].argmax(axis=1)], axis=1) * some.any(axis=1)[:, None]
+    weighted = wp.array(ends.astype(np.int32), dtype=wp.vec2i, device=device)
+    return wp.array(own, dtype=wp.float64, device=device), weighted
 
 
 def ambient_occlusion(

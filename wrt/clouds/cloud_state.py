@@ -19,6 +19,7 @@ from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+from wrt.meshes.mesh_measures import extremes
 from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT
 from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, UpdateReport, move_tree
 
@@ -216,7 +217,8 @@ def build_cloud(
         ValueError: the cloud is too large, or too far away.
         MemoryError: there is too little memory for the tree.
     """
-    low, high = points.min(axis=0) - float(radius.max()), points.max(axis=0) + float(radius.max())
+    farthest, (low, high) = float(radius.max()), extremes(points)
+    low, high = low - farthest, high + farthest
     if max(-low.min(), high.max()) > MAX_COORDINATE or (high - low).max() > MAX_EXTENT:
         raise ValueError(
             f"points and their radius reach from {low} to {high}; a cloud may be {MAX_EXTENT:.3g} across, with coordinates up "

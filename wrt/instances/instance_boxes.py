@@ -26,6 +26,7 @@ from wrt.engine.memory import keep_alive
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.two_level.instance_bounds import LANES, BoundedInstances, CoverPoints, bound_instances
 from wrt.meshes.instance import MIN_RELATIVE_SIZE
+from wrt.meshes.mesh_measures import extremes
 from wrt.meshes.placement import MAX_COORDINATE
 
 if TYPE_CHECKING:
@@ -284,9 +285,9 @@ def cover(part: SceneState) -> np.ndarray:
     """
     mesh = part.device_mesh
     points = mesh.vertices.numpy()[part.meshes[0].referenced]
-    low, high = points.min(axis=0), points.max(axis=0)
     if len(points) <= CELLS**3:
         return points.astype(np.float64)
+    low, high = extremes(points)
     cell = ((points - low) / np.maximum(high - low, np.finfo(np.float32).tiny) * CELLS).astype(np.int64).clip(0, CELLS - 1)
     cell = (cell[:, 0] * CELLS + cell[:, 1]) * CELLS + cell[:, 2]
     order = np.argsort(cell, kind="stable")

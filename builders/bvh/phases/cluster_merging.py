@@ -45,11 +45,9 @@ class MergedTree:
     """A binary tree of n triangles in the order of their codes. Nodes 0 .. n - 1 are triangles, n + 1 .. 2 n - 1 are inner."""
 
     box: wp.array(dtype=float)
-    """(2 n * 8,) boxes as in `wrt.builders.bvh.phases.binary_tree`."""
+    """(2 n * 8,) boxes as in `wrt.builders.bvh.phases.binary_tree`; the unused words hold the children, -1 for a triangle."""
     parent: wp.array(dtype=int)
     """(2 n,) twice the number of the parent, less n, and 1 for its right child; -1 for the root."""
-    child: wp.array(dtype=wp.vec2i)
-    """(n,) children of inner nodes."""
     size: wp.array(dtype=int)
     """(n,) triangles of inner nodes."""
     triangle: wp.array(dtype=int)
@@ -70,10 +68,19 @@ def empty_merged_tree(count: int, device: wp.Device) -> MergedTree:
     tree.box = wp.empty(16 * count, dtype=float, device=device)
     for name, size in (("parent", 2), ("triangle", 2), ("code", 2), ("size", 1), ("waiting", 1)):
         setattr(tree, name, wp.empty(size * count, dtype=int, device=device))
-    tree.child = wp.empty(count, dtype=wp.vec2i, device=device)
     tree.cluster = wp.empty(count, dtype=wp.vec4i, device=device)
     tree.root = wp.empty(1, dtype=int, device=device)
     return tree
+
+
+@wp.func_native("((wp::int32*)boxes.data)[8 * node + 3] = child[0]; ((wp::int32*)boxes.data)[8 * node + 7] = child[1];")
+def set_children(boxes: wp.array(dtype=float), node: int, child: wp.vec2i):
+    """Writes the children of a node."""
+
+
+@wp.func_native("return {((wp::int32*)boxes.data)[8 * node + 3], ((wp::int32*)boxes.data)[8 * node + 7]};")
+def children_of(boxes: wp.array(dtype=float), node: int) -> wp.vec2i:
+    """The children of a node."""
 
 
 @wp.func
@@ -131,6 +138,7 @@ def begin_clusters(first: int, boxes: Boxes, count: int, tree: MergedTree):
     for axis in range(3):
         store_float(tree.box, 8 * i + axis, boxes.low[axis, triangle])
         store_float(tree.box, 8 * i + 4 + axis, -boxes.high[axis, triangle])
+    set_children(tree.box, i, wp.vec2i(-1, -1))
     tree.parent[i] = -1
     tree.parent[count + i] = -1
     tree.cluster[i] = wp.vec4i(i, i, 1, 0)

@@ -14,7 +14,7 @@ import warp as wp
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
 from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, empty_tree, half_area
-from wrt.builders.bvh.phases.cluster_merging import CHUNK, MergedTree
+from wrt.builders.bvh.phases.cluster_merging import CHUNK, MergedTree, children_of
 from wrt.builders.bvh.phases.large_boxes import is_flat
 from wrt.builders.cost import leaf_cost
 from wrt.builders.tree import BuildStats, Bvh
@@ -75,7 +75,7 @@ def write_pairs(first: int, count: int, merged: MergedTree, tree: BinaryTree, de
         return
     place = place_of(merged, count, inner)
     depths[place.nodes] = place.depth
-    child = merged.child[inner]
+    child = children_of(merged.box, count + inner)
     begin = place.triangles
     next_pair = place.nodes + 2
     for side in range(2):
@@ -162,7 +162,7 @@ def is_leaf_of_two(rules: BuildRules, tree: MergedTree, count: int, node: int):
     root = tree.root[0]
     if tree.size[inner] != 2 or node == root or rules.max_leaf < 2:
         return False
-    child = tree.child[inner]
+    child = children_of(tree.box, node)
     root_area = half_area(tree.box, root)
     large = is_large_part(rules, tree, child[0], root_area) or is_large_part(rules, tree, child[1], root_area)
     if large and not is_flat(tree.box, node):
@@ -199,7 +199,7 @@ def rank_nodes(first: int, count: int, tree: MergedTree, nodes: OrderedNodes):
     if depth != NO_NODE:
         inner = nodes.inner[i]
         nodes.rank[inner] = i
-        child = tree.child[inner]
+        child = children_of(tree.box, count + inner)
         for side in range(2):
             is_leaf = child[side] < count
             if not is_leaf:  # the sign of a rank is known since nodes were placed
@@ -221,7 +221,7 @@ def write_binary(
 ):
     """Item: a node in order. Writes its boxes, its child words and the triangles of its leaves."""
     i = first + wp.tid()
-    pair = tree.child[nodes.inner[i]]
+    pair = children_of(tree.box, count + nodes.inner[i])
     block = nodes.block[i]
     for side in range(2):
         node = pair[side]
@@ -235,7 +235,7 @@ def write_binary(
             one = node
             other = int(-1)
             if node >= count:
-                both = tree.child[node - count]
+                both = children_of(tree.box, node)
                 one = both[0]
                 other = both[1]
             primitive[2 * block] = tree.triangle[one]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def jobs_command(
     step of 2,048 environments; all, or those of NAMES.
 
     The first line of a job is its rays alone, and ratios are to them, round by round. Open3D, trimesh with embreex, Mitsuba and
-    wp.Mesh do the same, with NumPy where that is needed and where they are installed.
+    wp.Mesh do the same, with NumPy where that is needed and where they are installed; what is missing is named below the table.
     """
     with progress() as on_turn, usage_errors():
         found = measure_jobs(names or [*JOBS], size, rounds, threads, process, on_turn)
@@ -43,10 +44,19 @@ def jobs_command(
     write_json(json_file, {"machine": machine("cpu"), "jobs": rows, "processes": {job.job: job.process for job in found}})
 
 
+def why_absent(error: str) -> tuple[str, str]:
+    """Why a contender did not take part, in a few words, and in a sentence."""
+    missing = re.fullmatch(r"ModuleNotFoundError: No module named '(\w+).*'", error)
+    if missing is None:
+        return error.split(":")[0], error
+    return "not installed", f"{missing[1]} is not installed: pip install {missing[1]}"
+
+
 def print_jobs(found: Sequence[JobTimes]) -> None:
-    """A table with a line for each contender."""
+    """A table with a line for each contender, and why some did not take part."""
     from wrt.bench.core.benchmark_report import new_table, times
 
+    absent: dict[str, None] = {}
     table = new_table(("job", "what is done"), ("rays", "median ms", "least ms", "/ rays", "least / least"))
     for job in found:
         for row in job.rows():
@@ -58,8 +68,12 @@ def print_jobs(found: Sequence[JobTimes]) -> None:
                     times(row["least_ratio"]),
                 )
             else:
-                figures = row["error"].split(":")[0], "", "", ""
+                short, sentence = why_absent(row["error"])
+                figures, absent[sentence] = (short, "", "", ""), None
             table.add_row(job.job, row["contender"], f"{job.rays:,}", *figures)
         if job.process is not None:
             table.add_row(job.job, "a fresh process, once", "", f"{1e3 * job.process:.0f}", "", "", "")
-    table_console().print(table)
+    console = table_console()
+    console.print(table)
+    for sentence in absent:
+        console.print(sentence, markup=False, highlight=False)

@@ -191,9 +191,10 @@ def step_contenders(cell: Cell) -> list[Contender]:
         cell.scene.intersect(*cell.lidar_rays, 0.0, cell.lidar.max_range)
 
     def step(tables: bool) -> None:
+        seen = "depth", "semantic_id"
         for view in cell.views:
-            images = cell.camera.capture(cell.scene, moved(view), labels=cell.labels)
-            _ = images.to_structured() if tables else _read(images, "depth", "semantic_id")
+            images = cell.camera.capture(cell.scene, moved(view), labels=cell.labels, layers=None if tables else seen)
+            _ = images.to_structured() if tables else _read(images, *seen)
         scan = cell.lidar.scan(cell.scene, moved(cell.lidar_pose), labels=cell.labels, seed=number[0])
         sensors.write_points(path(), scan.to_structured("world"))
 
@@ -232,6 +233,8 @@ class Court:
         points = floor.position.reshape(-1, 3)
         self.points = points[np.isfinite(points).all(axis=1)] + [0.0, 0.0, 1e-3]
         self.floor = self.scene.intersect(above[floor.is_hit], [0.0, 0.0, -1.0])
+        up = np.array([0.0, 0.0, 1.0], dtype=np.float32)
+        self.spawned = np.asarray(self.floor.spawn(np.broadcast_to(up, self.floor.position.shape)))
         turn = np.linspace(-1.2, 1.2, max(4, round(100 * size)))
         suns = np.stack([np.sin(turn), 0.4 * np.ones_like(turn), np.cos(turn)], axis=-1)
         self.suns = (suns / np.linalg.norm(suns, axis=1, keepdims=True)).astype(np.float32)
@@ -244,7 +247,8 @@ class Court:
 def sun_contenders(court: Court) -> list[Contender]:
     """Hours of sun: sums for each place, in memory, in a folder from which the job can be resumed, and by groups of weights.
 
-    Rays of one sun are neighbours: they are parallel, and those of one place are not."""
+    Rays of one sun are neighbours: they are parallel, and those of one place are not. They begin 1 mm above the floor. Those of
+    `exposure` leave it, and pass the boxes of its triangles first, as do the "rays from the floor"."""
     from wrt.analysis import exposure
     from wrt.batches import WeightedSum
     from wrt.cluster import Job
@@ -284,6 +288,7 @@ def sun_contenders(court: Court) -> list[Contender]:
         Contender("sums of 12 months", lambda: by_months().result()),
         Contender("exposure of 12 months", lambda: exposure(court.scene, court.floor, court.suns, weights=months)),
         Contender("sums of 12 months in a folder", in_folder),
+        Contender("rays from the floor alone", lambda: court.scene.occluded(court.spawned, court.suns[:, None])),
         Contender("trimesh + embreex", by_trimesh),
     ]
 

@@ -67,6 +67,8 @@ def trace_in_parts(scene: SceneState, contest: Contest, rays: DeviceRays, kind: 
     """Traces a batch for which a trial is due, and tells the contest; None, and nothing is done, if whole calls must take
     turns, or no trial is due."""
     learner = contest.learner
+    if scene.instances:  # where rivals of packets are single rays, which take ten times as long
+        return None
     ways = contest.ways()
     plans = {name: contest.chosen[name] for name in ways}
     if learner.is_trying or len(ways) < 2 or rays.own_layout is None or not all(one.prepares for one in plans.values()):
