@@ -41,34 +41,21 @@ inline CUDA_CALLABLE void keep_less(long long* found, long long key)
 #endif
 }
 
-/// keys[node] becomes the least of it and the keys of all threads of a block with this node, which are neighbours; -1 for
-/// none.
+/// keys[node] becomes the least of it and the keys of all threads of a warp with this node; -1 for none. Neighbours mostly have
+/// one node, and the first of them does it.
 inline CUDA_CALLABLE void keep_least(long long* keys, int node, long long key)
 {
 #if defined(__CUDA_ARCH__)
-    __shared__ long long least_of[32];
-    __shared__ int node_of[32];
-    const int lane = threadIdx.x & 31, warp = threadIdx.x >> 5, warps = blockDim.x >> 5;
+    const int lane = threadIdx.x & 31;
     for (int step = 1; step < 32; step <<= 1) {
         const long long other = __shfl_down_sync(ALL_LANES, key, step);
         const int other_node = __shfl_down_sync(ALL_LANES, node, step);
         if (lane + step < 32 && other_node == node && other < key) key = other;
     }
-    const int node_before = __shfl_up_sync(ALL_LANES, node, 1), last_node = __shfl_sync(ALL_LANES, node, 31);
-    if (lane == 0) {
-        least_of[warp] = key;
-        node_of[warp] = node == last_node ? node : -2 - warp;
-    }
-    __syncthreads();
-    bool is_one = true;  // node's is the whole block
-    for (int w = 1; w < warps; ++w) is_one &= node_of[w] == node_of[0];
-    if (is_one) {
-        for (int w = 0; w < warps; ++w) key = least_of[w] < key ? least_of[w] : key;
-        if (threadIdx.x == 0 && node >= 0) keep_less(keys + node, key);
-    } else if (node >= 0 && (lane == 0 || node_before != node)) keep_less(keys + node, key);
-#else
-    if (node >= 0) keep_less(keys + node, key);
+    const int node_before = __shfl_up_sync(ALL_LANES, node, 1);
+    if (lane > 0 && node_before == node) return;
 #endif
+    if (node >= 0) keep_less(keys + node, key);
 }
 
 /// Adds to a word; returns what it was.

@@ -38,7 +38,7 @@ class Tiles:
 
 @native.func_native("grid_sums.h", "wrt::keep_least((long long*)keys.data, node, key);")
 def keep_least(keys: wp.array(dtype=wp.int64), node: int, key: wp.int64):
-    """keys[node] becomes the least of it and the key; -1 for none. On CUDA all threads of a block come here."""
+    """keys[node] becomes the least of it and the key; -1 for none. On CUDA all threads of a warp come here."""
 
 
 @native.func_native("grid_sums.h", "wrt::keep_less((long long*)keys.data + node, key);")
