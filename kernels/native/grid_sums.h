@@ -30,7 +30,19 @@ inline CUDA_CALLABLE int warp_lane()
 #endif
 }
 
-/// keys[node] becomes the least of it and the keys of all threads of a warp with this node, which are next to each other.
+/// A word becomes the least of it and the key. On CUDA, a look before is cheaper than to change it for nothing.
+inline CUDA_CALLABLE void keep_less(long long* found, long long key)
+{
+#if defined(__CUDA_ARCH__)
+    if (key < *(volatile long long*)found) atomicMin(found, key);
+#else
+    long long known = __atomic_load_n(found, __ATOMIC_RELAXED);
+    while (key < known && !__atomic_compare_exchange_n(found, &known, key, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) { }
+#endif
+}
+
+/// keys[node] becomes the least of it and the keys of all threads of a warp with this node; -1 for none. Neighbours mostly have
+/// one node, and the first of them does it.
 inline CUDA_CALLABLE void keep_least(long long* keys, int node, long long key)
 {
 #if defined(__CUDA_ARCH__)
@@ -41,13 +53,9 @@ inline CUDA_CALLABLE void keep_least(long long* keys, int node, long long key)
         if (lane + step < 32 && other_node == node && other < key) key = other;
     }
     const int node_before = __shfl_up_sync(ALL_LANES, node, 1);
-    const bool is_first = lane == 0 || node_before != node;
-    if (is_first && node >= 0 && key < *(volatile long long*)(keys + node)) atomicMin(keys + node, key);
-#else
-    if (node < 0) return;
-    long long known = __atomic_load_n(keys + node, __ATOMIC_RELAXED);
-    while (key < known && !__atomic_compare_exchange_n(keys + node, &known, key, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) { }
+    if (lane > 0 && node_before == node) return;
 #endif
+    if (node >= 0) keep_less(keys + node, key);
 }
 
 /// Adds to a word; returns what it was.

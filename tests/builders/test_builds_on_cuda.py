@@ -116,6 +116,27 @@ def test_kdtree_builders_give_the_tree_of_the_cpu(builder, name):
 
 
 @on_cuda
+@pytest.mark.parametrize("name", MESHES)
+def test_a_build_by_levels_gives_the_tree_of_the_cpu(name):
+    """In place; in which order threads come makes no difference."""
+    mesh, build = MESHES[name](), KDTREE_BUILDERS["in_place"].build
+    for width in (1, 8):
+        config = wrt.KdTree(mailbox=width == 8).config(width)
+        expected = build(boxes_on("cpu", mesh), config)
+        for _ in range(3):
+            assert_same_tree(build(boxes_on(CUDA[0], mesh), config), expected)
+
+
+@on_cuda
+def test_a_build_by_levels_of_many_triangles_gives_the_tree_of_the_cpu():
+    """Some ten thousand blocks of threads tell each other of their sums."""
+    mesh, config, build = soup(300_000), wrt.KdTree().config(8), KDTREE_BUILDERS["in_place"].build
+    expected = build(boxes_on("cpu", mesh), config)
+    for _ in range(5):
+        assert_same_tree(build(boxes_on(CUDA[0], mesh), config), expected)
+
+
+@on_cuda
 @pytest.mark.parametrize("rounds", [0, 2])
 @pytest.mark.parametrize("name", MESHES)
 def test_hits_are_those_of_brute_force(name, rounds):

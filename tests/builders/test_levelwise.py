@@ -14,8 +14,9 @@ import wrt
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree import in_place
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.levelwise import levelwise_build
+from wrt.builders.kdtree.levelwise import grid_sums, level_memory, levelwise_build
 from wrt.builders.tree import StopRules
+from wrt.kernels.runtime.workspace import release
 
 CONFIGS = {
     "textbook": KdTreeConfig(cost=SurfaceAreaCost(width=1)),
@@ -55,13 +56,13 @@ def test_ties_are_decided_alike(count):
 
 def test_arrays_that_are_too_small_are_made_anew(monkeypatch):
     """As on a mesh whose triangles multiply from level to level."""
-    monkeypatch.setattr(levelwise_build, "GROWTH", 1.0)
-    monkeypatch.setattr(levelwise_build, "LEAST_SHARE", 1 << 30)
+    monkeypatch.setattr(level_memory, "GROWTH", 1.0)
+    monkeypatch.setattr(levelwise_build, "EXPECTED", 0.5)
+    monkeypatch.setattr(levelwise_build, "MAX_KEPT", 0)
+    release()
     launched = []
-    run = levelwise_build.Grid.run
-    monkeypatch.setattr(
-        levelwise_build.Grid, "run", lambda self, kernel, *rest: run(self, launched.append(kernel) or kernel, *rest)
-    )
+    run = grid_sums.Grid.run
+    monkeypatch.setattr(grid_sums.Grid, "run", lambda self, kernel, *rest: run(self, launched.append(kernel) or kernel, *rest))
     for name in ("needles", "wood"):
         assert_same_tree(SCENES[name](), CONFIGS["textbook"])
     moves = [kernel.key == "move_events" for kernel in launched]

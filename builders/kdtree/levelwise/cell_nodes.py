@@ -15,8 +15,8 @@ References: choi-2010.
 
 import warp as wp
 
-from wrt.builders.cost import Split, SplitCost, axis_frame, no_split, plane_cost
-from wrt.builders.kdtree.levelwise.grid_sums import Tiles, keep_least, sums_before
+from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, plane_cost
+from wrt.builders.kdtree.levelwise.grid_sums import SUMS, Tiles, keep_least, keep_less, sums_before
 from wrt.builders.kdtree.levelwise.paired_events import PLANAR_END, Event, event_at
 from wrt.builders.tree import PathState, StopLimits, stop
 from wrt.kernels.layout import kdtree_nodes as kdtree
@@ -27,6 +27,9 @@ from wrt.kernels.simd.boxes import INFINITY
 NO_PLANE = wp.constant(wp.int64(0x7F800000 << 32))
 """Key that is above that of each plane: the bits of an infinite cost."""
 
+SEARCHED_EACH = wp.constant(8)
+"""Consecutive events of a thread that searches."""
+
 LOW_BITS = wp.constant(wp.int64(0xFFFFFFFF))
 
 AXIS_SHIFT, PLACE_BITS = wp.constant(wp.int64(30)), wp.constant(wp.int64((1 << 30) - 2))
@@ -35,8 +38,6 @@ planar triangles go to the left."""
 
 INNER, LEFT, RIGHT, LISTED = wp.constant(0), wp.constant(1), wp.constant(2), wp.constant(3)
 """What is summed over the nodes of a level: those with children; triangles of left and of right children; those of leaves."""
-
-SUMS = wp.constant(4)
 
 
 @with_known_layout
@@ -97,24 +98,34 @@ def search_planes(
     nodes: wp.array(dtype=CellNode),
     keys: wp.array(dtype=wp.int64),
 ):
-    """Item: an event. keys: (nodes,) the least key of each node, `NO_PLANE` before."""
-    i = first + wp.tid()
-    own = int(-1)
-    key = no_key()
-    if i < 6 * total:
+    """Item: `SEARCHED_EACH` events. keys: (nodes,) the least key of each node, `NO_PLANE` before."""
+    begin = (first + wp.tid()) * SEARCHED_EACH
+    here = int(-1)
+    axis = int(-1)
+    triangles = int(0)
+    origin = int(0)
+    along = AxisFrame()
+    least = no_key()
+    for i in range(begin, wp.min(begin + SEARCHED_EACH, 6 * total)):
         event = event_at(events, i)
-        own = event.node
-        node = nodes[own]
-        place = i - first_event(node, event.axis, total)
-        ends = (event.kind & 1) == 0
-        inside = event.position > node.low[event.axis] and event.position < node.high[event.axis]
-        if inside and not (ends and is_followed_by_same(events, i, i - place + 2 * node.triangles, event)):
-            along = axis_frame(cost, event.axis, node.low, node.high, node.triangles)
-            right = node.triangles - (place - event.begun) - wp.where(ends, 1, 0)
-            candidate = plane_cost(cost, along, event.position, event.begun, right)
-            if candidate < INFINITY:
-                key = plane_key(candidate, event.axis, place, event.kind >= PLANAR_END)
-    keep_least(keys, own, key)
+        if event.node != here or event.axis != axis:
+            if event.node != here and least < NO_PLANE:
+                keep_less(keys, here, least)
+                least = no_key()
+            here = event.node
+            axis = event.axis
+            node = nodes[here]
+            triangles = node.triangles
+            origin = first_event(node, axis, total)
+            along = axis_frame(cost, axis, node.low, node.high, triangles)
+        if event.position > along.low and event.position < along.high:
+            ends = (event.kind & 1) == 0
+            if not (ends and is_followed_by_same(events, i, origin + 2 * triangles, event)):
+                right = triangles - (i - origin - event.begun) - wp.where(ends, 1, 0)
+                candidate = plane_cost(cost, along, event.position, event.begun, right)
+                if candidate < INFINITY:
+                    least = wp.min(least, plane_key(candidate, axis, i - origin, event.kind >= PLANAR_END))
+    keep_least(keys, here, least)
 
 
 @wp.func
@@ -177,11 +188,12 @@ def make_children(
     child_keys: wp.array(dtype=wp.int64),
     built: BuiltNodes,
     totals: wp.array(dtype=int),
+    told: wp.array(dtype=int),
 ):
     """Item: a node, in one chunk. Splits it at its best plane, or makes it a leaf; writes it to the tree, and its children.
 
-    children, child_keys: (2 level.nodes,) output, of which twice the nodes with children are written. totals: (SUMS,) output,
-    the sums over all nodes."""
+    children, child_keys: (2 level.nodes,) output, of which twice the nodes with children are written. totals, told: (SUMS,)
+    output, the sums over all nodes, for kernels and for the host."""
     index = first + wp.tid()
     node = CellNode()
     node.is_leaf = True
@@ -200,6 +212,7 @@ def make_children(
         if index == level.nodes - 1:
             for k in range(SUMS):
                 totals[k] = before[k] + own[k]
+                told[k] = before[k] + own[k]
         if node.is_leaf:
             node.child = level.listed + before[LISTED]
             built.node[here] = kdtree.leaf_node(node.child, node.triangles)

@@ -19,6 +19,9 @@ from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import CUDA_BLOCK
 
+SUMS = wp.constant(4)
+"""Sums side by side."""
+
 TILE_WORDS = 16
 """Of a block of threads (grid_sums.h)."""
 
@@ -36,6 +39,11 @@ class Tiles:
 @native.func_native("grid_sums.h", "wrt::keep_least((long long*)keys.data, node, key);")
 def keep_least(keys: wp.array(dtype=wp.int64), node: int, key: wp.int64):
     """keys[node] becomes the least of it and the key; -1 for none. On CUDA all threads of a warp come here."""
+
+
+@native.func_native("grid_sums.h", "wrt::keep_less((long long*)keys.data + node, key);")
+def keep_less(keys: wp.array(dtype=wp.int64), node: int, key: wp.int64):
+    """keys[node] becomes the least of it and the key, by this thread alone."""
 
 
 @native.func_native(

@@ -33,8 +33,6 @@ What bounds a build of 200,000 triangles is half the host, which issues three la
 References: choi-2010; rahikainen-2013 (section 4.2, algorithm 4.2.2); merrill-garland-2016.
 """
 
-from typing import Any
-
 import numpy as np
 import warp as wp
 
@@ -45,7 +43,7 @@ from wrt.builders.kdtree.levelwise.cell_nodes import (
     LISTED,
     NO_PLANE,
     RIGHT,
-    SUMS,
+    SEARCHED_EACH,
     BuiltNodes,
     CellNode,
     Level,
@@ -53,22 +51,26 @@ from wrt.builders.kdtree.levelwise.cell_nodes import (
     search_planes,
 )
 from wrt.builders.kdtree.levelwise.event_moves import EVENTS_EACH, Below, move_events
-from wrt.builders.kdtree.levelwise.grid_sums import Grid
+from wrt.builders.kdtree.levelwise.level_memory import LevelMemory
 from wrt.builders.kdtree.levelwise.numbering import number, sum_sizes
 from wrt.builders.kdtree.levelwise.paired_events import emit_pairs, sorted_pairs
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import load
-from wrt.kernels.runtime.workspace import give_back, read_ints, take
+from wrt.kernels.runtime.workspace import give_back, take
 
 KERNELS = (emit_pairs, search_planes, move_events, sum_sizes)
 """One kernel of each module."""
 
-GROWTH = 1.5
-"""How much larger than asked for an array is made that will be asked for again."""
+MAX_KEPT = 1 << 18
+"""Triangles up to which a build's memory is kept for the next one: some 400 bytes each."""
 
 LEAST_SHARE = 4
 """Triangles of the mesh for each element that an array has at least."""
+
+EXPECTED = 1.25
+"""Triangles of the next level for each of a level, for which there is room before their number is known. If they are more,
+events are moved again."""
 
 MAX_EVENTS = (1 << 31) - 1
 """Of a level: kernels number them by 32 bits."""
@@ -79,77 +81,26 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     device, count = triangles.boxes.low.device, triangles.count
     load(KERNELS, device)
     phase = Phases(device)
-    work, grid = Room(device, count // LEAST_SHARE), Grid(device)
+    kind = build, device.alias, device.stream.cuda_stream if device.is_cuda else None  # others' kernels may use it still
+    work = take(kind) or LevelMemory(device, min(count, MAX_KEPT) // LEAST_SHARE)
     with phase("sort"):
-        sorted_pairs(triangles, grid, work.room("events0", 6 * count, wp.vec4i))
+        sorted_pairs(triangles, work)
         triangles.check()  # waits for the corners while the device sorts
     with phase("levels"):
-        built, made = split_levels(triangles, config, work, grid)
+        built, made = split_levels(triangles, config, work)
     with phase("assemble"):
-        built.size = work.zeros("size", made, wp.int64)
+        built.size = work.room("size", made, wp.int64)
+        built.size.zero_()
         nodes, primitive = number(built, made, config.cost.width)
     phase.stats.reserve(triangles.boxes.low, triangles.boxes.high, *work.arrays.values(), nodes, primitive)
+    if count <= MAX_KEPT:
+        give_back(kind, work)
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, phase.stats)
 
 
-class Room:
-    """Arrays by name, made anew where they are too small.
-
-    Args:
-        device: where they are.
-        least: elements of the smallest array.
-    """
-
-    def __init__(self, device: wp.Device, least: int) -> None:
-        self.device, self.least = device, least
-        self.arrays: dict[str, wp.array] = {}
-
-    def room(self, name: str, count: int, dtype: Any, keep: int = 0) -> wp.array:
-        """An array of at least `count` elements, of which the first `keep` are those that it had."""
-        known = self.arrays.get(name)
-        if known is not None and known.size >= count:
-            return known
-        made = self.arrays[name] = wp.empty(max(int(GROWTH * count), self.least), dtype=dtype, device=self.device)
-        if known is not None and keep:
-            wp.copy(made, known, count=keep)
-        return made
-
-    def zeros(self, name: str, count: int, dtype: Any) -> wp.array:
-        """As `room`; a new array is of zeros."""
-        known = self.arrays.get(name)
-        made = self.room(name, count, dtype)
-        if made is not known:
-            made.zero_()
-        return made
-
-
-class Totals:
-    """What a level's nodes sum up to, on the device, and read by the host while the device goes on."""
-
-    def __init__(self, device: wp.Device) -> None:
-        self.found = wp.empty(SUMS, dtype=int, device=device)
-        self._read = wp.empty(SUMS, dtype=int, device="cpu", pinned=True) if device.is_cuda else self.found
-        self._is_read = wp.Event(device) if device.is_cuda else None
-        self._device = device
-
-    def begin(self) -> None:
-        """Begins to read them."""
-        if self._is_read is not None:
-            wp.copy(self._read, self.found)
-            self._device.stream.record_event(self._is_read)
-
-    def end(self) -> list[int]:
-        """Waits for them."""
-        if self._is_read is not None:
-            wp.synchronize_event(self._is_read)
-        return read_ints(self._read, SUMS)
-
-
-def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: Room, grid: Grid) -> tuple[BuiltNodes, int]:
+def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: LevelMemory) -> tuple[BuiltNodes, int]:
     """Splits level after level; returns all nodes, and how many they are."""
-    device, (cost, limits) = work.device, config.rules(triangles)
-    kind = split_levels, device.alias
-    totals = take(kind) or Totals(device)
+    device, grid, totals, (cost, limits) = work.device, work.grid, work.totals, config.rules(triangles)
     level = Level()
     level.nodes, level.triangles, level.depth, level.first, level.listed = 1, triangles.count, 0, 0, 0
     root = np.zeros(1, dtype=CellNode.numpy_dtype())
@@ -163,19 +114,33 @@ def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: Room, gri
     while level.nodes:
         here, there = level.depth & 1, 1 - (level.depth & 1)
         events = work.arrays[f"events{here}"]
-        grid.run(search_planes, 6 * level.triangles, [cost, level.triangles, events, nodes, keys])
+        grid.run(search_planes, -(-6 * level.triangles // SEARCHED_EACH), [cost, level.triangles, events, nodes, keys])
         grow(built, work, level)
         children = work.room(f"nodes{there}", 2 * level.nodes, CellNode)
         child_keys = work.room(f"keys{there}", 2 * level.nodes, wp.int64)
+        expected = int(EXPECTED * level.triangles)
         threads = -(-6 * level.triangles // EVENTS_EACH)
-        inputs = [cost, limits, level, events, keys, nodes, grid.tiles(level.nodes), children, child_keys, built, totals.found]
+        inputs = [
+            cost,
+            limits,
+            level,
+            events,
+            keys,
+            nodes,
+            grid.tiles(level.nodes),
+            children,
+            child_keys,
+            built,
+            totals.found,
+            totals.told,
+        ]
         grid.run(make_children, level.nodes, inputs)
-        totals.begin()
-        to.event, to.listed = work.room(f"events{there}", 6 * level.triangles, wp.vec4i), built.listed
+        totals.mark()
+        to.event, to.listed = work.room(f"events{there}", 6 * expected, wp.vec4i), built.listed
         while True:
             inputs = [level.triangles, triangles.boxes, events, nodes, totals.found, grid.tiles(threads), to]
             grid.run(move_events, threads, inputs)
-            found = totals.end()
+            found = totals.read()
             below = found[LEFT] + found[RIGHT]
             if 6 * below <= to.event.size:
                 break
@@ -186,11 +151,10 @@ def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: Room, gri
             to.event = work.room(f"events{there}", 6 * below, wp.vec4i)
         level.first, level.listed, level.depth = level.first + level.nodes, level.listed + found[LISTED], level.depth + 1
         level.nodes, level.triangles, nodes, keys = 2 * found[INNER], below, children, child_keys
-    give_back(kind, totals)
     return built, level.first
 
 
-def grow(built: BuiltNodes, work: Room, level: Level) -> None:
+def grow(built: BuiltNodes, work: LevelMemory, level: Level) -> None:
     """Makes room for the nodes and the listed triangles of a level, and for the nodes of the next one."""
     made, listed = level.first + level.nodes, level.listed + level.triangles
     for name, wanted, dtype, keep in (
@@ -198,6 +162,6 @@ def grow(built: BuiltNodes, work: Room, level: Level) -> None:
         ("parent", made + 2 * level.nodes, int, made),
         ("listed", listed, int, level.listed),
     ):
-        known = work.arrays.get(name)
-        if known is None or known.size < wanted:
-            setattr(built, name, work.room(name, wanted, dtype, keep))
+        array = work.room(name, wanted, dtype, keep)
+        if getattr(built, name) is not array:
+            setattr(built, name, array)

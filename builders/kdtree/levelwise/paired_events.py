@@ -12,7 +12,8 @@ References: wald-havran-2006.
 
 import warp as wp
 
-from wrt.builders.kdtree.levelwise.grid_sums import Grid, Tiles, sums_before
+from wrt.builders.kdtree.levelwise.grid_sums import Tiles, sums_before
+from wrt.builders.kdtree.levelwise.level_memory import LevelMemory
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.launch import launch
@@ -82,15 +83,16 @@ def emit_pairs(
     triangles: int,
     boxes: Boxes,
     planar: wp.array(dtype=int),
-    position: wp.array2d(dtype=float),
-    value: wp.array2d(dtype=int),
+    position: wp.array(dtype=float),
+    value: wp.array(dtype=int),
 ):
     """Item: a triangle. Writes its events where a stable sort by position needs them: kind by kind, by triangle.
 
-    planar: sums of what `find_planar` wrote, before each place. position, value: (3, >= 2 triangles) output; triangle << 2 |
-    kind."""
+    planar: sums of what `find_planar` wrote, before each place. position, value: (12 triangles,) output, a row of 4 for
+    each axis, of which the sort needs a half; triangle << 2 | kind."""
     i = first + wp.tid()
     for axis in range(3):
+        row = 4 * triangles * axis
         before = planar[axis * triangles + i] - planar[axis * triangles]
         flat = planar[(axis + 1) * triangles] - planar[axis * triangles]
         low = boxes.low[axis, i]
@@ -105,43 +107,45 @@ def emit_pairs(
             end = triangles + before
             begin_kind = PLANAR_BEGIN
             end_kind = PLANAR_END
-        position[axis, begin] = low
-        value[axis, begin] = (i << 2) | begin_kind
-        position[axis, end] = high
-        value[axis, end] = (i << 2) | end_kind
+        position[row + begin] = low
+        value[row + begin] = (i << 2) | begin_kind
+        position[row + end] = high
+        value[row + end] = (i << 2) | end_kind
 
 
 @exact_kernel
 def make_first_level(
     first: int,
     triangles: int,
-    position: wp.array2d(dtype=float),
-    value: wp.array2d(dtype=int),
+    position: wp.array(dtype=float),
+    value: wp.array(dtype=int),
     tiles: Tiles,
     events: wp.array(dtype=wp.vec4i),
 ):
     """Item: an event, in one chunk. Writes it to the first level, whose only node has all of them."""
     i = first + wp.tid()
     axis = i / (2 * triangles)
-    at = i - axis * 2 * triangles
+    row = 4 * triangles * axis
+    at = i - 2 * triangles * axis
     own = int(0)
     if axis < 3:
-        own = value[axis, at]
+        own = value[row + at]
     before = sums_before(tiles, wp.vec4i(own & 1, 0, 0, 0))
     if axis < 3:
-        words = wp.vec4i(wp.cast(position[axis, at], wp.int32), own, axis, before[0] - axis * triangles)
+        words = wp.vec4i(wp.cast(position[row + at], wp.int32), own, axis, before[0] - axis * triangles)
         store_words(events, i, words)
 
 
-def sorted_pairs(triangles: TriangleBoxes, grid: Grid, events: wp.array) -> None:
-    """Writes the events of the first level: (6 triangles,) vec4i, as `event_at` reads them."""
-    boxes, count, device = triangles.boxes, triangles.count, grid.device
-    planar = wp.empty(3 * count + 1, dtype=int, device=device)
+def sorted_pairs(triangles: TriangleBoxes, work: LevelMemory) -> None:
+    """Writes the events of the first level, "events0"."""
+    boxes, count, device = triangles.boxes, triangles.count, work.device
+    planar = work.room("planar", 3 * count + 1, int)
     launch(find_planar, count, [count, boxes, planar], device=device, chunk=CHUNK)
     wp.utils.array_scan(planar, planar, inclusive=False)
-    position = wp.empty((3, 4 * count), dtype=float, device=device)
-    value = wp.empty((3, 4 * count), dtype=int, device=device)
+    position, value = (work.room(name, 12 * count, dtype) for name, dtype in (("position", float), ("value", int)))
     launch(emit_pairs, count, [count, boxes, planar, position, value], device=device, chunk=CHUNK)
     for axis in range(3):
-        wp.utils.radix_sort_pairs(position[axis], value[axis], 2 * count)
-    grid.run(make_first_level, 6 * count, [count, position, value, grid.tiles(6 * count), events])
+        rows = slice(4 * count * axis, 4 * count * (axis + 1))
+        wp.utils.radix_sort_pairs(position[rows], value[rows], 2 * count)
+    inputs = [count, position, value, work.grid.tiles(6 * count), work.room("events0", 6 * count, wp.vec4i)]
+    work.grid.run(make_first_level, 6 * count, inputs)
