@@ -209,20 +209,13 @@ inline CUDA_CALLABLE LoadedTriangle load_triangle(const float* triangles, int sl
             })};
 }
 
-/// The first slot from `slot` to `end` whose triangle the ray does not surely miss; `end` if there is none.
-inline CUDA_CALLABLE int next_slot(const float* triangles, int slot, int end, const TurnedRay& ray)
-{
-    while (slot < end && surely_misses(areas_of(load_triangle(triangles, slot, ray).s))) ++slot;
-    return slot;
-}
-
 /// Tests a triangle; returns whether its hit, from t_min to t_max, is taken: take(hit, given) -> bool. CULLING: only from its
 /// front. given() -> `GivenRay`.
 template <class Rule, bool CULLING, class Given, class Take>
 inline CUDA_CALLABLE bool meet_triangle(
-    const float* triangles, int slot, const TurnedRay& ray, float t_min, float t_max, const Given& given, const Take& take)
+    const LoadedTriangle& triangle, const TurnedRay& ray, float t_min, float t_max, const Given& given, const Take& take)
 {
-    const auto [a, b, c, s] = load_triangle(triangles, slot, ray);
+    const auto& [a, b, c, s] = triangle;
     Areas<float> w;
     if (!meet_line<Rule>(s, w)) return false;
     const TriangleHit<float> hit = weighed(w, s.depth[0], s.depth[1], s.depth[2], ray.shear[2]);

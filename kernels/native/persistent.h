@@ -287,8 +287,10 @@ template <class All, bool FROM_ZERO> struct Walk {
         const float* const corners = (const float*)triangles.corners.data;
         if (All::COUNTING) ++work.leaves, work.triangles += count;
         for (int slot = begin; slot < end; ++slot) {
-            if constexpr (All::NESTED) {  // its hits take the given ray again: threads of a warp come there together
-                slot = next_slot(corners, slot, end, turned_ray);
+            LoadedTriangle triangle = load_triangle(corners, slot, turned_ray);
+            if constexpr (
+                All::NESTED) {  // hits take the given ray again, which is mapped: threads of a warp come there together
+                while (surely_misses(areas_of(triangle.s)) && ++slot < end) triangle = load_triangle(corners, slot, turned_ray);
                 if (slot == end) break;
             }
             const auto take = [&](PackedHit hit, const GivenRay& ray) {
@@ -302,7 +304,7 @@ template <class All, bool FROM_ZERO> struct Walk {
                 return true;
             };
             const bool taken
-                = meet_triangle<typename Answer::Rule, All::CULLING>(corners, slot, turned_ray, t_min(), best.t, given, take);
+                = meet_triangle<typename Answer::Rule, All::CULLING>(triangle, turned_ray, t_min(), best.t, given, take);
             if (Answer::ENDS && taken) {
                 node = DONE;
                 break;
