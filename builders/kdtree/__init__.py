@@ -45,6 +45,11 @@ class BuilderCapabilities(Flag):
     """It takes adaptive samples: on the axes, and in as many scans, as the config says."""
 
 
+def never(_: KdTreeConfig) -> bool:
+    """`KdTreeBuilder.on_cuda` of builders whose threads pass many triangles each, which suits cores."""
+    return False
+
+
 @dataclass(frozen=True)
 class KdTreeBuilder:
     """A method of building a kd-tree.
@@ -56,6 +61,7 @@ class KdTreeBuilder:
         capabilities: what it can do.
         max_triangles: largest mesh in tests and benchmarks, because larger ones take too long; the builder accepts any size.
         start: (boxes, config, device of the rays) -> a tree that is built on demand; None if the tree is built at once.
+        on_cuda: (config) -> whether the tree of a scene on CUDA is built there; if not, it is built on the CPU and copied.
     """
 
     name: str
@@ -64,6 +70,7 @@ class KdTreeBuilder:
     capabilities: BuilderCapabilities = BuilderCapabilities.NONE
     max_triangles: int = MAX_INDEX
     start: Callable[[TriangleBoxes, KdTreeConfig, wp.Device], lazy.LazyKdTree] | None = None
+    on_cuda: Callable[[KdTreeConfig], bool] = never
 
 
 WALD_HAVRAN = "Wald, Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N) (2006)"
@@ -81,7 +88,7 @@ split at medians."""
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
-        KdTreeBuilder("in_place", f"{CHOI}, in-place", in_place.build, MIN_COST),
+        KdTreeBuilder("in_place", f"{CHOI}, in-place", in_place.build, MIN_COST, on_cuda=in_place.is_by_levels),
         KdTreeBuilder("nested", f"{CHOI}, nested", classic("kdtree.nested.nested"), MIN_COST),
         KdTreeBuilder(
             "binned",

@@ -110,9 +110,14 @@ class TaskTarget(NamedTuple):
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes; on CUDA by levels alone, unless triangles are clipped."""
-    if triangles.boxes.low.device.is_cuda and not config.tests_nodes:
+    if triangles.boxes.low.device.is_cuda and is_by_levels(config):
         return levelwise_build.build(triangles, config)
     return build_in_place(triangles, config, event_method(config), task_target(triangles.count, triangles.boxes.low.device))
+
+
+def is_by_levels(config: KdTreeConfig) -> bool:
+    """Whether CUDA builds the tree by levels alone (`wrt.builders.kdtree.levelwise`)."""
+    return not config.tests_nodes
 
 
 def task_target(count: int, device: wp.Device) -> TaskTarget:

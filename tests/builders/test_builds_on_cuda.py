@@ -149,6 +149,23 @@ def test_hits_are_those_of_brute_force(name, rounds):
 
 
 @on_cuda
+@pytest.mark.parametrize("clips", [False, True])
+@pytest.mark.parametrize("name", MESHES)
+def test_kdtrees_of_scenes_are_those_of_the_cpu(name, clips):
+    """Built on the device, unless triangles are clipped, and again after a motion."""
+    mesh, tree = MESHES[name](), wrt.KdTree(split_clipping=clips)
+    scene = wrt.Scene(mesh, tree, device=CUDA[0])
+    alone = wrt.Scene(mesh, wrt.KdTree(split_clipping=clips, width=scene.state.width), device="cpu")
+    assert_same_tree(scene.state.tree, alone.state.tree)
+    rays = wrt.Rays(*mixed_rays(mesh, 3000, seed=2))
+    assert_same_hits(scene.intersect(rays), brute_force(scene, rays))
+    moved = mesh.vertices + np.sin(7.0 * mesh.vertices[:, ::-1])
+    scene.update(0, vertices=moved)
+    assert clips or scene.last_update.action == "built"
+    assert_same_hits(scene.intersect(rays), brute_force(scene, rays))
+
+
+@on_cuda
 @pytest.mark.parametrize("width", [2, 8])
 @pytest.mark.parametrize("name", MESHES)
 def test_refits_give_the_tree_of_the_cpu(name, width):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,12 +12,15 @@ from support.meshes import SCENES
 from support.ptx import FUSIBLE, compile_to_ptx
 
 import wrt
+from wrt.accelerators.cuda_trees import is_built_on
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree import in_place
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.levelwise import grid_sums, level_memory, levelwise_build
 from wrt.builders.tree import StopRules
 from wrt.kernels.runtime.workspace import release
+
+CARD = SimpleNamespace(is_cpu=False, is_cuda=True)
 
 CONFIGS = {
     "textbook": KdTreeConfig(cost=SurfaceAreaCost(width=1)),
@@ -74,3 +78,21 @@ def test_kernels_compile_for_cuda(tmp_path):
     for number, kernel in enumerate(levelwise_build.KERNELS):
         (tmp_path / str(number)).mkdir()
         assert not FUSIBLE.search(compile_to_ptx(kernel.module, tmp_path / str(number)))
+
+
+@pytest.mark.parametrize(
+    ("tree", "expected"),
+    [
+        (wrt.KdTree(), True),
+        (wrt.KdTree(mailbox=True, width=8), True),
+        (wrt.KdTree(split_clipping=True), False),
+        (wrt.KdTree(cell_tests="leaves"), False),
+        (wrt.KdTree(empty_space="late"), False),
+        (wrt.KdTree(layout="van_emde_boas"), False),
+        (wrt.KdTree(builder="nested"), False),
+        (wrt.KdTree(builder="lazy"), False),
+    ],
+)
+def test_trees_of_scenes_on_cuda_are_built_there(tree, expected):
+    """Those that this build makes, and nothing changes afterwards."""
+    assert is_built_on(tree, CARD, 2) == expected

@@ -7,7 +7,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
-from wrt.accelerators.tree_descriptions import Bvh
+from wrt.accelerators.tree_descriptions import Bvh, KdTree
 
 if TYPE_CHECKING:
     import warp as wp
@@ -49,7 +49,12 @@ def _for_cuda(accelerator: Bvh, moves: bool) -> Bvh:
 def is_built_on(accelerator: Accelerator, device: wp.Device, width: int) -> bool:
     """Whether the tree of a scene on a device is built there, not on the CPU and copied; width: of nodes and leaf blocks."""
     from wrt.builders.bvh import BVH_BUILDERS
+    from wrt.builders.kdtree import KDTREE_BUILDERS, NATIVE
 
-    if type(accelerator) is not Bvh:
-        return False
-    return device.is_cpu or BVH_BUILDERS[accelerator.builder].on_cuda(accelerator.config(width))
+    if type(accelerator) is Bvh:
+        return device.is_cpu or BVH_BUILDERS[accelerator.builder].on_cuda(accelerator.config(width))
+    if type(accelerator) is KdTree:
+        config = accelerator.config(width)
+        is_finished = accelerator.layout == NATIVE and not (config.cuts_late or config.cell_tests == "leaves")
+        return device.is_cpu or (is_finished and KDTREE_BUILDERS[accelerator.builder].on_cuda(config))
+    return False
