@@ -149,3 +149,21 @@ def test_a_mesh_on_the_base_frame(below):
     if below:
         scene.move({"ball": np.eye(4)})
         assert scene.intersect([0.0, 0.0, 9.0], [0.0, 0.0, -1.0]).t < 8.5
+
+
+def test_a_base_frame_below_itself():
+    """As trimesh 4.0 reads it from glTF files."""
+    scene = trimesh.Scene([trimesh.creation.box()])
+    base = scene.graph.base_frame
+    scene.graph.transforms.add_edge(base, base, matrix=np.eye(4))
+    assert wrt.Scene(scene, device="cpu").intersect([0.1, 0.2, 5.0], [0.0, 0.0, -1.0]).t == 4.5
+
+
+@pytest.mark.parametrize("make", [lambda scene: wrt.Scene(scene, device="cpu"), wrt.TriangleMesh.from_trimesh])
+def test_a_node_below_itself(make):
+    scene = trimesh.Scene([trimesh.creation.box()])
+    (node,) = scene.graph.nodes_geometry
+    scene.graph.transforms.add_edge("above", node, matrix=np.eye(4))
+    scene.graph.transforms.add_edge(node, "above", matrix=np.eye(4))
+    with pytest.raises(ValueError, match=f"the node '{node}' of the trimesh.Scene is below itself"):
+        make(scene)

@@ -125,7 +125,7 @@ class MeshFiles:
 
 def meshes_of(geometry: Iterable[Any]) -> Iterator[TriangleMesh]:
     """The meshes that a caller gave, one after the other: meshes, trimesh objects or paths, or an iterable of such."""
-    if isinstance(geometry, (str, Path, TriangleMesh)) or hasattr(geometry, "faces") or hasattr(geometry, "to_geometry"):
+    if isinstance(geometry, (str, Path, TriangleMesh)) or hasattr(geometry, "faces") or hasattr(geometry, "graph"):
         geometry = [geometry]
     if not isinstance(geometry, Iterable):
         raise TypeError(f"geometry must be meshes, paths of files, or an iterable of such, not {type(geometry).__name__}")

@@ -24,10 +24,15 @@ def graph_transform(scene: Any, node: str, known: dict[str, np.ndarray]) -> np.n
         scene: of the node.
         node: its name.
         known: transforms of nodes on long paths, to which those that are found are added.
+
+    Raises:
+        ValueError: the node is below itself.
     """
-    forest = scene.graph.transforms
+    forest, base = scene.graph.transforms, scene.graph.base_frame
     way, parents = [node], forest.parents
-    while way[-1] in parents and way[-1] not in known:
+    while way[-1] in parents and way[-1] not in known and way[-1] != base:
+        if len(way) > len(parents):
+            raise ValueError(f"the node {node!r} of the trimesh.Scene is below itself; give it a parent that is not below it")
         way.append(parents[way[-1]])
     if len(way) <= LONG_PATH and way[-1] not in known:
         return scene.graph[node][0]

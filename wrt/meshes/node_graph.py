@@ -71,9 +71,10 @@ class NodeGraph:
         waiting = [scene.graph.base_frame]
         while waiting:
             for child in children.get(waiting.pop(), ()):
-                number[child] = len(order)
-                order.append(child)
-                waiting.append(child)
+                if child not in number:  # the base frame may be below itself, as in files that trimesh 4.0 has read
+                    number[child] = len(order)
+                    order.append(child)
+                    waiting.append(child)
         edges = [forest.edge_data[forest.parents[node], node].get("matrix", np.eye(4)) for node in order]
         local = np.array(edges, dtype=np.float64).reshape(-1, 4, 4)
         return cls(tuple(map(str, order)), np.array([number[forest.parents[node]] for node in order]), local, np.zeros(0, int))

@@ -245,7 +245,7 @@ def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
         if not (members := members_of(geometry)):
             raise ValueError("geometry is an empty sequence; pass at least one mesh")
         return tuple(mesh for member in members for mesh in as_meshes(member))
-    if hasattr(geometry, "to_geometry") or hasattr(geometry, "faces"):
+    if hasattr(geometry, "graph") or hasattr(geometry, "faces"):
         return (TriangleMesh.from_trimesh(geometry),)
     raise TypeError(
         f"geometry must be a wrt.TriangleMesh, a trimesh object or a sequence of them, not {type(geometry).__name__}; "
