@@ -96,3 +96,9 @@ def test_kernels_compile_for_cuda(tmp_path):
 def test_trees_of_scenes_on_cuda_are_built_there(tree, expected):
     """Those that this build makes, and nothing changes afterwards."""
     assert is_built_on(tree, CARD, 2) == expected
+
+
+def test_too_many_triangles_are_refused():
+    levelwise_build.check_count(levelwise_build.MAX_TRIANGLES)
+    with pytest.raises(ValueError, match=r"a mesh of 178,956,971 triangles, .* takes 178,956,970 at most; take wrt.KdTree"):
+        levelwise_build.check_count(levelwise_build.MAX_TRIANGLES + 1)

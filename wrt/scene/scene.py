@@ -128,7 +128,7 @@ class Scene(Queries, Members):
         The tree keeps its nodes, which is faster than a build: a BVH is refitted, the leaves of a kd-tree are filled again. The
         further triangles move, the slower queries become. So the tree is rebuilt, in parts or as a whole, once its cost is too
         high (`wrt.moving.UpdatePolicy`); `last_update` reports what was done. Trees that are lazy, that clip triangles or that
-        are made for influence areas are always rebuilt.
+        are made for influence areas are always rebuilt; trees that CUDA builds are, unless `rebuild` is "never".
 
         Args:
             index: index of the mesh (`Hits.geometry_id`), or a mapping from such indices to their vertices; in a scene of

@@ -75,10 +75,18 @@ events are moved again."""
 MAX_EVENTS = (1 << 31) - 1
 """Of a level: kernels number them by 32 bits."""
 
+MAX_TRIANGLES = MAX_EVENTS // 12
+"""Of a mesh: a sort has room for twice the events."""
+
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the tree on the device that holds the boxes. The config does not clip."""
+    """Builds the tree on the device that holds the boxes. The config does not clip.
+
+    Raises:
+        ValueError: a mesh has more than `MAX_TRIANGLES`, or a level more references to triangles than kernels number.
+    """
     device, count = triangles.boxes.low.device, triangles.count
+    check_count(count)
     load(KERNELS, device)
     phase = Phases(device)
     kind = build, device.alias, device.stream.cuda_stream if device.is_cuda else None  # others' kernels may use it still
@@ -96,6 +104,15 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     if count <= MAX_KEPT:
         give_back(kind, work)
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, phase.stats)
+
+
+def check_count(count: int) -> None:
+    """Refuses more triangles than kernels number, before anything is made for them; errors as `build`."""
+    if count > MAX_TRIANGLES:
+        raise ValueError(
+            f"a mesh of {count:,} triangles, and a kd-tree built on CUDA takes {MAX_TRIANGLES:,} at most; take "
+            "wrt.KdTree(builder='nested'), which is built on the CPU, or cut the mesh into several"
+        )
 
 
 def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: LevelMemory) -> tuple[BuiltNodes, int]:
@@ -118,7 +135,7 @@ def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: LevelMemo
         grow(built, work, level)
         children = work.room(f"nodes{there}", 2 * level.nodes, CellNode)
         child_keys = work.room(f"keys{there}", 2 * level.nodes, wp.int64)
-        expected = int(EXPECTED * level.triangles)
+        expected = min(int(EXPECTED * level.triangles), MAX_EVENTS // 6)
         threads = -(-6 * level.triangles // EVENTS_EACH)
         inputs = [
             cost,
@@ -146,7 +163,8 @@ def split_levels(triangles: TriangleBoxes, config: KdTreeConfig, work: LevelMemo
                 break
             if 6 * below > MAX_EVENTS:
                 raise ValueError(
-                    f"a level of the tree has {below:,} references to triangles; kernels number {MAX_EVENTS // 6:,}"
+                    f"a level of the tree has {below:,} references to triangles, and kernels number {MAX_EVENTS // 6:,}; take "
+                    "wrt.KdTree(builder='nested'), which is built on the CPU"
                 )
             to.event = work.room(f"events{there}", 6 * below, wp.vec4i)
         level.first, level.listed, level.depth = level.first + level.nodes, level.listed + found[LISTED], level.depth + 1
