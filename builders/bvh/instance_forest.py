@@ -27,7 +27,7 @@ from functools import cached_property
 import numpy as np
 
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
-from wrt.kernels.layout.instance_maps import LIST_BITS, MAX_LISTED
+from wrt.kernels.layout.instance_maps import LIST_BITS, MAX_LISTED_INSTANCES
 
 EVERY = -1
 """Environment of instances that rays of all environments see, and of rays that see all instances."""
@@ -60,7 +60,7 @@ class InstanceForest:
         roots: (E,) int32, root of each, from which its own and the shared instances are reached.
         lists: (E + 1,) int32 of each environment, and last of the shared instances: the first of the nodes, one after the
             other, that hold its own instances and nothing else, times 2^`LIST_BITS`, and their number; 0 if there are more than
-            `MAX_LISTED` instances, or none. (0,) if too many are shared.
+            `MAX_LISTED_INSTANCES` instances, or none. (0,) if too many are shared.
         layered: (N,) bool, the instances in trees of several nodes, whose quality depends on where they are.
         layered_count: their number.
     """
@@ -187,11 +187,11 @@ def build_forest(low: np.ndarray, high: np.ndarray, environment: np.ndarray, wid
     """
     numbers, group, counts = np.unique(environment, return_inverse=True, return_counts=True)
     leaf = (~(np.arange(len(low)) << 6 | 1)).astype(np.int32)
-    most_shared = max(width, MAX_LISTED) if len(numbers) > 1 else width
+    most_shared = max(width, MAX_LISTED_INSTANCES) if len(numbers) > 1 else width
     alone = counts > np.where(numbers == EVERY, most_shared, MAX_PACKED)
     roots, layered = np.full(len(numbers), -1), counts[group] > width
     nodes = np.where(alone, 0, -(-counts // width))  # of leaves, group by group
-    lists = np.cumsum(nodes) - nodes, np.where(counts <= MAX_LISTED, nodes, 0)
+    lists = np.cumsum(nodes) - nodes, np.where(counts <= MAX_LISTED_INSTANCES, nodes, 0)
     packed = np.flatnonzero(~alone[group])
     parts, filled = [], 0
     if len(packed):

@@ -21,7 +21,7 @@ ALL_BITS = wp.constant(wp.uint32(0xFFFFFFFF))
 """The mask of a geometry that is visible to every ray."""
 
 
-MAX_LISTED = 16
+MAX_LISTED_INSTANCES = 16
 """Largest number of instances of an environment, and of shared ones, whose boxes a thread of a GPU tests one after the other,
 rather than walking their tree (notebooks/records/2026-11-28-gpu-graphs.md)."""
 

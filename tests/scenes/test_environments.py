@@ -12,7 +12,7 @@ import wrt
 from wrt.builders.bvh.instance_forest import MAX_PACKED
 from wrt.instances.instance_boxes import build_upper
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
-from wrt.kernels.layout.instance_maps import LIST_BITS, MAX_LISTED
+from wrt.kernels.layout.instance_maps import LIST_BITS, MAX_LISTED_INSTANCES
 from wrt.scene.archives import read_archive, write_archive
 
 LAST = (1 << 31) - 1
@@ -116,13 +116,13 @@ def test_every_root_reaches_its_instances(width, shared):
     assert sorted(reached(forest.root)) == [*range(len(environment))]
     for number, root in zip(forest.environments, forest.roots, strict=True):
         assert sorted(reached(root)) == np.flatnonzero((environment == number) | (environment == -1)).tolist()
-    if shared > MAX_LISTED:
+    if shared > MAX_LISTED_INSTANCES:
         assert len(forest.lists) == 0
     else:
         for number, word in zip([*forest.environments, -1], forest.lists, strict=True):
             nodes, own = forest.child[word >> LIST_BITS :][: word & (1 << LIST_BITS) - 1], np.flatnonzero(environment == number)
             listed = np.sort(~nodes[nodes != int(EMPTY_LANE)] >> 6)
-            np.testing.assert_array_equal(listed, own if len(own) <= MAX_LISTED else [])
+            np.testing.assert_array_equal(listed, own if len(own) <= MAX_LISTED_INSTANCES else [])
     assert (forest.shared_root >= 0) == (shared > 0)
     if shared:
         assert sorted(reached(forest.shared_root)) == np.flatnonzero(environment == -1).tolist()

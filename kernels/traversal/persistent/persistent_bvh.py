@@ -22,9 +22,9 @@ back. Threads of a warp may be on different levels: the step of a node is the sa
 hit. Going into an instance costs as much as several nodes, and so does a hit, so the threads of a warp that go in or out and
 those that test triangles take turns, the more numerous ones first.
 
-**Lists.** In an environment of few instances (`wrt.kernels.layout.instance_maps.MAX_LISTED`) a ray tests the boxes of all when
-it begins, as the other threads do, and goes to those that it meets in the order of their t. The upper tree is not walked, and
-nothing is prepared again for it on the way back.
+**Lists.** In an environment of few instances (`wrt.kernels.layout.instance_maps.MAX_LISTED_INSTANCES`) a ray tests the boxes
+of all when it begins, as the other threads do, and goes to those that it meets in the order of their t. The upper tree is not
+walked, and nothing is prepared again for it on the way back.
 
 **Limits.** The watertight test, and trees whose leaves share no triangle. Alpha masks take `wrt.kernels.traversal.single`.
 
@@ -40,7 +40,7 @@ import warp as wp
 
 from wrt.kernels.answers import SKIPPING, all_crossings, any_hit, closest_hit, crossing_count, next_crossing, winding_number
 from wrt.kernels.layout.binary_nodes import BinaryNodes, BinaryPart, PackedTriangles
-from wrt.kernels.layout.instance_maps import MAX_LISTED
+from wrt.kernels.layout.instance_maps import MAX_LISTED_INSTANCES
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime import native
 from wrt.kernels.runtime.options import specialised_kernel
@@ -63,7 +63,7 @@ BLOCK, BLOCKS = 64, 16
 """Threads of a block and blocks of a multiprocessor. They bound a thread to 64 registers: with more, fewer threads hide the
 latency of memory, and with fewer, registers spill."""
 
-LISTED_PLACES = 2 * 2 * MAX_LISTED + 1
+LISTED_PLACES = 2 * 2 * MAX_LISTED_INSTANCES + 1
 """Places of the stack below those of a mesh's tree where the instances of a list wait."""
 
 INSTANCE_BLOCKS = 12
