@@ -51,7 +51,7 @@ sys.path[:] = {path!r}
 from wrt.kernels.compilation.compile_later import serve
 serve()
 """
-"""What the processes run: it takes its priority before its imports, which take a second."""
+"""What the processes run: it takes its priority before its imports."""
 
 _lock = threading.Lock()
 _missing: dict[wp.Module, MissingKernel] = {}

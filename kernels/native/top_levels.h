@@ -197,7 +197,7 @@ inline CUDA_CALLABLE void divide_all(TopLevels& top, int count)
         });
         for_all(subtrees, [&](int place) { divide(top, count, from, place); });
         if (top.ranges == 0) return;
-        for_all(0, [&](int) { });
+        for_all(0, [&](int) { });  // all have read `ranges` before it is 0 again
     }
 }
 

@@ -24,7 +24,7 @@ WIDTH = 2
 
 ROUNDS = 8
 """Rounds of reinsertion with which "hploc" builds on CUDA, unless the description says otherwise: trees then cost no more than
-those of the CPU's default builder, for two to seven milliseconds (notebooks/records/2026-11-28-gpu-graphs.md)."""
+those of the CPU's default builder, and more rounds gain little (notebooks/records/2026-11-28-gpu-graphs.md)."""
 
 
 def for_device(accelerator: Accelerator, device: wp.Device, moves: bool = False) -> Accelerator:

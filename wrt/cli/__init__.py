@@ -74,7 +74,8 @@ class CommandLine(click.Group):
         thresholds, plain = gc.get_threshold(), warnings.formatwarning
         warnings.formatwarning = partial(_warning, plain)
         gc.set_threshold(OBJECTS_TO_COLLECT, *thresholds[1:])
-        atexit.unregister(gc.freeze)  # Python looks for garbage twice at its exit, which takes 0.3 s with all that is imported
+        # Python looks for garbage twice at its exit, among all that is imported (notebooks/records/2026-11-28-kernels-later.md)
+        atexit.unregister(gc.freeze)
         atexit.register(gc.freeze)
         try:
             status = super().main(*args, **kwargs)

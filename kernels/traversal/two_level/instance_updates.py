@@ -472,7 +472,7 @@ def make_refit_levels(block: int) -> wp.Kernel:
 
 @exact_kernel
 def send_report(first: int, spanned: Spanned, sent: wp.array(dtype=wp.float64)):
-    """Writes `Spanned.report` where the host reads it, in memory of the host: a copy would begin later. Item: a number."""
+    """Writes `Spanned.report` where the host reads it, in memory of the host; recorded like other launches. Item: a number."""
     i = first + wp.tid()
     sent[i] = spanned.report[i]
 

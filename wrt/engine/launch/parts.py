@@ -67,7 +67,7 @@ def trace_in_parts(scene: SceneState, contest: Contest, rays: DeviceRays, kind: 
     """Traces a batch for which a trial is due, and tells the contest; None, and nothing is done, if whole calls must take
     turns, or no trial is due."""
     learner = contest.learner
-    if scene.instances:  # where rivals of packets are single rays, which take ten times as long
+    if scene.instances:  # where rivals of packets are single rays, too slow to be tried by parts
         return None
     ways = contest.ways()
     plans = {name: contest.chosen[name] for name in ways}
